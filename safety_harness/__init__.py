@@ -7,8 +7,8 @@
     for evaluation in judge(trace):
         print(evaluation.sentence, evaluation.verdict.value, evaluation.margin_text())
 
-The names below are public; a test holds them.  They are imported when they are first used, so that
-``safety-harness --help`` does not wait for a physics engine.
+The names below are public; a test holds them.  Each import happens at the first use, so that ``safety-harness
+--help`` does not wait for a physics engine.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ _WINGS = {
 }
 __all__ = sorted(name for names in (_HOMES | _WINGS).values() for name in names)
 
-import_module(f"{__name__}.base.moved")  # which finds old import paths of documented names
+import_module(f"{__name__}.base.moved")  # finds old import paths of documented names
 
 
 def __getattr__(name: str) -> object:
@@ -169,7 +169,7 @@ def __getattr__(name: str) -> object:
 
 def _absent(name: str, home: str) -> InputError:
     """Return the error for a name whose wing is not installed."""
-    errors, distribution = (import_module(f"{__name__}.base.{one}") for one in ("exceptions", "distribution"))
+    errors, distribution = (import_module(f"{__name__}.base.{mod}") for mod in ("exceptions", "distribution"))
     missing: InputError = errors.MissingPackageError(
         place=errors.Place(field=f"{__name__}.{name}"),
         expected=f"the package {__name__}.{home.rpartition('.')[0]}",

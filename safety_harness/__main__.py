@@ -1,6 +1,6 @@
 """The command ``safety-harness``, also as ``python -m safety_harness``.
 
-Nothing heavy is imported before the ``try``: Ctrl-C while libraries load is no traceback either.
+No slow import comes before the ``try``, so that Ctrl-C during the imports gives no traceback either.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import sys
 
 
 def main() -> None:
-    """Run the command line; neither Ctrl-C nor one of our own errors ends in a traceback."""
-    gc.set_threshold(20_000)  # most that is imported stays, and to look for garbage in it takes long
+    """Run the command line; Ctrl-C and our own errors end without a traceback."""
+    gc.set_threshold(20_000)  # imported objects stay, and the search for garbage among them takes long
     try:
         _open_streams()
         from safety_harness.cli.main import main as run_command
@@ -24,9 +24,9 @@ def main() -> None:
 
 
 def _open_streams() -> None:
-    """What was closed by who called goes nowhere, or the next file to be opened would get what is printed.
+    """Replace closed standard streams by the null device, and escape characters that a stream cannot encode.
 
-    What a stream's encoding has no letter for is escaped.
+    Otherwise the next file that is opened would receive the output.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:

@@ -1,4 +1,4 @@
-"""Admission: resolve a scenario's references and refuse what cannot be tried, before anything runs."""
+"""Admission: resolve a scenario's references and refuse a scenario that cannot run, before any run."""
 
 from __future__ import annotations
 
@@ -73,39 +73,61 @@ from safety_harness.seams.contract import UserController
 from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.trace.trace import Trace
 
-FIRST_ANSWER_S = 300.0  # time to import, load and compile whatever an avoider needs
+FIRST_ANSWER_S = 300.0  # for an avoider's imports, loading and compilation
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Checked:
-    """A scenario that can be tried, as far as that can be said without making its avoider."""
+    """A scenario that passed every check that works without its avoider."""
 
     scenario: Scenario
     arm: ArmModel
-    view: DesiredView | None  # None: nothing of the object is seen
+    view: DesiredView | None  # None: the controller does not see the object
     joint_position_rad: NDArray[np.float64]  # (n,) where the arm starts
     properties: tuple[Property, ...]  # in the order of the scenario's claims
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Admitted(Checked):
-    """A scenario with everything resolved: ready to be run and judged."""
+    """A scenario with everything resolved: ready to run and to be judged.
+
+    Args:
+        scenario: The scenario.
+        arm: The model of its arm.
+        view: The desired view; None if the controller does not see the object.
+        joint_position_rad: (n,) The joint angles at the start.
+        properties: The property of each claim, in order.
+        avoider: The avoider; a stand-in if another controller than the visual servo drives the arm.
+        avoider_sha256: The hash of the avoider's file; empty without a file.
+        driver: The user's controller; None: the visual servo.
+
+    """
 
     avoider: Avoider  # NOBODY where another controller than the visual servo drives
     avoider_sha256: str  # of the file that the avoider comes from; empty for one without
     driver: MadeDriver | None = None  # None: the visual servo
 
     def controller(self, recorded: Trace | None = None) -> AvoidingServo | DrivenController:
-        """A fresh controller for one run; ``recorded`` is an earlier one, whose times count again.
+        """Return a fresh controller for one run.
 
-        ControllerError for a user's whose ``reset`` raises.
+        Args:
+            recorded: An earlier run of the scenario, whose decision times count again.  None: new times.
+
+        Raises:
+            ControllerError: The ``reset`` of a user's controller raises.
+
         """
         if self.driver is None:
             return self.servo(recorded)
         return self.driven_by(self.driver.controller)
 
     def driven_by(self, controller: UserController) -> DrivenController:
-        """With a user's controller for one run."""
+        """Return a user's controller prepared for one run.
+
+        Args:
+            controller: The user's controller.
+
+        """
         scenario = self.scenario
         return DrivenController(
             controller,
@@ -119,7 +141,12 @@ class Admitted(Checked):
         )
 
     def servo(self, recorded: Trace | None = None) -> AvoidingServo:
-        """As ``controller``, of a scenario that the visual servo drives."""
+        """Return a fresh visual servo for one run of a scenario that it drives.
+
+        Args:
+            recorded: As in ``controller``.
+
+        """
         scenario, settings = self.scenario, self.scenario.settings
         assert self.view is not None
         robot = scenario.robot
@@ -145,7 +172,7 @@ class Admitted(Checked):
         )
 
     def guard(self) -> Guard:
-        """The scenario's shield for one run; empty if it has none."""
+        """Return the scenario's shield for one run; empty if it has no shield."""
         scenario = self.scenario
         capsules = cell_capsules(arm_capsules(scenario.robot), scenario.settings)
         ticks = scenario.ticks + 1
@@ -153,9 +180,9 @@ class Admitted(Checked):
 
 
 class Admitter:
-    """Admits one scenario after another; what becomes of one does not depend on those before it.
+    """Admits one scenario after another; a result does not depend on earlier scenarios.
 
-    The avoider of a Python file is made once, so that one with a memory of its own keeps it from run to run.
+    It makes the avoider of a Python file once, so that an avoider with a memory keeps it from run to run.
     """
 
     def __init__(self) -> None:
@@ -165,7 +192,7 @@ class Admitter:
         self._seen_by = lru_cache(maxsize=16)(seen_by)
 
     def admit(self, scenario: Scenario) -> Admitted:
-        """Resolve and check; InadmissibleError names the place, what was expected and what came."""
+        """Resolve and check a scenario; InadmissibleError has place, expectation and actual value."""
         checked = check(scenario)
         if scenario.driven:
             return _driven(checked, self._drivers.of(scenario))
@@ -175,7 +202,7 @@ class Admitter:
         return _admitted(checked, avoider, sha256, self._answers(cast(Hashable, avoider), hand, tcp))
 
     def seen_of(self, scenario: Scenario) -> SeenRegions:
-        """What the scenario's avoider was trained on, as ``seen_by`` has it."""
+        """Return the training space of the scenario's avoider, as ``seen_by`` gives it."""
         settings = scenario.settings.steady
         return self._seen_by(scenario.under_test, folder=folder_of(scenario), settings=settings)
 
@@ -183,9 +210,21 @@ class Admitter:
 def admit(
     scenario: Scenario, *, avoider: Avoider | None = None, controller: UserController | None = None
 ) -> Admitted:
-    """As an ``Admitter`` of its own; ``avoider`` takes the place of the one that the scenario names.
+    """Resolve a scenario's references and check that it can run.
 
-    So does ``controller``, which drives the arm in place of the visual servo.
+    Args:
+        scenario: The scenario.
+        avoider: An avoider in place of the scenario's own; None: the scenario's.
+        controller: A controller in place of the visual servo; None: the scenario's.  Only the visual servo
+            asks an avoider, so at most one of the two may be given.
+
+    Returns:
+        The scenario with its arm, its avoider or controller, and the properties of its claims.
+
+    Raises:
+        InadmissibleError: The scenario cannot run; the error has the place in the file.
+        InputError: A file that the scenario refers to cannot be used.
+
     """
     refuse_other_type("admit(scenario)", scenario, Scenario)
     if controller is not None:
@@ -193,8 +232,8 @@ def admit(
             expected = "one of avoider and controller: only the visual servo asks an avoider"
             raise InadmissibleError.of_option("admit(controller)", expected, "both")
         driver = driver_of(controller)
-        named = f"{controller.name}{IN_PYTHON}"
-        return _driven(check(replace(scenario, controller=named, avoider=NO_AVOIDER)), driver)
+        reference = f"{controller.name}{IN_PYTHON}"
+        return _driven(check(replace(scenario, controller=reference, avoider=NO_AVOIDER)), driver)
     if avoider is None:
         return Admitter().admit(scenario)
     if isinstance(avoider, type) or not hasattr(avoider, "propose"):
@@ -205,13 +244,13 @@ def admit(
 
 
 class Looker:
-    """What ``Admitter`` is to those who only look: everything is checked, nothing of a user's is executed."""
+    """Checks scenarios as an ``Admitter`` does, but executes no user code."""
 
     def __init__(self) -> None:
         self._seen: set[tuple[str, Path | None, Settings]] = set()
 
     def look(self, scenario: Scenario) -> Checked:
-        """As ``Admitter.admit``, but that an avoider can be made and answers is for the run to see."""
+        """Check a scenario; errors of its avoider's construction and answers only show in a run."""
         checked = check(scenario)
         key = scenario.under_test, folder_of(scenario), scenario.settings
         if key not in self._seen:
@@ -222,10 +261,7 @@ class Looker:
 
 
 def refuse_no_answer(scenario: Scenario) -> None:
-    """As ``admit`` refuses, for the sake of the scenario's avoider alone, which is made and asked once.
-
-    Or of its controller, which is made.
-    """
+    """Make the scenario's avoider and ask it once, or make its controller; errors as of ``admit``."""
     if scenario.driven:
         Drivers().of(scenario)
         return
@@ -236,14 +272,16 @@ def refuse_no_answer(scenario: Scenario) -> None:
 
 
 def check(scenario: Scenario) -> Checked:
-    """All of admission but the avoider, of which nothing is read or executed; errors as of ``admit``.
+    """Check a scenario without its avoider; errors as of ``admit``.
 
-    And but the controller, unless it is the visual servo: what of the object it sees is not known here.
+    The check reads and executes no file of the avoider.  It also omits any controller other than the visual
+    servo, and with it the view of the object.
     """
     return _check(scenario, sees_object=not scenario.driven)
 
 
 def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
+    """Check a scenario, and its view of the object if the controller sees the object."""
     arm = _arm_of(scenario)
     with _placed(scenario):
         check_posture(scenario, arm)
@@ -266,6 +304,7 @@ def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
 
 
 def _driven(checked: Checked, driver: MadeDriver) -> Admitted:
+    """Return the scenario admitted with a controller of the user."""
     if driver.sees_object:
         checked = _check(checked.scenario, sees_object=True)
     refuse_no_images(checked.scenario, driver)
@@ -275,7 +314,7 @@ def _driven(checked: Checked, driver: MadeDriver) -> Admitted:
 
 
 def _arm_of(scenario: Scenario) -> ArmModel:
-    """The arm; InadmissibleError, naming the key, for one whose files cannot be used."""
+    """Return the arm; InadmissibleError, with the key, if its files cannot be used."""
     try:
         refuse_unfit(scenario.robot)
         drive_model(scenario.robot)
@@ -285,6 +324,7 @@ def _arm_of(scenario: Scenario) -> ArmModel:
 
 
 def _admitted(checked: Checked, avoider: Avoider, sha256: str, answers: bool) -> Admitted:
+    """Return the scenario admitted with an avoider; InadmissibleError if it gave no answer."""
     if not answers:
         raise _no_answer(checked.scenario)
     check_decision_time(checked.scenario, avoider, sha256)
@@ -292,15 +332,16 @@ def _admitted(checked: Checked, avoider: Avoider, sha256: str, answers: bool) ->
 
 
 def _no_answer(scenario: Scenario) -> InadmissibleError:
+    """Return the error for an avoider without an answer to its first question."""
     expected = f"an avoider that answers its first question within {FIRST_ANSWER_S:g} s"
     return scenario.inadmissible(expected, "none until then", "avoider")
 
 
 @dataclass(frozen=True)
 class _Cell:
-    """What is refused, or not, whatever hands and start are; ``scenario`` has the places for messages.
+    """The part of a scenario that its hands and start cannot change; ``scenario`` has places for messages.
 
-    ``settings`` are ``steady``: no camera's noise or delay is asked for.
+    ``settings`` are ``steady``: a camera's noise and delay do not matter here.
     """
 
     settings: Settings
@@ -310,7 +351,7 @@ class _Cell:
 
 @lru_cache(maxsize=16)  # many scenarios share a cell
 def _view_of_cell(cell: _Cell) -> DesiredView:
-    """The desired view in a cell that can be worked in."""
+    """Return the desired view in a cell that allows servoing."""
     view = checked_view(cell.scenario)
     check_desired(cell.scenario, arm_model(cell.robot))
     return view
@@ -318,7 +359,7 @@ def _view_of_cell(cell: _Cell) -> DesiredView:
 
 @contextmanager
 def _placed(scenario: Scenario) -> Iterator[None]:
-    """A refusal of settings, at the place in the file that asks for what is refused."""
+    """Turn a SettingsError into an InadmissibleError at the place of the setting in the file."""
     try:
         yield
     except SettingsError as error:
@@ -330,15 +371,19 @@ def _placed(scenario: Scenario) -> Iterator[None]:
 
 
 def first_question(settings: Settings) -> tuple[Vector3, Vector3]:
-    """What an avoider is asked before a run: the nominal hand, with the TCP where it is to be."""
+    """Return an avoider's question before a run: the nominal hand, and the desired position of the TCP."""
     return settings.avoidance.nominal_hand_position_in_base_m, settings.cell.desired_tcp_position_in_base_m
 
 
 def answers_at_first(avoider: Avoider, hand_in_base_m: Vector3, tcp_in_base_m: Vector3) -> bool:
-    """Ask once before the run, so that no answer is waited for while it loads or compiles.
+    """Ask an avoider once before the run, so that a run never waits for imports and compilation.
 
-    Whatever comes is thrown away: a fault belongs to the run, which will meet it.  False if nothing does.
-    One that sees more is not asked: nothing is seen yet.
+    The answer is thrown away, since the run will meet any fault itself.  There is no question for an avoider
+    that sees more, since there is no view yet.
+
+    Returns:
+        False if no answer comes within FIRST_ANSWER_S.
+
     """
     if shown_to(avoider):
         return True

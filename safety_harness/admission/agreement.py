@@ -1,7 +1,7 @@
-"""How far the kinematic world and PyBullet agree: what ``benchmarks/agreement.py --write`` measured, as data.
+"""Agreement of the kinematic world with PyBullet: the measurement of ``benchmarks/agreement.py --write``.
 
-A measurement is about the source that it was made with.  ``present_source`` covers every file that a run and
-its judgement import, so that a change of a page or of a search does not make it old.
+A measurement holds for its source.  ``present_source`` covers every file that a run and its judgement import,
+so that a change of a page or of a search does not make it old.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FORMAT = "safety-harness agreement 1"
 
 @dataclass(frozen=True)
 class LargestDifference:
-    """The largest difference of one quantity between the two worlds, and the scenario in which it was."""
+    """The largest difference of one quantity between the two worlds, and its scenario."""
 
     what: str  # with its unit
     largest: float
@@ -30,8 +30,9 @@ class LargestDifference:
 class Agreement:
     """Verdicts of the same scenarios in both worlds.
 
-    ``compared`` counts verdicts of which a margin is more than ``near_m`` from zero (or no length),
-    ``compared_near`` the others.  ``optimistic`` disagreements: only PyBullet sees a violation.
+    ``compared`` counts verdicts with a margin of more than ``near_m`` from zero, or a margin that is no
+    length; ``compared_near`` counts the rest.  In the ``optimistic`` disagreements only PyBullet sees a
+    violation.
     """
 
     source: str
@@ -50,34 +51,34 @@ class Agreement:
 
     @property
     def scenarios(self) -> int:
-        """How many were run in both worlds."""
+        """The number of scenarios in both worlds."""
         return self.shipped + self.random
 
     @property
     def share(self) -> float:
-        """Of the verdicts away from a limit; NaN if there are none."""
+        """The share of agreements among verdicts away from a limit; NaN without such a verdict."""
         return self.agreed / self.compared if self.compared else float("nan")
 
     @property
     def is_of_present_source(self) -> bool:
-        """Whether it was measured with the source that is running."""
+        """Whether the running source is the source of the measurement."""
         return self.source == present_source()
 
 
 @lru_cache
 def present_source() -> str:
-    """The hash over every file that a run in either world and its judgement import."""
+    """Return the hash over every file that a run in either world and its judgement import."""
     return source_hash_of(PACKAGE / "admission" / "trial.py")
 
 
 def from_json(text: str) -> Agreement:
-    """Return what such a file holds: its format and the fields.  InputError for anything else."""
-    found = of_format(parsed(text, AGREEMENT_FILE, "an agreement of two worlds"), FORMAT, AGREEMENT_FILE)
-    del found["format"]
-    return typed(found, Agreement, AGREEMENT_FILE)
+    """Return the agreement of a JSON text; InputError for another text."""
+    document = of_format(parsed(text, AGREEMENT_FILE, "an agreement of two worlds"), FORMAT, AGREEMENT_FILE)
+    del document["format"]
+    return typed(document, Agreement, AGREEMENT_FILE)
 
 
 @lru_cache
 def measured_agreement() -> Agreement:
-    """What was measured last and came with the package."""
+    """Return the latest measurement that ships with the package."""
     return from_json(AGREEMENT_FILE.read_text(encoding="utf-8"))

@@ -1,8 +1,8 @@
-"""Which avoider a reference means: one of ours by name, a user's own Python file, or a model file.
+"""References to avoiders: a name of ours, the user's own Python file, or a model file.
 
-A Python file is the user's own program and is executed, with everything that it imports, where a scenario
-that names it is run and for no other reason, and in a process of its own; so is a function in ONNX, which is
-no program but may never end.  Any other model file is only read.  ``refuse_unusable`` executes nothing.
+A Python file is the user's own program.  It is executed, with all its imports, only when a scenario that
+refers to it runs, and in a separate process.  So is a function in ONNX, which is no program but may never
+end.  Any other model file is only read.  ``refuse_unusable`` executes no user code.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE{MODEL_SUFFIX}; FILE{ONN
 
 @dataclass(frozen=True)
 class _Wanted:
-    """What an avoider that is no program is made of; ``scenario`` has the places for messages."""
+    """The inputs of an avoider that is no program; ``scenario`` has the places for messages."""
 
     source: tuple[Path, str] | str
     settings: Settings
@@ -68,40 +68,48 @@ class _Wanted:
 
 
 class Avoiders:
-    """The avoiders that scenarios name, each made as seldom as nobody can tell.
+    """The avoiders of scenarios, with as few constructions as possible without a visible effect.
 
-    Of a Python file nothing depends on a scenario but the file and the name in it: it is made once, and
-    keeps its memory if it has one.  The others are functions of their questions, made from their settings.
+    An avoider in a Python file depends only on the file and the name in it, so a single object serves all
+    runs.  If it has a memory, the memory lasts.  Every other avoider is a function of its question, made from
+    the settings.
     """
 
     def __init__(self) -> None:
         self._programs: dict[tuple[Path, str], tuple[Avoider, str]] = {}
-        self._others = lru_cache(maxsize=16)(lambda wanted: _made(wanted.scenario))
+        self._functions = lru_cache(maxsize=16)(lambda wanted: _made(wanted.scenario))
 
     def of(self, scenario: Scenario) -> tuple[Avoider, str]:
-        """The avoider that ``scenario.avoider`` names, and its file's hash; errors as ``resolve_avoider``."""
+        """Return the scenario's avoider and the hash of its file; errors as of ``resolve_avoider``."""
         path, name = _file_of(scenario), file_and_name(scenario.avoider)[1]
         if path is None or not is_a_program(scenario.avoider):
             source = scenario.avoider if path is None else (path, name)
-            return self._others(_Wanted(source, scenario.settings.steady, scenario))
+            return self._functions(_Wanted(source, scenario.settings.steady, scenario))
         if (path, name) not in self._programs:
             self._programs[path, name] = _made(scenario)
         return self._programs[path, name]
 
 
 def _made(scenario: Scenario) -> tuple[Avoider, str]:
+    """Return a new avoider and the hash of its file."""
     return resolve_avoider(scenario), avoider_sha256(scenario)
 
 
 def resolve_avoider(scenario: Scenario, place: Place | None = None) -> Avoider:
-    """The avoider that the scenario names, ready to be asked.
+    """Return the scenario's avoider, ready for questions.
 
-    A relative file is sought from the scenario's folder (without a file: the working directory).  ``place``
-    is what errors name; None is where the scenario names its avoider.  InadmissibleError if there is no
-    such avoider or it is none, ModelError if a model file cannot be used.
+    Args:
+        scenario: The scenario; its folder (without a file: the working directory) is where relative files
+            are.
+        place: The place for errors; None: where the scenario refers to its avoider.
+
+    Raises:
+        InadmissibleError: The avoider does not exist, or the object is no avoider.
+        ModelError: A model file cannot be used.
+
     """
     place = place or scenario.place("avoider")
-    path = _found(scenario, place)
+    path = _existing_file(scenario, place)
     reference, settings = scenario.avoider, scenario.settings
     if path is None:
         opposite = reference == OPPOSITE
@@ -117,12 +125,12 @@ def resolve_avoider(scenario: Scenario, place: Place | None = None) -> Avoider:
 
 
 def refuse_unusable(scenario: Scenario, place: Place | None = None) -> None:
-    """As ``resolve_avoider`` refuses, as far as can be seen without executing anything of a user's.
+    """Raise the errors of ``resolve_avoider`` that show without executing user code.
 
-    A Python file is parsed, of an ONNX file the metadata are read; anything else is resolved.
+    A Python file is parsed, and of an ONNX file only the metadata are read; any other avoider is resolved.
     """
     place = place or scenario.place("avoider")
-    path, name = _found(scenario, place), file_and_name(scenario.avoider)[1]
+    path, name = _existing_file(scenario, place), file_and_name(scenario.avoider)[1]
     if path is not None and names_onnx(scenario.avoider):
         _refuse_foreign_onnx(path, scenario.settings)
     elif path is not None and name:
@@ -131,8 +139,8 @@ def refuse_unusable(scenario: Scenario, place: Place | None = None) -> None:
         resolve_avoider(scenario, place)
 
 
-def _found(scenario: Scenario, place: Place) -> Path | None:
-    """The file of the scenario's avoider, which is there; None for one of ours without a file."""
+def _existing_file(scenario: Scenario, place: Place) -> Path | None:
+    """Return the existing file of the scenario's avoider; None for an avoider of ours without a file."""
     reference = scenario.avoider
     if reference in (OPPOSITE, NEAREST):
         return None
@@ -145,7 +153,7 @@ def _found(scenario: Scenario, place: Place) -> Path | None:
 
 
 def _no_avoider(scenario: Scenario, place: Place) -> InadmissibleError:
-    """What is said of a reference that is neither a name nor a kind of file that avoiders come from."""
+    """Return the error for a reference that is no name and no kind of avoider's file."""
     reference = scenario.avoider
     beside = (folder_of(scenario) or Path()) / os.path.expanduser(reference)
     path = beside if beside.exists() else Path(os.path.expanduser(reference))
@@ -159,13 +167,13 @@ def _no_avoider(scenario: Scenario, place: Place) -> InadmissibleError:
 
 
 def avoider_sha256(scenario: Scenario) -> str:
-    """The hash of the file that the scenario's avoider comes from; empty without a file or an avoider."""
+    """Return the hash of the file of the scenario's avoider; empty without a file or an avoider."""
     path = None if scenario.driven else _file_of(scenario)
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def command_line_reference(scenario: Scenario) -> str:
-    """What is tested, as one would name it on the command line, in the working directory."""
+    """Return the reference of the system under test for the command line in the working directory."""
     folder = folder_of(scenario) or Path()
     return with_file(
         scenario.under_test, lambda file: file if is_shipped(file) else os.path.relpath(folder / file)
@@ -173,17 +181,20 @@ def command_line_reference(scenario: Scenario) -> str:
 
 
 def told_avoider(reference: str) -> str:
-    """What is tested, as a result names it: its file is ``told``."""
+    """Return the reference of the system under test for a result: its file is ``told``."""
     return str(with_file(reference, lambda file: str(told(Path(os.path.expanduser(file))))))
 
 
 def option_of(reference: str) -> str:
-    """The option of the command line that names what is tested."""
+    """Return the command-line option for the system under test."""
     return "--controller" if isinstance(reference, Driver) else "--avoider"
 
 
 def one_of(avoider: str | None, controller: str | None) -> str | None:
-    """What the options of a command name, one of which may be given; None for neither."""
+    """Return the reference of the given option of two; None without both.
+
+    InadmissibleError if both are given.
+    """
     if avoider is not None and controller is not None:
         expected = "one of --avoider and --controller: only the visual servo asks an avoider"
         raise InadmissibleError.of_option("--controller", expected, "both")
@@ -191,9 +202,10 @@ def one_of(avoider: str | None, controller: str | None) -> str | None:
 
 
 def reference_for(tested: str | None, reference: str | None) -> str | None:
-    """What ``--against`` names beside what is ``tested``; InadmissibleError for that itself.
+    """Return the reference of ``--against`` beside the system under test.
 
-    It is a ``Driver`` by its name, or if it is a program, or beside another if no avoider has its name.
+    It becomes a ``Driver`` if it is the name of a controller or a program, or if the tested system is a
+    driver and no avoider has the name.  InadmissibleError if it is the tested system itself.
     """
     from safety_harness.cell.controller.named import NAMES as CONTROLLERS  # loads what few commands need
 
@@ -204,30 +216,44 @@ def reference_for(tested: str | None, reference: str | None) -> str | None:
 
 
 def refuse_itself(tested: str | None, reference: str | None, option: str = "--against") -> None:
-    """InadmissibleError where what is tested is its own reference: the same word, or one name in one file."""
+    """Raise InadmissibleError for a comparison of a system with itself: one word, or one name in one file.
+
+    Args:
+        tested: The reference of the system under test; None: the scenario's own.
+        reference: The reference to compare with.
+        option: The option of ``reference``, for the error.
+
+    """
     whole = {
-        (os.path.realpath(os.path.expanduser(file)), name) if file else (str(one), "")
-        for one in (tested, reference)
-        for file, name in [file_and_name(one or "")]
+        (os.path.realpath(os.path.expanduser(file)), name) if file else (str(system), "")
+        for system in (tested, reference)
+        for file, name in [file_and_name(system or "")]
     }
     if tested is not None and len(whole) == 1:
         got = f"{reference} itself: such a comparison finds nothing"
         raise InadmissibleError.of_option(option, f"another reference than {tested}", got)
 
 
-def refuse_same(tested: Scenario | None, other: Scenario, option: str = "--against") -> None:
-    """InadmissibleError where the reference in a scenario's place, ``other``, is what that names already.
+def refuse_same(tested: Scenario | None, reference: Scenario, option: str = "--against") -> None:
+    """Raise InadmissibleError if two scenarios test one system, perhaps by an alias or a copy of its file.
 
-    Or names it otherwise: by an alias of its file, or by a copy.
+    Args:
+        tested: The scenario under test; None: nothing to compare.
+        reference: The same scenario with the reference in place of its system.
+        option: The option of the reference, for the error.
+
     """
-    if tested is not None and (tested == other or _is_copy(tested, other)):
-        refuse_itself(other.under_test, other.under_test, option)
+    if tested is not None and (tested == reference or _is_copy(tested, reference)):
+        refuse_itself(reference.under_test, reference.under_test, option)
 
 
-def _is_copy(tested: Scenario, other: Scenario) -> bool:
-    """Have both files the same bytes?  A program in another folder may read other files than its copy."""
-    first, second = (_file_of(replace(one, avoider=str(one.under_test))) for one in (tested, other))
-    own, name = (file_and_name(one.under_test)[1] for one in (tested, other))
+def _is_copy(tested: Scenario, reference: Scenario) -> bool:
+    """Return whether the files of two scenarios' systems have the same bytes.
+
+    A program in another folder may read other files than its copy, so it does not count as a copy.
+    """
+    first, second = (_file_of(replace(side, avoider=str(side.under_test))) for side in (tested, reference))
+    own, name = (file_and_name(side.under_test)[1] for side in (tested, reference))
     if first is None or second is None or own != name or not (first.is_file() and second.is_file()):
         return False
     beside = first.parent == second.parent or not is_a_program(tested.under_test)
@@ -235,29 +261,45 @@ def _is_copy(tested: Scenario, other: Scenario) -> bool:
 
 
 def replay_command(
-    scenario: Scenario, trace: Path, *others: Path, by: str = "replay", told: Callable[[Path], Path] = told
+    scenario: Scenario, trace: Path, *others: Path, verb: str = "replay", told: Callable[[Path], Path] = told
 ) -> str:
-    """The command that repeats runs of one avoider or controller, of which a user's program is named anew.
+    """Return the command that repeats runs of one avoider or controller.
 
-    A trace may come from anybody: what it names is not executed for that.
+    The command contains a user's program explicitly.  A trace of foreign origin must not decide which program
+    is executed.
 
-    ``by`` is another command that repeats runs.  ``told`` names files; what is kept nowhere may name them as
-    they are.
+    Args:
+        scenario: The scenario of the runs.
+        trace: The trace.
+        *others: Further traces.
+        verb: The command that repeats runs.
+        told: Names the files; a command that is not stored may show them as they are.
+
     """
-    command = ["safety-harness", by, *(str(told(one)) for one in (trace, *others))]
+    parts = ["safety-harness", verb, *(str(told(file)) for file in (trace, *others))]
     if is_a_program(scenario.under_test):
         reference = command_line_reference(scenario)
-        named = told_avoider(os.path.abspath(reference) if file_and_name(reference)[0] else reference)
-        command += [option_of(scenario.under_test), named]
-    return shlex.join(command)
+        program = told_avoider(os.path.abspath(reference) if file_and_name(reference)[0] else reference)
+        parts += [option_of(scenario.under_test), program]
+    return shlex.join(parts)
 
 
 def with_program(
-    scenario: Scenario, tested: str | None, file: Path | None = None, by: str = "replay"
+    scenario: Scenario, tested: str | None, file: Path | None = None, verb: str = "replay"
 ) -> Scenario:
-    """The scenario of a trace in ``file`` with what the user names; TraceError for a program not named anew.
+    """Return the scenario of a trace with the user's avoider or controller.
 
-    A trace may come from anybody, and repeating it, ``by`` which command, must not execute what it says.
+    Repeating a trace of foreign origin must not execute the program that it refers to.
+
+    Args:
+        scenario: The scenario of the trace.
+        tested: The user's reference; None: the trace's own.
+        file: The file of the trace, for the error.
+        verb: The command that repeats the run, for the hint.
+
+    Raises:
+        TraceError: The trace's own system is a program, and ``tested`` is None.
+
     """
     if tested is not None:
         return with_avoider(scenario, tested)
@@ -265,13 +307,13 @@ def with_program(
         option, got = option_of(scenario.under_test), f"a trace made with {scenario.under_test}"
         place = Place(file=file, field=option.removeprefix("--"))
         expected = f"the program named with {option}, since repeating the run executes it"
-        hint = "" if file is None else replay_command(scenario, file, by=by)
+        hint = "" if file is None else replay_command(scenario, file, verb=verb)
         raise TraceError(place=place, expected=expected, got=got, hint=hint)
     return scenario
 
 
 def scenario_of_avoider(reference: str) -> Scenario:
-    """A scenario that has nothing but an avoider: for who makes one without a file that names it."""
+    """Return a scenario with only an avoider, for a caller without a scenario's file."""
     return Scenario(
         name="avoider",
         title="an avoider that is to be made",
@@ -286,9 +328,18 @@ def scenario_of_avoider(reference: str) -> Scenario:
 
 
 def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
-    """One of ours by its name, ready to be asked; InadmissibleError for a name that none has.
+    """Return an avoider of ours by its name, ready for questions.
 
-    To be wrapped in an ``AvoiderAround``, say.
+    An ``AvoiderAround`` can wrap it, for example.
+
+    Args:
+        name: The name, such as ``mc-dropout``; ``NAMES`` has all.
+        settings: The settings that the avoider works with.
+
+    Raises:
+        InadmissibleError: The name is unknown.
+        ModelError: The avoider was trained for another cell than that of the settings.
+
     """
     refuse_other_type("shipped_avoider(name)", name, str, expected=f"one of: {', '.join(NAMES)}")
     if name not in NAMES:
@@ -298,22 +349,22 @@ def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
 
 
 def is_a_program(reference: str) -> bool:
-    """Does the reference name a Python file, or a program, which is executed to resolve it?"""
+    """Return whether a reference means a Python file or a program, which is executed to resolve it."""
     return file_and_name(reference)[0].endswith(".py") or names_a_program(reference)
 
 
 def is_executed(reference: str) -> bool:
-    """Does a run with it execute a file: a program, or a function in ONNX, which may never end?"""
+    """Return whether a run executes a file for this reference: a program, or a function in ONNX."""
     return is_a_program(reference) or names_onnx(reference)
 
 
 def folder_of(scenario: Scenario) -> Path | None:
-    """Where the scenario's relative files are sought from; None: the working directory."""
+    """Return the folder of the scenario's relative files, or None for the working directory."""
     return scenario.file.parent if scenario.file is not None else None
 
 
 def _file_of(scenario: Scenario) -> Path | None:
-    """The file of the scenario's avoider, which need not be there; None for one without."""
+    """Return the file of the scenario's avoider, which need not exist; None for an avoider without one."""
     if scenario.avoider in SHIPPED:
         return shipped_model(scenario.avoider)
     file, _ = file_and_name(scenario.avoider)
@@ -321,11 +372,20 @@ def _file_of(scenario: Scenario) -> Path | None:
 
 
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:
-    """The scenario with another avoider, or ``Driver``, a relative file sought from the working directory.
+    """Return the scenario with another avoider or controller.
 
-    The file is named anew as seen from the scenario's folder, so that the trace of a run says which
-    avoider it was and ``replay`` finds it.  ``place`` (of ``--avoider``, say) is what errors name;
-    InadmissibleError if what would be written could not be read again.
+    The result names the file as seen from the scenario's folder, so that the trace of a run identifies the
+    avoider and ``replay`` finds it.
+
+    Args:
+        scenario: The scenario.
+        reference: The avoider's reference, or a ``Driver``; a relative file is in the working directory.
+        place: The place for errors, such as the option; None: ``--avoider`` or ``--controller``.
+
+    Raises:
+        InadmissibleError: The written scenario could not be read again, or an avoider meets a controller that
+            asks none.
+
     """
     if isinstance(reference, Driver):
         return _driven_by(scenario, reference, place or Place(field="--controller"))
@@ -336,27 +396,31 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
     return replace(scenario, **_placed(scenario, "avoider", "an avoider", reference, place))
 
 
-def _placed(scenario: Scenario, key: str, what: str, reference: str, place: Place) -> dict[str, Any]:
-    """Return what stands below ``key`` then, and where it was named."""
+def _placed(scenario: Scenario, key: str, noun: str, reference: str, place: Place) -> dict[str, Any]:
+    """Return the new value below ``key``, and its place."""
     folder = resolved(folder_of(scenario) or Path())
-    named = str(
+    text = str(
         with_file(
             reference, lambda file: named_from(folder, resolved(located(os.path.expanduser(file), place)))
         )
     )
-    if not is_sentence(named):
-        raise InadmissibleError(place=place, expected=f"{what}'s name or file, {SENTENCE}", got=repr(named))
-    return {key: named, "places": ChainMap({key: place}, scenario.places)}  # type: ignore[arg-type]  # it is only read
+    if not is_sentence(text):
+        raise InadmissibleError(place=place, expected=f"{noun}'s name or file, {SENTENCE}", got=repr(text))
+    return {key: text, "places": ChainMap({key: place}, scenario.places)}  # type: ignore[arg-type]  # it is only read
 
 
 def _driven_by(scenario: Scenario, reference: Driver, place: Place) -> Scenario:
-    """With another controller, and then without an avoider; the visual servo has its own, or the default."""
+    """Return the scenario with another controller, and then without an avoider.
+
+    The visual servo keeps the scenario's avoider, or gets the default.
+    """
     changes = _placed(scenario, "controller", "a controller", reference, place)
     servo = changes["controller"] == VISUAL_SERVO
     return replace(scenario, avoider=scenario.avoider or DEFAULT_AVOIDER if servo else NO_AVOIDER, **changes)
 
 
 def _from_model_file(path: Path, settings: Settings) -> Avoider:
+    """Return the avoider of a model file; ModelError if it was trained for another cell."""
     try:
         with path.open("rb") as file:
             digest = hashlib.sha256(file.read(LARGEST_BYTES + 1)).hexdigest()
@@ -367,8 +431,9 @@ def _from_model_file(path: Path, settings: Settings) -> Avoider:
     return avoider
 
 
-@lru_cache(maxsize=4)  # a folder of scenarios names the same one or two over and over
+@lru_cache(maxsize=4)  # the scenarios of a folder share one or two models
 def _learned(path: Path, sha256: str) -> LearnedAvoider:
+    """Return the avoider of a model file with a certain hash."""
     from safety_harness.cell.avoidance.learned import LearnedAvoider
     from safety_harness.cell.avoidance.model_file import load_model
 
@@ -376,24 +441,24 @@ def _learned(path: Path, sha256: str) -> LearnedAvoider:
 
 
 def _refuse_foreign_onnx(path: Path, settings: Settings) -> None:
-    """ModelError for a file of ours that was trained for another workspace; of others nothing is known."""
+    """Raise ModelError for a file of ours from another workspace; a foreign file passes."""
     network = exported_use(path)
     if network is not None:
         refuse_foreign_cell(network, settings, path)
 
 
 def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
-    """The scenario with its recordings, and its avoider's file, named relative to another folder."""
-    before = scenario.file.parent if scenario.file else Path()
-    moved = scenario.with_files(lambda path: named_from(folder, before / path))
+    """Return the scenario with its recordings, and its avoider's file, relative to another folder."""
+    old_folder = scenario.file.parent if scenario.file else Path()
+    moved = scenario.with_files(lambda path: named_from(folder, old_folder / path))
     moved = replace(moved, file=folder / "scenario.yaml")
     has_file = bool(file_and_name(scenario.under_test)[0])
     return with_avoider(moved, command_line_reference(scenario)) if has_file else moved
 
 
 def with_system_of(like: Scenario, scenario: Scenario) -> Scenario:
-    """The scenario with the avoider or the controller of ``like``, in whose folder it is then."""
-    tested = [(one.driven, command_line_reference(one)) for one in (like, scenario)]
+    """Return the scenario with the avoider or the controller of ``like``, in the folder of ``like``."""
+    tested = [(each.driven, command_line_reference(each)) for each in (like, scenario)]
     if tested[0] == tested[1]:
         return scenario
     places = {**scenario.places, **{key: like.place(key) for key in ("avoider", "controller")}}

@@ -1,4 +1,4 @@
-"""Values that are each possible, but not together: sensors, times and faults against cell and avoider."""
+"""Checks of combinations: sensors, times and faults against cell and avoider, each possible alone."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, HandSensorLate
 from safety_harness.scenario.model import Scenario
 
-TOUCHING_M = 1e-6
-# Triangles beyond it servo to 5 mm in raster images from at most two of eight starts, below 500 from
-# most, below 25 from all; with exact moments rounding alone would set the bound, far higher.
+TOUCHING_M = 1e-6  # nearer edges of an outline count as touching
+# With a larger number, triangles servo to 5 mm in raster images from at most two of eight starts; below 500
+# from most, below 25 from all.  With exact moments rounding alone would set the bound, far higher.
 MOST_CONDITION = 1000.0
-# What an ideal hand sensor has none of: its fields, and how they are written.
+# The faults that an ideal hand sensor cannot have: their fields, and their keys in a file.
 _FAULTS = {
     "pixel_noise_px": "pixel noise",
     "depth_noise_per_m": "depth noise",
@@ -47,7 +47,7 @@ _FAULTS = {
 
 
 def checked_view(scenario: Scenario) -> DesiredView:
-    """The desired view in a cell that can be worked in, whatever hands, start and hand sensor are."""
+    """Return the desired view in a cell that allows servoing, for any hands, start and hand sensor."""
     _check_object(scenario)
     view = view_of(scenario.settings)
     _check_view(scenario, view)
@@ -55,7 +55,7 @@ def checked_view(scenario: Scenario) -> DesiredView:
 
 
 def _check_object(scenario: Scenario) -> None:
-    """Refuse an object inside the table, or one whose outline crosses itself or cannot be painted."""
+    """Refuse an object inside the table, and an outline that crosses itself or cannot be rendered."""
     cell, shape, camera = scenario.settings.cell, scenario.settings.object, scenario.settings.camera
     height_m = shape.position_in_base_m[2]
     if height_m < cell.table_height_m:
@@ -74,7 +74,7 @@ def _check_object(scenario: Scenario) -> None:
 
 
 def _check_view(scenario: Scenario, view: DesiredView) -> None:
-    """Refuse an object that is nearly as symmetric as one that cannot be servoed on at all."""
+    """Refuse an object that is nearly as symmetric as an object that servoing cannot use."""
     if not view.condition_number <= MOST_CONDITION:
         raise InadmissibleError(
             place=scenario.place("object.polygon", "object.position", "object.yaw", "object"),
@@ -87,7 +87,7 @@ def _check_view(scenario: Scenario, view: DesiredView) -> None:
 
 
 def _crosses_itself(corners: NDArray[np.float64]) -> bool:
-    """Whether two edges of a polygon (n, 3) meet that do not follow one another."""
+    """Return whether two edges of a polygon (n, 3) meet, other than neighbours at their corner."""
     ends, n = np.roll(corners, -1, axis=0), len(corners)
     return any(
         segment_segment_distance(corners[i], ends[i], corners[j], ends[j]) < TOUCHING_M
@@ -120,9 +120,9 @@ def _check_restart_delay(scenario: Scenario) -> None:
 
 
 def check_cameras(scenario: Scenario) -> None:
-    """Refuse what a camera cannot do: more images than ticks, an ideal one's faults, a second optics.
+    """Refuse settings beyond a camera: more images than ticks, an ideal camera's faults, a second optics.
 
-    And a restart before a stop is over.
+    The check also refuses a restart before a stop is over.
     """
     settings = scenario.settings
     _check_restart_delay(scenario)
@@ -147,7 +147,7 @@ def check_cameras(scenario: Scenario) -> None:
 
 
 def refuse_gate(scenario: Scenario) -> None:
-    """A rule of the gate asks something, of the visual servo, which has one, and of its full kind."""
+    """Refuse an empty rule of the gate, a reversed box in it, and a controller without the full gate."""
     full = scenario.settings.avoidance.gate is GateKind.FULL
     if scenario.gate is not None and (scenario.driven or not full):
         got = "another controller" if scenario.driven else "the gate of reach alone"
@@ -163,7 +163,7 @@ def refuse_gate(scenario: Scenario) -> None:
 
 
 def refuse_late_drives(scenario: Scenario) -> None:
-    """A shield whose reaction time is below that of the arm's own drives contradicts its assumption 7."""
+    """Refuse a shield with a shorter reaction time than the arm's drives, against its assumption 7."""
     if scenario.shield is None:
         return
     period_s = scenario.settings.clock.control_period_s
@@ -181,7 +181,7 @@ def refuse_late_drives(scenario: Scenario) -> None:
 
 
 def _refuse_shield(scenario: Scenario, kind: HandSensorKind) -> None:
-    """A shield rests on a hand sensor that sees the whole cell."""
+    """Refuse a shield with a hand sensor that does not see the whole cell."""
     if scenario.shield is not None and kind not in (HandSensorKind.IDEAL, HandSensorKind.SURROUND):
         expected = "a hand sensor that sees the whole cell, by which a shield sees"
         hint = "hand sensor: {kind: surround}"
@@ -189,33 +189,37 @@ def _refuse_shield(scenario: Scenario, kind: HandSensorKind) -> None:
 
 
 def _check_ideal(scenario: Scenario, sensor: HandSensor) -> None:
-    """An ideal sensor has no faults; what is written of them would not be simulated as it says."""
+    """Refuse the faults of an ideal sensor, since no run would simulate them."""
     faultless = HandSensor()
-    for name, words in _FAULTS.items():
-        value = getattr(sensor, name)
-        if value != getattr(faultless, name):
-            expected = f"an ideal hand sensor without a {words} of its own"
+    for field, name in _FAULTS.items():
+        value = getattr(sensor, field)
+        if value != getattr(faultless, field):
+            expected = f"an ideal hand sensor without a {name} of its own"
             hint = 'a sensor with faults is "kind: overhead" or "kind: eye in hand"'
             got = str(value.value) if isinstance(value, DetectorKind) else f"{value:g}"
-            raise scenario.inadmissible(expected, got, f"hand sensor.{words}", "hand sensor", hint=hint)
+            raise scenario.inadmissible(expected, got, f"hand sensor.{name}", "hand sensor", hint=hint)
 
 
 def _check_one_optics(scenario: Scenario) -> None:
-    """An eye-in-hand sensor is the servoing camera: one width, height and focal length."""
+    """Refuse an eye-in-hand sensor with other optics than the servoing camera, which it is."""
     camera, sensor = scenario.settings.camera, scenario.settings.hand_sensor
-    for words in ("width", "height", "focal"):
-        of_camera, of_sensor = getattr(camera, f"{words}_px"), getattr(sensor, f"{words}_px")
+    for name in ("width", "height", "focal"):
+        of_camera, of_sensor = getattr(camera, f"{name}_px"), getattr(sensor, f"{name}_px")
         if of_camera != of_sensor:
-            expected = f"an eye-in-hand sensor with the camera's {words}, {of_camera:g} px"
+            expected = f"an eye-in-hand sensor with the camera's {name}, {of_camera:g} px"
             got = f"{of_sensor:g} px"
-            place = scenario.place(f"hand sensor.{words}", f"camera.{words}", "hand sensor")
+            place = scenario.place(f"hand sensor.{name}", f"camera.{name}", "hand sensor")
             raise InadmissibleError(place=place, expected=expected, got=got)
 
 
 def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
-    """InadmissibleError for a profile of another avoider, and for one that declares what is no time.
+    """Raise InadmissibleError for a profile of another avoider, and for an avoider with an invalid time.
 
-    ``own`` is the hash of the avoider's file; empty for one without.
+    Args:
+        scenario: The scenario.
+        avoider: Its avoider.
+        own: The hash of the avoider's file; empty without a file.
+
     """
     try:
         decision_time_of(avoider)
@@ -233,7 +237,7 @@ def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
 
 
 def check_faults(scenario: Scenario) -> None:
-    """Refuse a false hand out of a fixed sensor's sight, a second occlusion, too many late pictures."""
+    """Refuse a false hand out of a fixed sensor's sight, a second occlusion, and too many late pictures."""
     for number, fault in enumerate(scenario.faults):
         if isinstance(fault, FalseHand):
             _check_seen(scenario, number)
@@ -254,7 +258,7 @@ def check_faults(scenario: Scenario) -> None:
 
 
 def _check_seen(scenario: Scenario, number: int) -> None:
-    """A false hand has to be where a fixed sensor could see one; one that is carried about may turn to it."""
+    """Refuse a false hand out of sight of a fixed sensor; a sensor on the arm may turn to it."""
     settings = scenario.settings
     if settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:
         return

@@ -1,4 +1,4 @@
-"""From a claim's sentence to its property: one of the catalogue, or a formula."""
+"""The way from a claim's sentence to its property: an entry of the catalogue, or a formula."""
 
 from __future__ import annotations
 
@@ -20,29 +20,37 @@ from safety_harness.scenario.model import BY_AT_MOST, EDITION, Claim, Scenario
 
 
 def property_of(claim: Claim, scenario: Scenario) -> Property:
-    """The property that a claim's sentence names.
+    """Return the property of a claim.
 
-    FormulaError for a formula that cannot be read, or that has no room in the scenario;
-    InadmissibleError with the catalogue for what is no formula either, and for a bound in another unit.
+    Args:
+        claim: The claim.
+        scenario: The scenario that it belongs to.
+
+    Raises:
+        FormulaError: A formula is malformed, or has no room in the scenario.
+        InadmissibleError: The sentence is unknown (the hint has the catalogue), or its bound has a wrong
+            unit.
+
     """
-    found = _property_of(claim, scenario)
-    if claim.most is not None and (claim.most[1] or "1") != SI_UNITS[found.unit]:
-        expected = f"{claim.expected.value}{BY_AT_MOST}a margin in {found.unit.symbol or 'whole numbers'}"
+    claimed = _property_of(claim, scenario)
+    if claim.most is not None and (claim.most[1] or "1") != SI_UNITS[claimed.unit]:
+        expected = f"{claim.expected.value}{BY_AT_MOST}a margin in {claimed.unit.symbol or 'whole numbers'}"
         raise InadmissibleError(place=claim.place, expected=expected, got=claim.expectation)
-    return found
+    return claimed
 
 
 def _property_of(claim: Claim, scenario: Scenario) -> Property:
+    """Return the property of a claim without a check of its bound's unit."""
     meant = _entry_of(claim.sentence)
     if meant is not None:
         entry, match = meant
-        found = entry.property_of(match, scenario, claim.place)
-        if claim.edition < EDITION and isinstance(found, ProtectiveSeparation):
-            default_mps = WALKING_MPS if claim.edition < 2 else found.default_mps
-            return replace(found, default_mps=default_mps, tcp_alone=True)
+        claimed = entry.property_of(match, scenario, claim.place)
+        if claim.edition < EDITION and isinstance(claimed, ProtectiveSeparation):
+            default_mps = WALKING_MPS if claim.edition < 2 else claimed.default_mps
+            return replace(claimed, default_mps=default_mps, tcp_alone=True)
         if claim.edition >= EDITION:
-            _refuse_more_than_a_step(found, scenario, claim.place)
-        return found
+            _refuse_more_than_a_step(claimed, scenario, claim.place)
+        return claimed
     if looks_like_formula(claim.sentence):
         formula = FormulaClaim(parse_formula(claim.sentence, claim.place), claim.edition)
         formula.check(scenario, claim.place)
@@ -56,7 +64,7 @@ def _property_of(claim: Claim, scenario: Scenario) -> Property:
 
 
 def _refuse_more_than_a_step(claim: Property, scenario: Scenario, place: Place) -> None:
-    """InadmissibleError for a tolerance that a step of the avoider, wherever it leads, does not exceed."""
+    """Raise InadmissibleError for a tolerance that no step of the avoider, in any direction, exceeds."""
     step_m = scenario.settings.avoidance.radius_m
     if not re.match("proposals|repulsion", claim.sentence):
         return
@@ -67,19 +75,22 @@ def _refuse_more_than_a_step(claim: Property, scenario: Scenario, place: Place) 
 
 
 def _refuse_what_every_run_keeps(claim: FormulaClaim, place: Place) -> None:
-    """FormulaError for a part that asks a value which is never negative to stay above zero, or at it."""
+    """Raise FormulaError for a part that every run fulfils.
+
+    Such a part asks a value that is never negative to stay above zero, or at it.
+    """
     for part in parts_of(claim.formula):
-        one = part.body if isinstance(part, Always) else None
-        if isinstance(one, Comparison) and one.limit.value == one.signal.limits[0] == 0.0:
-            hands = one.signal in (nearest_hand_to_tcp, predicted_hand_distance)
-            if one.relation is Relation.AT_LEAST or (hands and one.relation is Relation.ABOVE):
-                expected = f"a limit that {one.signal.words} can fall below"
-                raise FormulaError(place=place, expected=expected, got=f"{one}, which every run keeps")
+        bound = part.body if isinstance(part, Always) else None
+        if isinstance(bound, Comparison) and bound.limit.value == bound.signal.limits[0] == 0.0:
+            hands = bound.signal in (nearest_hand_to_tcp, predicted_hand_distance)
+            if bound.relation is Relation.AT_LEAST or (hands and bound.relation is Relation.ABOVE):
+                expected = f"a limit that {bound.signal.words} can fall below"
+                raise FormulaError(place=place, expected=expected, got=f"{bound}, which every run keeps")
 
 
 @lru_cache(maxsize=256)  # the scenarios of a space claim the same
 def _entry_of(sentence: str) -> tuple[CatalogueEntry, re.Match[str]] | None:
-    """Which entry of the catalogue a sentence is, and its parts."""
+    """Return the entry of the catalogue that understands a sentence, and the parts of the sentence."""
     for entry in CATALOGUE:
         match = entry.understands(sentence)
         if match:

@@ -1,4 +1,4 @@
-"""The controller that a scenario names, where it is not the visual servo, and what it needs of the cell."""
+"""Controllers other than the visual servo: their construction and their demands on the cell."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ IN_PYTHON = " (an object in Python)"  # after its name: a reference that names n
 
 
 class _Nobody:
-    """The avoider where there is none: nobody asks it."""
+    """A stand-in for the avoider of a controller that never asks an avoider."""
 
     name = NO_AVOIDER
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Not to be called."""
+        """Raise AvoiderError: no controller asks it."""
         raise AvoiderError("the controller asks no avoider")
 
 
@@ -51,7 +51,7 @@ NOBODY: Avoider = _Nobody()
 
 @dataclass(frozen=True, eq=False)
 class MadeDriver:
-    """A user's controller, which keeps its memory if it has one, and how to make it once more without."""
+    """A user's controller, which may have a memory, and a function that makes a fresh one."""
 
     controller: UserController
     make: Callable[[], UserController]
@@ -61,13 +61,13 @@ class MadeDriver:
 
     @property
     def many(self) -> bool:
-        """Can it drive many episodes side by side, with a controller for each?"""
+        """Whether it can drive many episodes side by side, with a controller for each."""
         return getattr(self.controller, "another", None) is not None and DECISIONS not in reports_of(
             self.controller
         )
 
     def lane(self, number: int) -> UserController:
-        """The controller of a lane, the same each time; the first is that of single runs."""
+        """Return the controller of a lane, always the same; the first lane has that of single runs."""
         another: Any = getattr(self.controller, "another", None)
         while len(self._lanes) <= number:
             self._lanes.append(another() if self._lanes else self.controller)
@@ -75,23 +75,23 @@ class MadeDriver:
 
     @property
     def component(self) -> Component:
-        """As a record of the system under test has it."""
+        """Its entry in the record of the system under test."""
         return Component(name=self.controller.name, sha256=self.sha256)
 
     @property
     def sees_object(self) -> bool:
-        """Does it need the object in view?"""
+        """Whether it needs the object in view."""
         return bool({OBJECT, IMAGE} & {*sees_of(self.controller)})
 
 
 class Drivers:
-    """The controllers that scenarios name, each made once: what it remembers from run to run is its own."""
+    """The controllers of scenarios, each made once, so that a memory lasts from run to run."""
 
     def __init__(self) -> None:
         self._made: dict[tuple[str, Path | None], MadeDriver] = {}
 
     def of(self, scenario: Scenario) -> MadeDriver:
-        """The one of ``scenario``; InadmissibleError where it names it if there is none."""
+        """Return the controller of a scenario; InadmissibleError at its key if it does not exist."""
         key = scenario.controller, folder_of(scenario)
         if key not in self._made:
             make = controller_of(*key, scenario.place("controller"))
@@ -100,7 +100,7 @@ class Drivers:
 
 
 def driver_of(controller: object) -> MadeDriver:
-    """A user's own object; InadmissibleError for one that does not follow the contract."""
+    """Return a user's own object as a driver; InadmissibleError if it does not follow the contract."""
     place = Place(field="admit(controller)")
     if isinstance(controller, type):
         hint = f"{controller.__name__}() makes one"
@@ -110,12 +110,15 @@ def driver_of(controller: object) -> MadeDriver:
 
 
 def refuse_unusable_driver(scenario: Scenario) -> None:
-    """As ``Drivers`` refuses, as far as can be seen without executing anything of a user's."""
+    """Raise the errors of ``Drivers`` that show without executing user code."""
     refuse_unusable_controller(scenario.controller, folder_of(scenario), scenario.place("controller"))
 
 
 def named_system(scenario: Scenario) -> SystemUnderTest:
-    """As the scenario names it, a file without its folder; neither avoider nor controller is made."""
+    """Return the system under test from the scenario's references, without making avoider or controller.
+
+    A file appears without its folder.
+    """
     file, name = file_and_name(scenario.under_test)
     called = f"{Path(file).name}:{name}" if name else Path(file).name or str(scenario.under_test)
     if scenario.driven:
@@ -127,10 +130,10 @@ def named_system(scenario: Scenario) -> SystemUnderTest:
 
 
 def refuse_no_action(scenario: Scenario, driver: MadeDriver, driven_by: Callable[..., Any]) -> None:
-    """InadmissibleError for a policy whose fixed axes do not fit arm, hands or image, or that fails.
+    """Raise InadmissibleError for a policy that fails, or whose fixed axes do not fit arm, hands or image.
 
-    It is asked once, before anything is seen, as the controller of a run that ``driven_by`` makes of it. Of a
-    program nobody knows what asking changes.
+    The check asks it once, before there is a view, as the controller that ``driven_by`` makes of it.  The
+    check asks no program, since the question might change its state.
     """
     camera, rows = scenario.settings.camera, scenario.hand_slots * TRACKS_PER_HAND
     key = scenario.robot, rows, camera.height_px, camera.width_px
@@ -148,7 +151,7 @@ def refuse_no_action(scenario: Scenario, driver: MadeDriver, driven_by: Callable
 
 
 def refuse_no_images(scenario: Scenario, driver: MadeDriver) -> None:
-    """InadmissibleError for a controller that sees images where none are rendered."""
+    """Raise InadmissibleError for a controller that sees images if the camera does not render any."""
     source = scenario.settings.camera.source
     if IMAGE in sees_of(driver.controller) and source is not ImageSource.RENDERED:
         expected = "rendered images, as the controller sees them: camera: {source: rendered}"
@@ -156,7 +159,7 @@ def refuse_no_images(scenario: Scenario, driver: MadeDriver) -> None:
 
 
 def refuse_faults_of_avoider(scenario: Scenario) -> None:
-    """InadmissibleError for a fault of an avoider where there is none."""
+    """Raise InadmissibleError for a fault of an avoider if the scenario has no avoider."""
     for number, fault in enumerate(scenario.faults):
         if isinstance(fault, AvoiderLate | AvoiderNaN | AvoiderSilent):
             expected = f"faults of cameras, joints and brakes: {scenario.controller} asks no avoider"

@@ -1,4 +1,4 @@
-"""Hands against the cell, their bounds and each other: what only a whole scenario shows."""
+"""Checks of hands against the cell, their bounds and the robot, which need the whole scenario."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -
             raise scenario.inadmissible(expected, got, f"hands[{number}].together with")
         if isinstance(hand, MovingHand):
             _check_speeds(scenario, number, hand)
-        for field, words, height_m in _ends(leader, scenario.duration_s):
+        for field, suffix, height_m in _ends(leader, scenario.duration_s):
             where = "apart" if isinstance(hand, JoinedHand) else field
             too_high = height_m + above_m > ceiling_m
             if height_m + above_m < table_m or too_high:
@@ -36,13 +36,16 @@ def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -
                 above = f"above the table (z = {table_m * 1e3:.0f} mm)"
                 expected = f"a hand {below if too_high else above}"
                 hint = "hand sensor: {overhead position: [...]} hangs it higher" if too_high else ""
-                got = f"z = {(height_m + above_m) * 1e3:.0f} mm{words}"
+                got = f"z = {(height_m + above_m) * 1e3:.0f} mm{suffix}"
                 raise scenario.inadmissible(expected, got, f"hands[{number}].{where}", hint=hint)
     _check_clear_of_the_robot(scenario, arm, joint_position_rad)
 
 
 def _check_speeds(scenario: Scenario, number: int, hand: MovingHand) -> None:
-    """Files are held to this when they are read; a scenario that a program made is here."""
+    """Refuse a move above the hand's speed bound in a scenario from a program.
+
+    The reader of files has its own check.
+    """
     for index, move in enumerate(hand.moves):
         if not isinstance(move, Wait) and not move.speed_mps <= hand.max_move_speed_mps:
             expected = f"a speed within the hand's bound of {hand.max_move_speed_mps:.4g} m/s"
@@ -51,7 +54,10 @@ def _check_speeds(scenario: Scenario, number: int, hand: MovingHand) -> None:
 
 
 def _ceiling_m(scenario: Scenario) -> float:
-    """Above it no hand may be: where the sensor of a shield, which looks down, would not see it."""
+    """Return the greatest height [m] of a hand.
+
+    The sensor of a shield looks down, so it would not see a hand above itself.
+    """
     sensor = scenario.settings.hand_sensor
     if scenario.shield is None:
         return np.inf
@@ -59,17 +65,17 @@ def _ceiling_m(scenario: Scenario) -> float:
 
 
 def _ends(hand: MovingHand | RecordedHand, duration_s: float) -> list[tuple[str, str, float]]:
-    """(field, words that say when, z [m]) of whatever could be a hand's centre's lowest or highest point.
+    """Return (field, words for the time, z [m]) of the possible lowest and highest points of a hand's centre.
 
-    A tremor is left out of it.
+    A tremor does not count.
     """
     if isinstance(hand, RecordedHand):
         motion = hand.motion
         used = int(np.searchsorted(motion.time_s, duration_s)) + 1  # the first beyond the end is headed for
         height_m = motion.hand_position_in_base_m[:used, 2]
         ends = (int(height_m.argmin()), int(height_m.argmax()))
-        said = {end: f" after {motion.time_s[end]:.2f} s of the run, in {hand.recording}" for end in ends}
-        return [("starts at", said[end], float(height_m[end])) for end in ends]
+        suffixes = {end: f" after {motion.time_s[end]:.2f} s of the run, in {hand.recording}" for end in ends}
+        return [("starts at", suffixes[end], float(height_m[end])) for end in ends]
     points = [("starts at", hand.starts_at_in_base_m)]
     for number, move in enumerate(hand.moves):
         if isinstance(move, MoveTo):
@@ -80,13 +86,14 @@ def _ends(hand: MovingHand | RecordedHand, duration_s: float) -> list[tuple[str,
             points.append((f"moves[{number}].from", move.from_in_base_m))
             points.append((f"moves[{number}].to", move.to_in_base_m))
     shift_m = hand.shift_in_base_m[2]
-    words = " with its shift" if shift_m else ""
-    return [(field, words, point[2] + shift_m) for field, point in points]
+    suffix = " with its shift" if shift_m else ""
+    return [(field, suffix, point[2] + shift_m) for field, point in points]
 
 
 def _check_clear_of_the_robot(
     scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64]
 ) -> None:
+    """Refuse a hand or forearm that begins inside the robot."""
     settings = scenario.settings
     capsules = cell_capsules(arm_capsules(scenario.robot), settings)
     ends = np.empty((len(capsules.names), 2, 3))

@@ -1,4 +1,4 @@
-"""Where the TCP starts and where it is to end: both must be poses that servoing can work at."""
+"""Checks of the TCP's start and desired pose: servoing must work at both."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from safety_harness.scenario.robots import OwnRobot
 
 START, DESIRED = "tcp start", "settings.cell.desired tcp position"
 POSTURE = "settings.cell.preferred joint position"
-# What else the user may have written that puts the object out of view.
+# Further keys that may put the object out of view.
 VIEW = (
     "object.position",
     "object.polygon",
@@ -40,9 +40,9 @@ VIEW = (
 
 
 def checked_start(scenario: Scenario, arm: ArmModel, *, sees_object: bool = True) -> NDArray[np.float64]:
-    """The start's joint angles; one that is singular, too low, or without the object in view is refused.
+    """Return the start's joint angles; refuse a singular start, a low one, or a start without the object.
 
-    The last only if the controller ``sees_object``.
+    The object must be in view only if the controller ``sees_object``.
     """
     joints = start_joint_position(scenario, arm)
     _check_pose(scenario, arm, joints, "TCP start", START)
@@ -52,7 +52,7 @@ def checked_start(scenario: Scenario, arm: ArmModel, *, sees_object: bool = True
 
 
 def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float64]:
-    """The joint angles of the TCP start: given, or by inverse kinematics on the preferred branch."""
+    """Return the joint angles of the TCP start: given, or by inverse kinematics on the preferred branch."""
     start = scenario.start
     if isinstance(start, JointStart):
         joints = np.array(start.joint_position_rad)
@@ -76,7 +76,7 @@ def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float6
 
 
 def check_desired(scenario: Scenario, arm: ArmModel) -> None:
-    """Refuse a desired pose that the arm cannot reach, or where a start would be refused too."""
+    """Refuse a desired pose that is out of reach, or that would be refused as a start."""
     target = desired_transform_tcp_to_base(scenario.settings)
     joints = _reached(scenario, target, "desired TCP position", DESIRED)
     _check_pose(scenario, arm, joints, "desired TCP position", DESIRED)
@@ -84,7 +84,7 @@ def check_desired(scenario: Scenario, arm: ArmModel) -> None:
 
 
 def check_posture(scenario: Scenario, arm: ArmModel) -> None:
-    """Refuse a preferred joint position that is not this arm's: of another count, or none for an own arm."""
+    """Refuse a preferred joint position of another arm: a wrong count, or the default for an own arm."""
     given = scenario.settings.cell.preferred_joint_position_rad
     if isinstance(scenario.robot, OwnRobot) and given == DEFAULTS.cell.preferred_joint_position_rad:
         ends = np.clip([arm.position_lower_rad, arm.position_upper_rad], -np.pi, np.pi)
@@ -104,7 +104,7 @@ def check_stuck_joints(scenario: Scenario, arm: ArmModel) -> None:
 
 
 def check_obstacles(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
-    """Refuse an obstacle that the arm begins in."""
+    """Refuse an obstacle that the arm meets at its start."""
     for number, obstacle in enumerate(scenario.obstacles):
         capsules = cell_capsules(arm_capsules(scenario.robot), scenario.settings)
         distance_m = distance_from(box_records((obstacle,)), arm, capsules, joint_position_rad)
@@ -115,7 +115,7 @@ def check_obstacles(scenario: Scenario, arm: ArmModel, joint_position_rad: Array
 
 
 def check_drives(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
-    """Refuse drives that cannot hold the arm where it starts."""
+    """Refuse drives that cannot hold the arm at its start."""
     model = drive_model(scenario.robot)
     if model is None or model.masses is None or model.torque_limit_nm is None:
         return
@@ -131,6 +131,7 @@ def check_drives(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) 
 
 
 def _refuse_other_count(scenario: Scenario, arm: ArmModel, count: int, field: str) -> None:
+    """Refuse a number of angles that is not the arm's number of joints."""
     if count != len(arm.joint_names):
         expected = f"{len(arm.joint_names)} angles, of {', '.join(arm.joint_names)}"
         raise scenario.inadmissible(expected, f"{count}", field, "robot")
@@ -139,18 +140,20 @@ def _refuse_other_count(scenario: Scenario, arm: ArmModel, count: int, field: st
 def _reached(
     scenario: Scenario, transform_tcp_to_base: NDArray[np.float64], pose: str, field: str
 ) -> NDArray[np.float64]:
+    """Return the joint angles of a pose near the preferred ones; InadmissibleError if it is out of reach."""
     preferred = np.array(scenario.settings.cell.preferred_joint_position_rad)
-    found = inverse_kinematics(scenario.robot).nearest(transform_tcp_to_base, preferred)
-    if found is None:
+    joints = inverse_kinematics(scenario.robot).nearest(transform_tcp_to_base, preferred)
+    if joints is None:
         expected = f"a {pose} that the arm can reach within its joint limits"
         got = f"the position {_millimetres(transform_tcp_to_base[:3, 3])}, which has no inverse kinematics"
         raise scenario.inadmissible(expected, got, field)
-    return found
+    return joints
 
 
 def _check_pose(
     scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64], pose: str, field: str
 ) -> None:
+    """Refuse a pose that is singular or too near to the table."""
     settings = scenario.settings
     transforms, jacobian = links_in_base(arm, joint_position_rad), np.empty((6, len(arm.joint_names)))
     geometric_jacobian(arm.joint_axes, transforms, jacobian)
@@ -170,6 +173,7 @@ def _check_pose(
 def _check_in_view(
     scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64], pose: str, field: str
 ) -> None:
+    """Refuse a pose without the whole object in view."""
     settings, transforms = scenario.settings, links_in_base(arm, joint_position_rad)
     moments = np.empty(MOMENT_COUNT)
     camera, polygon_in_base_m = SensorRecords(camera_state(settings).copy()), object_polygon_in_base(settings)
@@ -181,7 +185,7 @@ def _check_in_view(
 
 
 def _above(settings: Settings) -> str:
-    """The desired TCP position whose camera is right above the object, as high as now."""
+    """Return advice: the desired TCP position with the camera right above the object, at the same height."""
     cell = settings.cell
     mount_in_base_m = DOWN @ np.array(settings.camera.mount_offset_in_tcp_m)
     place_m = np.array(settings.object.position_in_base_m) - mount_in_base_m
@@ -194,4 +198,5 @@ def _above(settings: Settings) -> str:
 
 
 def _millimetres(position_m: NDArray[np.float64]) -> str:
+    """Return a position in millimetres as text."""
     return "(" + ", ".join(str(round(value * 1e3)) for value in position_m) + ") mm"

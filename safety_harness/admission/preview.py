@@ -1,6 +1,6 @@
-"""What an admitted scenario looks like before it is run: where hands would go, and what the camera sees.
+"""A preview of an admitted scenario before its run: the hands' paths, and the camera's view.
 
-Nothing is simulated: hands that head for the TCP find it where it starts.
+There is no simulation: hands that head for the TCP find it at its start.
 """
 
 from __future__ import annotations
@@ -27,12 +27,11 @@ STEP_S = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """One scenario's scene, positions in the base frame.
+    """The scene of a scenario, with positions in the base frame.
 
-    ``links_in_base_m`` (n + 2, 3) the arm's link frames at the start, the last one the TCP;
-    ``hand_paths_in_base_m`` one (n, 3) for each hand; ``object_in_base_m``
-    (k, 3) the object's corners, and ``start_image_px`` and ``desired_image_px``
-    (k, 2) the same in the camera's image.
+    ``links_in_base_m`` (n + 2, 3) has the arm's link frames at the start; the last one is the TCP.
+    ``hand_paths_in_base_m`` has an array (n, 3) for each hand, and ``object_in_base_m`` (k, 3) the object's
+    corners.  ``start_image_px`` and ``desired_image_px`` (k, 2) are these corners in the camera's image.
     """
 
     scenario: Scenario
@@ -44,13 +43,13 @@ class Preview:
 
     @property
     def tcp_in_base_m(self) -> Floats:
-        """(3,) the TCP start."""
+        """The TCP start (3,)."""
         tcp: Floats = self.links_in_base_m[-1]
         return tcp
 
 
 def preview_of(checked: Checked) -> Preview:
-    """The scene of a scenario that can be tried."""
+    """Return the scene of a scenario that can run."""
     scenario, arm = checked.scenario, checked.arm
     transforms = links_in_base(arm, checked.joint_position_rad)
     return Preview(
@@ -64,7 +63,7 @@ def preview_of(checked: Checked) -> Preview:
 
 
 def hand_paths(scenario: Scenario, tcp_in_base_m: Array3) -> tuple[Floats, ...]:
-    """(n, 3) for each hand: where it would go if the TCP stayed at ``tcp_in_base_m``."""
+    """Return a path (n, 3) for each hand, for a TCP that stays at ``tcp_in_base_m`` (3,)."""
     hands = hands_at_start(scenario)
     steps = int(np.ceil(scenario.duration_s / STEP_S))
     paths = np.empty((len(scenario.hands), steps + 1, 3))
@@ -75,7 +74,7 @@ def hand_paths(scenario: Scenario, tcp_in_base_m: Array3) -> tuple[Floats, ...]:
 
 
 def object_image_px(scenario: Scenario, transform_tcp_to_base: Array4x4) -> Floats:
-    """(k, 2) the object's corners in pixels from the image's upper left corner, wherever they fall."""
+    """Return the object's corners (k, 2) in pixels from the image's upper left corner, also outside it."""
     camera = scenario.settings.camera
     camera_to_base = transform_tcp_to_base @ transform_camera_to_tcp(camera, calibrated=False)
     base_to_camera = inverse_transform(camera_to_base)

@@ -1,9 +1,9 @@
-"""Does an avoider answer alike when a second one is asked what the first was, alone and in another order?
+"""Repeatability: a second avoider answers the first one's questions, alone and in another order.
 
-The questions are taken from what runs left behind, so that no run is touched.  Of a file that is executed
-the second avoider is made in a process of its own; any other is a function by construction, and is asked
-here.  What is asked, and in which order, is drawn by a hash of the question itself: it hangs neither on which
-run ends first nor on a seed that something else uses.
+The questions come from stored runs, so that no run is disturbed.  For an executed file the second avoider
+lives in a separate process.  Any other avoider is a function by construction and answers here.  A hash of the
+question draws the sample and its order.  So both are independent of the order in which runs end, and of every
+shared seed.
 """
 
 from __future__ import annotations
@@ -41,18 +41,24 @@ from safety_harness.trace.trace import Trace
 SHARE = 0.02  # of the time that a command took, beside the start of the process
 LEAST, MOST = 8, 1_000  # questions that are asked again, if there are as many
 LEAST_RUNS, MOST_RUNS = 3, 20  # of a controller, that are driven again
-ROUNDING_M = 1e-9  # answers this near are alike: the order of a sum may depend on the size of a batch
+ROUNDING_M = 1e-9  # closer answers are equal: the order of a sum may depend on the size of a batch
 ROUNDED = "the avoider rounds otherwise when it is asked otherwise"
-Difference = tuple[float, str]  # how far elsewhere the answer was [m], inf where it was none; in words
+Difference = tuple[float, str]  # distance of the two answers [m], inf without an answer; in words
 
 
 @dataclass(frozen=True, kw_only=True)
 class RepeatabilityResult:
-    """Of ``questions`` of the runs ``asked`` were asked again, ``differing`` of them answered otherwise.
+    """The result of repeated questions.
 
-    ``words`` says how, of the worst; if none differs by more than ``ROUNDING_M``, why no more could be
-    asked, or how it rounds.  ``apart``: was any of them asked in another process?  ``together``: were they
-    answered in one call as well?
+    Args:
+        questions: The number of questions in the runs.
+        asked: The number of repeated questions.
+        differing: The number of different answers.
+        words: The worst difference in words.  If no answer differs by more than ``ROUNDING_M``: why no more
+            could be asked, or how the avoider rounds.
+        apart: Whether a question was repeated in another process.
+        together: Whether the questions were also answered in one call.
+
     """
 
     questions: int
@@ -65,35 +71,36 @@ class RepeatabilityResult:
 
     @property
     def problem(self) -> str:
-        """Say why a command ends with 1; rounding is only reported."""
+        """The reason why a command ends with 1; rounding is only reported."""
         return "" if self.words.startswith(ROUNDED) else self.words
 
     @property
     def remembers(self) -> str:
-        """That it is no function of its question, or does not repeat itself; empty if that was not seen."""
+        """The finding that it is no function of its question, or does not repeat itself; empty without it."""
         differ = f"{self.differing} of {self.asked} {self._repeated} differ"
         return f"{self.words}; {differ}" if self.differing else ""
 
     @property
     def line(self) -> str:
-        """What came out."""
+        """The result in a line."""
         return self.remembers or self.words or f"repeatability: {self._alike}"
 
     @property
     def _alike(self) -> str:
+        """The result in a line if all answers are equal."""
         if not self.asked:
             return "the avoider was asked nothing that could be asked again"
         where = "a second avoider in a process of its own" if self.apart else "a second avoider"
-        ways = "alone, in another order and together" if self.together else "alone and in another order"
-        asked = f"{self.asked} of {self.questions} questions asked again of {where}"
-        return f"{asked}, {ways}: the same answers"
+        manner = "alone, in another order and together" if self.together else "alone and in another order"
+        repeated = f"{self.asked} of {self.questions} questions asked again of {where}"
+        return f"{repeated}, {manner}: the same answers"
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrivenAgain(RepeatabilityResult):
-    """Of so many runs (``questions``) those ``asked`` were driven again by a fresh controller.
+    """The result of repeated runs: a fresh controller drove ``asked`` of ``questions`` runs again.
 
-    ``of_avoider``: by the visual servo with a fresh avoider, of what the avoider sees no trace keeps all.
+    If ``of_avoider``, it was the visual servo with a fresh avoider, which sees more than a trace stores.
     """
 
     of_avoider: bool = False
@@ -101,11 +108,12 @@ class DrivenAgain(RepeatabilityResult):
 
     @property
     def who(self) -> str:
-        """Who drove them."""
+        """The driver of the runs."""
         return "avoider" if self.of_avoider else "controller"
 
     @property
     def _alike(self) -> str:
+        """The result in a line if all runs are equal."""
         if not self.asked:
             return f"the {self.who} ended no run that could be driven again"
         again = f"{self.asked} of {self.questions} runs driven again by a fresh {self.who}"
@@ -114,9 +122,9 @@ class DrivenAgain(RepeatabilityResult):
 
 @dataclass(frozen=True)
 class DrivenRun:
-    """A run that may be driven again: scenario, world, a hash of what the arm was told, and the file's.
+    """A run that may be repeated: scenario, world, a hash of the commands to the arm, and the file's hash.
 
-    ``asks``: by the visual servo, which asks the avoider of the file.
+    If ``asks``, the visual servo drove it and asked the avoider of the file.
     """
 
     run: str
@@ -127,35 +135,38 @@ class DrivenRun:
 
 
 def driven_in(trace: Trace) -> DrivenRun | None:
-    """What of a run has to come out again; None where questions of it can be asked again, or it broke off."""
+    """Return the data of a run that must repeat.
+
+    None if its questions can be repeated instead, or if it broke off.
+    """
     scenario = trace.scenario
     if not (scenario.driven or is_a_program(scenario.avoider)) or not trace.complete:
         return None
-    told = trace.ticks["demanded_joint_velocity_radps"].tobytes()
-    told += trace.decisions["proposed_position_in_base_m"].tobytes()
-    digest = hashlib.sha256(told + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
+    commands = trace.ticks["demanded_joint_velocity_radps"].tobytes()
+    commands += trace.decisions["proposed_position_in_base_m"].tobytes()
+    digest = hashlib.sha256(commands + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
     sha256 = trace.system.tested.sha256
     return DrivenRun(scenario.name, trace.provenance.world, digest, sha256, not scenario.driven)
 
 
 @dataclass(frozen=True, eq=False)
 class _Sampled:
-    """A question, the hash that draws it, and the scenario and the file of its avoider."""
+    """A question, the hash that draws it, its scenario, and the hash of its avoider's file."""
 
     order: bytes
-    one: Asked
+    case: Asked
     scenario: Callable[[], Scenario]
     avoider_sha256: str
 
 
 class Repeatability:
-    """Takes in what avoiders were asked from now on; ``check`` asks a sample of it again.
+    """Collects the questions to avoiders from now on; ``check`` repeats a sample of them.
 
-    Of another controller than the visual servo it takes in the runs, and has a sample driven again by fresh
-    ones: what a controller carries over from earlier episodes comes out otherwise.
+    For a controller other than the visual servo it collects runs, and a fresh controller repeats a sample of
+    them.  A controller that carries something over from earlier episodes then drives differently.
 
-    How many are asked hangs on the wall's clock: as many as take ``SHARE`` of the time since this was made,
-    and ``LEAST`` at least.
+    The size of the sample depends on the wall clock.  It takes ``SHARE`` of the time since the construction,
+    and has ``LEAST`` questions at least.
     """
 
     def __init__(self) -> None:
@@ -167,53 +178,58 @@ class Repeatability:
         self._last: Callable[[], Scenario] | None = None  # of a run, whatever came of it
 
     def add(self, trace: Trace) -> None:
-        """The questions of a run, or the run of a controller that is named: an object cannot be made anew."""
+        """Add the questions of a run, or the run of a controller that its scenario names.
+
+        A controller that a program passes as an object cannot be made again.
+        """
         scenario = trace.scenario
         driven = driven_in(trace)
         if driven is not None:
             self.take_run(driven, lambda: scenario)
-        asked = () if scenario.driven else asked_in(trace)
-        self.take(asked, lambda: scenario, trace.system.tested.sha256)
+        cases = () if scenario.driven else asked_in(trace)
+        self.take(cases, lambda: scenario, trace.system.tested.sha256)
 
     def take(
-        self, asked: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
+        self, cases: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
     ) -> None:
-        """Questions of a run; ``scenario`` gives the one that names its avoider, when it is needed."""
+        """Add questions of a run; ``scenario`` returns the avoider's scenario on demand."""
         self._last = scenario
-        for one in asked:
+        for case in cases:
             self._questions += 1
-            self._sample.append(_Sampled(_order(one.question), one, scenario, avoider_sha256))
+            self._sample.append(_Sampled(_order(case.question), case, scenario, avoider_sha256))
         if len(self._sample) > 2 * MOST:
             self._sample = self._drawn()
 
     def take_run(self, run: DrivenRun, scenario: Callable[[], Scenario]) -> None:
-        """A whole run; ``scenario`` gives the one that names its controller, when it is needed."""
+        """Add a whole run; ``scenario`` returns the controller's scenario on demand."""
         self._runs += 1
         self._driven.append((run, scenario))
         if len(self._driven) > 2 * MOST_RUNS:
             self._driven = self._drawn_runs()
 
     def _drawn_runs(self) -> list[tuple[DrivenRun, Callable[[], Scenario]]]:
-        return nsmallest(MOST_RUNS, self._driven, key=lambda one: one[0].sha256)
+        """Return the sample of runs."""
+        return nsmallest(MOST_RUNS, self._driven, key=lambda item: item[0].sha256)
 
     def _drive_again(self, allowed_s: float) -> RepeatabilityResult:
-        begun_s, asked, words = time.monotonic(), 0, list[str]()
+        """Drive a sample of the runs again, within ``allowed_s`` seconds but at least LEAST_RUNS."""
+        begun_s, again, texts = time.monotonic(), 0, list[str]()
         of_avoider = bool(self._driven) and all(run.asks for run, _ in self._driven)
-        found = DrivenAgain(questions=self._runs, of_avoider=of_avoider)
+        result = DrivenAgain(questions=self._runs, of_avoider=of_avoider)
         for run, scenario in self._drawn_runs():
-            if asked >= LEAST_RUNS and time.monotonic() - begun_s > allowed_s:
+            if again >= LEAST_RUNS and time.monotonic() - begun_s > allowed_s:
                 break
             try:
-                otherwise = _driven_otherwise(run, scenario(), found.who)
+                otherwise = _driven_otherwise(run, scenario(), result.who)
             except (InputError, SimulationError) as error:
-                problem = f"the {found.who} could not drive again: {printable(str(error))}"
-                return replace(found, asked=asked, words=problem)
-            asked += 1
-            words += [otherwise] if otherwise else []
-        return replace(found, asked=asked, differing=len(words), words=words[0] if words else "")
+                problem = f"the {result.who} could not drive again: {printable(str(error))}"
+                return replace(result, asked=again, words=problem)
+            again += 1
+            texts += [otherwise] if otherwise else []
+        return replace(result, asked=again, differing=len(texts), words=texts[0] if texts else "")
 
     def check(self, least: int = LEAST) -> RepeatabilityResult:
-        """Ask again, each question alone and in the order of the hashes, then all in one call."""
+        """Repeat the questions, each alone and in the order of the hashes, then all in one call."""
         allowed_s = SHARE * (time.monotonic() - self._begun_s)
         if not all(run.asks for run, _ in self._driven) or self._only_controllers_broke_off():
             return self._drive_again(allowed_s)
@@ -225,9 +241,9 @@ class Repeatability:
                 again.problem = f"the avoider could not be asked again: {printable(str(error))}"
             if again.unkept:
                 return self._drive_again(allowed_s)
-        found = again.differing.values()
-        differing = [one for one in found if one[0] > ROUNDING_M]
-        rounded = f"{ROUNDED}, {len(found)} of {again.asked} answers: {max(found)[1]}" if found else ""
+        diffs = again.differing.values()
+        differing = [answer for answer in diffs if answer[0] > ROUNDING_M]
+        rounded = f"{ROUNDED}, {len(diffs)} of {again.asked} answers: {max(diffs)[1]}" if diffs else ""
         return RepeatabilityResult(
             questions=self._questions,
             asked=again.asked,
@@ -238,16 +254,16 @@ class Repeatability:
         )
 
     def reported(self, output: Output) -> RepeatabilityResult | None:
-        """``check``, and say what came out; None where Ctrl-C came."""
+        """Return the result of ``check`` and print it; None after Ctrl-C."""
         try:
-            found = self.check()
+            result = self.check()
         except KeyboardInterrupt:
             return None
-        output.say(f"{'error: ' if found.problem else ''}{found.line}")
-        return found
+        output.say(f"{'error: ' if result.problem else ''}{result.line}")
+        return result
 
     def _only_controllers_broke_off(self) -> bool:
-        """Is there nothing to ask or to drive, of runs that ask no avoider?"""
+        """Return whether there is no question and no whole run, of runs that ask no avoider."""
         if self._questions or self._driven or self._last is None:
             return False
         try:
@@ -256,14 +272,15 @@ class Repeatability:
             return False
 
     def _drawn(self) -> list[_Sampled]:
+        """Return the sample of questions, in the order of the hashes."""
         return nsmallest(MOST, self._sample, key=attrgetter("order"))
 
 
 def _driven_otherwise(run: DrivenRun, scenario: Scenario, who: str) -> str:
-    """Why a fresh one drives the same scenario otherwise, in words; empty if it does not."""
+    """Return why a fresh driver drives the scenario differently, in words; empty if it does not."""
     world = world_of_trace(run.world)
     runs = [driven_in(run_trial(Admitter().admit(scenario), world=world)) for _ in range(2)]
-    again = [one for one in runs if one is not None]
+    again = [run_again for run_again in runs if run_again is not None]
     if len(again) < 2:
         return f"{run.run} broke off when it was driven again"
     if again[0].controller_sha256 != run.controller_sha256:
@@ -278,13 +295,14 @@ def _driven_otherwise(run: DrivenRun, scenario: Scenario, who: str) -> str:
 
 
 def _order(question: Question) -> bytes:
+    """Return the hash of a question, which draws it."""
     text = question.hand_position_in_base_m.tobytes() + question.tcp_position_in_base_m.tobytes()
     return hashlib.sha256(text + question.seed.to_bytes(8, "little")).digest()
 
 
 @dataclass(eq=False)
 class _Again:
-    """What comes of asking again: ``seconds`` are avoiders by identity, ``differing`` is by question."""
+    """The results of repeated questions: ``seconds`` are avoiders by identity, ``differing`` by question."""
 
     asked: int = 0
     problem: str = ""
@@ -293,7 +311,7 @@ class _Again:
     seconds: dict[int, _Second] = field(default_factory=dict)
 
     def ask(self, sample: list[_Sampled], least: int, allowed_s: float) -> None:
-        """All of the sample, or as many as half of the time allows; together they take no longer."""
+        """Ask all of the sample, or as many as half of the time allows; one call for all takes no longer."""
         avoiders, begun_s = Avoiders(), 0.0
         for sampled in sample:
             if self.asked >= least and time.monotonic() - begun_s > allowed_s / 2.0:
@@ -311,19 +329,19 @@ class _Again:
             new = _Second(avoider, Question(np.array(hand), np.array(tcp), 0))
             second = self.seconds.setdefault(id(avoider), new)
             self.asked += 1
-            found = second.alone(sampled.one)
-            if found:
-                self.differing[sampled.one] = found
+            answer_differs = second.alone(sampled.case)
+            if answer_differs:
+                self.differing[sampled.case] = answer_differs
             if second.hangs:
                 return
         for second in self.seconds.values():
-            for one, found in second.together():
-                self.differing.setdefault(one, found)
+            for question, answer_differs in second.together():
+                self.differing.setdefault(question, answer_differs)
 
 
 @dataclass(eq=False)
 class _Second:
-    """A second avoider, and what it was asked; ``first`` is a question that no run has."""
+    """A second avoider and its questions; ``first`` is a question that no run has."""
 
     avoider: Avoider
     first: Question
@@ -333,41 +351,44 @@ class _Second:
 
     @property
     def _takes_many(self) -> bool:
+        """Whether the avoider answers many questions in one call."""
         avoider = self.avoider
         return avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider)
 
-    def alone(self, one: Asked) -> Difference | None:
-        """How its answer differs, if it does."""
-        self.asked.append(one)
+    def alone(self, case: Asked) -> Difference | None:
+        """Return the difference of its answer to one question, or None."""
+        self.asked.append(case)
         why = "the avoider remembers" + (", or heeds what else is asked" if self._takes_many else "")
         try:
-            return _told(f"{why}: asked again alone", one, ask(self.avoider, one.question))
+            return _compared(f"{why}: asked again alone", case, ask(self.avoider, case.question))
         except NoAnswerError as error:
             self.hangs = True
-            return np.inf, f"{why}: asked again alone it hangs: {error} ({_place(one)})"
+            return np.inf, f"{why}: asked again alone it hangs: {error} ({_place(case)})"
 
     def together(self) -> Iterator[tuple[Asked, Difference]]:
-        """The questions whose answers differ when all are asked in one call, and how."""
+        """Yield the questions whose answers differ in one call for all, with the differences."""
         if self._takes_many:
-            answers = answers_together(self.avoider, [self.first, *(one.question for one in self.asked)])
+            answers = answers_together(self.avoider, [self.first, *(case.question for case in self.asked)])
             if not answers or not np.isnan(answers[0].latency_s):  # it cannot, and was asked in turn
                 return
             self.answers_many = True
             why = "the avoider heeds what else is asked: asked again in one call with others"
-            for one, answer in zip(self.asked, answers[1:], strict=False):
-                if found := _told(why, one, answer):
-                    yield one, found
+            for case, answer in zip(self.asked, answers[1:], strict=False):
+                if answer_differs := _compared(why, case, answer):
+                    yield case, answer_differs
 
 
-def _told(why: str, one: Asked, answer: Answer) -> Difference | None:
-    how = difference(one.answer, answer)
+def _compared(why: str, case: Asked, answer: Answer) -> Difference | None:
+    """Return the difference of an answer to a question's first answer, or None."""
+    how = difference(case.answer, answer)
     if not how:
         return None
-    a, b = one.answer.proposal, answer.proposal
+    a, b = case.answer.proposal, answer.proposal
     off_m = float(np.linalg.norm([a.position_in_base_m - b.position_in_base_m, a.spread_m - b.spread_m]))
-    same = np.array_equal(one.answer.spread_threshold_m, answer.spread_threshold_m, equal_nan=True)
-    return off_m if same and np.isfinite(off_m) else np.inf, f"{why} {how} ({_place(one)})"
+    same = np.array_equal(case.answer.spread_threshold_m, answer.spread_threshold_m, equal_nan=True)
+    return off_m if same and np.isfinite(off_m) else np.inf, f"{why} {how} ({_place(case)})"
 
 
-def _place(one: Asked) -> str:
-    return f"question {one.number} of {one.run}"
+def _place(case: Asked) -> str:
+    """Return the number of a question and its run, in words."""
+    return f"question {case.number} of {case.run}"

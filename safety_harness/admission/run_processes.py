@@ -1,4 +1,4 @@
-"""Runs of many files in several processes: of what ships alone, which keeps nothing from run to run."""
+"""Runs in several processes, for shipped avoiders only, which have no memory from run to run."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from safety_harness.cell.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.trace import Trace
 
-FEWEST_RUNS = 8  # for which the start of a process pays
+FEWEST_RUNS = 8  # for fewer, the start of a process takes longer than it saves
 _AHEAD = 4  # runs a process that may wait to be judged: a trace has a megabyte
 
 
 @dataclass
 class RunProcesses:
-    """Runs that are under way elsewhere, in the order in which they will be asked for."""
+    """Runs under way in other processes, in the order in which the caller will request them."""
 
     world: WorldEntry
     executor: ProcessPoolExecutor | None = None
@@ -33,55 +33,57 @@ class RunProcesses:
     _waiting: deque[Admitted] = field(default_factory=deque)
     _begun: dict[int, Future[Trace | Exception]] = field(default_factory=dict)
 
-    def trace(self, one: Admitted) -> Trace | None:
-        """Of a run that is made elsewhere, when it has come to its end; None of one that is for this process.
+    def trace(self, admitted: Admitted) -> Trace | None:
+        """Wait for a run in another process and return its trace; None for a run of this process.
 
-        What it raised there is raised here.
+        An exception of that process is raised here.
         """
-        if self.executor is None or is_executed(one.scenario.under_test):
+        if self.executor is None or is_executed(admitted.scenario.under_test):
             return None
-        while self._waiting and (len(self._begun) < _AHEAD * self.jobs or id(one) not in self._begun):
+        while self._waiting and (len(self._begun) < _AHEAD * self.jobs or id(admitted) not in self._begun):
             self._begin(self.executor, self._waiting.popleft())
-        found = self._begun[id(one)].result()
-        del self._begun[id(one)]
-        if isinstance(found, Exception):
-            raise found
-        return replace(found)  # whose arrays are read-only again
+        ended = self._begun[id(admitted)].result()
+        del self._begun[id(admitted)]
+        if isinstance(ended, Exception):
+            raise ended
+        return replace(ended)  # whose arrays are read-only again
 
-    def is_done(self, one: Admitted) -> bool:
-        """Has it come to its end elsewhere?"""
-        return id(one) in self._begun and self._begun[id(one)].done()
+    def is_done(self, admitted: Admitted) -> bool:
+        """Return whether a run in another process has ended."""
+        return id(admitted) in self._begun and self._begun[id(admitted)].done()
 
-    def _begin(self, executor: ProcessPoolExecutor, one: Admitted) -> None:
-        self._begun[id(one)] = executor.submit(_run, one.scenario, self.world.label)
+    def _begin(self, executor: ProcessPoolExecutor, admitted: Admitted) -> None:
+        """Start a run in another process."""
+        self._begun[id(admitted)] = executor.submit(_run, admitted.scenario, self.world.label)
 
 
 class _EnoughError(Exception):
-    """Nobody asks for the runs that are left."""
+    """The caller needs no further run."""
 
 
 @contextmanager
 def run_processes(
     admitted: Iterable[Admitted], world: WorldEntry, jobs: int | None
 ) -> Iterator[RunProcesses]:
-    """So many processes, without a number one for each core; none of their own for few runs.
+    """Yield the runs of ``jobs`` processes, or of one for each core if it is None.
 
-    What is under way at the end of the block is given up.
+    Few runs get no process of their own.  At the end of the block, unfinished runs are dropped.
     """
-    apart = deque(one for one in admitted if not is_executed(one.scenario.under_test))
+    movable = deque(run for run in admitted if not is_executed(run.scenario.under_test))
     jobs = jobs or len(os.sched_getaffinity(0))
-    if jobs < 2 or len(apart) < FEWEST_RUNS:
+    if jobs < 2 or len(movable) < FEWEST_RUNS:
         yield RunProcesses(world)
         return
     try:
         with pool(jobs) as executor:
-            yield RunProcesses(world, executor, jobs, apart)
+            yield RunProcesses(world, executor, jobs, movable)
             raise _EnoughError
     except _EnoughError:
         pass
 
 
 def _run(scenario: Scenario, label: str) -> Trace | Exception:
+    """Return the trace of a run, or its exception in a form that can be pickled."""
     try:
         return run_trial(admit(scenario), world=worlds_by_label()[label])
     except Exception as error:

@@ -1,7 +1,7 @@
-"""Draws of a scenario space that can be tried: what admission refuses is drawn again, and counted.
+"""Admissible draws of a scenario space: a refused draw is replaced by the next, and counted.
 
-Whether the arm reaches a start and sees the object from there is no matter of the space's own making, so
-here, and only here, draws are rejected.
+A space does not know whether the arm reaches a start and sees the object from there.  So draws are rejected
+here, and only here.
 """
 
 from __future__ import annotations
@@ -15,14 +15,19 @@ from safety_harness.base.exceptions import InadmissibleError, InputError, ModelE
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 
-MAX_REJECTION_RATIO = 200  # draws of which not one was admitted; later, of which less than one in as many was
+MAX_REJECTION_RATIO = 200  # draws without an admitted one; later, draws for each admitted one
 
 
 @dataclass(frozen=True)
 class AdmittedDraws:
-    """Scenarios of a space that can be tried, and how many draws it took.
+    """Admissible scenarios of a space, and the number of draws that they took.
 
-    ``refused`` counts the others by the reason, the most frequent first: "field: expected ...".
+    Args:
+        scenarios: The scenarios.
+        drawn: The number of draws.
+        refused: The number of refused draws for each reason, the most frequent first.  A reason is "field:
+            expected ...".
+
     """
 
     scenarios: tuple[Scenario, ...]
@@ -31,30 +36,39 @@ class AdmittedDraws:
 
     @property
     def acceptance_rate(self) -> float:
-        """Admitted scenarios a draw."""
+        """The share of admitted draws."""
         return len(self.scenarios) / self.drawn
 
     def __str__(self) -> str:
-        words = f"{len(self.scenarios)} of {self.drawn} draws can be tried ({self.acceptance_rate:.0%})"
-        return "; ".join([words, *(f"{count} refused: {reason}" for reason, count in self.refused.items())])
+        summary = f"{len(self.scenarios)} of {self.drawn} draws can be tried ({self.acceptance_rate:.0%})"
+        return "; ".join([summary, *(f"{count} refused: {reason}" for reason, count in self.refused.items())])
 
 
 def draw_admissible(
     space: ScenarioSpace, seed: int, count: int, *, on_draw: Callable[[int], None] | None = None
 ) -> AdmittedDraws:
-    """The first ``count`` draws of the stream ``seed`` that admission lets through.
+    """Return the first ``count`` admissible draws of a stream, without executing user code.
 
-    Their distribution is the space's own, given that the scenario can be tried.  InadmissibleError with the
-    most frequent reason when fewer than one draw in HOPELESS is admitted: at most HOPELESS * (count + 1)
-    draws are made.  ``on_draw`` is told how many draws have been made.  ValueError for a count below 1.
-    Nothing of a user's is executed.
+    Their distribution is the space's own, conditioned on admission.
+
+    Args:
+        space: The space.
+        seed: The stream.
+        count: The number of scenarios, at least 1.
+        on_draw: Takes the number of draws so far, after each draw.
+
+    Raises:
+        InadmissibleError: Fewer than one draw in MAX_REJECTION_RATIO is admissible; the hint has the most
+            frequent reason.  The limit is MAX_REJECTION_RATIO * (count + 1) draws.
+        ValueError: ``count`` is below 1.
+
     """
     refuse_other_type("draw_admissible(space)", space, ScenarioSpace)
     if count < 1:
         raise ValueError(f"expected a count of at least 1; got {count}")
     refused: Counter[str] = Counter()
     scenarios: list[Scenario] = []
-    looker = Looker()
+    checker = Looker()
     drawn = 0
     last: InputError | None = None
     while len(scenarios) < count:
@@ -63,7 +77,7 @@ def draw_admissible(
             raise _hopeless(space, len(scenarios), drawn, refused) from last
         try:
             scenario = space.draw(seed, drawn)
-            looker.look(scenario)
+            checker.look(scenario)
             scenarios.append(scenario)
         except InputError as error:
             refused[why_refused(error)] += 1
@@ -75,6 +89,7 @@ def draw_admissible(
 
 
 def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[str]) -> InadmissibleError:
+    """Return the error for a space with too few admissible draws."""
     reason, count = refused.most_common(1)[0]
     simplest = space.simplest
     expected = f"a space of which at least one draw in {MAX_REJECTION_RATIO} can be tried"
@@ -84,9 +99,9 @@ def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[
 
 
 def why_refused(error: InputError) -> str:
-    """The reason, the same for points that are refused alike: "field: expected ...".
+    """Return the reason of a refusal, equal for points with the same problem: "field: expected ...".
 
-    Raises ``error`` where the text is to blame: an avoider that is missing, a claim that nobody knows.
+    Raises ``error`` itself if the text of the space is to blame: a missing avoider, an unknown claim.
     """
     field = error.place.field or ""
     if isinstance(error, ModelError) or field.startswith(("avoider", "claims", "--avoider", "--against")):

@@ -1,6 +1,6 @@
-"""Scenarios that an avoider of the command line cannot take: they are skipped, and the others are tried.
+"""Scenarios that an avoider of the command line cannot take: the command skips them and runs the rest.
 
-A network that was trained for another workspace is one reason, a measured profile of another avoider another.
+One reason is a network that was trained for another workspace, another a measured profile of another avoider.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _Looked = TypeVar("_Looked")
 
 @dataclass(frozen=True)
 class NotTaken:
-    """A scenario that is in order, and cannot be tried with ``avoider``."""
+    """A valid scenario that cannot run with ``avoider``."""
 
     scenario: str
     avoider: str
@@ -34,56 +34,63 @@ class NotTaken:
 
 
 def taken(
-    scenario: Scenario, avoiders: Sequence[tuple[str | None, str]], look: Callable[[Scenario], _Looked]
+    scenario: Scenario, avoiders: Sequence[tuple[str | None, str]], inspect: Callable[[Scenario], _Looked]
 ) -> list[_Looked] | NotTaken:
-    """What ``look`` makes of the scenario with each of ``avoiders`` (None: its own), named by their option.
+    """Return the results of a check for a scenario with each of several avoiders, or why one of them fails.
 
-    InputError if the scenario is not in order whichever avoider it has, or its own is not.
+    Args:
+        scenario: The scenario.
+        avoiders: References (None: its own), each with its option.
+        inspect: Checks a scenario and returns a result.
+
+    Raises:
+        InputError: The scenario fails with any avoider, or with its own.
+
     """
-    found, tested = [], None
+    results, tested = [], None
     for reference, option in avoiders:
         try:
             made = scenario if reference is None else with_avoider(scenario, reference, Place(field=option))
             refuse_same(tested, made, option)
-            found.append(look(made))
+            results.append(inspect(made))
         except InputError as error:
             if reference is None:
                 raise
             check(scenario)
             return NotTaken(scenario.name, told_avoider(reference), error)
         tested = made
-    return found
+    return results
 
 
 def made_equal(scenarios: Sequence[Scenario], reference: str | None, option: str) -> dict[str, NotTaken]:
-    """By their names the rows of a matrix that one avoider in place of theirs makes the same scenario.
+    """Return the rows of a matrix that become equal with one avoider in place of theirs, by name.
 
-    Each would hold under a name that says otherwise.
+    Such a row would have a result under a misleading name.
     """
     rows: dict[tuple[Path | None, str], list[Scenario]] = {}
     if reference is None:
         return {}
-    for one in scenarios:
-        if one.name.endswith("]"):
-            with suppress(InputError):  # which is told of it alone
-                same = write_scenario(replace(with_avoider(one, reference), claims=scenarios[0].claims))
-                rows.setdefault((one.file, same), []).append(one)
-    found: dict[str, NotTaken] = {}
+    for row in scenarios:
+        if row.name.endswith("]"):
+            with suppress(InputError):  # ``taken`` reports it for that scenario alone
+                same = write_scenario(replace(with_avoider(row, reference), claims=scenarios[0].claims))
+                rows.setdefault((row.file, same), []).append(row)
+    equal: dict[str, NotTaken] = {}
     for alike in rows.values():
-        if len({one.under_test for one in alike}) > 1:
-            names = ", ".join(one.name for one in alike)
+        if len({row.under_test for row in alike}) > 1:
+            names = ", ".join(row.name for row in alike)
             error = InadmissibleError(
                 place=Place(file=alike[0].file, field=option),
                 expected="rows of a matrix that differ",
                 got=f"the same scenario in {names}, with one avoider in place of theirs",
             )
-            found |= {one.name: NotTaken(one.name, told_avoider(reference), error) for one in alike}
-    return found
+            equal |= {row.name: NotTaken(row.name, told_avoider(reference), error) for row in alike}
+    return equal
 
 
 def not_taken_words(skipped: Sequence[NotTaken]) -> str:
-    """How many cannot be taken by which avoider; empty for none."""
-    names = dict.fromkeys(one.avoider for one in skipped)
+    """Return how many scenarios each avoider cannot take, in words; empty for no scenario."""
+    names = dict.fromkeys(case.avoider for case in skipped)
     return ", ".join(
-        f"{sum(one.avoider == name for one in skipped)} cannot be taken by {name}" for name in names
+        f"{sum(case.avoider == name for case in skipped)} cannot be taken by {name}" for name in names
     )

@@ -1,4 +1,7 @@
-"""Trials: admitted scenarios in a world, one with any controller or many with our own; and judging."""
+"""Trials: runs of admitted scenarios in a world, and the judgement of their traces.
+
+A run may have any controller; many runs at once have our own.
+"""
 
 from __future__ import annotations
 
@@ -44,12 +47,23 @@ def run_trial(
     recorded: Trace | None = None,
     on_tick: Callable[[int], None] | None = None,
 ) -> Trace:
-    """Simulate in ``world``, which is closed on every path, tick by tick, with any ``controller``.
+    """Run an admitted scenario in a world, tick by tick, and return its trace.
 
-    ``detector`` takes the place of our own in a scenario whose hand sensor has rendered images;
-    ``recorded`` is an earlier trace of the same scenario, whose times by the wall's clock count again;
-    ``on_tick`` is told the number of ticks done.  NoAnswerError for an avoider that hangs; InadmissibleError
-    for rendered images in a world that has none, InstallationError for a world whose engine is missing.
+    The world is closed in any case, also after an exception.
+
+    Args:
+        admitted: The scenario, from ``admit``.
+        world: The world.
+        controller: A controller in place of the scenario's; None: a fresh one from ``admitted``.
+        detector: A detector in place of our own, for a hand sensor with rendered images.
+        recorded: An earlier trace of the scenario; its decision times by the wall clock count again.
+        on_tick: Takes the number of finished ticks, after each tick.
+
+    Raises:
+        NoAnswerError: The avoider hangs.
+        InadmissibleError: The scenario needs rendered images, and the world renders none.
+        InstallationError: The engine of the world is missing.
+
     """
     refuse_other_type("run_trial(admitted)", admitted, Admitted)
     start = admitted.scenario, admitted.arm, admitted.joint_position_rad
@@ -67,20 +81,40 @@ def run_kinematic(
     recorded: Trace | None = None,
     on_tick: Callable[[int], None] | None = None,
 ) -> Trace:
-    """As ``run_trial`` in the kinematic world."""
+    """Run an admitted scenario in the kinematic world and return its trace.
+
+    Args:
+        admitted: The scenario, from ``admit``.
+        controller: A controller in place of the scenario's; None: a fresh one from ``admitted``.
+        recorded: An earlier trace of the scenario; its decision times by the wall clock count again.
+        on_tick: Takes the number of finished ticks, after each tick.
+
+    Raises:
+        NoAnswerError: The avoider hangs.
+        InadmissibleError: The scenario needs rendered images.
+
+    """
     return run_trial(admitted, world=KINEMATIC, controller=controller, recorded=recorded, on_tick=on_tick)
 
 
 def run_many(
     scenarios: Iterable[Admitted], *, world: WorldEntry = KINEMATIC, ticks_at_once: int = TICKS_AT_ONCE
 ) -> Iterator[Trace]:
-    """Every scenario with our own controller, in the order given; the traces are those of ``run_trial``.
+    """Yield the trace of every scenario in order, equal to the traces of ``run_trial``.
 
-    ``world`` is one that takes many.  Episodes run in chunks of ``ticks_at_once`` ticks, one of them at
-    least, which bounds the memory as long as the caller lets go of the traces.  Within a chunk all go to
-    their next decision together; an avoider with ``propose_many`` is then asked once for all, others in turn.
-    NoAnswerError for one that hangs; InadmissibleError for a scenario by the wall's clock, which is for the
-    slower loop.
+    Episodes run in chunks, which bounds the memory if the caller drops the traces.  Within a chunk, all
+    episodes reach their next decision together.  An avoider with ``propose_many`` then gets one call for all;
+    any other avoider answers in turn.
+
+    Args:
+        scenarios: Admitted scenarios.
+        world: A world that runs many episodes at once.
+        ticks_at_once: The largest number of ticks in a chunk; a longer episode is a chunk by itself.
+
+    Raises:
+        NoAnswerError: An avoider hangs.
+        InadmissibleError: A scenario uses the wall clock; run it with ``run_trial``.
+
     """
     for run in _runs(scenarios, world, ticks_at_once):
         if isinstance(run, Exception):
@@ -89,10 +123,10 @@ def run_many(
 
 
 def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace | Exception]:
-    """One for each, in their order; an Exception stands for a run that could not be carried on.
+    """Yield a trace for each scenario in order, or the Exception of a run that could not go on.
 
-    All together where the world takes many, and one by one if any of them breaks.  InstallationError for a
-    world that is not installed, which is no run's failure.
+    If the world takes many, all run together; if that breaks, they run one by one.  InstallationError for a
+    missing world, which is no failure of a run.
     """
     if world.batch and len(admitted) > 1:
         try:
@@ -100,39 +134,43 @@ def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace |
             return
         except Exception:
             pass
-    for one in admitted:
-        yield _attempt(one, world)
+    for scenario in admitted:
+        yield _attempt(scenario, world)
 
 
 def _runs(
     scenarios: Iterable[Admitted], world: WorldEntry, ticks_at_once: int
 ) -> Iterator[Trace | Exception]:
-    """In chunks of those that can run together; an Exception is of a user's controller in its episode."""
+    """Yield the runs, in chunks of scenarios that can run together.
+
+    An Exception comes from a user's controller in its episode.
+    """
     chunk: list[Admitted] = []
-    ticks, of = 0, None
+    ticks, chunk_driver = 0, None
     for admitted in scenarios:
         refuse_other_type("run_many(scenarios)", admitted, Admitted)
         driver = admitted.driver
-        # one after another: what a driver remembers is in their order, what is seen is not kept in a batch
+        # One after another: a driver remembers them in their order, and a batch does not store a view.
         alone = shown_to(admitted.avoider) if driver is None else not (driver.many and world is KINEMATIC)
         if driver is None and not alone:
-            refuse_wall_clock(admitted.scenario, InadmissibleError, whose="these runs")
+            refuse_wall_clock(admitted.scenario, InadmissibleError, runs="these runs")
         full = ticks + admitted.scenario.ticks + 1 > ticks_at_once or (driver and len(chunk) == MOST_LANES)
-        if chunk and (alone or full or driver is not of):
+        if chunk and (alone or full or driver is not chunk_driver):
             yield from _run_chunk(chunk, world)
             chunk, ticks = [], 0
         if alone:
             yield run_trial(admitted, world=world) if driver is None else _attempt(admitted, world)
             continue
-        chunk, of = [*chunk, admitted], driver
+        chunk, chunk_driver = [*chunk, admitted], driver
         ticks += admitted.scenario.ticks + 1
     yield from _run_chunk(chunk, world)
 
 
-def _attempt(one: Admitted, world: WorldEntry) -> Trace | Exception:
+def _attempt(admitted: Admitted, world: WorldEntry) -> Trace | Exception:
+    """Return the trace of one run, or its exception."""
     try:
-        together = world.batch and one.driver is None
-        return next(run_many([one], world=world)) if together else run_trial(one, world=world)
+        together = world.batch and admitted.driver is None
+        return next(run_many([admitted], world=world)) if together else run_trial(admitted, world=world)
     except InstallationError:
         raise
     except Exception as error:  # one run's failure is a finding
@@ -140,67 +178,81 @@ def _attempt(one: Admitted, world: WorldEntry) -> Trace | Exception:
 
 
 def slower_because(avoider: Avoider) -> str:
-    """What keeps ``run_many`` from asking an avoider for all decisions at once; empty if nothing does."""
+    """Return why ``run_many`` cannot ask an avoider for all decisions at once; empty if it can."""
     if avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider):
         return ""
     return f"{avoider.name} is asked for one decision after another: it has no propose_many"
 
 
 def judge(trace: Trace, *, file: Path | None = None) -> Evaluations:
-    """Judge a trace by its scenario's claims, in their order.
+    """Judge a trace by the claims of its scenario.
 
-    Nothing is simulated and no avoider is made: a user's own would be executed.  TraceError, naming
-    ``file``, if no run can have written the trace.
+    The function does not simulate, nor does it make the avoider, since a user's avoider would be executed.
+
+    Args:
+        trace: The trace.
+        file: The file of the trace, for errors.
+
+    Returns:
+        An evaluation for each claim, in order.
+
+    Raises:
+        TraceError: No run can have written the trace.
+
     """
     refuse_other_type("judge(trace)", trace, Trace)
     refuse_contradictions(trace, file)
     properties = [property_of(claim, trace.scenario) for claim in trace.scenario.claims]
-    return Evaluations(one.evaluate(trace) for one in properties)
+    return Evaluations(claimed.evaluate(trace) for claimed in properties)
 
 
 def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace | Exception]:
+    """Yield the runs of a chunk, simulated together."""
     if chunk and chunk[0].driver is not None:
         yield from _drive_chunk(chunk)
         return
     with ExitStack() as opened:
         worlds = [
-            opened.enter_context(world.open(one.scenario, one.arm, one.joint_position_rad)) for one in chunk
+            opened.enter_context(world.open(run.scenario, run.arm, run.joint_position_rad)) for run in chunk
         ]
         traces = simulate_many(
             [
-                Episode(one.scenario, cast(BatchWorld, episode), one.servo())
-                for one, episode in zip(chunk, worlds, strict=True)
+                Episode(run.scenario, cast(BatchWorld, episode), run.servo())
+                for run, episode in zip(chunk, worlds, strict=True)
             ]
         )
     traces.reverse()
-    for one in chunk:
-        yield _of_avoider(traces.pop(), one)  # what the caller has let go of is not kept for the others' sake
+    for run in chunk:
+        yield _of_avoider(traces.pop(), run)  # a trace that the caller drops frees its memory at once
 
 
 def _drive_chunk(chunk: list[Admitted]) -> Iterator[Trace | Exception]:
-    """In lanes; one by one where that breaks for all, so that what one does costs its own episode alone."""
+    """Yield the runs of a user's controller in lanes, one episode for each.
+
+    If the lanes break off, the episodes run one by one, so that a failure costs only its own episode.
+    """
     driver = chunk[0].driver
     assert driver is not None
     if len(chunk) > 1:
         try:
             with ExitStack() as opened:
                 episodes = []
-                for number, one in enumerate(chunk):
-                    world = KINEMATIC.open(one.scenario, one.arm, one.joint_position_rad)
+                for number, admitted in enumerate(chunk):
+                    world = KINEMATIC.open(admitted.scenario, admitted.arm, admitted.joint_position_rad)
                     episode = cast(KinematicWorld, opened.enter_context(world))
-                    episodes.append((one.scenario, episode, one.driven_by(driver.lane(number))))
+                    episodes.append((admitted.scenario, episode, admitted.driven_by(driver.lane(number))))
                 runs = simulate_driven(episodes)
         except ControllerError as error:
             LOGGER.warning("%d episodes side by side broke off and run one by one: %s", len(chunk), error)
         else:
-            for one, run in zip(chunk, runs, strict=True):
-                yield run if isinstance(run, Exception) else _of_avoider(run, one)
+            for admitted, run in zip(chunk, runs, strict=True):
+                yield run if isinstance(run, Exception) else _of_avoider(run, admitted)
             return
-    for one in chunk:
-        yield _attempt(one, KINEMATIC)
+    for admitted in chunk:
+        yield _attempt(admitted, KINEMATIC)
 
 
 def _of_avoider(trace: Trace, admitted: Admitted) -> Trace:
-    """The trace with the hash of its avoider's file, or of its controller's."""
+    """Return the trace with the hash of its avoider's file, or of its controller's."""
     sha256 = admitted.avoider_sha256 if admitted.driver is None else admitted.driver.sha256
     return replace(trace, system=trace.system.of_file(sha256))

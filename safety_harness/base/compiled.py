@@ -1,12 +1,15 @@
-"""The one way in which this package compiles a function: numba, cached, strict IEEE floats.
+"""Compilation of functions with numba: cached, and with strict IEEE floats.
 
-Numba's own file cache notices a change of the file that *defines* a function, not of the files
-whose functions it calls: after an edit in ``geometry`` an old ``controller`` would go on running.
-For a tool that gives evidence that is not acceptable, so the machine code of a file lies in a
-folder named by a hash over that file and every file of the package that it imports, directly or
-not (and the versions of Python, numba and numpy): a change in any of them compiles afresh, a
-change elsewhere does not.  A function is looked for in the user's cache, then in the folder that
-a wheel brings (``machine_code``), and is compiled if it is in neither.
+All compiled functions of this package pass through here.  Numba's own file cache compares the file that
+*defines* a function, but not the files whose functions it calls.  After an edit in ``geometry`` an old
+``controller`` would go on running, and evidence from it would be wrong.
+
+So the machine code of a file lies in a folder whose name is a hash.  The hash covers that file, every file of
+the package that it imports (directly or not), and the versions of Python, numba and numpy.  A change in any
+of these compiles again; a change of another file does not.
+
+Numba looks for a function in the user's cache, then in the folder that a wheel brings (``machine_code``).  It
+compiles the function if both lack it.
 """
 
 from __future__ import annotations
@@ -48,7 +51,7 @@ _IMPORT = re.compile(r"^\s*from (\w+)\.([\w.]+) import ", re.MULTILINE)
 
 @cache
 def _package_of(file: Path) -> Path:
-    """Ours if the file lies in it, else the outermost package that it lies in, else its folder."""
+    """Return this package if the file lies in it, else its outermost package, else its folder."""
     if PACKAGE in file.parents:
         return PACKAGE
     packages = [folder for folder in file.parents if (folder / "__init__.py").is_file()]
@@ -56,21 +59,24 @@ def _package_of(file: Path) -> Path:
 
 
 def _in_no_package(file: Path) -> bool:
+    """Return whether a file lies outside every package, such as a single script."""
     return PACKAGE not in file.parents and not (file.parent / "__init__.py").is_file()
 
 
 @cache
 def _name(file: Path) -> bytes:
+    """Return the path of a file inside its package, as bytes for the hash."""
     return file.relative_to(_package_of(file)).as_posix().encode()
 
 
 @cache  # read once, though sixty files import the same ones
 def _content(file: Path) -> bytes:
+    """Return the bytes of a file."""
     return file.read_bytes()
 
 
 def _hash(files: Iterable[Path]) -> str:
-    """Sixteen hex digits over the versions of numba and numpy, and names and contents of files."""
+    """Return 16 hex digits over the versions of numba and numpy, and the names and contents of files."""
     digest = hashlib.sha256(f"numba {numba.__version__} numpy {np.__version__}".encode())
     for path in sorted(files):
         digest.update(_name(path))
@@ -79,51 +85,56 @@ def _hash(files: Iterable[Path]) -> str:
 
 
 def _package_sources() -> Iterator[Path]:
-    """Every Python file of the package; examples, which a wheel has in a folder of ``shipped``, are none."""
+    """Yield every Python file of the package, without the examples that a wheel packs below ``shipped``."""
     return (path for path in PACKAGE.rglob("*.py") if PACKAGE / "base" / "shipped" not in path.parent.parents)
 
 
 @cache
 def source_hash() -> str:
-    """The hash over every Python file of the package: what a trace's provenance names."""
+    """Return the hash over every Python file of the package, which a trace's provenance holds."""
     return _hash(_package_sources())
 
 
 @cache
 def _imports(file: Path) -> tuple[Path, ...]:
-    """The files of this package, and of the file's own, that a file imports directly."""
+    """Return the files that a file imports directly, from this package or from its own."""
     packages = {package.name: package for package in (_package_of(file), PACKAGE)}
-    found = _IMPORT.findall(_content(file).decode())
+    imported = _IMPORT.findall(_content(file).decode())
     return tuple(
-        packages[name] / (rest.replace(".", "/") + ".py") for name, rest in found if name in packages
+        packages[name] / (rest.replace(".", "/") + ".py") for name, rest in imported if name in packages
     )
 
 
 def sources_of(file: Path, *, without: frozenset[Path] = frozenset()) -> frozenset[Path]:
-    """A file of a package and every other that it imports, directly or not, through none of ``without``.
+    """Return a file and every file that it imports, directly or not.
 
-    Files are those of this package and of the file's own.  A file in no package (a benchmark, say) may use
-    anything: all of this one.
+    The result holds files of this package and of the file's own package.  A file in no package (a benchmark,
+    say) may import any module, so the result is every file of this package.
+
+    Args:
+        file: The file to begin with.
+        without: Files to leave out, with the imports that only they lead to.
+
     """
     if _in_no_package(file):
         return frozenset(_package_sources())
-    found: set[Path] = set()
+    sources: set[Path] = set()
     waiting = [file]
     while waiting:
-        one = waiting.pop()
-        if one not in found and one not in without:
-            found.add(one)
-            waiting.extend(_imports(one))
-    return frozenset(found)
+        source = waiting.pop()
+        if source not in sources and source not in without:
+            sources.add(source)
+            waiting.extend(_imports(source))
+    return frozenset(sources)
 
 
 def source_hash_of(*files: Path) -> str:
-    """The hash over files of the package and every other that they import, directly or not."""
+    """Return the hash over files of the package and every file that they import, directly or not."""
     return _hash(frozenset().union(*map(sources_of, files)))
 
 
 def cache_root() -> Path:
-    """Where machine code is kept: below ``$SAFETY_HARNESS_CACHE``, else the user's cache folder."""
+    """Return the folder of machine code: below ``$SAFETY_HARNESS_CACHE``, else in the user's cache folder."""
     root = os.environ.get("SAFETY_HARNESS_CACHE") or os.environ.get("XDG_CACHE_HOME")
     try:
         return (Path(root) if root else Path.home() / ".cache") / "safety_harness"
@@ -133,7 +144,7 @@ def cache_root() -> Path:
 
 @cache
 def cache_problem(root: Path) -> str:
-    """Why machine code cannot be kept in ``root``; empty if it can, and then the folder is there."""
+    """Make the folder ``root``, and return why it cannot keep machine code; empty if it can."""
     try:
         root.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=root).close()
@@ -143,6 +154,7 @@ def cache_problem(root: Path) -> str:
 
 
 def _cannot_keep(root: Path, error: OSError) -> str:
+    """Return the warning for a folder that cannot keep machine code."""
     return (
         f"machine code cannot be kept in {root} ({error.strerror or error}), and what is missing there is "
         "made again by every process, which takes minutes; SAFETY_HARNESS_CACHE names another folder"
@@ -151,7 +163,10 @@ def _cannot_keep(root: Path, error: OSError) -> str:
 
 @cache
 def cache_folder(file: Path) -> Path:
-    """The folder for the machine code of ``file``; marked as used today if it is there, where it can be."""
+    """Return the folder for the machine code of ``file``, and set its time of use to now.
+
+    The folder may be absent or read-only; then the time of use stays.
+    """
     folder = cache_root() / f"{_hash(sources_of(file))}-{sys.implementation.cache_tag}"
     with suppress(OSError):
         os.utime(folder)
@@ -159,19 +174,19 @@ def cache_folder(file: Path) -> Path:
 
 
 def installed_folder(file: Path) -> Path:
-    """Return the folder in which a wheel brings the machine code of ``file``, whether it is there or not."""
+    """Return the folder in which a wheel brings the machine code of ``file``; it may be absent."""
     return PACKAGE / FOLDER / cache_folder(file).name
 
 
 def code_in_use() -> str:
-    """Return in words which machine code of the control stack runs here; results are the same with each."""
+    """Return a phrase for the origin of the control stack's machine code; results are the same with each."""
     stack = PACKAGE / "cell" / "controller" / "stack.py"
     compiled_here = any(cache_folder(stack).rglob("*.nbc")) or not installed_folder(stack).is_dir()
     return "machine code compiled here" if compiled_here else "machine code as installed, for any x86-64"
 
 
 def forget_old_machine_code(days: float = 30.0) -> int:
-    """Remove the machine code that no process has used for ``days``; returns how many folders that were."""
+    """Remove the machine code that no process has used for ``days``, and return the number of folders."""
     oldest = time.time() - days * 86400.0
     old = [folder for folder in machine_code() if folder.stat().st_mtime < oldest]
     for folder in old:
@@ -180,76 +195,83 @@ def forget_old_machine_code(days: float = 30.0) -> int:
 
 
 def machine_code() -> list[Path]:
-    """The folders of machine code that are there, of these and of other sources."""
+    """Return the existing folders of machine code, of these and of earlier sources."""
     return [folder for folder in cache_root().glob("*") if folder.is_dir()]
 
 
 def compiled(function: F) -> F:
     """Compile ``function`` on its first call and keep the machine code for the next process.
 
-    No ``fastmath`` (results must repeat bit for bit) and no exceptions from divisions: like
-    numpy, 0/0 is NaN, which every caller that decides something has to look for.
+    Results must repeat bit for bit, so ``fastmath`` is off.  A division raises no exception: as in numpy, 0/0
+    is NaN, and every caller that decides something has to look for NaN.
     """
-    return _compiled(function, _nrt=True)  # said, for it would be taken over from the first caller
+    return _compiled(function, _nrt=True)  # explicit, for numba would take it over from the first caller
 
 
 def njit_no_nrt(function: F) -> F:
-    """As ``compiled``, for a function that makes no array.
+    """Compile a function that makes no array, without counting references; otherwise like ``compiled``.
 
-    Views of arrays are then not counted, which takes longer than what small functions do with them.
+    Small functions spend less time on their arrays than numba would spend on counting the views.
     """
     return _compiled(function, _nrt=False)
 
 
 def inlined(function: F) -> F:
-    """As ``njit_no_nrt``, and always part of its callers' machine code: for small steps of many arrays."""
+    """Compile a small function into the machine code of its callers; otherwise like ``njit_no_nrt``."""
     return _compiled(function, _nrt=False, forceinline=True)
 
 
 def _compiled(function: F, **options: bool) -> F:
-    before = numba_config.CACHE_DIR
+    """Return ``function`` as a compiled function whose machine code goes to ``cache_folder`` of its file."""
+    previous = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
     try:
         made = njit(error_model="numpy", **options)(function)
         made._cache = _Cache(function)
     finally:
-        numba_config.CACHE_DIR = before
+        numba_config.CACHE_DIR = previous
     made.__class__ = _kind
     _functions.append(made)
     return cast(F, made)
 
 
-_functions: list[Any] = []  # all that are compiled here
-_kind: Any = CPUDispatcher  # theirs
+_functions: list[Any] = []  # all compiled functions of this process
+_kind: Any = CPUDispatcher  # their class, which ``without_compiling`` changes for a while
 
 
 class _Locator(_cache_impl._locator_classes[0]):  # type: ignore[misc]
-    """The folder that is given, also where it can only be read: else numba looks for one of its own.
+    """Gives numba this package's cache folder, even a read-only folder, in place of numba's own choice.
 
-    The folder's name covers the content of a package's file, so that another checkout of the same sources, a
-    later one and an installation find it.  A file in no package has a folder below it, by its path and time.
+    The folder's name covers the content of a package's file.  So a later checkout, a second checkout and an
+    installation of the same sources find the machine code.  A file in no package gets a folder below it, by
+    its path and time.
     """
 
     @classmethod
     def from_function(cls, function: Any, file: str) -> _Locator | None:
+        """Return the locator of a function's file, or None where the file does not exist."""
         return cls(function, file) if os.path.exists(file) else None
 
     def get_cache_path(self) -> str:
+        """Return the folder for the machine code."""
         alone = _in_no_package(Path(self._py_file))
         return str(self._cache_path if alone else os.path.dirname(self._cache_path))
 
     def get_source_stamp(self) -> Any:
+        """Return a constant for a package's file, whose folder names its content, else numba's stamp."""
         return super().get_source_stamp() if _in_no_package(Path(self._py_file)) else STAMP
 
 
 class _CacheImpl(_cache_impl):  # type: ignore[misc]
+    """Numba's storage of machine code, with our locator before numba's own."""
+
     _locator_classes = (_Locator, *_cache_impl._locator_classes[1:])
 
 
 class _Cache(FunctionCache):
-    """Numba's own, and then the machine code that a wheel brings.
+    """Numba's cache of one function, followed by the machine code that a wheel brings.
 
-    A place that is read-only or full costs no more than that a process compiles again.
+    If a folder is read-only or full, the process compiles again.
     """
 
     _impl_class = _CacheImpl
@@ -260,10 +282,11 @@ class _Cache(FunctionCache):
         self._installed = InstalledCode(folder, self._impl.filename_base) if folder.is_dir() else None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the machine code of a signature, from the cache or the wheel; None if both lack it."""
         with suppress(OSError):
-            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-            if found is not None or self._installed is None:
-                return found
+            code = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            if code is not None or self._installed is None:
+                return code
             data = self._installed.load_generic(self._index_key(sig, target_context.codegen()))  # type: ignore[no-untyped-call]
             if data is not None:
                 _progress.installed += 1
@@ -271,6 +294,7 @@ class _Cache(FunctionCache):
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
+        """Store the machine code of a signature, or note for ``compilation`` why that failed."""
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError as error:
@@ -279,19 +303,21 @@ class _Cache(FunctionCache):
 
 
 class _Progress(event.Listener):
-    """Tells the ``watchers`` after each function that numba compiles, and of none that it only loads."""
+    """Calls the ``watchers`` after each function that numba compiles; a loaded function calls no watcher."""
 
     depth, began_s, seconds, unwritable = 0, 0.0, 0.0, ""
     installed = 0  # functions whose code came with the package
 
     def on_start(self, event: Any) -> None:
+        """Start the clock at the outermost function, and before the first one forget old machine code."""
         if not self.seconds:
-            forget_old_machine_code()  # of which there is more from now on
+            forget_old_machine_code()  # before this process adds to it
         if not self.depth:
             self.began_s = time.monotonic()
         self.depth += 1
 
     def on_end(self, event: Any) -> None:
+        """Add the time since the last event to ``seconds``, and call the watchers."""
         self.depth -= 1
         now_s = time.monotonic()
         self.seconds, self.began_s = self.seconds + now_s - self.began_s, now_s
@@ -304,28 +330,28 @@ numba_event.register("numba:compile", _progress)
 
 
 def compilation() -> Compilation:
-    """How far this process has come."""
+    """Return how many functions this process has compiled or loaded, and the seconds that it took."""
     ready = sum(bool(function.signatures) for function in _functions)
     unwritable = _progress.unwritable or cache_problem(cache_root())
     return Compilation(ready, len(_functions), _progress.seconds, _progress.depth > 0, unwritable)
 
 
 class _Interpreted(CPUDispatcher):
-    """Runs the Python function that it would compile."""
+    """A compiled function that runs as the Python that it is written in."""
 
     def __call__(self, *args: Any) -> Any:
         return self.py_func(*map(_with_attributes, args))
 
 
 def _with_attributes(value: Any) -> Any:
-    """A view of records that has their fields as attributes, as it is for compiled functions."""
+    """Return a view of records whose fields are attributes, as compiled functions see them."""
     if isinstance(value, np.ndarray) and value.dtype.names:
         return value.view(np.recarray)
     return _Record(value) if isinstance(value, np.void) and value.dtype.names else value
 
 
 class _Record:
-    """A record of an array, which is written where it lies; ``np.record`` of one would be a copy."""
+    """A record of an array, written in place; ``np.record`` would make a copy."""
 
     _record: np.void
 
@@ -342,12 +368,15 @@ class _Record:
 
 
 def without_compiling(work: Callable[[], _Made]) -> _Made:
-    """What ``work`` returns, every compiled function in it run as the Python that it is written in.
+    """Return the result of ``work``, with every compiled function in it run as Python.
 
-    For what calls each a few times: 5 ms for the admission of a scenario, where compiling takes 12 s and
-    loading 0.3 s.  Numbers may differ from machine code's by rounding where numpy has a sine of its own, so
-    who decides this way does so whether the machine code is there or not.  Where Python refuses what is NaN
-    or infinity for machine code, a division by zero, ``work`` is done again, compiled.
+    Use it for work that calls each function a few times.  Admission of a scenario takes 5 ms this way, where
+    compiling takes 12 s and loading 0.3 s.  Numbers may differ from machine code's by rounding, where numpy
+    has a sine of its own.  So a caller must choose this way always or never, whether the machine code exists
+    or not.
+
+    Python raises ArithmeticError or ValueError where machine code computes NaN or infinity (a division by
+    zero).  Then ``work`` runs again, compiled.
     """
     try:
         _call_as(_Interpreted)
@@ -361,6 +390,7 @@ def without_compiling(work: Callable[[], _Made]) -> _Made:
 
 
 def _call_as(kind: type) -> None:
+    """Give every compiled function the class ``kind``, and also each later one."""
     global _kind
     _kind = kind
     for function in _functions:

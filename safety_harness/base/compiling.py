@@ -1,4 +1,4 @@
-"""What a command is told while functions are compiled: light, so that it asks before numba is loaded."""
+"""Progress of compilation, as a command prints it; light, so that it comes before numba loads."""
 
 from __future__ import annotations
 
@@ -7,15 +7,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TextIO
 
-PATIENCE_S, EVERY_S = 1.0, 10.0  # of compiling until anything is said; between two lines where they stay
+PATIENCE_S, EVERY_S = 1.0, 10.0  # before the first line; between two lines of a file
 
 
 @dataclass(frozen=True)
 class Compilation:
-    """How far a process has come: ``ready`` of the ``known`` functions were compiled or loaded.
+    """The progress of a process: it has compiled or loaded ``ready`` of the ``known`` functions.
 
-    ``seconds`` went into compiling; ``going_on`` until the outermost function is done.  ``unwritable`` says
-    why no machine code can be kept; empty where it can.
+    Args:
+        ready: Functions with machine code.
+        known: Functions that the process may compile.
+        seconds: Time spent on compiling.
+        going_on: Whether the outermost function still compiles.
+        unwritable: Why the process cannot keep machine code; empty if it can.
+
     """
 
     ready: int
@@ -30,9 +35,9 @@ watchers: list[Callable[[Compilation], None]] = []  # those of this process; its
 
 @dataclass
 class CompilationLine:
-    """A line about compilation on ``stream``, if it takes long.
+    """A line about a long compilation on ``stream``.
 
-    On a terminal it changes and goes away, elsewhere one comes every ten seconds.
+    On a terminal the line changes and goes away; in a file there is a new line every ten seconds.
     """
 
     stream: TextIO
@@ -41,20 +46,21 @@ class CompilationLine:
     _warned: bool = field(default=False)
 
     def __call__(self, now: Compilation) -> None:
-        """To be one of the ``watchers``."""
+        """Print the progress ``now``, as a member of the ``watchers``."""
         if now.unwritable and not self._warned:
             self._warned = True
             self._write(f"warning: {now.unwritable}\n")
         if now.seconds < PATIENCE_S:
             return
-        words = f"compiling the control stack for this machine, once: {now.ready} of at most {now.known} "
-        words += f"functions, {now.seconds:.0f} s"
+        line = f"compiling the control stack for this machine, once: {now.ready} of at most {now.known} "
+        line += f"functions, {now.seconds:.0f} s"
         if self.stream.isatty():
-            self._write(f"\r\x1b[K{words}" if now.going_on else "\r\x1b[K")
+            self._write(f"\r\x1b[K{line}" if now.going_on else "\r\x1b[K")
         elif self._said_s is None or self.clock() - self._said_s >= EVERY_S:
             self._said_s = self.clock()
-            self._write(words + "\n")
+            self._write(line + "\n")
 
     def _write(self, text: str) -> None:
+        """Write a text to the stream at once."""
         self.stream.write(text)
         self.stream.flush()

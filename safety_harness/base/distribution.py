@@ -1,7 +1,7 @@
-"""The distribution that installs this package: its name, its version, and a foreign one in its place.
+"""The distribution that installs this package: its name, its version, and a foreign package in its place.
 
-The import name is ``safety_harness`` and the command ``safety-harness``.  The distribution of that name
-is somebody else's.  It has a folder ``safety_harness`` too, and pip overwrites our files with it.
+The import name is ``safety_harness`` and the command ``safety-harness``.  The distribution of that name is
+another project.  It has a folder ``safety_harness`` too, and pip overwrites our files with it.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ def installed_version() -> str:
 def foreign_files() -> str:
     """Return one line about a distribution ``safety-harness`` with files in our folder; empty without one."""
     try:
-        other = metadata.distribution(FOREIGN)
+        foreign = metadata.distribution(FOREIGN)
     except metadata.PackageNotFoundError:
         return ""
-    if "\nsafety_harness/" not in f"\n{other.read_text('RECORD') or ''}":  # an editable one has no file there
+    if "\nsafety_harness/" not in f"\n{foreign.read_text('RECORD') or ''}":  # an editable one has none there
         return ""
     return (
-        f"{FOREIGN} {other.version}, another project, has files in the folder of {DISTRIBUTION}: "
+        f"{FOREIGN} {foreign.version}, another project, has files in the folder of {DISTRIBUTION}: "
         f"pip uninstall {FOREIGN} {DISTRIBUTION}, then install {DISTRIBUTION} again"
     )

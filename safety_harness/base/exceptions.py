@@ -1,10 +1,10 @@
-"""Everything this package raises on purpose: one tree, and every error carries its data.
+"""All exceptions that this package raises on purpose: one tree, and every error carries its data.
 
 ``SafetyHarnessError`` is the root.  Two branches matter to a caller:
 
-* ``InputError``: the user can mend it.  It says where (file, line, field), what was expected
-  and what came; the command line prints it without a traceback and ends with exit code 2.
-* ``SimulationError``: the run itself could not be carried on.  It is never counted as safe.
+* ``InputError``: the user can mend it.  It holds the place (file, line, field), the expectation and the
+  actual input.  The command line prints it without a traceback and ends with exit code 2.
+* ``SimulationError``: the run could not go on.  It never counts as safe.
 """
 
 from __future__ import annotations
@@ -23,41 +23,45 @@ class SafetyHarnessError(Exception):
     """The root of every error that this package raises on purpose."""
 
 
-MOST_CHARACTERS = 1_500  # of what came, in a message
-MOST_WORDS = 1_000  # characters of a user's
+MOST_CHARACTERS = 1_500  # of ``got``, in a message
+MOST_WORDS = 1_000  # characters of a user's text
 
 
 def on_one_line(text: str) -> str:
-    """A text that may be a stranger's, without what would break a line or command a terminal."""
+    """Return a text with "?" for each character that breaks a line or steers a terminal."""
     return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
 def printable(text: str) -> str:
-    """A user's words on one line, at most ``MOST_WORDS`` characters, without the addresses of objects."""
+    """Return a user's text on one line, at most ``MOST_WORDS`` characters, without addresses of objects."""
     return on_one_line(re.sub(r"0x[0-9a-fA-F]+", "0x...", " ".join(text[:MOST_WORDS].split())))
 
 
 def described(error: BaseException, file: str | None = None) -> str:
-    """What a user's code raised, on one line: "ZeroDivisionError: division by zero (mine.py:12)".
+    """Return an exception of a user's code on one line: "NameError: name 'x' is not defined (mine.py:12)".
 
-    ``file`` is the user's file, as in the traceback; the line is the deepest one within it.
-    Addresses of objects are left out, so that a run says the same when it is repeated.
+    The text has no addresses of objects, so that a repeated run gives the same text.
+
+    Args:
+        error: The exception.
+        file: The user's file as in the traceback; the line is the deepest one in it.  None: no place.
+
     """
     try:
         text = str(error)
     except Exception:  # a user's own exception may fail to say what it is
         text = ""
-    what = printable(text)
+    message = printable(text)
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     if isinstance(error, SyntaxError) and error.filename == file:
-        lines, what = [error.lineno], printable(error.msg)  # its own text names the place, once more
-    where = f" ({Path(file).name}:{lines[-1]})" if file and lines else ""
-    return type(error).__name__ + (f": {what}" if what else "") + where
+        lines, message = [error.lineno], printable(error.msg)  # its own text names the place, once more
+    place = f" ({Path(file).name}:{lines[-1]})" if file and lines else ""
+    return type(error).__name__ + (f": {message}" if message else "") + place
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where in the user's input something stands; unknown parts are ``None``.
+    """A place in the user's input; unknown parts are ``None``.
 
     A field alone is an option or argument of a command or a function.
     """
@@ -78,9 +82,14 @@ class Place:
 class InputError(SafetyHarnessError):
     """The user's input cannot be used as it stands.
 
-    Parameters: ``expected`` and ``got`` complete the sentences "expected ..." and "got ...";
-    ``hint`` is one more line of help (a near-miss suggestion, the list of what is allowed).  Each is
-    put on one line, and ``got`` is cut where it is longer than anybody reads.
+    Every text goes on one line, and ``got`` is cut at 1,500 characters.
+
+    Args:
+        place: Where the input stands.
+        expected: Completes the sentence "expected ...".
+        got: Completes the sentence "got ...".
+        hint: One more line of help: a near miss, or the list of allowed values.
+
     """
 
     def __init__(self, *, place: Place, expected: str, got: str, hint: str = "") -> None:
@@ -93,33 +102,54 @@ class InputError(SafetyHarnessError):
 
     @classmethod
     def of_option(cls, option: str, expected: str, got: str, hint: str = "") -> Self:
-        """The error of an option or argument of a command or a function."""
+        """Return the error of an option or argument of a command or a function.
+
+        Args:
+            option: The name of the option.
+            expected: Completes "expected ...".
+            got: Completes "got ...".
+            hint: One more line of help.
+
+        """
         return cls(place=Place(field=option), expected=expected, got=got, hint=hint)
 
     @classmethod
     def of_file(cls, file: Path | None, expected: str, got: str, hint: str = "") -> Self:
-        """The error of a file as a whole."""
+        """Return the error of a whole file.
+
+        Args:
+            file: The file; None: an input without a file.
+            expected: Completes "expected ...".
+            got: Completes "got ...".
+            hint: One more line of help.
+
+        """
         return cls(place=Place(file=file), expected=expected, got=got, hint=hint)
 
     def __reduce__(self) -> tuple[partial[InputError], tuple[()]]:
-        """On its way between processes: exceptions with keywords are not pickled by themselves."""
+        """Return the parts for pickling, which cannot call an exception with keywords."""
         make = partial(type(self), place=self.place, expected=self.expected, got=self.got, hint=self.hint)
         return make, ()
 
 
-def near_miss(word: str, allowed: Iterable[str], *, most: int = 1, all_of_them: str = "") -> str:
-    """``did you mean "..."?`` with at most ``most`` of ``allowed`` that resemble ``word``, else nothing.
+def near_miss(text: str, allowed: Iterable[str], *, most: int = 1, all_of_them: str = "") -> str:
+    """Return ``did you mean "..."?`` with the allowed names that resemble a text, else an empty text.
 
-    ``all_of_them`` is the command that lists what is allowed: it is told whatever resembles.
+    Args:
+        text: The name that the user wrote.
+        allowed: The names that the input may have.
+        most: The largest number of names in the answer.
+        all_of_them: The command that lists all allowed names; the answer ends with it in any case.
+
     """
     by_lower = {name.lower(): name for name in allowed}
-    close = difflib.get_close_matches(word.lower(), by_lower, n=most, cutoff=0.5)
+    close = difflib.get_close_matches(text.lower(), by_lower, n=most, cutoff=0.5)
     names = " or ".join(f'"{by_lower[name]}"' for name in close)
-    meant = f"did you mean {names}?" if word and close else ""
+    meant = f"did you mean {names}?" if text and close else ""
     return f"{meant} all of them: {all_of_them}".strip() if all_of_them else meant
 
 
-_MADE_BY = {  # of what a caller hands on: where it comes from
+_MADE_BY = {  # the function that returns an object of each type
     "Scenario": "read_scenario(path) reads one",
     "ScenarioSpace": "read_space(path) reads one",
     "Trace": "load_trace(path) reads one, run_trial(admitted) makes one",
@@ -128,23 +158,32 @@ _MADE_BY = {  # of what a caller hands on: where it comes from
 
 
 def refuse_other_type(argument: str, value: object, *kinds: type, expected: str = "", hint: str = "") -> None:
-    """InputError unless the ``argument`` of a function is of one of the ``kinds``, ``expected`` in words."""
+    """Raise InputError unless the argument of a function has an allowed type.
+
+    Args:
+        argument: The name of the argument.
+        value: Its value.
+        *kinds: The allowed types.
+        expected: Completes "expected ..."; empty: the name of the first type.
+        hint: Empty: the function that makes such a value, if the first type has one.
+
+    """
     if not isinstance(value, kinds):
         name, got = kinds[0].__name__, f"{type(value).__name__} {value!r}"
         got = got if len(got) <= 80 else got[:77] + "..."
         raise InputError.of_option(argument, expected or f"a {name}", got, hint or _MADE_BY.get(name, ""))
 
 
-def no_truth_value(asked: str) -> InputError:
-    """The error for ``assert judge(trace)`` and its like, which would pass whatever came out."""
+def no_truth_value(question: str) -> InputError:
+    """Return the error for ``assert judge(trace)`` and its like, which would pass with any verdict."""
     hint = "assert_holds(claim, trace), or evaluation.verdict is Verdict.HOLDS"
-    return InputError.of_option("truth value", "a question that a verdict answers", asked, hint)
+    return InputError.of_option("truth value", "a question that a verdict answers", question, hint)
 
 
 def explanation(error: BaseException) -> str:
-    """The error for people: where, what was expected, what came and the hint, each on a line of its own.
+    """Return an error for people: place, expectation, actual input and hint, each on its own line.
 
-    That a package is missing is one line.
+    A missing package takes a single line.
     """
     if not isinstance(error, InputError) or isinstance(error, MissingPackageError):
         return str(error)
@@ -153,27 +192,27 @@ def explanation(error: BaseException) -> str:
 
 
 class ScenarioError(InputError):
-    """A scenario file is malformed, or a value in it is impossible."""
+    """A scenario file is malformed, or it contains an impossible value."""
 
 
 class RecordingError(InputError):
-    """A recorded motion cannot be used: no time column, a gap or a jump too large, no samples."""
+    """A recorded motion cannot be used: it lacks a time column or samples, or a gap or jump is too large."""
 
 
 class LogError(InputError):
-    """The log of a cell cannot be used as it stands: out of order, faster than it can be, damaged, ..."""
+    """The log of a cell cannot be used as it stands: out of order, impossibly fast, damaged, ..."""
 
 
 class StreamError(InputError):
-    """A line of a stream that a monitor cannot use, or not all of it."""
+    """A monitor cannot use a line of a stream, or only a part of it."""
 
 
 class InadmissibleError(InputError):
-    """A well-formed scenario that cannot be tried: start out of reach, object out of view, ..."""
+    """A well-formed scenario cannot run: start out of reach, object out of view, ..."""
 
 
 class FormulaError(InputError):
-    """A temporal formula cannot be written, or asked of a scenario, like that."""
+    """A temporal formula is malformed, or does not fit the scenario."""
 
 
 class SettingsError(InputError):
@@ -185,11 +224,11 @@ class TraceError(InputError):
 
 
 class OutputError(InputError):
-    """A folder or file that results should go to cannot be written."""
+    """A folder or file for results cannot be written."""
 
     @classmethod
     def of(cls, path: Path, error: OSError) -> OutputError:
-        """What the operating system said of ``path``."""
+        """Return the error for ``path`` with the message of the operating system."""
         return cls(place=Place(file=path), expected="a place that can be written", got=str(error))
 
 
@@ -198,27 +237,27 @@ class ModelError(InputError):
 
 
 class DatasetError(InputError):
-    """A data set cannot be made as asked, or a stored one is missing, damaged or of another version."""
+    """A data set cannot be generated, or a stored one is missing, damaged or of another version."""
 
 
 class StatisticsError(InputError):
-    """A sample that no estimate can be made of, or a plan that cannot show what it is to show."""
+    """A sample allows no estimate, or a plan cannot reach its target."""
 
 
 class LedgerError(InputError):
-    """A campaign's ledger is missing, damaged, in use, of another version or another plan's."""
+    """A campaign's ledger is missing, damaged, in use, of another version or from another plan."""
 
 
 class RegionError(InputError):
-    """A box without an inside, or a shell of which nothing is left."""
+    """A box without an inside, or a shell without a volume."""
 
 
 class InstallationError(InputError):
-    """What is installed does not do: two packages own one module, or the engine of a world is missing."""
+    """The installation is unfit: two packages own one module, or a world lacks its engine."""
 
 
 class MissingPackageError(InstallationError):
-    """A package that is an extra is not installed: ``place`` says what needs it, ``hint`` how to get it."""
+    """An optional package is not installed: ``place`` is its user, ``hint`` the way to install it."""
 
     def __init__(self, *, place: Place, expected: str, got: str, hint: str = "") -> None:
         super().__init__(place=place, expected=expected, got=got, hint=hint)
@@ -230,7 +269,7 @@ class AvoiderError(SafetyHarnessError):
 
 
 class SearchOrderError(SafetyHarnessError):
-    """A searcher was asked and told out of turn, or proposed what is no point of the cube."""
+    """A call of ``ask`` or ``tell`` came out of turn, or a searcher proposed a point outside the cube."""
 
 
 class FlakyAvoiderError(AvoiderError):
@@ -242,11 +281,11 @@ class SimulationError(SafetyHarnessError):
 
 
 class ControllerError(SimulationError):
-    """A user's controller raised, returned what is no action, or is none: the run has failed."""
+    """A user's controller raised, returned an invalid action, or is no controller: the run has failed."""
 
 
 class NoAnswerError(SimulationError):
-    """An avoider hangs: no answer within the wall limit.  The run has failed, and has no verdict."""
+    """An avoider hangs: no answer within the wall limit.  The run has failed, without a verdict."""
 
     def __init__(self, name: str, limit_s: float) -> None:
         super().__init__(f"the avoider {name!r} gave no answer within {limit_s:g} s of wall time")

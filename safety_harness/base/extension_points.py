@@ -1,12 +1,13 @@
-"""What a package can add to the core: one group of entry points for each kind of part.
+"""Extension points: the parts that a package can add to the core, one group of entry points for each kind.
 
-A package names its parts in its ``pyproject.toml``, and the core loads a part when it needs it:
+A package lists its parts in its ``pyproject.toml``, and the core loads a part when it needs it:
 
     [project.entry-points."safety_harness.commands"]
     certify = "safety_harness.extensions.assurance.commands.certify:of_certify"
 
-The parts of this distribution come first, then those of others by their names.  A part that cannot be loaded,
-that is of another type, or whose name is taken is left out with a warning, and stops or replaces nothing.
+The parts of this distribution come first; foreign parts follow by their names.  The core skips a part with a
+warning if it cannot load it, if the type is wrong, or if an earlier part has the name.  A skipped part never
+stops or replaces another part.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ OWN_TITLES = ("scenario", "scenario space", "suite")  # of files that the core r
 
 
 class ExtensionPoint(StrEnum):
-    """The groups, each with the type of its parts and what the core does with them."""
+    """The groups, each with the type of its parts and their use in the core."""
 
     COMMANDS = "safety_harness.commands"
     """``typer.Typer``: has a command, or is a group of commands, with the name of this part."""
@@ -60,7 +61,7 @@ class ExtensionPoint(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedFile:
-    """A file that can be used, in ``words`` for people and ``data`` for programs, and its scenario spaces."""
+    """A valid file, with ``words`` for people, ``data`` for programs, and its scenario spaces."""
 
     file: Path
     words: str
@@ -70,19 +71,19 @@ class CheckedFile:
 
 @dataclass(frozen=True, kw_only=True)
 class InputFile:
-    """A kind of file.  What is None is not done with such a file.
+    """A kind of file.  A command skips such a file where its field is None.
 
     Args:
         words: The kind with its article, as messages call it: ``a plan``.
-        command: What to type for such a file; ``{file}`` stands for its path.
-        check: Read the file at a path and raise InputError if it cannot be used; the function that it is
-            handed admits a scenario and executes nothing.  For ``validate``.
-        explain: Print what is in the file at a path and return the exit code.  For ``explain``.
-        draft: Write such a file from another one (the first path) to the second, and return the exit code.
-            For ``new``.
-        tables: Return its ``KeyTable`` s, for ``explain KEY``.
-        schema: Return its JSON Schema, for ``schema``.
-        recorded: Read the file at a path as a recorded run, with claims in place of its own.  For ``judge``,
+        command: The command for such a file; ``{file}`` stands for its path.
+        check: Reads the file at a path and raises InputError if it is unusable.  Its second argument is a
+            function that admits a scenario and executes no user code.  For ``validate``.
+        explain: Prints the content of the file at a path and returns the exit code.  For ``explain``.
+        draft: Writes such a file from another file (the first path) to the second path, and returns the exit
+            code.  For ``new``.
+        tables: Returns its ``KeyTable`` s, for ``explain KEY``.
+        schema: Returns its JSON Schema, for ``schema``.
+        recorded: Reads the file at a path as a recorded run, with claims in place of its own.  For ``judge``,
             ``view`` and pytest.
         title: The key that titles such files: the name of the entry point, which fills it in.
 
@@ -101,7 +102,7 @@ class InputFile:
 
 @dataclass(frozen=True)
 class RegisteredPart:
-    """An entry point.  ``package`` is the distribution that has it, with its version; empty if it is ours."""
+    """An entry point; ``package`` is its distribution with the version, or empty if it is ours."""
 
     group: str
     name: str
@@ -114,23 +115,23 @@ class RegisteredPart:
 
 @lru_cache
 def parts(point: ExtensionPoint) -> tuple[RegisteredPart, ...]:
-    """Return the parts of a kind without loading them: ours, then those of other packages, by name.
+    """Return the parts of a kind without loading them: ours, then foreign parts by name.
 
-    Ours are those of ``pyproject.toml`` in a checkout, whatever an earlier installation of it has noted.
+    In a checkout our parts come from its ``pyproject.toml``, even if an older installation lists others.
     """
-    found = {RegisteredPart(point, name, value) for name, value in _of_the_checkout().get(point, {}).items()}
-    for one in entry_points(group=point):
-        dist = one.dist
+    known = {RegisteredPart(point, name, value) for name, value in _of_the_checkout().get(point, {}).items()}
+    for entry in entry_points(group=point):
+        dist = entry.dist
         ours = dist is not None and dist.name in (DISTRIBUTION, f"{DISTRIBUTION}-paper")
         if not (ours and dist is not None and dist.name == DISTRIBUTION and _of_the_checkout()):
             package = "" if ours else "nobody" if dist is None else f"{dist.name} {dist.version}"
-            found.add(RegisteredPart(point, one.name, one.value, package))
-    return tuple(sorted(found, key=lambda one: (bool(one.package), one.name, one.value)))
+            known.add(RegisteredPart(point, entry.name, entry.value, package))
+    return tuple(sorted(known, key=lambda entry: (bool(entry.package), entry.name, entry.value)))
 
 
 @lru_cache
 def _of_the_checkout() -> dict[str, dict[str, str]]:
-    """Return the entry points by group where the sources lie in a checkout; elsewhere nothing."""
+    """Return the entry points by group where the sources lie in a checkout, else an empty mapping."""
     try:
         project = tomllib.loads(PYPROJECT.read_text("utf-8"))["project"]
         return dict(project["entry-points"]) if project["name"] == DISTRIBUTION else {}
@@ -139,62 +140,79 @@ def _of_the_checkout() -> dict[str, dict[str, str]]:
 
 
 def foreign_parts() -> tuple[RegisteredPart, ...]:
-    """Return the parts that other distributions add, for evidence to name."""
-    return tuple(one for point in ExtensionPoint for one in parts(point) if one.package)
+    """Return the parts that foreign distributions add, for the record in evidence."""
+    return tuple(part for point in ExtensionPoint for part in parts(point) if part.package)
 
 
 def load(part: RegisteredPart, kind: type[_Part]) -> _Part | None:
-    """Return the loaded part, or None with a warning where it cannot be loaded or is no ``kind``."""
+    """Return the loaded part, or None with a warning if it does not load or is no ``kind``."""
     try:
-        found = EntryPoint(part.name, part.value, part.group).load()
+        loaded_part = EntryPoint(part.name, part.value, part.group).load()
     except Exception as error:  # of somebody else's module, which may raise anything
         if not is_absent(part, error):
             warn(part, f"{type(error).__name__}: {error}")
         return None
-    if not isinstance(found, kind):
-        warn(part, f"expected {kind.__name__}, got {type(found).__name__}")
+    if not isinstance(loaded_part, kind):
+        warn(part, f"expected {kind.__name__}, got {type(loaded_part).__name__}")
         return None
-    return found
+    return loaded_part
 
 
 def is_absent(part: RegisteredPart, error: Exception) -> bool:
-    """Return whether a part of ours is missing since its wing is not installed, which is no mistake."""
+    """Return whether our part is missing because its wing is not installed, which is no mistake."""
     wing = ".".join(part.value.split(".")[:3])
     return not part.package and isinstance(error, ModuleNotFoundError) and wing.startswith(error.name or "?")
 
 
 @lru_cache
 def warn(part: RegisteredPart, why: str) -> None:
-    """Say once on standard error that a part is left out."""
+    """Warn once on standard error that the harness skips a part, and ``why``."""
     if sys.stderr is not None:
         sys.stderr.write(f"warning: left out, {part}: {why}\n")
 
 
 def loaded(
-    point: ExtensionPoint, kind: type[_Part], *, taken: tuple[str, ...] = ()
+    point: ExtensionPoint, kind: type[_Part], *, reserved: tuple[str, ...] = ()
 ) -> Iterator[tuple[str, _Part]]:
-    """Yield name and part of a kind, without those whose name is ``taken`` or that cannot be used."""
-    names = {*taken}
+    """Yield name and part of a kind, without unusable parts.
+
+    Args:
+        point: The group of entry points.
+        kind: The type that a part must have; a part of another type gives a warning.
+        reserved: Names that a part may not have.
+
+    """
+    names = {*reserved}
     for part in parts(point):
         if part.name in names:
             warn(part, "the name is taken")
-        elif (found := load(part, kind)) is not None:
+        elif (usable := load(part, kind)) is not None:
             names.add(part.name)
-            yield part.name, found
+            yield part.name, usable
 
 
 @lru_cache
 def names_of(point: ExtensionPoint) -> frozenset[str]:
-    """Return the names of the parts of a kind, which are not loaded."""
+    """Return the names of the parts of a kind without loading them."""
     return frozenset(part.name for part in parts(point))
 
 
 @lru_cache
 def part_named(point: ExtensionPoint, name: str, kind: type[_Part]) -> _Part:
-    """Return the part of a name; MissingPackageError where no package adds one that can be used."""
+    """Return the part of a name.
+
+    Args:
+        point: The group of entry points.
+        name: The name of the part.
+        kind: The type that the part must have.
+
+    Raises:
+        MissingPackageError: No package adds a usable part of that name.
+
+    """
     for part in parts(point):
-        if part.name == name and (found := load(part, kind)) is not None:
-            return found
+        if part.name == name and (usable := load(part, kind)) is not None:
+            return usable
     expected = f"a package that adds the entry point {name} to {point}"
     hint = f"pip install --force-reinstall {DISTRIBUTION}, or the package that added it"
     got = "none that can be loaded" if name in names_of(point) else "none"
@@ -208,9 +226,10 @@ def _identities(part: object) -> set[str]:
 
 
 class Registry(list[_Part]):
-    """The core's own parts of a kind; those that packages add follow when somebody first looks.
+    """The core's own parts of a kind, followed by the parts that packages add.
 
-    Not when this is made: a package's module may hold parts of several kinds, and import what makes this.
+    The registry loads added parts at its first use.  It cannot load them when it is created: a package's
+    module may hold parts of several kinds, and import the module that creates this registry.
     """
 
     def __init__(self, own: Iterable[_Part], point: ExtensionPoint, kind: type[_Part]) -> None:
@@ -218,11 +237,12 @@ class Registry(list[_Part]):
         self._waiting: tuple[ExtensionPoint, type[_Part]] | None = (point, kind)
 
     def _complete(self) -> None:
+        """Load the parts of packages at the first use, and warn about a name that exists already."""
         if self._waiting is not None:
             (point, kind), self._waiting = self._waiting, None
-            own = tuple(str(getattr(one, "name", "")) for one in list.__iter__(self))
-            for name, part in loaded(point, kind, taken=own):
-                if any(_identities(part) & _identities(one) for one in list.__iter__(self)):
+            own = tuple(str(getattr(present, "name", "")) for present in list.__iter__(self))
+            for name, part in loaded(point, kind, reserved=own):
+                if any(_identities(part) & _identities(present) for present in list.__iter__(self)):
                     warn(RegisteredPart(point, name, ""), "its name is taken")
                 else:
                     self.append(part)
@@ -246,5 +266,5 @@ class Registry(list[_Part]):
 @lru_cache
 def input_files() -> dict[str, InputFile]:
     """Return the kinds of file that packages add, by the key that titles them."""
-    found = loaded(ExtensionPoint.INPUTS, InputFile, taken=OWN_TITLES)
-    return {title: replace(one, title=title) for title, one in found}
+    added = loaded(ExtensionPoint.INPUTS, InputFile, reserved=OWN_TITLES)
+    return {title: replace(kind, title=title) for title, kind in added}

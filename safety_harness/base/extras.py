@@ -1,7 +1,7 @@
-"""The packages that not everybody needs: what is said where one is missing.
+"""Optional packages, and the error where one is missing.
 
-An ``Extra`` is an optional part of the installation.  Its packages are imported where they are used, within
-``with IMAGES.needed("rendered images"):``, and nowhere else.
+An ``Extra`` is an optional part of the installation.  A module imports the packages of an extra only where it
+uses them, within ``with IMAGES.needed("rendered images"):``.
 """
 
 from __future__ import annotations
@@ -19,9 +19,16 @@ from safety_harness.base.exceptions import MissingPackageError, Place
 
 @dataclass(frozen=True)
 class Extra:
-    """An optional part of this package: its ``modules``, what for, and what to do where it cannot be had.
+    """An optional part of this package.
 
-    ``package`` is what installs the first of its modules, if that is of another name.
+    Args:
+        name: The name for pip: ``hand-safety-harness[name]``.
+        modules: The modules that it installs.
+        use: The features that need it.
+        package: The package of the first module, if its name differs.
+        instead: The way to work without it.
+        newest_wheel: The newest Python with a wheel; None: every Python has one.
+
     """
 
     name: str
@@ -33,7 +40,7 @@ class Extra:
 
     @property
     def hint(self) -> str:
-        """How to get it with this Python, or do without."""
+        """The way to install it with this Python, or to work without it."""
         get = f"pip install '{DISTRIBUTION}[{self.name}]'"
         if self.newest_wheel is not None and sys.version_info[:2] > self.newest_wheel:
             newest = ".".join(map(str, self.newest_wheel))
@@ -42,12 +49,17 @@ class Extra:
         return "; ".join(filter(None, (get, self.instead)))
 
     @contextmanager
-    def needed(self, by: str, file: Path | None = None) -> Iterator[None]:
-        """Import its packages within; MissingPackageError if one is not installed, and ``by`` needs it.
+    def needed(self, feature: str, file: Path | None = None) -> Iterator[None]:
+        """Import the packages of this extra within a context.
 
-        ``file`` is what asks for ``by``, if that is a file.
+        Args:
+            feature: The feature that needs them.
+            file: The file that asks for the feature; None: no file.
 
-        Any other module that is missing is somebody's mistake, and raised as it is.
+        Raises:
+            MissingPackageError: A package of this extra is not installed.
+            ModuleNotFoundError: Another module is missing, which is a mistake in that code.
+
         """
         try:
             yield
@@ -56,12 +68,12 @@ class Extra:
             if module not in self.modules:
                 raise
             raise MissingPackageError(
-                place=Place(file=file, field=by), expected=module, got="no such package", hint=self.hint
+                place=Place(file=file, field=feature), expected=module, got="no such package", hint=self.hint
             ) from error
 
-    def require(self, by: str, file: Path | None = None) -> None:
-        """Look for its first package without importing it; MissingPackageError as of ``needed``."""
-        with self.needed(by, file):
+    def require(self, feature: str, file: Path | None = None) -> None:
+        """Look for the first package without an import; arguments and errors as in ``needed``."""
+        with self.needed(feature, file):
             if find_spec(self.modules[0]) is None:
                 raise ModuleNotFoundError(name=self.modules[0])
 

@@ -1,4 +1,4 @@
-"""The errors of several inputs together."""
+"""Errors of several inputs, raised together."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ _Made = TypeVar("_Made")
 
 
 class InputErrors(InputError):
-    """Several inputs cannot be used, and nothing was done: it names the first, and each is in ``errors``.
+    """Several inputs cannot be used, and the command did no work.
+
+    The message is the first error's; ``errors`` holds all of them.
 
     Args:
-        errors: At least one.
-        left: How many inputs could be used without these.
+        errors: At least one error.
+        left: The number of usable inputs.
 
     """
 
     def __init__(self, errors: Sequence[InputError], left: int = 0) -> None:
         self.errors, self.left = tuple(errors), left
-        first, *others = self.errors
-        hint = "; ".join(filter(None, [first.hint, *(f"and {one}" for one in others)]))
+        first, *rest = self.errors
+        hint = "; ".join(filter(None, [first.hint, *(f"and {error}" for error in rest)]))
         super().__init__(place=first.place, expected=first.expected, got=first.got, hint=hint)
 
     def __reduce__(self) -> tuple[partial[InputError], tuple[()]]:
@@ -32,12 +34,12 @@ class InputErrors(InputError):
 
 
 def each_once(errors: Iterable[InputError]) -> list[InputError]:
-    """Return each error once: what is wrong in a file that others extend is the same mistake for all."""
+    """Return each error once; a mistake in a shared base file gives the same error for every file."""
     return list({str(error): error for error in errors}.values())
 
 
 def usable(items: Iterable[_Item], make: Callable[[_Item], _Made]) -> tuple[list[_Made], list[InputError]]:
-    """Return what ``make`` makes of each item, and the errors of the items of which it makes nothing."""
+    """Return the results of ``make`` for the items, and the errors of the items for which it failed."""
     made: list[_Made] = []
     errors: list[InputError] = []
     for item in items:

@@ -1,4 +1,4 @@
-"""Ctrl-C, where what is under way is to be finished first, or where it is another process that answers."""
+"""Ctrl-C while some work has to finish first, or while another process answers it."""
 
 from __future__ import annotations
 
@@ -11,32 +11,33 @@ from types import FrameType
 
 @contextmanager
 def deaf_children() -> Iterator[None]:
-    """Processes that are started meanwhile hear no Ctrl-C, from their first moment on.
+    """Shield processes that start in this context from Ctrl-C, from their first moment on.
 
-    They would end with a traceback while they import.  One for this thread is heard afterwards.
+    Otherwise they would end with a traceback during their imports.  A Ctrl-C for this thread takes effect
+    after the context.
     """
     resource_tracker.ensure_running()  # which would let Ctrl-C in again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    earlier_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, earlier_mask)
 
 
 @contextmanager
 def one_more_ctrl_c(say: Callable[[str], None], remark: str) -> Iterator[Callable[[], bool]]:
-    """Ctrl-C is answered with ``remark``, only the second one raises; yields whether there was one."""
-    asked = False
+    """Answer the first Ctrl-C with ``remark``; the second raises.  Yields a function: was there a Ctrl-C?"""
+    interrupted = False
 
     def note(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
+        nonlocal interrupted
+        if interrupted:
             raise KeyboardInterrupt
-        asked = True
+        interrupted = True
         say(remark)
 
-    before = signal.signal(signal.SIGINT, note)
+    earlier = signal.signal(signal.SIGINT, note)
     try:
-        yield lambda: asked
+        yield lambda: interrupted
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, earlier)

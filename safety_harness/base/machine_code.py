@@ -1,8 +1,8 @@
 """Machine code that a wheel brings for any x86-64 processor, so that the first run need not compile.
 
 ``make wheel`` compiles for numba's *generic* target, whose results are the same bit for bit.  Numba keeps its
-index and its code as pickles, and a pickle can execute anything when it is read.  So a file is read only from
-the package's own folder, and only if it has the SHA-256 that the installation's RECORD names for it.
+index and its code as pickles, and a pickle can execute anything when it is read.  So this module reads a file
+only from the package's own folder, and only if its SHA-256 is that in the installation's RECORD.
 """
 
 from __future__ import annotations
@@ -36,22 +36,24 @@ class InstalledCode(_IndexDataCacheFile):  # type: ignore[misc]
         self._package = folder.parents[1]
 
     def load_generic(self, key: tuple[Any, tuple[str, str, str], Any]) -> Any:
-        """Return the generic code for the ``key`` of the host's own code; None if there is none."""
+        """Return the generic code for the ``key`` of the host's own code, or None if it is absent."""
         signature, (triple, _, _), hashes = key
         return self.load((signature, (triple, *GENERIC), hashes))
 
     def _load_index(self) -> Any:
+        """Return numba's index, or an empty one if RECORD does not confirm the file."""
         return super()._load_index() if is_as_installed(Path(self._index_path), self._package) else {}
 
     def _load_data(self, name: str) -> Any:
+        """Return one file of code, or None if RECORD does not confirm it."""
         path = Path(self._data_path(name))
         return super()._load_data(name) if is_as_installed(path, self._package) else None
 
 
 def is_as_installed(file: Path, package: Path) -> bool:
-    """Return whether RECORD names a file of the ``package``'s folder, and with the hash that it has.
+    """Return whether RECORD lists a file of the ``package``'s folder with the hash that it has.
 
-    Warn of a file that RECORD names with another hash: somebody has changed it.
+    A file with another hash gives a warning, since it was changed after the installation.
     """
     expected = recorded_hashes(package).get(file.relative_to(package.parent).as_posix())
     if expected is None or not file.is_file():
@@ -64,14 +66,14 @@ def is_as_installed(file: Path, package: Path) -> bool:
 
 @cache
 def recorded_hashes(package: Path) -> dict[str, str]:
-    """Return the hashes (base64) of the machine code's files by path, as RECORD of ``package`` has them."""
+    """Return the hashes (base64) of the machine code's files by path, from RECORD of ``package``."""
     try:
-        found = metadata.distribution(DISTRIBUTION)
+        installation = metadata.distribution(DISTRIBUTION)
     except metadata.PackageNotFoundError:
         return {}
-    if Path(str(found.locate_file(package.name))) != package:
+    if Path(str(installation.locate_file(package.name))) != package:
         return {}  # a checkout beside an installation
     begin = f"{package.name}/{FOLDER}/"
-    lines = (line.rsplit(",", 2) for line in (found.read_text("RECORD") or "").splitlines())
+    lines = (line.rsplit(",", 2) for line in (installation.read_text("RECORD") or "").splitlines())
     pairs = ((line[0], line[1]) for line in lines if len(line) == 3 and line[0].startswith(begin))
     return {path: sha256.removeprefix("sha256=") for path, sha256 in pairs if sha256.startswith("sha256=")}

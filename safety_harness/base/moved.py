@@ -1,4 +1,4 @@
-"""Old import paths of documented names, for one release: they import the module at its new place."""
+"""Old import paths of documented names, for one release; they import the module at its new place."""
 
 from __future__ import annotations
 
@@ -31,30 +31,32 @@ MOVED = {
     "settings": "base.settings",
     "simulation.worlds": "cell.simulation.worlds",
 }
-_TOPS = {name.partition(".")[0] for name in MOVED} - {"claims"}  # that package is there
+_TOPS = {name.partition(".")[0] for name in MOVED} - {"claims"}  # that package still exists
 
 
 class _FromNewPlace(Loader):
-    """Loads a module from where it is now; for a package that only led to moved modules an empty one."""
+    """Loads a module from its new place, or an empty package that only led to moved modules."""
 
     def __init__(self, new: str) -> None:
         self._new = new
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        """Return None: Python makes the module."""
         return None
 
     def exec_module(self, module: ModuleType) -> None:
+        """Put the module at the new place into ``sys.modules`` under the old name."""
         if self._new:
             sys.modules[module.__name__] = import_module(f"{PACKAGE}.{self._new}")
 
 
 class MovedModules(MetaPathFinder):
-    """Finds the modules of ``MOVED``, and nothing else below the packages that they were in."""
+    """Finds the modules of ``MOVED``, and refuses all others below their old packages."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a moved module; ModuleNotFoundError for one that has no old path any more."""
+        """Return the spec of a moved module; ModuleNotFoundError for a module without an old path."""
         package, _, old = fullname.partition(".")
         if package != PACKAGE or (old not in MOVED and old.partition(".")[0] not in _TOPS):
             return None

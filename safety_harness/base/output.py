@@ -1,4 +1,4 @@
-"""Where a job's words go while it works: a command prints them, a program need not hear them."""
+"""Output of a job while it works: a command prints it, a program may ignore it."""
 
 from __future__ import annotations
 
@@ -12,30 +12,32 @@ AS_EXPECTED, DIFFERS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130  # exit codes
 
 
 def _ignore(*lines: str) -> None:
-    """Say nothing."""
+    """Ignore the lines."""
 
 
 @contextmanager
 def _no_block() -> Iterator[Callable[[list[str]], None]]:
+    """Yield a function that ignores its lines."""
     yield lambda lines: None
 
 
 @contextmanager
 def _no_count(total: int, unit: str) -> Iterator[Callable[..., None]]:
+    """Yield a function that ignores the progress; ``total`` and ``unit`` have no effect either."""
     yield lambda done, words="", at="": None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """The functions that hear of a job's progress; those that are left out hear nothing.
+    """The functions that receive a job's progress; the defaults ignore it.
 
     Args:
-        say: Takes lines of remarks, also none.
+        say: Takes lines of remarks, or no line.
         result: Takes lines of results.
-        explain: Takes an InputError about an input that is left out.
-        block: Opens a context; its value takes the lines that say where the job is.
-        counting: Opens a context for a total and its unit; its value takes how many are done, in words what
-            comes next, and before these the number of the part (``at``).
+        explain: Takes an InputError about a skipped input.
+        block: Opens a context; its value takes the lines with the job's current step.
+        counting: Opens a context for a total and its unit; its value takes the number of finished items, the
+            next item in words, and the number of the part (``at``).
 
     """
 
@@ -47,7 +49,12 @@ class Output:
 
     @classmethod
     def to(cls, each_line: Callable[[str], object]) -> Output:
-        """Return the output that hands each line to one function, such as ``print``."""
+        """Return the output that hands each line to one function, such as ``print``.
+
+        Args:
+            each_line: Takes one line of remarks or results.
+
+        """
 
         def hear(*lines: str) -> None:
             for line in lines:
@@ -57,13 +64,13 @@ class Output:
 
     @contextmanager
     def words(self) -> Iterator[Callable[[str], None]]:
-        """Yield what takes in words what comes next, where nobody knows how much that is."""
+        """Yield a function that takes the next step in words, for work of unknown length."""
         with self.block() as show:
             yield lambda words: show([words])
 
     @contextmanager
     def steps(self) -> Iterator[Callable[[str, float], None]]:
-        """Yield what takes which step comes next, and what share of all is done."""
+        """Yield a function that takes the next step in words and the finished share (0 to 1)."""
         begun_s = time.monotonic()
         with self.block() as show:
             yield lambda words, share: show([words + where(share, 1.0, begun_s)])
@@ -73,7 +80,14 @@ QUIET = Output()
 
 
 def where(done: float, total: float, begun_s: float) -> str:
-    """``, 30 %, 25 s left``; nothing at the start, and at the end how long it took."""
+    """Return progress as text: ``, 30 %, 25 s left``; empty at the start, and the whole time at the end.
+
+    Args:
+        done: The finished amount, in the unit of ``total``.
+        total: The whole amount.
+        begun_s: The start on ``time.monotonic``.
+
+    """
     spent_s = time.monotonic() - begun_s
     if done <= 0 or total <= 0:
         return ""
@@ -83,12 +97,12 @@ def where(done: float, total: float, begun_s: float) -> str:
 
 
 def time_left(seconds: float) -> str:
-    """Return words for the time that is left."""
+    """Return the remaining time in words."""
     return f"{time_words(seconds)} left" if math.isfinite(seconds) else "time left unknown"
 
 
 def time_words(seconds: float) -> str:
-    """Whole seconds, minutes, or hours with a tenth."""
+    """Return a duration in whole seconds, in minutes, or in hours with a tenth."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

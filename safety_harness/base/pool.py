@@ -1,4 +1,4 @@
-"""Processes for work in independent pieces.  A campaign's own, which are replaced, are in ``processes``."""
+"""Processes for work in independent pieces; campaigns have their own, replaceable ones in ``processes``."""
 
 from __future__ import annotations
 
@@ -15,16 +15,24 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_
 
 
 def one_thread_each() -> None:
-    """Libraries that are imported from now on, here and in new processes, take one thread unless told so."""
+    """Limit numerical libraries to one thread, unless the environment already sets a number.
+
+    This covers libraries that are imported later, here and in new processes.
+    """
     for name in THREADS:
         os.environ.setdefault(name, "1")
 
 
 @contextmanager
 def pool(jobs: int, begin: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
-    """New processes of one thread each, which call ``begin`` first.
+    """Yield an executor of new processes with one thread each; each calls ``begin`` first.
 
-    Whatever is raised within ends them at once.  Ctrl-C is for the first process to answer.
+    Any exception within the context ends them at once.  The first process answers Ctrl-C.
+
+    Args:
+        jobs: The number of processes.
+        begin: Prepares a process; None: no preparation.
+
     """
     one_thread_each()
     with ProcessPoolExecutor(jobs, mp_context=_Deaf(), initializer=_begin, initargs=(begin,)) as executor:
@@ -38,17 +46,22 @@ def pool(jobs: int, begin: Callable[[], None] | None = None) -> Iterator[Process
 
 
 class _DeafProcess(SpawnProcess):
+    """A process that ignores Ctrl-C from its start."""
+
     def start(self) -> None:
-        """Out of Ctrl-C's way."""
+        """Start out of Ctrl-C's way."""
         with deaf_children():
             super().start()
 
 
 class _Deaf(SpawnContext):
+    """The context that starts such processes."""
+
     Process = _DeafProcess
 
 
 def _begin(begin: Callable[[], None] | None) -> None:
+    """Ignore Ctrl-C, then prepare the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if begin is not None:
         begin()

@@ -1,6 +1,6 @@
-"""Exact statements about independent trials: shares with their bounds, signs, ranks of a median.
+"""Exact statements about independent trials: shares with their bounds, and sign tests.
 
-And a share in words.
+The module also gives a share in words.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # whose special functions take half a second to load, and are loaded when they are used
+import scipy  # its special functions take half a second to load; scipy loads them at their first use
 from numpy.typing import NDArray
 
 LEVEL = 0.95
@@ -16,7 +16,7 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Proportion:
-    """``count`` of ``trials``, and the interval that contains the true share with 95 % at least."""
+    """``count`` of ``trials``, and an interval that contains the true share with at least 95 %."""
 
     count: int
     trials: int
@@ -25,10 +25,10 @@ class Proportion:
 
     @classmethod
     def of(cls, having: NDArray[np.bool_]) -> Proportion:
-        """How many of the rows (n,) have it: Clopper and Pearson (1934), two-sided.
+        """Return the share of true rows (n,) with its two-sided interval (Clopper and Pearson, 1934).
 
-        The ends are the shares under which as many successes or more, or as few or fewer, have a chance
-        of 2.5 %.  ValueError without any trial.
+        At the lower end, ``count`` successes or more have a chance of 2.5 %; at the upper end, ``count`` or
+        fewer have it.  ValueError without any trial.
         """
         trials, count = len(having), int(np.count_nonzero(having))
         if not trials:
@@ -38,12 +38,15 @@ class Proportion:
 
     @property
     def share(self) -> float:
-        """Between 0 and 1."""
+        """The share, between 0 and 1."""
         return self.count / self.trials
 
 
 def share_words(count: int, total: int) -> str:
-    """Per cent with one decimal; never 0 % of something nor 100 % of less than all."""
+    """Return a share in per cent with one decimal.
+
+    A positive count never gives 0 %, and a count below ``total`` never gives 100 %.
+    """
     if total == 0:
         return "\u2013"
     if count in (0, total):
@@ -55,21 +58,26 @@ def share_words(count: int, total: int) -> str:
 
 
 def upper_bound(count: int, trials: int, chance: float) -> float:
-    """The share under which at most ``count`` of ``trials`` successes have this chance; 1 if all are.
+    """Return the share under which at most ``count`` of ``trials`` successes have this chance; 1 if all are.
 
-    Clopper and Pearson's upper end: whatever the true share is, it is above with this chance at most.
+    It is the upper end of Clopper and Pearson (1934): the true share lies above it with this chance at most.
     """
     return 1.0 if count >= trials else float(scipy.special.betainccinv(count + 1.0, trials - count, chance))
 
 
 def lower_bound(count: int, trials: int, chance: float) -> float:
-    """The share under which at least ``count`` of ``trials`` successes have this chance; 0 if none are."""
+    """Return the share at which ``count`` of ``trials`` or more succeed with this chance; 0 if count is 0."""
     return 0.0 if count <= 0 else float(scipy.special.betaincinv(count, trials - count + 1.0, chance))
 
 
 def sign_test(more: int, fewer: int) -> float:
-    """The p-value of "either is equally likely", exact and two-sided; 1 without any.
+    """Return the exact two-sided p-value of "either is equally likely"; 1 without any observation.
 
-    Of episodes that only one of two systems violates it is McNemar's.
+    On episodes that only one of two systems violates, this is McNemar's test.
+
+    Args:
+        more: Observations in favour of the first.
+        fewer: Observations in favour of the second.
+
     """
     return min(1.0, 2.0 * float(scipy.special.bdtr(min(more, fewer), more + fewer, 0.5)))

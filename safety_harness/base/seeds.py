@@ -1,7 +1,7 @@
-"""One explicit seed tree: every random number of a run descends from the scenario's seed.
+"""The seed tree: every random number of a run descends from the scenario's seed.
 
-A leaf is named by a path of integers below the root, so that a stream does not move when
-another one is added, and decision k is the same wherever and in whatever order it is made.
+A path of integers below the root identifies a leaf.  So a stream stays the same when another stream is added,
+and decision k has the same numbers in any place and order.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class Branch(IntEnum):
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:
-    """A fresh generator for the stream ``branch/path`` below ``root``."""
+    """Return a fresh generator for the stream ``branch/path`` below ``root``."""
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(root, spawn_key=(branch, *path))))
 
 
 def seed(root: int, branch: Branch, *path: int) -> int:
-    """A 63-bit seed for a consumer that makes its own generator (an avoider, say)."""
-    words = np.random.SeedSequence(root, spawn_key=(branch, *path)).generate_state(1, np.uint64)
-    return int(words[0] >> np.uint64(1))
+    """Return a 63-bit seed for a consumer with its own generator (an avoider, say)."""
+    state = np.random.SeedSequence(root, spawn_key=(branch, *path)).generate_state(1, np.uint64)
+    return int(state[0] >> np.uint64(1))

@@ -1,10 +1,10 @@
 """Every default of the system under test and of its cell, in one frozen object: ``DEFAULTS``.
 
-Lengths in metres, angles in radians, times in seconds, images in pixels; positions in the robot's
-base frame (x forward, y left, z up, origin at the foot of the UR10).  A scenario file may change
-single values; it never changes this object.
+Lengths are in metres, angles in radians, times in seconds, images in pixels.  Positions are in the robot's
+base frame (x forward, y left, z up, origin at the foot of the UR10).  A scenario file may change single
+values; it never changes this object.
 
-The numbers were written down before anything had been run.  Those that changed afterwards, and why:
+The numbers were written down before the first run.  These changed afterwards:
 
 * the object's polygon: 4/3 of its first size, for raster images to servo to 5 mm;
 * its yaw, 25 degrees in place of 0: chosen after a scan of yaws, for the least pixel noise;
@@ -12,7 +12,7 @@ The numbers were written down before anything had been run.  Those that changed 
 * the overhead camera: 0.4 m higher and 0.13 m aside, with the first scenarios;
 * the full gate: a later addition, and the default since.
 
-The first three were judged by how servoing without hands converges (docs/servoing.md), not by any
+The measure for the first three was the convergence of servoing without hands (docs/servoing.md), never a
 claim about a hand.
 """
 
@@ -38,19 +38,27 @@ def setting(
     takes: str = "",
     example: str = "",
 ) -> T:
-    """A field with its default and what a scenario file has to know of it: meaning, and bounds in SI.
+    """Return a field with its default and its description for scenario files.
 
-    Both bounds are allowed; without them it has those of its dimension (``units``).  What lies beyond is a
-    slip of the unit or a system that nobody builds; within, every number that a run computes stays finite
-    and the servo loop stable (the largest gain times the longest control period is 0.5).  ``takes``
-    says in words what the value's type cannot; ``example`` is for a value that a default does not show.
+    A value outside the bounds is a slip of the unit or an unrealistic system.  Within them, every number that
+    a run computes is finite, and the servo loop is stable (the largest gain times the longest control period
+    is 0.5).
+
+    Args:
+        default: The value without a file.
+        meaning: The meaning, for the reference of keys.
+        least: The smallest allowed value, in SI units.  None: the bound of its dimension (``units``).
+        most: The largest allowed value, likewise.
+        takes: A requirement that the value's type cannot express, in words.
+        example: An example for the reference, if the default does not show the form.
+
     """
-    said = {"meaning": meaning, "least": least, "most": most, "takes": takes, "example": example}
-    return field(default=default, metadata=said)
+    description = {"meaning": meaning, "least": least, "most": most, "takes": takes, "example": example}
+    return field(default=default, metadata=description)
 
 
 class ImageSource(Enum):
-    """Where the image moments of the object come from."""
+    """The source of the object's image moments."""
 
     EXACT = "exact"  # closed-form moments of the projected polygon
     RASTER = "raster"  # the same polygon, sampled at pixel centres
@@ -58,14 +66,14 @@ class ImageSource(Enum):
 
 
 class ObjectKind(Enum):
-    """What the moments are sums over: a region, or a set of points."""
+    """The domain of the moments' sums: a region, or a set of points."""
 
     DENSE = "dense"
     DISCRETE = "discrete"
 
 
 class InteractionChoice(Enum):
-    """Which interaction matrix the control law inverts."""
+    """The interaction matrix that the control law inverts."""
 
     CURRENT = "current"
     DESIRED = "desired"
@@ -73,7 +81,7 @@ class InteractionChoice(Enum):
 
 
 class HandSensorKind(Enum):
-    """Which sensor watches the hands."""
+    """The sensor that watches the hands."""
 
     IDEAL = "ideal"  # the overhead camera without field of view, occlusion, noise or delay
     OVERHEAD = "overhead"  # a fixed RGB-D camera over the table
@@ -82,14 +90,14 @@ class HandSensorKind(Enum):
 
 
 class DetectorKind(Enum):
-    """What turns the sensor's view into bounding boxes."""
+    """The method that turns the sensor's view into bounding boxes."""
 
     EXACT = "exact"  # geometry of the projected sphere, with occlusion by the robot
     RENDERED = "rendered"  # the rendered colour and depth images
 
 
 class GateKind(Enum):
-    """How much the gate asks of a repulsive position before the arm goes there."""
+    """The checks that a repulsive position must pass before the arm goes there."""
 
     REACH = "reach"  # finite, reachable, above the table: the plain system
     FULL = "full"  # also certain, reachable with margin, away from every hand, clear of the arm itself
@@ -97,7 +105,7 @@ class GateKind(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """Table and desired pose: a workspace in which every TCP start can be reached.
+    """Table and desired pose: a workspace in which the arm can reach every TCP start.
 
     ``preferred_joint_position_rad`` picks the inverse-kinematics branch of a start: elbow up.
     """
@@ -112,10 +120,10 @@ class Cell:
 
 @dataclass(frozen=True, kw_only=True)
 class Object:
-    """What is servoed on: a flat polygon, in its own frame, and where it lies.
+    """The target of servoing: a flat polygon, in its own frame, and its place.
 
-    By default right under the camera of the desired TCP, which is 45 mm beside the TCP: off the
-    image's centre the interaction matrix is worse conditioned (28.6 instead of 15.9).
+    The default place is right under the camera of the desired TCP, which is 45 mm beside the TCP.  Off the
+    image's centre the condition number of the interaction matrix is 28.6 instead of 15.9.
     """
 
     # Close to a 3-4-5 right triangle, the best conditioned shape, with its centroid at the origin;
@@ -137,9 +145,9 @@ class Camera:
     """The eye-in-hand camera: Intel RealSense D435 colour intrinsics, pinhole, no distortion.
 
     ``transform_camera_to_tcp`` is a turn by ``mount_yaw_rad`` about the tool axis and a shift by
-    ``mount_offset_in_tcp_m``.  The two ``calibration_error`` values are what the *controller*
-    believes wrongly on top of the true mount (a rotation vector in the camera frame, a shift in
-    the TCP frame); zero means a perfect hand-eye calibration.
+    ``mount_offset_in_tcp_m``.  The two ``calibration_error`` values are the *controller's* errors on top of
+    the true mount.  They are a rotation vector in the camera frame and a shift in the TCP frame; zero means a
+    perfect hand-eye calibration.
     """
 
     width_px: int = setting(640, "of the image", 16, 4096)
@@ -161,11 +169,11 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class HandSensor:
-    """The camera that watches the hands, and how it errs.
+    """The camera that watches the hands, and its errors.
 
-    Depth noise of a stereo camera grows with the square of the depth:
-    sigma_z = ``depth_noise_per_m`` z^2; 0.0025/m is a D435 with 0.08 px subpixel error,
-    640 px focal length and 50 mm baseline (Intel's depth-quality formula).
+    Depth noise of a stereo camera grows with the square of the depth: sigma_z = ``depth_noise_per_m`` z^2.  A
+    D435 has 0.0025/m, with 0.08 px subpixel error, 640 px focal length and 50 mm baseline (Intel's
+    depth-quality formula).
     """
 
     kind: HandSensorKind = setting(
@@ -196,7 +204,7 @@ class HandSensor:
 
 @dataclass(frozen=True, kw_only=True)
 class HandFilter:
-    """The Kalman filter of eq. 7 and the tracks that it serves."""
+    """The Kalman filter of eq. 7, and the tracks that use it."""
 
     prediction_horizon_s: float = setting(0.1, "how far ahead the hand is predicted", 0.0, 2.0)
     measurement_std_px: float = setting(2.0, "assumed error of the box's place")
@@ -230,7 +238,7 @@ class Servo:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Limits on what the controller may demand of the arm; each acts visibly in the trace."""
+    """Limits on the controller's demands to the arm; each acts visibly in the trace."""
 
     max_tcp_speed_mps: float = setting(0.25, "that the controller may demand")
     max_tcp_acceleration_mps2: float = setting(1.0, "that the controller may demand")
@@ -240,7 +248,7 @@ class Motion:
 
 
 class DecisionCost(Enum):
-    """What a decision costs in simulated time, where no time is given for it."""
+    """The cost of a decision in simulated time, for a scenario without decision times."""
 
     AS_DECLARED = "as declared"  # by the avoider; one that declares nothing costs nothing
     WALL_CLOCK = "wall clock"  # what the answer took on this machine: such a run does not repeat
@@ -248,7 +256,7 @@ class DecisionCost(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """Of which avoider the times of a profile are, and where they were measured."""
+    """The avoider behind the times of a profile, and the machine that measured them."""
 
     avoider: str  # as a scenario names it
     sha256: str  # of its file; empty for one without
@@ -258,10 +266,10 @@ class Measured:
 
 @dataclass(frozen=True, kw_only=True)
 class DecisionTimes:
-    """What a decision costs in simulated time, drawn anew for each.
+    """The cost of a decision in simulated time, drawn anew for each decision.
 
-    ``quantiles_s`` rise, and what lies between two neighbours is equally probable: one is always the
-    same time, two are a uniform distribution.
+    ``quantiles_s`` rise, and each interval between two neighbours is equally probable.  A single value is a
+    constant time; two values are a uniform distribution.
     """
 
     quantiles_s: tuple[float, ...]
@@ -270,7 +278,7 @@ class DecisionTimes:
 
 @dataclass(frozen=True, kw_only=True)
 class Avoidance:
-    """When and how the TCP gives way (sections 3.3 and 4.1 of the paper)."""
+    """Conditions and manner of the TCP's retreat (sections 3.3 and 4.1 of the paper)."""
 
     critical_distance_m: float = setting(
         0.400, "from the TCP to a predicted hand; zero is no avoidance at all", 0.0, 3.0
@@ -310,7 +318,7 @@ class Avoidance:
 
 @dataclass(frozen=True, kw_only=True)
 class Hand:
-    """A hand is a sphere; its forearm a capsule from the hand's centre towards the elbow."""
+    """A sphere for the hand, and a capsule for its forearm from the hand's centre towards the elbow."""
 
     radius_m: float = setting(0.060, "of the sphere that is the hand", 0.01, 0.3)
     forearm_radius_m: float = setting(0.045, "of the capsule that is the forearm", 0.01, 0.3)
@@ -321,8 +329,8 @@ class Hand:
 class Braking:
     """A protective stop: reaction time, then uniform braking within T_s(v) = base + slope v.
 
-    Defaults are the worst-case stop times of the UR10 CB3 manual, 450, 500 and 550 ms at 1.0,
-    1.5 and 2.0 m/s, which lie on the straight line 0.35 s + 0.1 s^2/m v.
+    Defaults are the worst-case stop times of the UR10 CB3 manual: 450, 500 and 550 ms at 1.0, 1.5 and 2.0
+    m/s.  They lie on the straight line 0.35 s + 0.1 s^2/m v.
     """
 
     reaction_time_s: float = setting(0.1, "before a protective stop begins to brake", 0.0, 5.0)
@@ -332,9 +340,10 @@ class Braking:
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """The UR10 takes a new speed at 125 Hz; physics sub-steps divide the control period.
+    """The control period, its physics sub-steps, and the limit of real time for an answer.
 
-    ``wall_limit_s`` ends a run whose avoider hangs; it changes no trajectory.
+    The UR10 takes a new speed at 125 Hz, and the sub-steps divide this period.  ``wall_limit_s`` ends a run
+    whose avoider hangs; it changes no trajectory.
     """
 
     # At most 50 ms: between two ticks the arm is taken to move evenly.
@@ -363,17 +372,21 @@ class Settings:
 
     @cached_property
     def _hash(self) -> int:
-        return hash(tuple(getattr(self, one.name) for one in fields(self)))
+        """The hash over all settings, computed once."""
+        return hash(tuple(getattr(self, part.name) for part in fields(self)))
 
-    def __hash__(self) -> int:  # kept: admission asks for it several times a scenario
+    def __hash__(self) -> int:  # stored: admission asks for it several times a scenario
         return self._hash
 
-    def __getstate__(self) -> dict[str, Any]:  # without what is kept: hashes of text differ by process
-        return {one.name: getattr(self, one.name) for one in fields(self)}
+    def __getstate__(self) -> dict[str, Any]:  # without the stored hash: hashes of text differ by process
+        return {part.name: getattr(self, part.name) for part in fields(self)}
 
     @cached_property
     def steady(self) -> Settings:
-        """With a hand sensor without noise and delay: for what depends on neither, as spaces vary them."""
+        """These settings with a hand sensor without noise and delay.
+
+        Spaces vary noise and delay.  A computation that ignores both can use its result for all of them.
+        """
         hand_sensor = replace(
             self.hand_sensor,
             pixel_noise_px=0.0,

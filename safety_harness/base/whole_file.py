@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and the hash of one."""
+"""Files that exist whole or not at all, and the hash of a file."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def sha256_of(file: Path) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a place beside ``path`` to write to; what is there at the end of the block becomes ``path``.
+    """Yield a path beside ``path`` to write to; at the end of the block the new file replaces ``path``.
 
-    What was there before stays until all of the new is on disk, and for good if the block raises; then
-    nothing is left of the new.  Folders that are missing are made.  Raises OSError.
+    The old file stays until the new one is complete on disk.  If the block raises, the old file stays for
+    good and the new one disappears.  Missing folders are created.  Raises OSError.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -48,7 +48,7 @@ def write_whole(path: Path, text: str) -> None:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """OutputError that names ``path`` where the block raises OSError."""
+    """Raise OutputError for ``path`` if the block raises OSError."""
     try:
         yield
     except OSError as error:
@@ -56,6 +56,6 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """``write_whole``; OutputError if it cannot be written."""
+    """Write ``text`` to ``path`` as ``write_whole`` does, but raise OutputError if it fails."""
     with writing(path):
         write_whole(path, text)

@@ -104,5 +104,5 @@ def _say_whose_fault(found: Sequence[JudgedRun]) -> None:
             wrong.setdefault(command_line_reference(one.trace.scenario), []).append(one)
     for runs in wrong.values():
         files = [one.trace_file for one in runs if one.trace_file is not None]
-        command = replay_command(runs[0].trace.scenario, *files, by="attribute", told=Path)
+        command = replay_command(runs[0].trace.scenario, *files, verb="attribute", told=Path)
         say(f"whose fault: {command}")

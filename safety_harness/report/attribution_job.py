@@ -200,7 +200,7 @@ def _scenarios(
 def _violated(trace: Trace, path: Path | None, avoider: str | None) -> Scenario:
     """Return the scenario of a trace, with the claims that the trace violates alone."""
     refuse_not_simulated(trace, path)
-    scenario = with_program(trace.scenario, avoider, path, by="attribute")
+    scenario = with_program(trace.scenario, avoider, path, verb="attribute")
     evaluations = judge(trace, file=path)
     claims = tuple(
         replace(claim, expected=Verdict.VIOLATED)

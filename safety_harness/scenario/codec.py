@@ -1,10 +1,12 @@
-"""One declaration of a field: from it a value is read, written, explained, tabled and put into the schema.
+"""One declaration for each field: it serves reading, writing, explaining, tables and the schema.
 
-A field of a ``declared`` dataclass, ``speed_mps: float = key("speed", ...)``, says how it is called in a
-file, the kind of its value with unit and bounds, what it means, an example and its default.
-``table_of`` gathers the keys of one dataclass.  A kind of value ``read``s a ``Field`` (ScenarioError with
-its line), ``write``s what reads back to the same bits, and has ``words`` for people.  ``schema`` and
-``reference_tables`` make the rest of these.
+A field of a ``declared`` dataclass, ``speed_mps: float = key("speed", ...)``, declares its name in a file,
+its kind of value with unit and bounds, its meaning, an example and its default.  ``table_of`` gathers the
+keys of a dataclass.
+
+A kind of value has three parts.  ``read`` takes a ``Field`` (ScenarioError with its line), ``write`` gives a
+text that reads back to the same bits, and ``words`` describes it for people.  ``schema`` and
+``reference_tables`` build on these.
 """
 
 from __future__ import annotations
@@ -30,14 +32,17 @@ _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n"}
 
 
 def scalar_text(text: str) -> str:
-    """``text`` as a YAML scalar: bare where nothing in it could be taken for notation."""
+    """Return ``text`` as a YAML scalar: bare if no part of it looks like notation, else in quotes."""
     if _PLAIN.fullmatch(text):
         return text
     return '"' + "".join(_ESCAPES.get(c, c if c.isprintable() else f"\\U{ord(c):08x}") for c in text) + '"'
 
 
 def in_a_line(tree: Tree) -> str | None:
-    """A text, a list of texts such as ``[0.1 m, 0.0 m]`` or an empty mapping on one line; None for others."""
+    """Return a tree on one line, or None if it takes several.
+
+    A text, a list of texts such as ``[0.1 m, 0.0 m]`` and an empty mapping fit on a line.
+    """
     if isinstance(tree, str):
         return tree
     if isinstance(tree, Mapping):
@@ -49,7 +54,7 @@ def in_a_line(tree: Tree) -> str | None:
 
 @dataclass(frozen=True)
 class QuantityValue:
-    """A number with a unit, within bounds in SI; ``or_word`` may stand in its place, and is None."""
+    """A number with a unit, within bounds in SI; ``or_word`` may stand in its place and reads as None."""
 
     dimension: Dimension
     above: float | None = None
@@ -60,7 +65,7 @@ class QuantityValue:
 
     @property
     def name(self) -> str:
-        """``length``; without the bounds."""
+        """The kind without the bounds: ``length``."""
         name = self.dimension.name
         if self.whole:
             name = "whole number" if name == "number" else f"{name}, whole"
@@ -68,22 +73,22 @@ class QuantityValue:
 
     @property
     def words(self) -> str:
-        """``length, 1 mm to 2 m``."""
+        """The kind with the bounds: ``length, 1 mm to 2 m``."""
         if self.least is not None and self.most is not None:
             return f"{self.name}, {self.range_words}"
         bounds = (("above", self.above), ("at least", self.least), ("at most", self.most))
-        parts = [f"{word} {nice(bound, self.dimension)}" for word, bound in bounds if bound is not None]
+        parts = [f"{side} {nice(bound, self.dimension)}" for side, bound in bounds if bound is not None]
         return f"{self.name}, {' and '.join(parts)}" if parts else self.name
 
     @property
     def range_words(self) -> str:
-        """``1 mm to 2 m``, of one that has both bounds."""
+        """The bounds alone, as in ``1 mm to 2 m``; the value must have both."""
         assert self.least is not None
         assert self.most is not None
         return f"{nice(self.least, self.dimension)} to {nice(self.most, self.dimension)}"
 
     def read(self, field: Field) -> float | None:
-        """The number in SI."""
+        """Return the number in SI, or None for ``or_word``."""
         if self.or_word and field.scalar(self.dimension.expected).strip() == self.or_word:
             return None
         if self.whole and self.dimension is NUMBER:
@@ -96,7 +101,7 @@ class QuantityValue:
         return int(value) if self.whole else value
 
     def write(self, value: float | None) -> str:
-        """In SI, exact."""
+        """Return the text of a number in SI, which reads back exactly."""
         if value is None:
             return self.or_word or ""
         return (
@@ -106,7 +111,7 @@ class QuantityValue:
 
 @dataclass(frozen=True, kw_only=True)
 class _Formed:
-    """A value whose ``words`` say of what kind it is, and ``expected`` in those of a message."""
+    """A value with ``words`` for its kind and ``expected`` for messages."""
 
     words: str
     expected: str = ""
@@ -114,10 +119,16 @@ class _Formed:
 
 @dataclass(frozen=True, kw_only=True)
 class Text(_Formed):
-    """A text; ``pattern`` is what a schema can tell of it.
+    """A text, or another value that a file writes as text.
 
-    ``reads`` and ``writes`` are for a value of another type than one line that ``expected`` names.
-    ``or_mapping``: what we write ourselves may be a mapping in its place.
+    Args:
+        words: The kind of value, for people.
+        expected: Completes "expected ..." of a message.
+        pattern: The pattern for the schema.
+        or_mapping: Whether ``write`` may give a mapping in its place.
+        reads: Reads a value of another type; None: one line of text.
+        writes: Writes a value of another type; None: as a YAML scalar.
+
     """
 
     pattern: str = ""
@@ -126,44 +137,44 @@ class Text(_Formed):
     writes: Callable[[Any], Any] | None = None
 
     def read(self, field: Field) -> Any:
-        """The text, or what ``reads`` makes of it."""
+        """Return the text, or the result of ``reads``."""
         return self.reads(field) if self.reads else field.sentence(self.expected)
 
     def write(self, value: Any) -> Any:
-        """A YAML scalar, or what ``writes`` makes of the value."""
+        """Return a YAML scalar, or the result of ``writes``."""
         return self.writes(value) if self.writes else scalar_text(str(value))
 
 
 @dataclass(frozen=True)
 class Word:
-    """One of a few words: the members of an enumeration, or texts."""
+    """A choice among a few words: the members of an enumeration, or texts."""
 
     members: type[Enum] | tuple[str, ...]
 
     @property
     def options(self) -> tuple[str, ...]:
         """The words."""
-        return tuple(str(one.value) if isinstance(one, Enum) else one for one in self.members)
+        return tuple(str(member.value) if isinstance(member, Enum) else member for member in self.members)
 
     @property
     def words(self) -> str:
-        """``exact, raster or rendered``."""
-        *others, last = self.options
-        return f"{', '.join(others)} or {last}" if others else last
+        """The words in a phrase: ``exact, raster or rendered``."""
+        *first, last = self.options
+        return f"{', '.join(first)} or {last}" if first else last
 
     def read(self, field: Field) -> Enum:
-        """The member of the enumeration."""
+        """Return the member of the enumeration."""
         assert isinstance(self.members, type)
         return field.choice(self.members)
 
     def write(self, value: Enum) -> str:
-        """The word."""
+        """Return the word of a member."""
         return str(value.value)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Several(_Formed):
-    """A list of values of one kind: ``count`` of them, or from ``least`` to ``most``."""
+    """A list of values of one kind: exactly ``count``, or from ``least`` to ``most``."""
 
     of: Value
     count: int | None = None
@@ -171,21 +182,27 @@ class Several(_Formed):
     most: int | None = None
 
     def read(self, field: Field) -> tuple[Any, ...]:
-        """The members."""
+        """Return the values of the list."""
         items = field.items(self.expected, count=self.count, least=self.least, most=self.most)
         return tuple(self.of.read(item) for item in items)
 
     def write(self, values: Sequence[Any]) -> list[Tree]:
-        """The members' texts or mappings."""
+        """Return the texts or mappings of the values."""
         return [self.of.write(value) for value in values]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Below(_Formed):
-    """A mapping with the keys of one of several tables; ``noun`` is what a message calls it.
+    """A mapping with the keys of one table, out of several tables.
 
-    Which table is meant is told by its ``told_by``; ``order`` is in which a message lists these.
-    ``or_text`` is the pattern of a text that may stand in its place.
+    Args:
+        words: The kind of value, for people.
+        expected: Completes "expected ..." of a message.
+        tables: The possible tables; their ``told_by`` tells them apart.
+        noun: The name of such a mapping in messages.
+        order: The order of the tables' keys in messages; empty: as in ``tables``.
+        or_text: The pattern of a text that may stand in its place.
+
     """
 
     words: str = "mapping"
@@ -197,21 +214,21 @@ class Below(_Formed):
     @cached_property
     def by_key(self) -> Mapping[str, KeyTable]:
         """The tables by the keys that tell them apart."""
-        found = {table.told_by: table for table in self.tables}
-        return {name: found[name] for name in self.order or found}
+        tables = {table.told_by: table for table in self.tables}
+        return {name: tables[name] for name in self.order or tables}
 
     def read(self, field: Field) -> Any:
-        """The object that the mapping stands for."""
-        one = self.tables[0] if len(self.tables) == 1 else self.by_key[field.only_key(self.noun, self.by_key)]
-        return one.read(field)
+        """Return the object of the mapping."""
+        own = self.tables[0] if len(self.tables) == 1 else self.by_key[field.only_key(self.noun, self.by_key)]
+        return own.read(field)
 
     def table_of(self, value: object) -> KeyTable:
-        """The table by which ``value`` is read and written."""
+        """Return the table that reads and writes ``value``."""
         several = len(self.tables) > 1
         return next(table for table in self.tables if not several or table.kind is type(value))
 
     def write(self, value: object) -> dict[str, Tree]:
-        """The mapping from which ``value`` is read again."""
+        """Return the mapping from which ``read`` gives ``value`` again."""
         return self.table_of(value).write(value)
 
 
@@ -224,15 +241,15 @@ class FreeKeys(_Formed):
     least: int = 0
 
     def read(self, field: Field) -> tuple[tuple[str, Field], ...]:
-        """The words and what stands below them, still to be read."""
+        """Return the words and the fields below them, still to be read."""
         entries = field.entries(self.expected)
         if len(entries) < self.least:
             raise field.error(self.expected)
         return entries
 
-    def write(self, value: Mapping[str, Any]) -> dict[str, Tree]:
-        """The mapping of these values."""
-        return {scalar_text(word): self.of.write(one) for word, one in value.items()}
+    def write(self, mapping: Mapping[str, Any]) -> dict[str, Tree]:
+        """Return the mapping of these values."""
+        return {scalar_text(name): self.of.write(value) for name, value in mapping.items()}
 
 
 Value = QuantityValue | Text | Word | Several | Below | FreeKeys
@@ -240,12 +257,19 @@ Value = QuantityValue | Text | Word | Several | Below | FreeKeys
 
 @dataclass(frozen=True)
 class Key:
-    """A key: its name, its value, what it means.
+    """A key: its name, its value, its meaning.
 
-    ``example`` is a value, or lines, as they may stand in a file; without one the default is shown, in
-    the mappings ``within``.  ``said`` is for a value that its type cannot say alone, and ``or_else`` for
-    a default that the value itself cannot.  ``table_of`` fills in the field of the dataclass,
-    ``attribute``, and its default, ``fallback`` (REQUIRED for none).
+    Args:
+        name: The name in a file.
+        value: The kind of value.
+        meaning: The meaning, for people.
+        example: A value or lines, as in a file; empty: the default serves as example.
+        or_else: The default in words, where ``fallback`` has no text of its own.
+        said: The kind of value in words, where ``value`` cannot express it.
+        attribute: The field of the dataclass, which ``table_of`` fills in.
+        fallback: The default of the field, likewise; REQUIRED if it has no default.
+        within: The mappings that surround the key in the example.
+
     """
 
     name: str
@@ -260,7 +284,7 @@ class Key:
 
     @property
     def default(self) -> str:
-        """As people write it: REQUIRED, a value, or words."""
+        """The default as people write it: REQUIRED, a value, or words."""
         if self.or_else is not None:
             return self.or_else
         return REQUIRED if self.fallback is REQUIRED else _nice(self.fallback, self.value)
@@ -282,21 +306,29 @@ class Key:
 
     @property
     def required(self) -> bool:
-        """Has it to be there?"""
+        """Whether a file must have the key."""
         return self.fallback is REQUIRED if self.or_else is None else self.or_else == REQUIRED
 
     @property
     def words(self) -> str:
-        """What values it takes, in words."""
+        """The values that it takes, in words."""
         return self.said or self.value.words
 
 
 @dataclass(frozen=True, kw_only=True)
 class KeyTable:
-    """The keys of one kind of mapping.  ``name`` is for the page; ``where`` (the same) completes "of ...".
+    """The keys of one kind of mapping.
 
-    ``beside`` are the tables of objects, by the fields that hold them, whose keys stand in the same
-    mapping: all that are required, or none.
+    Args:
+        name: The name for the page.
+        where: Completes "of ..."; empty: the name.
+        keys: The keys.
+        kind: The dataclass of such a mapping.
+        path: The way from the top of a file: "settings.avoidance".
+        told_by: The key that tells this mapping from its alternatives; empty: the first key.
+        beside: Tables of inner objects, by the fields that hold them.  Their keys stand in the same mapping:
+            all required keys, or no key.
+
     """
 
     name: str
@@ -314,49 +346,49 @@ class KeyTable:
         object.__setattr__(self, "names", tuple(key.name for key in self.keys))
 
     def below(self) -> Iterator[KeyTable]:
-        """The tables that its values lead to."""
+        """Yield the tables that its values lead to."""
         for key in self.keys:
             yield from _tables(key.value)
 
     def name_of(self, attribute: str) -> str:
-        """The key of a field of the dataclass."""
+        """Return the key of a field of the dataclass."""
         return next(key.name for key in self.keys if key.attribute == attribute)
 
     def read(self, field: Field) -> Any:
-        """The object that the mapping ``field`` stands for."""
+        """Return the object of the mapping ``field``."""
         return self.made_of(field.fields(self.names))
 
     def made_of(self, given: Fields) -> Any:
-        """The object with the values of the keys that are given."""
+        """Return the object of the given keys, with defaults for the rest."""
         assert self.kind is not None
         return self.kind(**self.values(given))
 
     def values(self, given: Fields) -> dict[str, Any]:
-        """What the keys of a mapping give, by the names of the dataclass's fields; defaults elsewhere."""
-        found: dict[str, Any] = {}
+        """Return the values of a mapping by the dataclass's fields, with defaults for absent keys."""
+        read_values: dict[str, Any] = {}
         for key in self.keys:
             field = given.optional(key.name)
             if not key.attribute:
                 continue
             if field is not None or key.required:
-                found[key.attribute] = key.value.read(field or given.required(key.name))
+                read_values[key.attribute] = key.value.read(field or given.required(key.name))
             elif key.fallback is not REQUIRED:
-                found[key.attribute] = key.fallback
+                read_values[key.attribute] = key.fallback
         for attribute, table in self.beside:
             if any(name in given for name in table.names):
-                found[attribute] = table.made_of(given)
-        return found
+                read_values[attribute] = table.made_of(given)
+        return read_values
 
     def write(self, value: object) -> dict[str, Tree]:
-        """The keys and values from which ``read`` gives ``value`` again; what is None is left out."""
+        """Return the keys and values from which ``read`` gives ``value`` again; None has no key."""
         written = {
-            key.name: key.value.write(found)
+            key.name: key.value.write(inner)
             for key in self.keys
-            if key.attribute and (found := getattr(value, key.attribute, None)) is not None
+            if key.attribute and (inner := getattr(value, key.attribute, None)) is not None
         }
         for attribute, table in self.beside:
-            inner = getattr(value, attribute)
-            written |= {} if inner is None else table.write(inner)
+            beside_value = getattr(value, attribute)
+            written |= {} if beside_value is None else table.write(beside_value)
         return written
 
 
@@ -370,44 +402,57 @@ def key(
     said: str = "",
     default: Any = MISSING,
 ) -> Any:
-    """A field of a ``declared`` dataclass with its ``Key``."""
+    """Return a field of a ``declared`` dataclass with its ``Key``, whose arguments these are."""
     return keyed(Key(name, value, meaning, example, or_else, said), default=default)
 
 
-def keyed(said: Key | KeyTable, *, default: Any = MISSING) -> Any:
-    """A field of a ``declared`` dataclass: its key, or the table of the object whose keys stand beside."""
-    return dataclass_field(default=default, metadata={"said": said})
+def keyed(declaration: Key | KeyTable, *, default: Any = MISSING) -> Any:
+    """Return a field of a ``declared`` dataclass with its key.
+
+    Args:
+        declaration: The key, or the table of an inner object whose keys stand in the same mapping.
+        default: The default of the field; MISSING: the key is required.
+
+    """
+    return dataclass_field(default=default, metadata={"said": declaration})
 
 
 @typing.dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(key, keyed))
 def declared(kind: type[T]) -> type[T]:
-    """A frozen dataclass of keywords, for fields that have keys."""
+    """Return a frozen dataclass of keywords, for fields that have keys."""
     return dataclass(frozen=True, kw_only=True)(kind)
 
 
 def table_of(kind: type[Any], name: str, **of_table: Any) -> KeyTable:
-    """The table of a ``declared`` dataclass."""
+    """Return the table of a ``declared`` dataclass.
+
+    Args:
+        kind: The dataclass.
+        name: The name of the table.
+        **of_table: Further arguments of ``KeyTable``.
+
+    """
     keys: list[Key] = []
     beside: list[tuple[str, KeyTable]] = []
-    for one in fields(kind):
-        said = one.metadata.get("said")
-        if isinstance(said, Key):
-            fallback = REQUIRED if one.default is MISSING else one.default
-            keys.append(replace(said, attribute=one.name, fallback=fallback))
-        elif isinstance(said, KeyTable):
-            beside.append((one.name, said))
-            keys += [replace(key, attribute="", or_else="none") for key in said.keys]
+    for column in fields(kind):
+        declaration = column.metadata.get("said")
+        if isinstance(declaration, Key):
+            fallback = REQUIRED if column.default is MISSING else column.default
+            keys.append(replace(declaration, attribute=column.name, fallback=fallback))
+        elif isinstance(declaration, KeyTable):
+            beside.append((column.name, declaration))
+            keys += [replace(key, attribute="", or_else="none") for key in declaration.keys]
     return KeyTable(name=name, keys=tuple(keys), kind=kind, beside=tuple(beside), **of_table)
 
 
 def _nice(value: Any, kind: Value) -> str:
-    """A default as people write it."""
+    """Return a default as people write it."""
     if isinstance(value, Enum):
         return str(value.value)
     if value is None:
         return getattr(kind, "or_word", None) or "none"
     if isinstance(kind, Several):
-        return f"[{', '.join(_nice(one, kind.of) for one in value)}]"
+        return f"[{', '.join(_nice(part, kind.of) for part in value)}]"
     if not isinstance(kind, QuantityValue):
         return str(value or "none")
     if value == 0.0 and kind.dimension is LENGTH:
@@ -418,7 +463,7 @@ def _nice(value: Any, kind: Value) -> str:
 
 
 def _tables(value: Value) -> Iterator[KeyTable]:
-    """The tables that a value leads to."""
+    """Yield the tables that a value leads to."""
     if isinstance(value, Below):
         for table in value.tables:
             yield table
@@ -428,7 +473,7 @@ def _tables(value: Value) -> Iterator[KeyTable]:
 
 
 def vector_of(dimension: Dimension, form: str, most: float) -> Several:
-    """Three quantities, none larger than ``most`` either way."""
+    """Return a list of three quantities, each from -``most`` to ``most``."""
     number = QuantityValue(dimension, least=-most, most=most)
     return Several(of=number, words=form, expected=f"a list of three, each {dimension.expected}", count=3)
 

@@ -1,7 +1,7 @@
-"""Scenario files made of others: ``extends``, ``without`` and ``matrix``, worked out on their trees.
+"""Composition of scenario files: ``extends``, ``without`` and ``matrix``, worked out on their trees.
 
-What comes out are ordinary trees, in which every part still knows the file and line where somebody
-wrote it.  Files, bytes, combinations and values are bounded; nothing is executed.
+The results are ordinary trees, in which every part still holds the file and line of its origin.  Files,
+bytes, combinations and values are bounded, and no code of a file is executed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MAX_BYTES = 1_000_000  # of one file
 MOST_BYTES = 20_000_000  # of all the files that one path leads to
 LONGEST_CHAIN = 8
 MOST_COMBINATIONS = 1_000
-MOST_VALUES = 300_000  # of all combinations together, so that reading them ends in seconds
+MOST_VALUES = 300_000  # of all combinations together, so that they are read within seconds
 
 _LABEL = re.compile(r"[\w.+%°-]+(?: [\w.+%°-]+)*")  # it becomes part of a file's name
 _LONGEST_LABEL, _LONGEST_NAME = 40, 150
@@ -40,7 +40,7 @@ _Rewrite = Callable[[str], str]
 
 @dataclass
 class Library:
-    """The files that one path leads to: each is read once, all of them together are bounded."""
+    """The files that a path leads to; it reads each file once, and bounds their sizes together."""
 
     _trees: dict[Path, Node] = field(default_factory=dict)
     _bytes: int = 0
@@ -51,7 +51,16 @@ class Library:
         return tuple(self._trees)
 
     def tree(self, path: Path, place: Place | None = None) -> Node:
-        """The tree of a file as it stands; ScenarioError, at ``place`` if there is no such file."""
+        """Return the tree of a file as it stands.
+
+        Args:
+            path: The file.
+            place: The place of its name, for errors; None: the file itself.
+
+        Raises:
+            ScenarioError: The file cannot be read, is not a tree, or the files exceed the bound.
+
+        """
         key = resolved(path)
         if key not in self._trees:
             data = read_bytes(path, most=MAX_BYTES, place=place or Place(file=path), error=ScenarioError)
@@ -65,7 +74,10 @@ class Library:
 
 
 def tree_of(text: str, file: Path, place: Place | None = None) -> Node:
-    """The tree of a file's text; an error quotes it only if it has a key of ours, else it is at ``place``."""
+    """Return the tree of a file's text; ScenarioError if it is malformed or foreign.
+
+    Only the error of a file with a key of ours quotes the file.  Otherwise the error stands at ``place``.
+    """
     try:
         tree = parse_tree(text, file)
     except ScenarioError:
@@ -78,22 +90,23 @@ def tree_of(text: str, file: Path, place: Place | None = None) -> Node:
 
 
 def is_space(tree: Node) -> bool:
-    """Whether a tree begins a scenario space."""
+    """Return whether a tree begins a scenario space."""
     return isinstance(tree, Mapping) and SPACE_KEY in _keys(tree)
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One scenario of a file: a tree without any key of composition, and the name that goes with it."""
+    """A scenario of a file: a tree without any key of composition, and its name."""
 
     name: str
     tree: Node
 
 
 def variants(path: Path, library: Library) -> tuple[Variant, ...]:
-    """Everything that a scenario file stands for: one tree, or one for each combination of its matrix.
+    """Return the scenarios of a file: a single tree, or one for each combination of its matrix.
 
-    Files of results are called after it, and reports show its name: ScenarioError unless that will do.
+    Files of results take its name, and reports show it: ScenarioError for a name that is too long or
+    unprintable.
     """
     if not path.stem.isprintable() or len(path.stem.encode()) > _LONGEST_NAME:
         expected = f"a file with a name of printable characters, at most {_LONGEST_NAME} bytes"
@@ -103,7 +116,7 @@ def variants(path: Path, library: Library) -> tuple[Variant, ...]:
         return (Variant(path.stem, tree),)
     matrix = dict(Field(tree, path, path="", line=1).entries("a scenario"))[MATRIX]
     plain = without_keys(tree, {MATRIX})
-    found = []
+    results = []
     for combination in itertools.product(*_axes(matrix, plain)):
         name = f"{path.stem}[{','.join(label for label, _ in combination)}]"
         if len(name.encode()) > _LONGEST_NAME:
@@ -111,24 +124,27 @@ def variants(path: Path, library: Library) -> tuple[Variant, ...]:
         whole: Node = plain
         for _, changes in combination:
             whole = merged(whole, changes)
-        found.append(Variant(name, whole))
-    return tuple(found)
+        results.append(Variant(name, whole))
+    return tuple(results)
 
 
 def only_variant(path: Path, library: Library, expected: str) -> Variant:
-    """What a file stands for that has to be one thing, ``expected``; ScenarioError for a matrix."""
-    found = variants(path, library)
-    if len(found) > 1:
-        place, got = Place(file=path, field=MATRIX), f"a matrix of {len(found)}"
+    """Return the only scenario of a file; ScenarioError for a matrix.
+
+    ``expected`` completes "expected ..." of the error.
+    """
+    results = variants(path, library)
+    if len(results) > 1:
+        place, got = Place(file=path, field=MATRIX), f"a matrix of {len(results)}"
         raise ScenarioError(place=place, expected=expected, got=got)
-    return found[0]
+    return results[0]
 
 
-def merged(base: Node, over: Node) -> Node:
-    """``over`` on top of ``base``: mappings key by key, anything else in its place."""
-    if not isinstance(base, Mapping) or not isinstance(over, Mapping) or _WHOLE & (_keys(base) | _keys(over)):
-        return over
-    changes = {key.text: (key, value) for key, value in over.entries}
+def merged(base: Node, top: Node) -> Node:
+    """Return ``top`` on top of ``base``: mappings merge key by key, any other value replaces the old."""
+    if not isinstance(base, Mapping) or not isinstance(top, Mapping) or _WHOLE & (_keys(base) | _keys(top)):
+        return top
+    changes = {key.text: (key, value) for key, value in top.entries}
     entries = []
     for key, value in base.entries:
         if key.text in changes:
@@ -136,11 +152,14 @@ def merged(base: Node, over: Node) -> Node:
             entries.append((changed, merged(value, change)))
         else:
             entries.append((key, value))
-    return Mapping((*entries, *changes.values()), over.line, over.file)
+    return Mapping((*entries, *changes.values()), top.line, top.file)
 
 
 def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Place | None = None) -> Node:
-    """The tree of a file with what it extends below it; ``chain`` are the files on the way to it."""
+    """Return the tree of a file merged over the file that it extends.
+
+    ``chain`` has the files on the way to it, ``place`` the place of its name.
+    """
     tree = library.tree(path, place)
     if not isinstance(tree, Mapping):
         return tree
@@ -149,17 +168,17 @@ def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Plac
         if WITHOUT in given:
             raise given[WITHOUT].error(f'the key "{EXTENDS}" beside it', got=f'"{WITHOUT}" alone')
         return tree
-    asked = given[EXTENDS]
-    base_path = located(path.parent / asked.sentence("the file that this one extends"), asked.place)
+    extends = given[EXTENDS]
+    base_path = located(path.parent / extends.sentence("the file that this one extends"), extends.place)
     here = (*chain, path)
-    if resolved(base_path) in [resolved(one) for one in here]:
-        words = " extends ".join(one.name for one in (*here, base_path))
-        raise asked.error("files that do not extend each other in a circle", got=words)
+    if resolved(base_path) in [resolved(file) for file in here]:
+        circle = " extends ".join(file.name for file in (*here, base_path))
+        raise extends.error("files that do not extend each other in a circle", got=circle)
     if len(here) >= LONGEST_CHAIN:
-        raise asked.error(f"a chain of at most {LONGEST_CHAIN} files", got="a longer one")
-    base = _extended(base_path, library, here, asked.place)
+        raise extends.error(f"a chain of at most {LONGEST_CHAIN} files", got="a longer one")
+    base = _extended(base_path, library, here, extends.place)
     if not isinstance(base, Mapping) or SUITE in _keys(base):
-        raise asked.error("a scenario file", got=f"{base_path}, which is none")
+        raise extends.error("a scenario file", got=f"{base_path}, which is none")
     if resolved(base_path.parent) != resolved(path.parent):
         base = _moved(base, base_path.parent, path.parent)
     assert isinstance(base, Mapping)
@@ -172,16 +191,16 @@ def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Plac
 
 
 def _reduced(base: Mapping, without: Field) -> Mapping:
-    """``base`` less the keys and the claims that ``without`` lists."""
+    """Return ``base`` without the keys and claims that ``without`` lists."""
     claims = next((value for key, value in base.entries if key.text == "claims"), None)
     sentences = _keys(claims) if isinstance(claims, Mapping) else set()
     dropped = set()
     for item in without.items("a list of keys and claims of the file that is extended", least=1):
-        word = item.scalar("a key or a claim of the file that is extended")
-        if word not in _keys(base) | sentences:
-            hint = near_miss(word, _keys(base) | sentences)
+        name = item.scalar("a key or a claim of the file that is extended")
+        if name not in _keys(base) | sentences:
+            hint = near_miss(name, _keys(base) | sentences)
             raise item.error("a key or a claim of the file that is extended", hint=hint)
-        dropped.add(word)
+        dropped.add(name)
     left = without_keys(base, dropped).entries
     if isinstance(claims, Mapping):
         fewer = without_keys(claims, dropped)
@@ -190,7 +209,7 @@ def _reduced(base: Mapping, without: Field) -> Mapping:
 
 
 def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
-    """The labels of each axis with what they change, after every check."""
+    """Return the labels of each axis with their changes, after every check."""
     expected = "a mapping of axes, each a mapping of labels and what they change"
     axes: list[list[tuple[str, Node]]] = []
     changed_by: dict[tuple[str, ...], str] = {}
@@ -200,10 +219,10 @@ def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
             raise below.error("at least one label")
         changes = {path for label, change in labels for path in _changes(_checked(label, change).node)}
         for path in sorted(changes):
-            for other, by in changed_by.items():
-                if path[: len(other)] == other[: len(path)]:
+            for earlier, earlier_axis in changed_by.items():
+                if path[: len(earlier)] == earlier[: len(path)]:
                     raise below.error(
-                        f'axes that change different values; "{by}" changes {".".join(other)}',
+                        f'axes that change different values; "{earlier_axis}" changes {".".join(earlier)}',
                         got=f'"{axis}", which changes {".".join(path)}',
                     )
         changed_by.update(dict.fromkeys(changes, axis))
@@ -220,6 +239,7 @@ def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
 
 
 def _checked(label: str, change: Field) -> Field:
+    """Return the change of a label; ScenarioError if the label or a key is not allowed."""
     if not _LABEL.fullmatch(label) or len(label) > _LONGEST_LABEL:
         expected = f"a label of at most {_LONGEST_LABEL} letters, digits, spaces and . + - % _"
         raise change.error(expected, got=shown(label))
@@ -232,7 +252,7 @@ def _checked(label: str, change: Field) -> Field:
 
 
 def _changes(node: Node) -> Iterator[tuple[str, ...]]:
-    """The paths of the values that a tree of changes sets."""
+    """Yield the paths of the values that a tree of changes sets."""
     assert isinstance(node, Mapping)
     for key, value in node.entries:
         if isinstance(value, Mapping) and value.entries and not _WHOLE & _keys(value):
@@ -241,20 +261,27 @@ def _changes(node: Node) -> Iterator[tuple[str, ...]]:
             yield (key.text,)
 
 
-def _moved(node: Node, folder: Path, to: Path) -> Node:
-    """A tree in which avoiders and recordings are named as seen from another folder."""
-    words: dict[str, _Rewrite] = {
-        "avoider": lambda text: avoider_seen_from(to, text, folder),
-        "controller": lambda text: avoider_seen_from(to, text, folder),
-        "recording": lambda text: seen_from(to, text, folder),
-        **{key: lambda text: robot_seen_from(to, text, folder) for key in ("robot", "arm")},
-        **{key: lambda text: seen_from(to, text, folder) for key in FILES},
+def _moved(node: Node, folder: Path, target: Path) -> Node:
+    """Return a tree whose avoiders, recordings and robots are relative to another folder."""
+    rewrites: dict[str, _Rewrite] = {
+        "avoider": lambda text: avoider_seen_from(target, text, folder),
+        "controller": lambda text: avoider_seen_from(target, text, folder),
+        "recording": lambda text: seen_from(target, text, folder),
+        **{key: lambda text: robot_seen_from(target, text, folder) for key in ("robot", "arm")},
+        **{key: lambda text: seen_from(target, text, folder) for key in FILES},
     }
-    return rewritten(node, words)
+    return rewritten(node, rewrites)
 
 
-def rewritten(node: Node, words: dict[str, _Rewrite], rewrite: _Rewrite | None = None) -> Node:
-    """Return the tree in which texts below the keys of ``words`` are what these make of them."""
+def rewritten(node: Node, rewrites: dict[str, _Rewrite], rewrite: _Rewrite | None = None) -> Node:
+    """Return the tree with new texts below certain keys.
+
+    Args:
+        node: The tree.
+        rewrites: The function for the texts below each key.
+        rewrite: The function for this node, from the key above it; None: no change.
+
+    """
     if isinstance(node, Scalar):
         if rewrite is None or not node.text:
             return node
@@ -262,25 +289,26 @@ def rewritten(node: Node, words: dict[str, _Rewrite], rewrite: _Rewrite | None =
         parts = options.split(", ") if first else [options]
         return replace(node, text=first + ", ".join(map(rewrite, parts)))
     if isinstance(node, Sequence):
-        return replace(node, items=tuple(rewritten(item, words, rewrite) for item in node.items))
+        return replace(node, items=tuple(rewritten(item, rewrites, rewrite) for item in node.items))
     entries = []
     for key, value in node.entries:
         listed = key.text in FILES and isinstance(value, Sequence)  # capsules of a tool, and no file of them
-        entries.append((key, rewritten(value, words, None if listed else words.get(key.text, rewrite))))
+        entries.append((key, rewritten(value, rewrites, None if listed else rewrites.get(key.text, rewrite))))
     return replace(node, entries=tuple(entries))
 
 
 def _keys(mapping: Mapping) -> set[str]:
+    """Return the keys of a mapping."""
     return {key.text for key, _ in mapping.entries}
 
 
 def without_keys(mapping: Mapping, keys: set[str]) -> Mapping:
-    """The mapping less some of its entries."""
+    """Return the mapping without some of its entries."""
     return replace(mapping, entries=tuple(entry for entry in mapping.entries if entry[0].text not in keys))
 
 
 def _size(node: Node) -> int:
-    """How many values a tree has."""
+    """Return the number of values in a tree."""
     if isinstance(node, Scalar):
         return 1
     below = node.items if isinstance(node, Sequence) else tuple(value for _, value in node.entries)

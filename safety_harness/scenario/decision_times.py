@@ -1,7 +1,7 @@
-"""The setting ``decision time``: what a decision costs in simulated time, and profiles measured of it.
+"""The setting ``decision time``: the cost of a decision in simulated time, and measured profiles.
 
-A profile is a JSON file, from ``safety-harness time``; a scenario that names one is written with what
-stands in it, so that a trace is complete in itself.
+A profile is a JSON file from ``safety-harness time``.  The stored form of a scenario contains its profile, so
+that a trace is complete in itself.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LONGEST_S = 60.0
 MOST_QUANTILES = 1_001
 MOST_BYTES = 1_000_000
 PROFILE = ".json"
-KEYS = ("quantiles", *(one.name for one in fields(Measured)))
+KEYS = ("quantiles", *(entry.name for entry in fields(Measured)))
 FORM = (
     f"a time from 0 s to {LONGEST_S:g} s; `between 5 ms and 40 ms`; `FILE{PROFILE}`, a measured profile; "
     f"`{DecisionCost.AS_DECLARED.value}` or `{DecisionCost.WALL_CLOCK.value}`"
@@ -39,7 +39,7 @@ _EXPECTED = FORM.replace("`", '"')
 
 
 def read_decision_time(field: Field) -> DecisionCost | DecisionTimes:
-    """Any of the forms; ScenarioError."""
+    """Return the decision time of a field in any of its forms; ScenarioError for another form."""
     if isinstance(field.node, Mapping):
         return _inline(field)
     text = " ".join(field.scalar(_EXPECTED).split())
@@ -53,14 +53,14 @@ def read_decision_time(field: Field) -> DecisionCost | DecisionTimes:
     low, _, high = text.removeprefix("between ").partition(" and ")
     if not text.startswith("between "):
         return DecisionTimes(quantiles_s=(field.quantity(TIME, least=0.0, most=LONGEST_S),))
-    return _checked(field, tuple(parse_quantity(one, TIME, field.place) for one in (low, high)), None)
+    return _checked(field, tuple(parse_quantity(entry, TIME, field.place) for entry in (low, high)), None)
 
 
 def write_decision_time(value: DecisionCost | DecisionTimes) -> str | dict[str, str | list[str]]:
-    """From which the same is read again."""
+    """Return the text or mapping from which ``read_decision_time`` gives the same value."""
     if isinstance(value, DecisionCost):
         return value.value
-    texts = [format_quantity(one, TIME) for one in value.quantiles_s]
+    texts = [format_quantity(entry, TIME) for entry in value.quantiles_s]
     if value.measured is None:
         return texts[0] if len(texts) == 1 else f"between {texts[0]} and {texts[1]}"
     own = {key: json.dumps(text) for key, text in asdict(value.measured).items()}
@@ -68,16 +68,23 @@ def write_decision_time(value: DecisionCost | DecisionTimes) -> str | dict[str, 
 
 
 def profile_text(times: DecisionTimes) -> str:
-    """The file of a measured profile."""
+    """Return the text of a profile's file."""
     assert times.measured is not None
     whole = {"format": FORMAT, **asdict(times.measured), "quantiles_s": list(times.quantiles_s)}
     return json.dumps(whole, indent=1) + "\n"
 
 
-def refuse_wall_clock(scenario: Scenario, error: type[InputError], *, whose: str) -> None:
-    """``error`` for a scenario whose runs do not repeat, where ``whose`` runs have to."""
+def refuse_wall_clock(scenario: Scenario, error: type[InputError], *, runs: str) -> None:
+    """Raise ``error`` for a scenario whose runs do not repeat.
+
+    Args:
+        scenario: The scenario.
+        error: The type of the error.
+        runs: The runs that have to repeat, for the message.
+
+    """
     if scenario.settings.avoidance.decision_time is DecisionCost.WALL_CLOCK:
-        expected = f"a time that does not depend on the machine: {whose} have to repeat"
+        expected = f"a time that does not depend on the machine: {runs} have to repeat"
         hint = "safety-harness run takes it for one scenario; a measured profile is taken here too"
         got = DecisionCost.WALL_CLOCK.value
         place = scenario.place("settings.avoidance.decision time")
@@ -85,6 +92,7 @@ def refuse_wall_clock(scenario: Scenario, error: type[InputError], *, whose: str
 
 
 def _inline(field: Field) -> DecisionTimes:
+    """Return the decision times of a mapping, which is a stored profile."""
     given = field.fields(KEYS)
     items = given.required("quantiles").items("a list of times", least=2, most=MOST_QUANTILES)
     measured = Measured(
@@ -97,28 +105,31 @@ def _inline(field: Field) -> DecisionTimes:
 
 
 def _checked(field: Field, times_s: tuple[float, ...], measured: Measured | None) -> DecisionTimes:
+    """Return the decision times; ScenarioError unless they rise within the bounds."""
     if not _rise(times_s):
         raise field.error(f"times that rise, from 0 s to {LONGEST_S:g} s")
     return DecisionTimes(quantiles_s=times_s, measured=measured)
 
 
 def _rise(times_s: tuple[float, ...]) -> bool:
+    """Return whether times [s] rise, from 0 to at most LONGEST_S."""
     return times_s[0] >= 0.0 and times_s[-1] <= LONGEST_S and tuple(sorted(times_s)) == times_s
 
 
 def _profile(path: Path, place: Place) -> DecisionTimes:
+    """Return the decision times of a profile's file, whose name stands at ``place``."""
     data = read_bytes(path, most=MOST_BYTES, place=place, error=ScenarioError)
     text = decode(data, most=MOST_BYTES, file=path, error=ScenarioError)
-    found = _parsed(text)
-    if found is None:
+    times = _parsed(text)
+    if times is None:
         expected = f"a profile of decision times ({FORMAT!r})"
         hint = '"safety-harness time AVOIDER --out FILE.json" measures one'
         raise ScenarioError(place=place, expected=expected, got=f"another file: {path.name}", hint=hint)
-    return found
+    return times
 
 
 class _Profile(msgspec.Struct):
-    """What a profile's file holds."""
+    """The content of a profile's file."""
 
     format: str
     avoider: str
@@ -128,14 +139,15 @@ class _Profile(msgspec.Struct):
     quantiles_s: Annotated[tuple[float, ...], msgspec.Meta(min_length=2, max_length=MOST_QUANTILES)]
 
 
-@lru_cache(maxsize=16)  # the scenarios of a space name the same one over and over
+@lru_cache(maxsize=16)  # the scenarios of a space all name the same profile
 def _parsed(text: str) -> DecisionTimes | None:
+    """Return the decision times of a profile's text, or None for another text."""
     try:
-        found = msgspec.json.decode(text, type=_Profile)
+        profile = msgspec.json.decode(text, type=_Profile)
     except (ValueError, RecursionError):
         return None
-    texts = (found.avoider, found.machine, found.sha256 or "none")
-    if found.format != FORMAT or not all(map(is_sentence, texts)) or not _rise(found.quantiles_s):
+    texts = (profile.avoider, profile.machine, profile.sha256 or "none")
+    if profile.format != FORMAT or not all(map(is_sentence, texts)) or not _rise(profile.quantiles_s):
         return None
-    measured = Measured(**{key: getattr(found, key) for key in KEYS[1:]})
-    return DecisionTimes(quantiles_s=found.quantiles_s, measured=measured)
+    measured = Measured(**{key: getattr(profile, key) for key in KEYS[1:]})
+    return DecisionTimes(quantiles_s=profile.quantiles_s, measured=measured)

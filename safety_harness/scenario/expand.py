@@ -1,4 +1,4 @@
-"""Every scenario that a path leads to: a file, each combination of its matrix, a folder, a suite."""
+"""All scenarios that a path leads to: a file, each combination of its matrix, a folder, a suite."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ from safety_harness.scenario.reference_tables import TOP
 DEEPEST_SUITE = 8
 MOST_FILES = 1_000
 MOST_SCENARIOS = 10_000
-# What a key's value is held against: of one read beside an example of that no mistake is told.
+# The keys that a key's value depends on: beside an example of these, an error in it would be misleading.
 READ_WITH = {"duration": ("settings",), "faults": ("duration", "settings")}
 
 
 @dataclass
 class Gathered:
-    """What several paths lead to: the scenarios, the spaces if asked for, the mistakes on the way.
+    """The scenarios of several paths, the spaces on request, and the mistakes on the way.
 
     It walks through files, folders and suites, path by path.
     """
 
     scenarios: list[Scenario] = field(default_factory=list)
-    spaces: list[tuple[Variant, Path]] = field(default_factory=list)  # trees, which another room reads
+    spaces: list[tuple[Variant, Path]] = field(default_factory=list)  # trees, for the package ``space``
     errors: list[InputError] = field(default_factory=list)
-    aside: list[Path] = field(default_factory=list)  # YAML files of folders that are not taken
+    aside: list[Path] = field(default_factory=list)  # YAML files of folders that are not ours
     _spaces_too: bool = False
     _library: Library = field(default_factory=Library)
     _seen: set[Path] = field(default_factory=set)
@@ -53,10 +53,18 @@ class Gathered:
 
     @property
     def _kinds(self) -> tuple[FileKind, ...]:
+        """The kinds of file that it accepts."""
         return (FileKind.SCENARIO, FileKind.SUITE, *[FileKind.SPACE] * self._spaces_too)
 
     def add(self, path: Path, place: Place | None = None, suites: tuple[Path, ...] = ()) -> None:
-        """What ``path``, named at ``place`` in the last of ``suites``, leads to."""
+        """Add the scenarios that ``path`` leads to; ``errors`` receives its mistakes.
+
+        Args:
+            path: A file, a folder or a suite.
+            place: The place of its name, for errors; None: the file itself.
+            suites: The suites on the way to it; the last of them names it.
+
+        """
         try:
             if path.is_dir() and not any(yaml_files(path)):
                 refuse_other_kind(path, *self._kinds, FileKind.FOLDER, place=place)
@@ -75,6 +83,7 @@ class Gathered:
             self.errors.append(error)
 
     def _add_file(self, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
+        """Add the scenarios of one file, or of the suite that it is."""
         try:
             refuse_other_kind(file, *self._kinds, place=place)
             tree = self._library.tree(file, place)
@@ -102,10 +111,11 @@ class Gathered:
             self.errors.append(error)
 
     def _add_suite(self, root: Field, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
+        """Add the scenarios of a suite; ScenarioError for a circle or too many levels."""
         if resolved(file) in suites:
-            words = " names ".join(one.name for one in (*suites, file))
+            circle = " names ".join(suite.name for suite in (*suites, file))
             raise ScenarioError(
-                place=place or root.place, expected="suites that do not name each other", got=words
+                place=place or root.place, expected="suites that do not name each other", got=circle
             )
         if len(suites) >= DEEPEST_SUITE:
             expected = f"suites of at most {DEEPEST_SUITE} levels"
@@ -117,7 +127,7 @@ class Gathered:
             self.add(path, item.place, (*suites, resolved(file)))
 
     def take(self, scenario: Scenario) -> None:
-        """Add a scenario; ScenarioError if its name is taken or there are too many."""
+        """Add a scenario; ScenarioError if its name exists already or there are too many."""
         if scenario.name in self._names:
             got = f"the name {scenario.name!r} again, after {self._names[scenario.name]}"
             raise ScenarioError.of_file(scenario.file, "file names that tell the scenarios apart", got)
@@ -129,7 +139,15 @@ class Gathered:
 
 
 def read_all_scenarios(path: str | Path) -> tuple[Scenario, ...]:
-    """Every scenario of a file, a folder or a suite; the first mistake is raised, an InputError."""
+    """Return every scenario of a file, a folder or a suite.
+
+    Args:
+        path: The file or folder; ``shipped:NAME`` works too.
+
+    Raises:
+        InputError: The first mistake in the files.
+
+    """
     gathered = gather([as_path(path, "read_all_scenarios(path)")])
     if gathered.errors:
         raise gathered.errors[0]
@@ -137,30 +155,37 @@ def read_all_scenarios(path: str | Path) -> tuple[Scenario, ...]:
 
 
 def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
-    """As ``read_all_scenarios`` for several paths, with all mistakes and not only the first.
+    """Return the scenarios of several paths, with all their mistakes.
 
-    A file counts once, however often it is named; of a matrix only the first scenario that has mistakes is
-    told of.
-    Scenario spaces are refused unless ``spaces`` asks for them.
+    A file counts once, however often the paths lead to it.  In a matrix only the first faulty scenario
+    counts.
+
+    Args:
+        paths: Files, folders and suites.
+        spaces: Whether to accept scenario spaces; otherwise they are mistakes.
+
     """
-    found, paths = Gathered(_spaces_too=spaces), list(paths)
+    gathered, paths = Gathered(_spaces_too=spaces), list(paths)
     for path in paths:
-        found.add(path)
-    if not (found.scenarios or found.spaces or found.errors):
+        gathered.add(path)
+    if not (gathered.scenarios or gathered.spaces or gathered.errors):
         place = Place(file=paths[0] if paths else None)
-        found.errors.append(ScenarioError(place=place, expected="at least one scenario", got="none"))
-    return found
+        gathered.errors.append(ScenarioError(place=place, expected="at least one scenario", got="none"))
+    return gathered
 
 
 def mistakes_of(variant: Variant, file: Path, first: InputError) -> list[InputError]:
-    """The first mistake below each top key of a scenario, read with examples in place of the wrong ones."""
-    found, tree, wrong, error = [first], variant.tree, set[str](), first
-    while isinstance(tree, Mapping) and (name := _top_key(tree, error)) and name not in wrong:
-        if wrong and wrong.isdisjoint(READ_WITH.get(name, ())):
+    """Return the first mistake below each top key of a scenario.
+
+    To find the next mistake, the scenario is read again with an example in place of each wrong value.
+    """
+    errors, tree, faulty, error = [first], variant.tree, set[str](), first
+    while isinstance(tree, Mapping) and (name := _top_key(tree, error)) and name not in faulty:
+        if faulty and faulty.isdisjoint(READ_WITH.get(name, ())):
             there = any(key.text == name for key, _ in tree.entries)
             missing = ScenarioError(place=error.place, expected=error.expected, got="none")
-            found.append(error if there else missing)  # whose words would be of examples
-        wrong.add(name)
+            errors.append(error if there else missing)  # the error's own text would speak of examples
+        faulty.add(name)
         example = next((key.lines for key in TOP.keys if key.name == name and key.required), "{}")
         tree = merged(without_keys(tree, {name}), parse_tree(example, None))
         try:
@@ -168,11 +193,11 @@ def mistakes_of(variant: Variant, file: Path, first: InputError) -> list[InputEr
             break
         except InputError as another:
             error = another
-    return found
+    return errors
 
 
 def _top_key(tree: Mapping, error: InputError) -> str | None:
-    """The top key at whose value, or for want of which, it came to an error."""
+    """Return the top key whose value, or whose absence, caused an error."""
     field = error.place.field or ""
     names = (*TOP.names, *(key.text for key, _ in tree.entries))
     return next((name for name in names if re.match(rf"{re.escape(name)}($|[.\[])", field)), None)

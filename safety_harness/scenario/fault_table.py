@@ -1,4 +1,4 @@
-"""The faults of a scenario as records for compiled code: which act at a moment, and how."""
+"""The faults of a scenario as records for compiled code, with their times and effects."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from safety_harness.base.compiled import compiled
 from safety_harness.scenario.faults import Fault, Joint, JointStuck
 
-TIME_EPS_S = 1e-9
+TIME_EPS_S = 1e-9  # tolerance for the rounding of a tick's time, at both ends of a fault
 
 
 FAULT = np.dtype(
@@ -35,10 +35,10 @@ _COLUMNS = {
 
 
 def fault_table(faults: Sequence[Fault]) -> NDArray[np.void]:
-    """(n,) FAULT; record k is fault k, and bit k of a trace's ``faults``."""
+    """Return the faults as (n,) FAULT; record k is fault k, and bit k of a trace's ``faults``."""
     table = np.zeros(len(faults), FAULT)
     for record, fault in zip(table, faults, strict=True):
-        record["kind"] = fault.said.kind
+        record["kind"] = fault.phrase.kind
         record["from_s"], record["end_s"] = fault.from_s, fault.end_s
         for name, column in _COLUMNS.items():
             record[column] = getattr(fault, name, record[column])
@@ -49,7 +49,7 @@ def fault_table(faults: Sequence[Fault]) -> NDArray[np.void]:
 
 @compiled
 def acts(faults: NDArray[np.void], k: int, kind: int | np.int64, time_s: float) -> bool:
-    """Is fault ``k`` (n,) FAULT of that kind, and ``time_s`` within its time?  Its end is not."""
+    """Return whether fault ``k`` (n,) FAULT has that kind and acts at ``time_s``; its end is excluded."""
     fault = faults[k]
     return bool(
         fault.kind == kind and fault.from_s - TIME_EPS_S <= time_s and time_s < fault.end_s - TIME_EPS_S
@@ -58,7 +58,7 @@ def acts(faults: NDArray[np.void], k: int, kind: int | np.int64, time_s: float) 
 
 @compiled
 def acting(faults: NDArray[np.void], kind: int | np.int64, time_s: float) -> int:
-    """Bits of the faults of that kind that act at ``time_s``; 0 for none."""
+    """Return the bits of the faults (n,) FAULT of that kind that act at ``time_s``, else 0."""
     bits = 0
     for k in range(faults.shape[0]):
         if acts(faults, k, kind, time_s):
@@ -68,7 +68,7 @@ def acting(faults: NDArray[np.void], kind: int | np.int64, time_s: float) -> int
 
 @compiled
 def delay_s(faults: NDArray[np.void], kind: int | np.int64, time_s: float) -> float:
-    """Sum of what the faults of that kind that act at ``time_s`` are late by."""
+    """Return the sum of the delays [s] of the faults (n,) FAULT of that kind that act at ``time_s``."""
     total = 0.0
     for k in range(faults.shape[0]):
         if acts(faults, k, kind, time_s):

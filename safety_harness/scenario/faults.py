@@ -1,9 +1,9 @@
-"""Faults with their times: what a sensor, a joint or the avoider does wrongly, and when.
+"""Faults of a sensor, a joint or the avoider, with their times.
 
-Each is a frozen dataclass, written as ``- hand sensor: is late``, ``delay: 200 ms``; one table of these
-words serves reading, writing and reports (docs/scenario-language.md has it for people).  A fault acts
-from ``from_s`` until ``end_s``, which is one of three: so long after the beginning, a moment of the run,
-or its end.
+Each is a frozen dataclass, written as ``- hand sensor: is late``, ``delay: 200 ms``.  One table of these
+words serves reading, writing and reports (docs/scenario-language.md explains it for people).  A fault acts
+from ``from_s`` until ``end_s``.  The end is a time after the beginning, a moment of the run, or the end of
+the run.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _DELAY = Key(
 
 
 class Joint(Enum):
-    """The joints of the arm, counted from its foot; the names are those of the UR family."""
+    """The joints of the arm, counted from its foot, with the names of the UR family."""
 
     PAN = "pan"
     LIFT = "lift"
@@ -62,7 +62,7 @@ class Joint(Enum):
 
 
 class FaultKind(IntEnum):
-    """What a record does."""
+    """The effect of a record."""
 
     HAND_SENSOR_BLIND = 0
     HAND_SENSOR_FROZEN = 1
@@ -91,9 +91,9 @@ class Phrase:
 
 @declared
 class Timed:
-    """When a fault acts; at most one of ``for_s`` and ``until_s`` is given."""
+    """The time of a fault; a file gives at most one of ``for_s`` and ``until_s``."""
 
-    said: ClassVar[Phrase]
+    phrase: ClassVar[Phrase]
     from_s: float = key("from", _MOMENT, "when the fault begins", "500 ms", default=0.0)
     for_s: float | None = key(
         "for",
@@ -114,7 +114,7 @@ class Timed:
 
     @property
     def end_s(self) -> float:
-        """The first moment without the fault; infinity for one that stays."""
+        """The first moment without the fault; infinity if it stays."""
         if self.for_s is not None:
             return self.from_s + self.for_s
         return inf if self.until_s is None else self.until_s
@@ -122,31 +122,34 @@ class Timed:
 
 @declared
 class HandSensorBlind(Timed):
-    """Its pictures show no hand."""
+    """The hand sensor's pictures show no hand."""
 
-    said = Phrase("hand sensor", "sees nothing", FaultKind.HAND_SENSOR_BLIND)
+    phrase = Phrase("hand sensor", "sees nothing", FaultKind.HAND_SENSOR_BLIND)
 
 
 @declared
 class HandSensorFrozen(Timed):
-    """Its pictures are the last one before, with times of their own; none before: no hand."""
+    """The hand sensor repeats its last picture with new times.
 
-    said = Phrase("hand sensor", "freezes", FaultKind.HAND_SENSOR_FROZEN)
+    Without an earlier picture it shows no hand.
+    """
+
+    phrase = Phrase("hand sensor", "freezes", FaultKind.HAND_SENSOR_FROZEN)
 
 
 @declared
 class HandSensorLate(Timed):
-    """Its pictures arrive later by ``delay_s``, in their order."""
+    """The hand sensor's pictures arrive later by ``delay_s``, in their order."""
 
-    said = Phrase("hand sensor", "is late", FaultKind.HAND_SENSOR_LATE)
+    phrase = Phrase("hand sensor", "is late", FaultKind.HAND_SENSOR_LATE)
     delay_s: float = keyed(_DELAY)
 
 
 @declared
 class HandSensorOff(Timed):
-    """It measures every hand at a place that is off by ``offset_in_base_m``."""
+    """The hand sensor measures every hand at a place that is off by ``offset_in_base_m``."""
 
-    said = Phrase("hand sensor", "is off", FaultKind.HAND_SENSOR_OFF)
+    phrase = Phrase("hand sensor", "is off", FaultKind.HAND_SENSOR_OFF)
     offset_in_base_m: Vector3 = key(
         "offset", _SHIFT, "by how much every hand is measured off, in base", "[50 mm, 0 mm, 0 mm]"
     )
@@ -154,9 +157,9 @@ class HandSensorOff(Timed):
 
 @declared
 class FalseHand(Timed):
-    """It sees one hand more, with its centre at ``position_in_base_m``; nothing is there."""
+    """The hand sensor sees an additional hand with its centre at ``position_in_base_m``, which is empty."""
 
-    said = Phrase("hand sensor", "sees a false hand", FaultKind.FALSE_HAND)
+    phrase = Phrase("hand sensor", "sees a false hand", FaultKind.FALSE_HAND)
     position_in_base_m: Vector3 = key(
         "at", POINT, "where the hand is that is none, in base", "[800 mm, -350 mm, 250 mm]"
     )
@@ -166,33 +169,36 @@ class FalseHand(Timed):
 class CameraBlind(Timed):
     """The servoing camera's pictures do not show the object."""
 
-    said = Phrase("camera", "sees nothing", FaultKind.CAMERA_BLIND)
+    phrase = Phrase("camera", "sees nothing", FaultKind.CAMERA_BLIND)
 
 
 @declared
 class CameraFrozen(Timed):
-    """Its pictures are the last one before, with times of their own; none before: no object."""
+    """The camera repeats its last picture with new times.
 
-    said = Phrase("camera", "freezes", FaultKind.CAMERA_FROZEN)
+    Without an earlier picture it shows no object.
+    """
+
+    phrase = Phrase("camera", "freezes", FaultKind.CAMERA_FROZEN)
 
 
 @declared
 class CameraLate(Timed):
-    """Its pictures arrive later by ``delay_s``, in their order."""
+    """The camera's pictures arrive later by ``delay_s``, in their order."""
 
-    said = Phrase("camera", "is late", FaultKind.CAMERA_LATE)
+    phrase = Phrase("camera", "is late", FaultKind.CAMERA_LATE)
     delay_s: float = keyed(_DELAY)
 
 
 @declared
 class CameraKnocked(Timed):
-    """It sits otherwise than it was calibrated, and than when the desired picture was taken.
+    """The camera has moved since its calibration and since the desired picture.
 
-    Turned by a rotation vector in the camera frame, shifted in the TCP frame; of several at a time
-    the turns follow one another and the shifts add up.
+    It is turned by a rotation vector in the camera frame and shifted in the TCP frame.  If several such
+    faults act at a time, the turns follow one another and the shifts add up.
     """
 
-    said = Phrase("camera", "is knocked", FaultKind.CAMERA_KNOCKED)
+    phrase = Phrase("camera", "is knocked", FaultKind.CAMERA_KNOCKED)
     turned_in_camera_rad: Vector3 = key(
         "turned",
         ROTATION,
@@ -213,37 +219,37 @@ class CameraKnocked(Timed):
 class CameraHidden(Timed):
     """A hand or forearm between the camera and any part of the object hides the object."""
 
-    said = Phrase("camera", "is hidden by hands", FaultKind.CAMERA_HIDDEN)
+    phrase = Phrase("camera", "is hidden by hands", FaultKind.CAMERA_HIDDEN)
 
 
 @declared
 class JointStuck(Timed):
-    """A joint stands still whatever is commanded."""
+    """A joint stands still and ignores commands."""
 
-    said = Phrase("joint", "is stuck", FaultKind.JOINT_STUCK)
+    phrase = Phrase("joint", "is stuck", FaultKind.JOINT_STUCK)
     joint: Joint = key("which", Word(Joint), "the joint, counted from the foot", "elbow")
 
 
 @declared
 class AvoiderLate(Timed):
-    """An answer to what is asked now counts ``delay_s`` later; at the decision deadline there is none."""
+    """The avoider answers a question of this time ``delay_s`` later; from the decision deadline on, never."""
 
-    said = Phrase("avoider", "is late", FaultKind.AVOIDER_LATE)
+    phrase = Phrase("avoider", "is late", FaultKind.AVOIDER_LATE)
     delay_s: float = keyed(_DELAY)
 
 
 @declared
 class AvoiderSilent(Timed):
-    """What is asked now is never answered."""
+    """A question of this time never gets an answer."""
 
-    said = Phrase("avoider", "never answers", FaultKind.AVOIDER_SILENT)
+    phrase = Phrase("avoider", "never answers", FaultKind.AVOIDER_SILENT)
 
 
 @declared
 class AvoiderNaN(Timed):
-    """What is asked now is answered with a position that is no number."""
+    """A question of this time gets a position of NaN as its answer."""
 
-    said = Phrase("avoider", "answers NaN", FaultKind.AVOIDER_NAN)
+    phrase = Phrase("avoider", "answers NaN", FaultKind.AVOIDER_NAN)
 
 
 HandSensorFault = HandSensorBlind | HandSensorFrozen | HandSensorLate | HandSensorOff | FalseHand
@@ -257,9 +263,9 @@ TIMES = _TIMES.names
 
 
 def _own(kind: type[Any]) -> KeyTable:
-    """The keys of one fault without those of its time; one of them has to be there."""
-    table = table_of(kind, kind.said.predicate)
-    return replace(table, keys=table.keys[len(TIMES) :], told_by=kind.said.subject)
+    """Return the keys of a fault without its time; a file needs at least one key of these."""
+    table = table_of(kind, kind.phrase.predicate)
+    return replace(table, keys=table.keys[len(TIMES) :], told_by=kind.phrase.subject)
 
 
 OWN_KEYS = {kind: _own(kind) for kind in EVERY_FAULT}
@@ -270,7 +276,7 @@ SUBJECTS = {
 
 
 def fault_tables() -> tuple[KeyTable, ...]:
-    """A table for each thing that can fail."""
+    """Return a table for each subject that can fail."""
     tables = []
     for subject, own in SUBJECTS.items():
         first, *_ = own
@@ -288,7 +294,7 @@ def fault_tables() -> tuple[KeyTable, ...]:
 
 
 def read_faults(field: Field | None, *, duration_s: float) -> tuple[Fault, ...]:
-    """The faults of a scenario that lasts ``duration_s``, in the order of the file."""
+    """Return the faults of a scenario that lasts ``duration_s``, in the order of the file."""
     if field is None:
         return ()
     expected = f"a list of at most {MOST_FAULTS} faults"
@@ -300,14 +306,15 @@ def read_faults(field: Field | None, *, duration_s: float) -> tuple[Fault, ...]:
 
 
 def _fault(field: Field, duration_s: float) -> Fault:
+    """Return the fault of one mapping; ScenarioError if a key or a time does not fit."""
     subject = field.only_key("fault", SUBJECTS)
     predicates = SUBJECTS[subject]
-    said = dict(field.entries("a fault"))[subject]
+    clause = dict(field.entries("a fault"))[subject]
     expected = f"what the {subject} does: one of {', '.join(predicates)}"
-    words = said.scalar(expected).strip()
-    if words not in predicates:
-        raise said.error(expected, hint=near_miss(words, predicates))
-    table = predicates[words]
+    predicate = clause.scalar(expected).strip()
+    if predicate not in predicates:
+        raise clause.error(expected, hint=near_miss(predicate, predicates))
+    table = predicates[predicate]
     fields = field.fields((subject, *table.names, *TIMES))
     values = table.values(fields)
     if table.keys and not any(name in fields for name in table.names):
@@ -318,8 +325,8 @@ def _fault(field: Field, duration_s: float) -> Fault:
 
 
 def _times(fields: Fields, duration_s: float) -> dict[str, float]:
-    """``from_s``, ``for_s`` and ``until_s``, those that are given."""
-    times = {f"{word}_s": fields.required(word).quantity(TIME, least=0.0) for word in TIMES if word in fields}
+    """Return the given values among ``from_s``, ``for_s`` and ``until_s``."""
+    times = {f"{name}_s": fields.required(name).quantity(TIME, least=0.0) for name in TIMES if name in fields}
     begin_s = times.get("from_s", 0.0)
     if begin_s >= duration_s:
         raise fields.required("from").error(f"a fault that begins before the run ends, at {duration_s:g} s")
@@ -333,25 +340,25 @@ def _times(fields: Fields, duration_s: float) -> dict[str, float]:
 
 
 def write_fault(fault: Fault) -> dict[str, Tree]:
-    """The keys and values of one fault, from which ``read_faults`` gives it again."""
+    """Return the keys and values of one fault, from which ``read_faults`` gives it again."""
     own = OWN_KEYS[type(fault)]
     return {own.told_by: own.name, **own.write(fault), **_TIMES.write(fault)}
 
 
 def fault_words(fault: Fault) -> str:
-    """A fault as a sentence for people: "hand sensor is late (delay 0.2 s), from 1 s until 3 s"."""
+    """Return a fault as a sentence: "hand sensor is late (delay 0.2 s), from 1 s until 3 s"."""
     own = OWN_KEYS[type(fault)]
-    words = f"{own.told_by} {own.name}"
+    sentence = f"{own.told_by} {own.name}"
     if isinstance(fault, JointStuck):
-        words = f"{fault.joint.value} joint {own.name}"
+        sentence = f"{fault.joint.value} joint {own.name}"
     written = own.write(fault)
     values = [(key, getattr(fault, key.attribute)) for key in own.keys if not isinstance(key.value, Word)]
     if values:
-        told = (
+        details = (
             f"{key.name} {in_a_line(written[key.name]) if isinstance(value, tuple) else f'{value:g} s'}"
             for key, value in values
         )
-        words += f" ({', '.join(told)})"
+        sentence += f" ({', '.join(details)})"
     if fault.end_s == inf:
-        return words + (f", from {fault.from_s:g} s" if fault.from_s else ", all the time")
-    return f"{words}, from {fault.from_s:g} s until {fault.end_s:g} s"
+        return sentence + (f", from {fault.from_s:g} s" if fault.from_s else ", all the time")
+    return f"{sentence}, from {fault.from_s:g} s until {fault.end_s:g} s"

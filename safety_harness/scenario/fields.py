@@ -1,7 +1,7 @@
-"""Typed reading of one value at a time: a ``Field`` is a node that knows where it stands.
+"""Typed reading of single values: a ``Field`` is a node that knows its place.
 
-Every method either returns a checked value or raises ScenarioError with file, line, field, what
-was expected and what came.
+Every method either returns a checked value or raises ScenarioError with file, line, field, expectation and
+actual input.
 """
 
 from __future__ import annotations
@@ -33,15 +33,22 @@ SENTENCE = f"one line of 1 to {_LONGEST_SENTENCE} printable characters"
 
 
 def is_sentence(text: str) -> bool:
-    """Whether ``text`` can be a name, or a sentence that is looked up elsewhere."""
+    """Return whether ``text`` can be a name, or a sentence of a language such as the claims'."""
     return bool(text.strip()) and text.isprintable() and len(text) <= _LONGEST_SENTENCE
 
 
 class Field(NamedTuple):
-    """One value of a scenario file.  ``path`` is what a message calls it: ``hands[0].starts at``.
+    """One value of a scenario file.
 
-    ``file`` is the scenario's own, which relative paths start from; ``origin`` is the one in which
-    the value stands, if that is another.  (A tuple, since a search makes a million of them a minute.)
+    Args:
+        node: The value.
+        file: The scenario's own file, from which relative paths start; None: a text without a file.
+        path: The name in messages: ``hands[0].starts at``.
+        line: The line in its file, from 1.
+        origin: The file that contains the value, if it differs from ``file``.
+
+    It is a tuple, since a search makes a million of them a minute.
+
     """
 
     node: Node
@@ -52,17 +59,24 @@ class Field(NamedTuple):
 
     @property
     def place(self) -> Place:
-        """For errors, here and after reading."""
+        """The place for errors, here and after reading."""
         return Place(file=self.origin or self.file, line=self.line, field=self.path or None)
 
     def error(self, expected: str, *, got: str | None = None, hint: str = "") -> ScenarioError:
-        """The error to raise when this value is not what was expected."""
+        """Return the error for a value that differs from the expectation.
+
+        Args:
+            expected: Completes "expected ...".
+            got: Completes "got ..."; None: the value itself.
+            hint: One more line of help.
+
+        """
         return ScenarioError(
             place=self.place, expected=expected, got=got if got is not None else self.got(), hint=hint
         )
 
     def got(self) -> str:
-        """What came, in the words of a message."""
+        """Return the actual value in the words of a message."""
         if isinstance(self.node, Scalar):
             return shown(self.node.text)
         count = len(self.node.items if isinstance(self.node, Sequence) else self.node.entries)
@@ -70,7 +84,7 @@ class Field(NamedTuple):
         return f"an empty {kind}" if count == 0 else f"a {kind} of {count}"
 
     def scalar(self, expected: str) -> str:
-        """The text of a single value."""
+        """Return the text of a single value."""
         if not isinstance(self.node, Scalar):
             raise self.error(expected)
         return self.node.text
@@ -83,7 +97,15 @@ class Field(NamedTuple):
         least: float | None = None,
         most: float | None = None,
     ) -> float:
-        """A quantity in SI, within the bounds given."""
+        """Return a quantity in SI.
+
+        Args:
+            dimension: Its dimension.
+            above: An exclusive lower bound in SI; None: no such bound.
+            least: An inclusive lower bound, likewise.
+            most: An inclusive upper bound, likewise.
+
+        """
         if isinstance(self.node, Scalar) and self.node.drawn and self.node.drawn[1] == dimension.si:
             value = self.node.drawn[0]
         else:
@@ -95,11 +117,11 @@ class Field(NamedTuple):
         ):
             return value
         bounds = (("above", above), ("at least", least), ("at most", most))
-        wanted = " and ".join(f"{word} {bound:g}" for word, bound in bounds if bound is not None)
+        wanted = " and ".join(f"{relation} {bound:g}" for relation, bound in bounds if bound is not None)
         raise self.error(f"{dimension.expected}, {wanted} {dimension.si}".rstrip())
 
     def integer(self, *, least: int, most: int) -> int:
-        """A whole number without a unit."""
+        """Return a whole number without a unit, from ``least`` to ``most``."""
         expected = f"a whole number from {least} to {most}"
         text = self.scalar(expected).strip()
         if not _INTEGER.fullmatch(text) or not least <= int(text) <= most:
@@ -107,11 +129,11 @@ class Field(NamedTuple):
         return int(text)
 
     def choice(self, choices: type[E]) -> E:
-        """One of the values of an enumeration."""
+        """Return the member of an enumeration whose value the text is."""
         return self.one_of({str(member.value): member for member in choices})
 
     def one_of(self, choices: dict[str, V]) -> V:
-        """What one of the names stands for."""
+        """Return the value of a name among ``choices``."""
         names = list(choices)
         expected = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
         text = self.scalar(expected)
@@ -120,14 +142,14 @@ class Field(NamedTuple):
         return choices[text]
 
     def sentence(self, expected: str) -> str:
-        """A text that is looked up elsewhere, or a name: one line of printable characters."""
+        """Return one line of printable characters: a name, or a sentence for a later parser."""
         text = self.scalar(expected)
         if not is_sentence(text):
             raise self.error(f"{expected}: {SENTENCE}")
         return text
 
     def prose(self, expected: str, *, lines: bool = False) -> str:
-        """A text for people, in any script, without control characters; one line unless ``lines``."""
+        """Return a text for people, in any script, without control characters; one line unless ``lines``."""
         text = self.scalar(expected)
         for character in text:
             category = unicodedata.category(character)
@@ -138,7 +160,7 @@ class Field(NamedTuple):
     def items(
         self, expected: str, *, count: int | None = None, least: int = 0, most: int | None = None
     ) -> tuple[Field, ...]:
-        """The members of a list: exactly ``count`` of them, or from ``least`` to ``most``."""
+        """Return the members of a list: exactly ``count``, or from ``least`` to ``most``."""
         if not isinstance(self.node, Sequence):
             raise self.error(expected)
         length = len(self.node.items)
@@ -150,7 +172,7 @@ class Field(NamedTuple):
         )
 
     def entries(self, expected: str) -> tuple[tuple[str, Field], ...]:
-        """The keys and values of a mapping whose keys are free."""
+        """Return the keys and values of a mapping whose keys are free."""
         if not isinstance(self.node, Mapping):
             raise self.error(expected)
         return tuple(
@@ -159,20 +181,23 @@ class Field(NamedTuple):
         )
 
     def only_key(self, noun: str, names: abc.Mapping[str, object]) -> str:
-        """The one key among ``names`` that a mapping has, which says what it is."""
+        """Return the only key among ``names`` that a mapping has; it tells the kind of mapping."""
         listed = ", ".join(names)
         given = [key for key, _ in self.entries(f"a {noun}: a mapping with one of the keys {listed}")]
-        found = [key for key in given if key in names]
-        if len(found) != 1:
-            hint = near_miss(given[0], names) if given and not found else ""
+        chosen = [key for key in given if key in names]
+        if len(chosen) != 1:
+            hint = near_miss(given[0], names) if given and not chosen else ""
             got = f"the keys {', '.join(map(shown, given))}" if given else "an empty mapping"
             raise self.error(f"one {noun}: one of the keys {listed}", got=got, hint=hint)
-        return found[0]
+        return chosen[0]
 
     def fields(self, allowed: tuple[str, ...], *, hints: dict[str, str] | None = None) -> Fields:
-        """The values of a mapping whose keys are among ``allowed``.
+        """Return the values of a mapping with certain keys.
 
-        ``hints`` says for keys that people will try here what to write instead.
+        Args:
+            allowed: The keys that it may have.
+            hints: Advice for wrong keys that people are likely to try.
+
         """
         entries = self.entries(_mapping_with(allowed))
         for key, field in entries:
@@ -185,6 +210,7 @@ class Field(NamedTuple):
 
 @lru_cache
 def _mapping_with(keys: tuple[str, ...]) -> str:
+    """Return the expectation of a mapping with these keys."""
     return f"a mapping with the keys {', '.join(keys)}"
 
 
@@ -202,7 +228,7 @@ class Fields:
         return iter(self.by_key)
 
     def required(self, key: str) -> Field:
-        """The value of ``key``; ScenarioError when it is missing."""
+        """Return the value of ``key``; ScenarioError if it is absent."""
         if key not in self.by_key:
             present = ", ".join(map(shown, self.by_key))
             place = replace(self.whole.place, field=join(self.whole.path, key))
@@ -211,12 +237,12 @@ class Fields:
         return self.by_key[key]
 
     def optional(self, key: str) -> Field | None:
-        """The value of ``key``, or None."""
+        """Return the value of ``key``, or None."""
         return self.by_key.get(key)
 
 
 def walk(field: Field) -> Iterator[Field]:
-    """``field`` and everything below it, in the order of the file."""
+    """Yield ``field`` and everything below it, in the order of the file."""
     yield field
     below: tuple[Field, ...] = ()
     if isinstance(field.node, Sequence):
@@ -229,19 +255,23 @@ def walk(field: Field) -> Iterator[Field]:
 
 @dataclass(frozen=True)
 class Places(abc.Mapping[str, Place]):
-    """Of all below ``root``, by path; made when first asked, since few scenarios are complained about."""
+    """The places of all values below ``root``, by path.
+
+    The first access computes them, since few scenarios have a mistake.
+    """
 
     root: Field
 
     @cached_property
-    def _found(self) -> dict[str, Place]:
+    def _by_path(self) -> dict[str, Place]:
+        """The places by path."""
         return {field.path: field.place for field in walk(self.root) if field.path}
 
     def __getitem__(self, path: str) -> Place:
-        return self._found[path]
+        return self._by_path[path]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._found)
+        return iter(self._by_path)
 
     def __len__(self) -> int:
-        return len(self._found)
+        return len(self._by_path)

@@ -1,8 +1,8 @@
-"""Files that a stranger may have written: bytes and text, bounded, errors with a place; is one of them ours?
+"""Bounded reading of files of unknown origin, errors with a place, and the recognition of ours.
 
-Other programs have files with a ``scenario:`` or a ``seed:`` too.  And a name may lead to a file that is not
-for everybody's eyes (``scenario.yaml`` a link to ``/etc/shadow``, or ``extends: ~/.netrc``), while errors go
-into the log of a build: none quotes a file that has none of our keys.
+Other programs have files with a ``scenario:`` or a ``seed:`` too.  A name may also lead to a confidential
+file (``scenario.yaml`` a link to ``/etc/shadow``, or ``extends: ~/.netrc``).  Errors go into the log of a
+build.  So an error never quotes a file that lacks all of our keys.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from safety_harness.base.exceptions import InputError, Place, ScenarioError, ref
 from safety_harness.base.shipped.contents import is_installed, located, shipped_name
 
 TITLES = ("scenario", "scenario space", "suite")
-# Keys that few others have.
+# Keys that few other programs have.
 KEYS = (
     *("extends", "without", "matrix", "tcp start", "avoider", "hands", "faults", "hand sensor", "claims"),
     *("scenarios", "plan", "strata", "proof"),
@@ -27,10 +27,18 @@ TOP_KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?=[ \t\r\n]|$)", r
 
 
 def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
-    """Where a text of a caller becomes a path, also one of ``shipped:NAME``: the one place.
+    """Return a caller's text as a path, with ``shipped:NAME`` resolved.
 
-    InputError, naming the ``argument``, for what is neither, and for a text of several lines, which is
-    no path but what ``of_text`` reads.
+    Every text of a caller becomes a path here.
+
+    Args:
+        source: A path, or its text.
+        argument: The name of the argument, for errors.
+        of_text: The function that reads a text in place of a path, for the hint.
+
+    Raises:
+        InputError: It is no path, or a text of several lines.
+
     """
     refuse_other_type(argument, source, str, Path, expected="a path")
     text = str(source)
@@ -44,9 +52,16 @@ def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
 
 
 def read_bytes(path: Path, *, most: int, place: Place, error: type[InputError]) -> bytes:
-    """The first ``most`` + 1 bytes of a regular file, so that ``decode`` sees whether there are more.
+    """Return the first ``most`` + 1 bytes of a regular file, so that ``decode`` sees a longer file.
 
-    ``error`` at ``place`` when there is no such file; devices and pipes, which may never end, are none.
+    Devices and pipes, which may never end, do not count as files.
+
+    Args:
+        path: The file.
+        most: The largest size that the caller accepts, in bytes.
+        place: The place of its name.
+        error: The type of the error for a missing or unreadable file.
+
     """
     problem = _no_file(path)
     if not problem:
@@ -59,13 +74,14 @@ def read_bytes(path: Path, *, most: int, place: Place, error: type[InputError]) 
 
 
 def refuse_no_file(path: Path, expected: str, error: type[InputError]) -> None:
-    """``error`` unless there is a regular file at ``path``: opening a pipe might wait for ever."""
+    """Raise ``error`` unless ``path`` is a regular file; a pipe might wait for ever when it is opened."""
     problem = _no_file(path)
     if problem:
         raise error(place=Place(file=path), expected=expected, got=problem)
 
 
 def _no_file(path: Path) -> str:
+    """Return why there is no regular file at a path; empty if there is."""
     try:
         if path.is_file():
             return ""
@@ -75,16 +91,16 @@ def _no_file(path: Path) -> str:
 
 
 def resolved(path: Path) -> Path:
-    """The absolute path without links; of links that lead to each other what can be said of it."""
+    """Return the absolute path without links; a circle of links stays unresolved."""
     return Path(os.path.realpath(path))
 
 
 def told(path: Path) -> Path:
-    """How a result names a file: as the working directory sees it, or by its name alone.
+    """Return the name of a file for a result: relative to the working directory, or its name alone.
 
-    Results are shown to anybody, and a path from the root tells of one machine and who works at it.  What
-    was named relatively stays so, unless the way leads by the root or by the folder of everybody's homes.
-    What is shipped has the name that everybody has it by.
+    Results are public, and a path from the root reveals a machine and its user.  A relative path stays
+    relative, unless it leads through the root or the folder of all homes.  A shipped file has its
+    ``shipped:`` name.
     """
     full, here = resolved(path.parent) / path.name, resolved(Path())
     shipped = shipped_name(full)
@@ -95,7 +111,7 @@ def told(path: Path) -> Path:
 
 
 def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]) -> str:
-    """``data`` as UTF-8; ``error`` when it is larger than ``most`` bytes or not UTF-8."""
+    """Return ``data`` as UTF-8; ``error`` if it is larger than ``most`` bytes or not UTF-8."""
     if len(data) > most:
         raise error(place=Place(file=file), expected=f"at most {most:,} bytes", got="more")
     try:
@@ -108,12 +124,12 @@ def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]
 
 
 def has_a_key(text: str) -> bool:
-    """Has a text a title or a key that few others have, at the beginning of a line?"""
+    """Return whether a line of a text begins with one of our titles or rare keys."""
     return not {*COMMON}.issuperset(TOP_KEY.findall(text))
 
 
 def foreign(file: Path, place: Place | None) -> ScenarioError:
-    """What is said of a file that is not ours: nothing of what is in it."""
+    """Return the error for a file that is not ours; it quotes no content."""
     expected = f"a scenario file, with keys such as {', '.join((*TITLES, 'hands'))}"
     hint = "nothing of it is shown here: it may be anybody's"
     got = f"{file}, which is none"

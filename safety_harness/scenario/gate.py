@@ -1,4 +1,4 @@
-"""The key ``gate`` of a scenario file: what the gate asks for beside its checks: docs/avoiders.md."""
+"""The key ``gate`` of a scenario file: demands of the gate beyond its checks (docs/avoiders.md)."""
 
 from __future__ import annotations
 
@@ -17,19 +17,22 @@ _REGION = f"{{hand: {_BOX}, tcp: {_BOX}}}"
 
 @declared
 class PositionBox:
-    """Of positions in the base frame; its surface belongs to it."""
+    """A box of positions in the base frame; its surface belongs to it."""
 
     low_m: Vector3 = key("from", POINT, "its lowest corner in the base frame", "[600 mm, -500 mm, -200 mm]")
     high_m: Vector3 = key("to", POINT, "its highest corner", "[700 mm, -400 mm, -100 mm]")
 
     def depth_m(self, position_in_base_m: NDArray[np.float64]) -> float:
-        """How far within it ``position_in_base_m`` (3,) is, by axis; negative outside, NaN where that is."""
+        """Return the depth [m] of ``position_in_base_m`` (3,) inside the box, the least over all sides.
+
+        It is negative outside, and NaN for NaN.
+        """
         sides = position_in_base_m - self.low_m, self.high_m - position_in_base_m
         return float(np.min(sides))
 
     @property
     def words(self) -> str:
-        """Its corners."""
+        """Its corners in words."""
         low, high = (", ".join(f"{1e3 * x:g}" for x in corner) for corner in (self.low_m, self.high_m))
         return f"({low}) to ({high}) mm"
 
@@ -42,27 +45,27 @@ _OF_HAND, _OF_TCP = (
 
 @declared
 class AskedRegion:
-    """Of questions to an avoider, such as a proof is about."""
+    """A region of questions to an avoider, such as the region of a proof."""
 
     hand: PositionBox = key("hand", _OF_HAND, "where the hand is that the avoider is asked about", _BOX)
     tcp: PositionBox = key("tcp", _OF_TCP, "where the TCP is then", _BOX)
 
     def depth_m(self, hand_in_base_m: NDArray[np.float64], tcp_in_base_m: NDArray[np.float64]) -> float:
-        """How far within it a question is, by axis, negative outside.
+        """Return the depth [m] of a question inside the region, the least over all sides; negative outside.
 
-        ``hand_in_base_m`` (3,), ``tcp_in_base_m`` (3,).
+        ``hand_in_base_m`` and ``tcp_in_base_m`` are (3,).
         """
         return float(np.min([self.hand.depth_m(hand_in_base_m), self.tcp.depth_m(tcp_in_base_m)]))
 
     @property
     def words(self) -> str:
-        """Both boxes."""
+        """Both boxes in words."""
         return f"hands {self.hand.words}, TCPs {self.tcp.words}"
 
 
 @declared
 class GateRule:
-    """What the full gate asks for beside its own checks."""
+    """The demands of the full gate beyond its own checks."""
 
     hands_within: float | None = key(
         "every hand within",
@@ -82,7 +85,7 @@ class GateRule:
 
     @property
     def words(self) -> Iterator[str]:
-        """What it asks for, briefly."""
+        """Its demands, each in a few words."""
         if self.hands_within is not None:
             yield f"every hand within {100.0 * self.hands_within:g} %"
         if self.questions_within is not None:

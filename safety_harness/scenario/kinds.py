@@ -1,4 +1,4 @@
-"""What a file is, told by its content, and the command that takes it: for who gives it to another one."""
+"""The kind of a file, from its content, and the command for it; used where a command gets a wrong file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # pytest loads this file in every project, and the model is s
 
 SUFFIXES = (".yaml", ".yml")
 HEAD_BYTES = 1_000_000  # of a file, which is as much as a scenario has
-TAIL_BYTES = 100_000
+TAIL_BYTES = 100_000  # of a ZIP file, which has the names of its members at its end
 MOST_ENTRIES = 100  # of a folder
 _LOG = re.compile(r"^log:(?=[ \t\r\n]|$)", re.MULTILINE), re.compile(r"^(claims|clock|robot):", re.MULTILINE)
 _FORMAT = re.compile(r'"(?:format|schema)": ?"safety-harness ([a-z ]+) \d+"')
@@ -30,7 +30,7 @@ _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 class FileKind(Enum):
-    """A kind of file or folder: what a message calls it with its article, and what to type for it.
+    """A kind of file or folder, with its article in messages, and the command for it.
 
     ``names`` are the titles of our YAML, or the formats of our JSON, that are of this kind.
     """
@@ -77,8 +77,8 @@ class FileKind(Enum):
     EMPTY = "an empty file", "safety-harness new OTHER.yaml writes a scenario to start from"
     BINARY = "a binary file", ""
 
-    def __init__(self, words: str, command: str, *names: str) -> None:
-        self.words, self.command, self.names = words, command, names
+    def __init__(self, noun: str, command: str, *names: str) -> None:
+        self.words, self.command, self.names = noun, command, names
 
 
 Kind = FileKind | InputFile  # of the core's own messages, or of a package that adds it
@@ -98,9 +98,9 @@ _BINARIES = frozenset({FileKind.TRACE, FileKind.LEDGER, FileKind.MODEL, FileKind
 
 
 def kind_of(path: Path) -> Kind | None:
-    """What is at ``path``; None if there is nothing, or nothing that this package can tell.
+    """Return the kind of the file or folder at ``path``; None if it is absent or unknown.
 
-    A file that extends another has the kind of that one, which is not looked at.
+    A file that extends another has the kind of that file, which stays unread.
     """
     try:
         if path.is_dir():
@@ -114,7 +114,7 @@ def kind_of(path: Path) -> Kind | None:
 
 
 def added_input(path: Path) -> InputFile | None:
-    """Return what the package that adds a file's kind does with it; None for the core's own kinds."""
+    """Return the entry of the package that adds a file's kind; None for the core's own kinds."""
     kind = kind_of(path)
     if isinstance(kind, InputFile):
         return kind
@@ -134,9 +134,16 @@ def is_log(path: Path) -> bool:
 
 
 def recorded_run(path: Path, claims: Sequence[Claim] = ()) -> Any:
-    """Return the recorded run that a file describes, with ``claims`` in place of its own.
+    """Return the recorded run that a file describes.
 
-    MissingPackageError where no package reads such a file; InputError for whatever of it cannot be used.
+    Args:
+        path: The file.
+        claims: The claims in place of its own; empty: its own.
+
+    Raises:
+        MissingPackageError: No package reads such a file.
+        InputError: A part of the file is unusable.
+
     """
     added = added_input(path) or titled("log")
     if added.recorded is None:
@@ -145,7 +152,7 @@ def recorded_run(path: Path, claims: Sequence[Claim] = ()) -> Any:
 
 
 def titled(title: str) -> InputFile:
-    """Return the kind of file of a title; MissingPackageError where no package adds it."""
+    """Return the kind of file of a title; MissingPackageError if no package adds it."""
     if (added := input_files().get(title)) is None:
         expected = f"a package that adds the entry point {title} to safety_harness.inputs"
         hint = f"pip install --force-reinstall {DISTRIBUTION}"
@@ -160,51 +167,65 @@ def refuse_other_kind(
     place: Place | None = None,
     expected: str = "",
 ) -> None:
-    """``error`` for what is of another kind than ``wanted``: what it is, and the command that takes it.
+    """Raise ``error`` for a file of another kind, with its kind and the command for it.
 
-    ``place`` is what names the file; None is the file itself.  ``expected`` may say ``wanted`` otherwise.
-    What is no kind, or may be one that is ``wanted`` and damaged, is left to who reads it.
+    A file of unknown kind, or a damaged file that may be of a wanted kind, passes: its reader will refuse it.
+
+    Args:
+        path: The file or folder.
+        *wanted: The allowed kinds.
+        error: The type of the error.
+        place: The place of the file's name; None: the file itself.
+        expected: Completes "expected ..."; empty: the wanted kinds.
+
     """
-    found = kind_of(path)
-    damaged = (found is FileKind.BINARY and _BINARIES & {*wanted}) or (
-        found is FileKind.FOLDER and FOLDERS & {*wanted}
+    kind = kind_of(path)
+    damaged = (kind is FileKind.BINARY and _BINARIES & {*wanted}) or (
+        kind is FileKind.FOLDER and FOLDERS & {*wanted}
     )
-    if found is None or found in wanted or damaged:
+    if kind is None or kind in wanted or damaged:
         return
     raise error(
         place=place or Place(file=path),
-        expected=expected or _either([one.words for one in wanted]),
-        got=f"{path}, {found.words}" if place else found.words,
-        hint=command_for(path, found, *wanted),
+        expected=expected or _either([allowed.words for allowed in wanted]),
+        got=f"{path}, {kind.words}" if place else kind.words,
+        hint=command_for(path, kind, *wanted),
     )
 
 
-def command_for(path: Path, found: Kind, *wanted: Kind) -> str:
-    """What to type for a file of the kind ``found`` where ``wanted`` was asked for; empty for nothing."""
-    if found is FileKind.FOLDER:
+def command_for(path: Path, kind: Kind, *wanted: Kind) -> str:
+    """Return the command for a file where another kind was expected; empty without one.
+
+    Args:
+        path: The file or folder.
+        kind: Its kind.
+        *wanted: The kinds that the caller expected.
+
+    """
+    if kind is FileKind.FOLDER:
         inside = _first_in(path, {*wanted})
         return f"name a file in it, such as {shlex.quote(str(inside))}" if inside else ""
-    if found is FileKind.EMPTY and not {*wanted} & _TITLED:
+    if kind is FileKind.EMPTY and not {*wanted} & _TITLED:
         return ""
-    if found in (FileKind.PAGE, FileKind.RUNS, FileKind.EVIDENCE):
+    if kind in (FileKind.PAGE, FileKind.RUNS, FileKind.EVIDENCE):
         beside = kind_of(path.parent)
         if beside in (FileKind.REPORT, FileKind.RUN_FOLDER):  # whose page or figures these are
-            path, found = path.parent, beside
-    return found.command.format(
+            path, kind = path.parent, beside
+    return kind.command.format(
         file=shlex.quote(str(path)),
         folder=shlex.quote(str(path.parent)),
         onnx=shlex.quote(f"{path.stem}.onnx"),
-        name=avoider_in(path) if found is FileKind.PYTHON else "",
+        name=avoider_in(path) if kind is FileKind.PYTHON else "",
     )
 
 
-def _either(words: Sequence[str]) -> str:
-    """``a, b or c``."""
-    return " or ".join([", ".join(words[:-1])] * (len(words) > 1) + [words[-1]])
+def _either(texts: Sequence[str]) -> str:
+    """Return texts as an alternative: ``a, b or c``."""
+    return " or ".join([", ".join(texts[:-1])] * (len(texts) > 1) + [texts[-1]])
 
 
 def _first_in(folder: Path, wanted: set[Kind]) -> Path | None:
-    """The first file of a folder that is ``wanted``."""
+    """Return the first file of a folder whose kind is ``wanted``, or None."""
     try:
         entries = sorted(folder.iterdir())[:MOST_ENTRIES]
     except OSError:
@@ -213,11 +234,13 @@ def _first_in(folder: Path, wanted: set[Kind]) -> Path | None:
 
 
 def _head(file: Path) -> bytes:
+    """Return the first bytes of a file."""
     with file.open("rb") as stream:
         return stream.read(HEAD_BYTES)
 
 
 def _folder_kind(folder: Path) -> FileKind:
+    """Return the kind of a folder, from a file in it."""
     for name, form, kind in _IN_FOLDERS:
         file = folder / name
         if file.is_file() and _format_of(_head(file).decode("utf-8", "replace")) == form:
@@ -226,7 +249,7 @@ def _folder_kind(folder: Path) -> FileKind:
 
 
 def _binary_kind(path: Path, head: bytes) -> FileKind | None:
-    """Of a file that is not text."""
+    """Return the kind of a binary file; None for a text."""
     if head.startswith(b"PK\3\4"):
         return _zip_kind(path)
     if head.startswith(b"SQLite format 3\0"):
@@ -241,7 +264,10 @@ def _binary_kind(path: Path, head: bytes) -> FileKind | None:
 
 
 def _zip_kind(path: Path) -> FileKind:
-    """By the names at its end, which are not unpacked: a stranger's may be any number."""
+    """Return the kind of a ZIP file, from the names at its end.
+
+    It stays packed, since a file of foreign origin may unpack to any size.
+    """
     with path.open("rb") as stream:
         stream.seek(max(stream.seek(0, os.SEEK_END) - TAIL_BYTES, 0))
         tail = stream.read()
@@ -251,6 +277,7 @@ def _zip_kind(path: Path) -> FileKind:
 
 
 def _text_kind(path: Path, text: str) -> Kind | None:
+    """Return the kind of a text file, from its name, its format or its title."""
     if not text.strip():
         return FileKind.EMPTY
     if path.suffix in _BY_SUFFIX:
@@ -261,31 +288,31 @@ def _text_kind(path: Path, text: str) -> Kind | None:
     form = _format_of(text) if begin.startswith("{") else None
     if form is not None:
         return _NAMED.get(form)
-    if all(one.search(text) for one in _LOG):
+    if all(key.search(text) for key in _LOG):
         return FileKind.LOG
     keys = {*TOP_KEY.findall(text)}
     titles = keys & {*TITLES, "plan", "proof"}
     if not titles:
         added = (title for title in added_titles() if title not in _NAMED)
-        title = next((one for one in added if re.search(rf"^{re.escape(one)}:", text, re.M)), "")
+        title = next((key for key in added if re.search(rf"^{re.escape(key)}:", text, re.M)), "")
         return input_files().get(title) if title else None
     return _NAMED[titles.pop()] if len(titles) == 1 else None
 
 
 def _format_of(text: str) -> str | None:
-    """The format that a JSON document of ours says it has."""
-    said = _FORMAT.search(text)
-    return said[1] if said else None
+    """Return the format that a JSON document of ours declares."""
+    declared = _FORMAT.search(text)
+    return declared[1] if declared else None
 
 
 def avoider_in(path: Path) -> str:
-    """The first class in a Python file that has a ``propose``; nothing of it is executed."""
+    """Return the first class in a Python file with a ``propose``, without executing the file; else NAME."""
     try:
         with warnings.catch_warnings(action="ignore"):
             tree = ast.parse(_head(path))
     except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
         return "NAME"
     for node in tree.body:
-        if isinstance(node, ast.ClassDef) and "propose" in {getattr(one, "name", "") for one in node.body}:
+        if isinstance(node, ast.ClassDef) and "propose" in {getattr(item, "name", "") for item in node.body}:
             return node.name
     return "NAME"

@@ -1,7 +1,7 @@
-"""One layout for every scenario file; comments, units and the order of free keys stay as they were.
+"""One layout for every scenario file; comments, units and the order of free keys stay.
 
-The file is read with everything that a person sees in it (comments, blank lines, styles), then its lines
-are made anew.
+The file is read with everything that a person sees in it (comments, blank lines, styles).  Then all its lines
+are written anew.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _COMMENT = re.compile(r"(?<!\S)#.*")
 
 @dataclass
 class Comment:
-    """A comment: where it begins in the text, and on which line (from 0) and column."""
+    """A comment: its start in the text, its line (from 0) and its column."""
 
     text: str
     index: int
@@ -50,7 +50,7 @@ class Comment:
 
 @dataclass
 class WrittenValue:
-    """A value as it was written; ``raw`` is the text of a block of prose, its header first."""
+    """A value with its written form; ``raw`` is the text of a block of prose, its header first."""
 
     kind: str  # "scalar", "list" or "mapping"
     flow: bool = False
@@ -63,11 +63,11 @@ class WrittenValue:
 
 @dataclass
 class LayoutEntry:
-    """A key with its value, or an item of a list; an empty text in ``before`` is a blank line."""
+    """A key with its value, or an item of a list; an empty text in ``above`` is a blank line."""
 
     key: WrittenValue | None
     value: WrittenValue
-    before: list[str] = field(default_factory=list)
+    above: list[str] = field(default_factory=list)
     beside_key: str = ""
     beside: str = ""
 
@@ -78,15 +78,15 @@ class LayoutEntry:
 
 
 def written_tree(text: str) -> tuple[WrittenValue, int]:
-    """The tree of a text that ``parse_tree`` takes, and how many comments there are in the text."""
-    told = ScalarEvent | CollectionStartEvent | CollectionEndEvent
-    events = [one for one in YAML(typ="safe", pure=True).parse(text) if isinstance(one, told)]
+    """Return the tree of a text that ``parse_tree`` accepts, and the number of its comments."""
+    kinds = ScalarEvent | CollectionStartEvent | CollectionEndEvent
+    events = [event for event in YAML(typ="safe", pure=True).parse(text) if isinstance(event, kinds)]
     comments = _comments(text, events)
     return _Builder(text, events, comments).root(), len(comments)
 
 
 def _comments(text: str, events: Sequence[Event]) -> list[Comment]:
-    """Every # that begins a comment: at the beginning of a word, and not within a scalar."""
+    """Return every comment: a # at the beginning of a word, outside of scalars."""
     parts, at = [], 0
     for event in events:
         if isinstance(event, ScalarEvent):
@@ -95,30 +95,32 @@ def _comments(text: str, events: Sequence[Event]) -> list[Comment]:
                 start += len(text[start:end].partition("\n")[0])
             parts += [text[at:start], text[start:end].replace("#", "x")]
             at = end
-    found = []
+    comments = []
     for match in _COMMENT.finditer("".join([*parts, text[at:]])):
         index = match.start()
         column = index - text.rfind("\n", 0, index) - 1
-        found.append(Comment(match[0].rstrip(), index, text.count("\n", 0, index), column))
-    return found
+        comments.append(Comment(match[0].rstrip(), index, text.count("\n", 0, index), column))
+    return comments
 
 
 class _Builder:
-    """Goes through the events once; every comment is given to the entry that it belongs to."""
+    """Goes through the events once, and gives every comment to the entry that it belongs to."""
 
     def __init__(self, text: str, events: Sequence[Event], comments: list[Comment]) -> None:
         self._text, self._events, self._next = text, events, 0
         self._lines, self._comments = text.split("\n"), list(comments)
 
     def root(self) -> WrittenValue:
+        """Return the tree of the whole text."""
         root = self._value()
         if root.kind == "scalar" and self._comments:
-            root.tail = [one.text for one in self._comments]
+            root.tail = [comment.text for comment in self._comments]
         else:
-            root.tail += self._taken(len(self._text) + 1, len(self._lines), first=False)
+            root.tail += self._comments_up_to(len(self._text) + 1, len(self._lines), first=False)
         return root
 
     def _value(self) -> WrittenValue:
+        """Return the value that begins at the next event, with the comments inside it."""
         event = self._events[self._next]
         self._next += 1
         if isinstance(event, ScalarEvent):
@@ -135,14 +137,15 @@ class _Builder:
         self._next += 1
         limit = end.start_mark.index if flow else self._start_of_next()
         least = 0 if flow else max(event.start_mark.column, 1)
-        deeper = [one for one in self._comments if one.index < limit and one.column >= least]
+        deeper = [comment for comment in self._comments if comment.index < limit and comment.column >= least]
         if deeper and deeper == self._comments[: len(deeper)]:
-            value.tail = self._taken(deeper[-1].index + 1, deeper[-1].line + 1, first=False)
+            value.tail = self._comments_up_to(deeper[-1].index + 1, deeper[-1].line + 1, first=False)
         return value
 
     def _entry(self, mapping: bool, *, first: bool) -> LayoutEntry:
+        """Return the next key with its value, or the next item, with the comments at it."""
         start = self._events[self._next].start_mark
-        before = self._taken(start.index, start.line, first=first)
+        above = self._comments_up_to(start.index, start.line, first=first)
         key, beside_key = None, ""
         if mapping:
             key = self._value()
@@ -152,85 +155,97 @@ class _Builder:
         beside = self._beside() if plain else ""
         if value.raw and self._comments and self._comments[0].index < self._end_mark().index:
             beside = self._comments.pop(0).text  # beside the sign that begins the prose
-        return LayoutEntry(key, value, before, beside_key, beside)
+        return LayoutEntry(key, value, above, beside_key, beside)
 
     def _end_mark(self) -> StreamMark:
+        """Return the end of the last event."""
         mark: StreamMark = self._events[self._next - 1].end_mark
         return mark
 
     def _start_of_next(self) -> int:
-        """Where the next thing that is no end of a block begins."""
+        """Return the start of the next event that is not the end of a block."""
         for event in self._events[self._next :]:
             if not isinstance(event, CollectionEndEvent):
                 return int(event.start_mark.index)
         return len(self._text) + 1
 
     def _beside(self) -> str:
-        """The comment on the line where the last thing ends, after it and before anything else."""
+        """Return the comment on the line where the last event ends, if it follows directly."""
         last, mark = self._events[self._next - 1], self._end_mark()
         if last.start_mark.index == mark.index:
             return ""  # an empty value, which is marked where the next thing begins
-        here = [one for one in self._comments if one.line == mark.line and one.index >= mark.index]
+        here = [note for note in self._comments if note.line == mark.line and note.index >= mark.index]
         follows = self._events[self._next].start_mark.index if self._next < len(self._events) else -1
         if not here or mark.index < follows < here[0].index:
             return ""
         self._comments.remove(here[0])
         return here[0].text
 
-    def _taken(self, index: int, line: int, *, first: bool) -> list[str]:
-        """The comments before ``index``, with the blank lines among and after them up to ``line``."""
-        found = [one for one in self._comments if one.index < index]
-        self._comments = self._comments[len(found) :]
-        begin = found[0].line if found else line
+    def _comments_up_to(self, index: int, line: int, *, first: bool) -> list[str]:
+        """Return the comments before ``index`` with the blank lines around them, and use these comments up.
+
+        The blank lines go up to ``line``.  Before the ``first`` entry of a block there is no leading blank
+        line.
+        """
+        comments = [comment for comment in self._comments if comment.index < index]
+        self._comments = self._comments[len(comments) :]
+        begin = comments[0].line if comments else line
         lines = [] if first else [""] * self._is_blank(begin - 1)
-        next_lines = [one.line for one in found[1:]] + [line]
-        for one, following in zip(found, next_lines, strict=False):
-            lines.append(one.text)
+        next_lines = [comment.line for comment in comments[1:]] + [line]
+        for comment, following in zip(comments, next_lines, strict=False):
+            lines.append(comment.text)
             lines += [""] * (following < len(self._lines) and self._is_blank(following - 1))
         return lines
 
     def _is_blank(self, line: int) -> bool:
+        """Return whether a line of the text is blank."""
         return 0 <= line < len(self._lines) and not self._lines[line].strip()
 
 
 def laid_out(text: str, file: Path | None = None) -> str:
-    """``text`` in the one layout; ScenarioError if it is no tree.  It means what it meant before."""
+    """Return ``text`` in the layout, with its meaning unchanged; ScenarioError if it is no tree."""
     text = text.replace("\r\n", "\n").replace("\r", "\n")
-    before = parse_tree(text, file)
+    original = parse_tree(text, file)
     root, comments = written_tree(text)
     # The values of a space vary in the order in which they stand, so that this order means something.
-    lines = list(_head(root)) + _block(root, None if is_space(before) else _WHOLE_FILE)
+    lines = list(_head(root)) + _block(root, None if is_space(original) else _WHOLE_FILE)
     new = "\n".join(lines).strip("\n") + "\n"
-    if meaning(parse_tree(new, file)) != meaning(before) or written_tree(new)[1] != comments:
+    if meaning(parse_tree(new, file)) != meaning(original) or written_tree(new)[1] != comments:
         expected = "a file that can be laid out without a change of what it says"
         raise ScenarioError.of_file(file, expected, "one that cannot; it is left as it is")
     return new
 
 
 def meaning(node: Node) -> object:
-    """What a tree says, whatever its lines and the order of its keys; the order of claims counts."""
+    """Return the content of a tree; its lines and the order of its keys do not matter.
+
+    The order of claims does.
+    """
     if isinstance(node, Scalar):
         return node.text
     if isinstance(node, Mapping):
-        said = {key.text: meaning(value) for key, value in node.entries}
-        claims = said.get("claims")
-        return said | ({"claims": list(claims.items())} if isinstance(claims, dict) else {})
+        by_key = {key.text: meaning(value) for key, value in node.entries}
+        claims = by_key.get("claims")
+        return by_key | ({"claims": list(claims.items())} if isinstance(claims, dict) else {})
     return [meaning(item) for item in node.items]
 
 
 def _head(root: WrittenValue) -> Iterator[str]:
-    """Comments that a blank line parts from the first key belong to the file and stay at its top."""
+    """Yield the comments at the top of the file, and remove them from the first entry.
+
+    Comments that a blank line separates from the first key belong to the file.
+    """
     if not root.entries:
         return
     first = root.entries[0]
-    if "" in first.before:
-        cut = len(first.before) - first.before[::-1].index("")
-        yield from first.before[:cut]
-        first.before = first.before[cut:]
+    if "" in first.above:
+        cut = len(first.above) - first.above[::-1].index("")
+        yield from first.above[:cut]
+        first.above = first.above[cut:]
 
 
 def _block(value: WrittenValue, kind: Value | None) -> list[str]:
-    """The lines of a value below its key, not indented."""
+    """Return the lines of a value below its key, without indentation."""
     if value.kind == "scalar":
         return [*value.tail, *_scalar_lines(value, "")]
     if not value.entries:
@@ -241,18 +256,22 @@ def _block(value: WrittenValue, kind: Value | None) -> list[str]:
             lines += _item(entry, kind)
     else:
         for number, (entry, inner) in enumerate(_ordered(value, kind)):
-            blank = ["" for line in entry.before[:1] if not line and number > 0]
-            lines += blank + [line for line in _collapsed(entry.before) if line or number > 0][len(blank) :]
+            blank = ["" for line in entry.above[:1] if not line and number > 0]
+            lines += blank + [line for line in _collapsed(entry.above) if line or number > 0][len(blank) :]
             lines += _pair(entry, inner)
     return lines + value.tail
 
 
-def _collapsed(before: list[str]) -> list[str]:
-    return [line for at, line in enumerate(before) if line or at == 0 or before[at - 1]]
+def _collapsed(lines: list[str]) -> list[str]:
+    """Return lines with at most one blank line in a row."""
+    return [line for at, line in enumerate(lines) if line or at == 0 or lines[at - 1]]
 
 
 def _item(entry: LayoutEntry, kind: Value | None) -> list[str]:
-    """An item of a list of ``kind``: a dash before its first line, comments that come first above it."""
+    """Return the lines of an item of a list of ``kind``, with a dash before its first line.
+
+    Comments at its beginning stand above it.
+    """
     kind = kind.of if isinstance(kind, Several) else None
     flow = _flow(entry.value, 2 + len(entry.beside), kind)
     if flow is not None:
@@ -261,7 +280,7 @@ def _item(entry: LayoutEntry, kind: Value | None) -> list[str]:
         content = _block(entry.value, kind)
         if entry.beside:
             content = [entry.beside, *content]
-    above = list(entry.before)
+    above = list(entry.above)
     if not any(content):
         return [*_collapsed(above), "-"]  # an item without a value
     while content[0].startswith("#") or not content[0]:
@@ -270,7 +289,7 @@ def _item(entry: LayoutEntry, kind: Value | None) -> list[str]:
 
 
 def _pair(entry: LayoutEntry, kind: Value | None) -> list[str]:
-    """A key with its value."""
+    """Return the lines of a key with its value."""
     assert entry.key is not None
     key = _scalar(entry.key)
     value = entry.value
@@ -288,44 +307,55 @@ def _pair(entry: LayoutEntry, kind: Value | None) -> list[str]:
 
 
 def _beside(line: str, comment: str) -> str:
+    """Return a line with a comment after it."""
     return f"{line}  {comment}" if comment else line
 
 
-def _flow(value: WrittenValue, taken: int, kind: Value | None) -> str | None:
-    """The value on one line, if it may stand on one: as it was written, or a list of numbers."""
+def _flow(value: WrittenValue, used: int, kind: Value | None) -> str | None:
+    """Return the value on one line, or None if it takes several.
+
+    A line suits a value that was on one line before, and a list of numbers.
+
+    Args:
+        value: The value.
+        used: The columns that its key and its comment use.
+        kind: The kind of the value; None: unknown.
+
+    """
     if any(value.tail):
         return None
     if value.kind == "scalar":
         text = _scalar(value)
-        return text if not value.raw and not _is_long_prose(value, taken) else None
+        return text if not value.raw and not _is_long_prose(value, used) else None
     numbers = value.kind == "list" and all(
-        one.value.kind == "scalar" and not one.value.style and _NUMBER.fullmatch(one.value.text)
-        for one in value.entries
+        item.value.kind == "scalar" and not item.value.style and _NUMBER.fullmatch(item.value.text)
+        for item in value.entries
     )
     if not value.flow and not numbers:
         return None
     parts = []
     for entry, of_entry in _ordered(value, kind if value.kind == "mapping" else None):
         inner = _flow(entry.value, 0, of_entry)
-        if inner is None or any((*entry.before, entry.beside_key, entry.beside)):
+        if inner is None or any((*entry.above, entry.beside_key, entry.beside)):
             return None
         parts.append(inner if entry.key is None else f"{_scalar(entry.key)}: {inner}".rstrip())
     text = f"[{', '.join(parts)}]" if value.kind == "list" else f"{{{', '.join(parts)}}}"
-    return text if taken + len(text) <= FLOW_WIDTH or not value.entries else None
+    return text if used + len(text) <= FLOW_WIDTH or not value.entries else None
 
 
-def _is_long_prose(value: WrittenValue, taken: int) -> bool:
-    words = value.text.split(" ")
-    return taken + len(value.text) > PROSE_WIDTH and len(words) > 20 and "\n" not in value.text and all(words)
+def _is_long_prose(value: WrittenValue, used: int) -> bool:
+    """Return whether a text of more than 20 words is too long for one line."""
+    terms = value.text.split(" ")
+    return used + len(value.text) > PROSE_WIDTH and len(terms) > 20 and "\n" not in value.text and all(terms)
 
 
 def _scalar(value: WrittenValue) -> str:
-    """A scalar on one line: quoted only where it has to be."""
+    """Return a scalar on one line, in quotes only if it needs them."""
     return scalar_text(value.text) if value.style or "\n" in value.text else value.text
 
 
-def _scalar_lines(value: WrittenValue, before: str) -> list[str]:
-    """A scalar that may take several lines."""
+def _scalar_lines(value: WrittenValue, start: str) -> list[str]:
+    """Return a scalar that may take several lines, the first one after ``start``."""
     if value.raw:
         header, *lines = value.raw
         widths = [len(line) - len(line.lstrip()) for line in lines if line.strip()]
@@ -333,16 +363,16 @@ def _scalar_lines(value: WrittenValue, before: str) -> list[str]:
         width = min(widths, default=0)
         regular = widths and len(first) - len(first.lstrip()) == width
         if not regular or any(character.isdigit() for character in header.split("#")[0]):
-            return [before + scalar_text(value.text.rstrip("\n"))]
-        return [before + header[0], *(f"  {line[width:]}" if line[width:] else "" for line in lines)]
-    if not _is_long_prose(value, len(before)):
-        return [before + _scalar(value)]
+            return [start + scalar_text(value.text.rstrip("\n"))]
+        return [start + header[0], *(f"  {line[width:]}" if line[width:] else "" for line in lines)]
+    if not _is_long_prose(value, len(start)):
+        return [start + _scalar(value)]
     lines = textwrap.wrap(value.text, PROSE_WIDTH - 2, break_long_words=False, break_on_hyphens=False)
-    return [f"{before}>", *(f"  {line}" for line in lines)]
+    return [f"{start}>", *(f"  {line}" for line in lines)]
 
 
 def _ordered(value: WrittenValue, kind: Value | None) -> list[tuple[LayoutEntry, Value | None]]:
-    """The entries in the documented order, free keys and items as they are; each with its value's kind."""
+    """Return the entries with their kinds, in the documented order; free keys and items keep their order."""
     if isinstance(kind, FreeKeys):
         return [(entry, kind.of) for entry in value.entries]
     if not isinstance(kind, Below):
@@ -353,11 +383,11 @@ def _ordered(value: WrittenValue, kind: Value | None) -> list[tuple[LayoutEntry,
     if table is TOP:
         known["matrix"], names = _MATRIX, _FIRST + names
     place = {name: names.index(name) for name in names}
-    ordered = sorted(value.entries, key=lambda one: place.get(one.name, len(names)))
+    ordered = sorted(value.entries, key=lambda item: place.get(item.name, len(names)))
     return [(entry, known.get(entry.name)) for entry in ordered]
 
 
 def _table_of(kind: Below, keys: set[str]) -> KeyTable:
-    """The table that a mapping with these keys follows."""
+    """Return the table that a mapping with these keys follows."""
     begun = [table for table in kind.tables if table.told_by in keys]
     return begun[-1] if begun else (kind.tables or (COMPOSED,))[0]

@@ -1,7 +1,7 @@
-"""A scenario as frozen data: what is tried, and nothing that needs the rest of the house.
+"""A scenario as frozen data: one test case, independent of all packages that run it.
 
-Claims and avoiders are plain references here (the sentence as the user wrote it); ``admission``
-resolves them.  Everything is in SI; the units that people write belong to ``read``.
+Claims and avoiders are plain references here (the sentence as the user wrote it); ``admission`` resolves
+them.  Everything is in SI; ``read`` converts the units of a file.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from safety_harness.scenario.robots import DIGEST, AnyRobot, OwnRobot, Robot
 from safety_harness.scenario.shield import Shield
 from safety_harness.scenario.units import ACCELERATION, NUMBER, SPEED, TIME
 
-HAND_SLOTS = (2, 4, 8)  # the records of a run have room for as many hands as one of these says
+HAND_SLOTS = (2, 4, 8)  # the possible numbers of hands that the records of a run have room for
 MAX_HANDS = HAND_SLOTS[-1]
 LARGEST_SEED = 2**63 - 1
 FEWEST_JOINTS, MOST_JOINTS = 3, 8
 DEFAULT_AVOIDER = "mc-dropout"
-VISUAL_SERVO = "visual servo"  # the controller that asks an avoider; no other does
+VISUAL_SERVO = "visual servo"  # the only controller that asks an avoider
 NO_AVOIDER = ""
 LARGEST_FACTOR = 10.0
 LONGEST_GAP_S = 10.0
@@ -53,13 +53,13 @@ FASTEST_JUMP_MPS = 1000.0  # of noise between two samples that follow each other
 # An assumption: a reach of 0.66 m with the minimum-jerk profile of Flash and Hogan (1985) that peaks
 # at 2.0 m/s (REACHING_MPS) has 1.642 v^2/d = 10 m/s^2 at most.
 REACHING_MPS2 = 10.0
-ACCELERATIONS_MPS2 = (0.1, 100.0)  # what is slower or larger is a slip of the unit
+ACCELERATIONS_MPS2 = (0.1, 100.0)  # a value outside is a slip of the unit
 
 
 class Driver(str):
-    """A reference to a controller in place of the visual servo, where one to an avoider may stand.
+    """A reference to a controller in place of the visual servo, where an avoider's reference may stand.
 
-    What is tested is either: the avoider that the visual servo asks, or the driver of the arm.
+    The system under test is the avoider that the visual servo asks, or the driver of the arm.
     """
 
     __slots__ = ()
@@ -69,7 +69,10 @@ BY_AT_MOST = " by at most "
 
 
 class Verdict(Enum):
-    """What a property says of a trace."""
+    """The result of a property on a trace: holds, violated or inconclusive.
+
+    A verdict has no truth value: ``if verdict`` raises InputError.
+    """
 
     HOLDS = "holds"
     VIOLATED = "violated"
@@ -100,8 +103,8 @@ _JOINTS = Several(
 class OffsetStart:
     """A TCP start relative to the desired pose.
 
-    ``offset_in_base_m`` shifts the desired TCP position; ``tilt_in_tcp_rad`` is a rotation vector
-    in the desired TCP frame (zero: the camera looks straight down).
+    ``offset_in_base_m`` shifts the desired TCP position.  ``tilt_in_tcp_rad`` is a rotation vector in the
+    desired TCP frame; at zero the camera looks straight down.
     """
 
     offset_in_base_m: Vector3 = key(
@@ -115,7 +118,7 @@ class OffsetStart:
 
 @declared
 class JointStart:
-    """A TCP start by its joint angles, of a UR six."""
+    """A TCP start by the arm's joint angles, from the base on."""
 
     joint_position_rad: tuple[float, ...] = key(
         "joints",
@@ -127,7 +130,7 @@ class JointStart:
 
 @declared
 class PoseStart:
-    """A TCP start by its place in the base frame; ``tilt_in_tcp_rad`` as in OffsetStart."""
+    """A TCP start by its position in the base frame; ``tilt_in_tcp_rad`` as in OffsetStart."""
 
     position_in_base_m: Vector3 = key(
         "position",
@@ -156,10 +159,10 @@ _ACCELERATION = QuantityValue(ACCELERATION, least=ACCELERATIONS_MPS2[0], most=AC
 class MovingHand:
     """A hand that does one move after another, then rests.
 
-    The forearm points from the hand's centre towards ``elbow_towards_in_base_m`` (where the
-    person stands) at every moment.  ``shift_in_base_m`` shifts the start and every point of the
-    moves; the first move begins after ``delay_s``.  The hand never exceeds ``max_speed_mps``, its
-    tremor included, nor its moves ``max_acceleration_mps2``; the tremor's own comes on top.
+    The forearm points from the hand's centre towards ``elbow_towards_in_base_m`` (where the person stands) at
+    every moment.  ``shift_in_base_m`` shifts the start and every point of the moves; the first move begins
+    after ``delay_s``.  The hand, with its tremor, never exceeds ``max_speed_mps``.  Its moves never exceed
+    ``max_acceleration_mps2``; the tremor's acceleration comes on top.
     """
 
     name: str = key(
@@ -207,17 +210,17 @@ class MovingHand:
 
     @property
     def max_move_speed_mps(self) -> float:
-        """What the tremor leaves of the speed bound for the moves."""
+        """The speed bound of the moves: the hand's bound less the tremor's speed."""
         return self.max_speed_mps - (self.tremor.max_speed_mps if self.tremor else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedMotion:
-    """Samples of a recorded hand, already placed, turned and timed in the robot's base frame.
+    """Samples of a recorded hand, placed, turned and timed in the robot's base frame.
 
-    ``time_s`` (n,) rises strictly from 0; ``hand_position_in_base_m`` and
-    ``elbow_position_in_base_m`` are (n, 3), finite.  Between samples the motion is straight.
-    ``notes`` says in words what was bridged (gaps, jumps) and what that amounts to.
+    ``time_s`` (n,) rises strictly from 0.  ``hand_position_in_base_m`` and ``elbow_position_in_base_m`` are
+    (n, 3), finite.  Between samples the motion is straight.  ``notes`` describes the gaps and jumps that
+    straight motion bridges, with their sizes.
     """
 
     time_s: NDArray[np.float64]
@@ -265,12 +268,13 @@ _JUMP = QuantityValue(SPEED, above=0.0, most=FASTEST_JUMP_MPS)
 class RecordedHand:
     """A hand that repeats a recording.
 
-    The recording's first used sample is put at ``starts_at_in_base_m`` + ``shift_in_base_m`` after a
-    turn by ``turn_rad`` about the vertical; it begins after ``delay_s`` and its time runs
-    ``speed_factor`` times as fast.  Only the part from ``from_s`` to ``to_s`` on the recording's own
-    clock is used (None: its beginning, its end).  Without a recorded elbow the forearm points
-    towards ``elbow_towards_in_base_m``.  None for ``max_speed_mps``: as recorded, and at most
-    REACHING_MPS if it is sped up.
+    Its first used sample lies at ``starts_at_in_base_m`` + ``shift_in_base_m``, after a turn by ``turn_rad``
+    about the vertical.  The motion begins after ``delay_s``, and its time runs ``speed_factor`` times as
+    fast.  Only the part from ``from_s`` to ``to_s`` on the recording's own clock counts (None: its beginning,
+    its end).
+
+    Without a recorded elbow the forearm points towards ``elbow_towards_in_base_m``.  If ``max_speed_mps`` is
+    None, the bound is the recording's own speed, or REACHING_MPS for a recording that is sped up.
     """
 
     recording: Path = key(
@@ -341,7 +345,7 @@ class RecordedHand:
 
 @declared
 class JoinedHand:
-    """A hand that holds the same part as another, earlier one: it stays ``apart_in_base_m`` from it."""
+    """A hand on the same part as an earlier hand; it stays ``apart_in_base_m`` from that hand."""
 
     name: str = key("hand", _HAND_NAME, "for messages and reports", "- hand: left")
     joined_to: str = key(
@@ -361,8 +365,9 @@ HAND = Below(tables=(MOVING_HAND, JOINED_HAND, RECORDED_HAND))
 HANDS = Several(of=HAND, words="list of at most eight", most=MAX_HANDS)
 
 
-# Of what sentences mean: 1 took people to come at 1.6 m/s where none is named; in 1 and 2 the arm stops from
-# the TCP's speed, however fast its other points are, and what holds from the start exercises "eventually".
+# The edition of the sentences' meanings.  In 1, people come at 1.6 m/s if a sentence names no speed.  In 1
+# and 2 the arm stops from the TCP's speed, however fast its other points are, and a condition that holds from
+# the start exercises "eventually".
 EDITION = 3
 
 
@@ -370,9 +375,14 @@ EDITION = 3
 class Claim:
     """A sentence of the catalogue and the verdict that the author expects of it.
 
-    ``most`` bounds an expected violation: a margin of at least minus this (SI, and the unit's name).
-    ``edition`` is that of the catalogue in whose meaning the sentence is read: an earlier trace's or
-    ledger's own.
+    Args:
+        sentence: The sentence.
+        expected: The expected verdict.
+        most: The bound of an expected violation, with the name of its SI unit: the margin is at least minus
+            this.  None: no bound.
+        edition: The edition of the catalogue that defines the sentence; an old trace or ledger has its own.
+        place: The place of the claim in its file.
+
     """
 
     sentence: str
@@ -382,26 +392,50 @@ class Claim:
     place: Place = field(default_factory=Place, compare=False)
 
     def given(self, margin: float | None) -> Verdict:
-        """The verdict that is expected of a run with this margin: beyond the bound that it holds."""
-        beyond = self.most is not None and (margin is None or not -margin <= self.most[0])
-        return Verdict.HOLDS if beyond else self.expected
+        """Return the verdict that this claim expects of a run with a margin.
+
+        It is the expected verdict, or HOLDS for a margin beyond the bound.  None is the margin of a run
+        without one.
+        """
+        is_beyond = self.most is not None and (margin is None or not -margin <= self.most[0])
+        return Verdict.HOLDS if is_beyond else self.expected
 
     def is_loosely(self, verdict: Verdict) -> bool:
-        """Is it violated as expected, for whatever reason?  No bound says by how much."""
+        """Return whether the claim is violated as expected, by any margin and for any reason."""
         return verdict is Verdict.VIOLATED is self.expected and self.most is None
 
     @property
     def expectation(self) -> str:
-        """As a file has it."""
+        """The expected verdict with its bound, as a file has it."""
         bound = "" if self.most is None else f"{BY_AT_MOST}{self.most[0]!r} {self.most[1]}".rstrip()
         return f"{self.expected.value}{bound}"
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Scenario:
-    """One thing to try: the hands, the TCP start, what is tested, the settings and the claims.
+    """A test case: the hands, the TCP start, the system under test, the settings and the claims.
 
-    ``avoider`` is ``NO_AVOIDER`` where another ``controller`` than VISUAL_SERVO drives the arm.
+    Args:
+        name: The name, unique among the scenarios of a command.
+        title: The title, one line.
+        about: A text for people; may be empty.
+        duration_s: The length of a run.
+        seed: The root of all random numbers of a run.
+        start: The TCP start.
+        hands: At most MAX_HANDS hands.
+        avoider: The reference of the avoider; NO_AVOIDER with a controller other than VISUAL_SERVO.
+        claims: The claims with their expected verdicts.
+        settings: The settings of the system and its cell.
+        robot: The arm.
+        faults: The faults of sensors, joints and avoider.
+        obstacles: The boxes in the cell.
+        controller: The reference of the controller that drives the arm.
+        shield: The shield between controller and drives; None: no shield.
+        gate: The demands of the gate beyond its checks; None: no further demands.
+        extensions: Keys that packages add, each with its value.
+        file: The file; None: a scenario from a text.
+        places: The place of each field in the file.
+
     """
 
     name: str
@@ -425,53 +459,79 @@ class Scenario:
     places: Mapping[str, Place] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:
-        """Name and title only, where values of tests are printed; ``write_scenario`` gives all of it."""
+        """Return name and title only, for values in the output of tests.
+
+        ``write_scenario`` gives the whole scenario.
+        """
         return f"<scenario {self.name}: {self.title}>"
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
         printer.text(repr(self))
 
     def place(self, *names: str) -> Place:
-        """Where the first of the fields that the file has stands in it, for an error found after reading.
+        """Return the place of the first given field that the file has, for an error found after reading.
 
-        A file that has none of them, and keeps the defaults, is named without a line.
+        If the file has no such field, the place has no line.
+
+        Args:
+            *names: Paths of fields, such as ``hands[0].starts at``.
+
         """
         written = next((name for name in names if name in self.places), names[0])
         return self.places.get(written, Place(file=self.file, field=written))
 
     def inadmissible(self, expected: str, got: str, *names: str, hint: str = "") -> InadmissibleError:
-        """Return the error of the fields ``names``, at the ``place`` of the first that the file has."""
+        """Return the error for fields of this scenario.
+
+        Args:
+            expected: Completes "expected ...".
+            got: Completes "got ...".
+            *names: Paths of the fields; the error stands at the ``place`` of the first that the file has.
+            hint: One more line of help.
+
+        """
         return InadmissibleError(place=self.place(*names), expected=expected, got=got, hint=hint)
 
     def with_files(self, name: Callable[[str], str]) -> Scenario:
-        """Return the scenario whose recordings and own arm are in files that ``name`` names otherwise."""
+        """Return this scenario with new names for the files of its recordings and its own arm.
+
+        Args:
+            name: Maps the name of a file to the new name.
+
+        """
         hands = (
-            replace(one, recording=Path(name(str(one.recording)))) if isinstance(one, RecordedHand) else one
-            for one in self.hands
+            replace(h, recording=Path(name(str(h.recording)))) if isinstance(h, RecordedHand) else h
+            for h in self.hands
         )
         robot = self.robot.named(name) if isinstance(self.robot, OwnRobot) else self.robot
         return replace(self, hands=tuple(hands), robot=robot)
 
     def leader(self, hand: HandTrajectory) -> MovingHand | RecordedHand | None:
-        """Who moves ``hand``: itself, or the hand before it that it is joined to (None: there is none)."""
+        """Return the hand that leads ``hand``: itself, or the earlier hand that it is joined to.
+
+        The result is None for a joined hand without such an earlier hand.
+        """
         if not isinstance(hand, JoinedHand):
             return hand
-        before = self.hands[: self.hands.index(hand)]
-        return next((o for o in before if o.name == hand.joined_to and not isinstance(o, JoinedHand)), None)
+        past = self.hands[: self.hands.index(hand)]
+        return next((o for o in past if o.name == hand.joined_to and not isinstance(o, JoinedHand)), None)
 
     @property
     def driven(self) -> bool:
-        """Does another controller than the visual servo drive the arm, one without avoider and gate?"""
+        """Whether a controller other than the visual servo drives the arm, without avoider and gate."""
         return self.controller != VISUAL_SERVO
 
     @property
     def under_test(self) -> str:
-        """What is tested: the avoider of the visual servo, or else the ``Driver``."""
+        """The system under test: the avoider of the visual servo, or else the ``Driver``."""
         return Driver(self.controller) if self.driven else self.avoider
 
     @property
     def hand_slots(self) -> int:
-        """How many hands its runs' records have room for: the fewest that do; ScenarioError for too many."""
+        """The number of hands that the records of a run have room for, the least that suffices.
+
+        ScenarioError for too many hands.
+        """
         for slots in HAND_SLOTS:
             if len(self.hands) <= slots:
                 return slots
@@ -480,5 +540,5 @@ class Scenario:
 
     @property
     def ticks(self) -> int:
-        """How many control ticks the scenario lasts: the least number that covers the duration."""
+        """The number of control ticks: the least that covers the duration."""
         return ceil(self.duration_s / self.settings.clock.control_period_s - 1e-9)

@@ -1,8 +1,8 @@
-"""What a hand can do, one frozen object for each move, and how each is written.
+"""The moves of a hand, one frozen object for each, and their written form.
 
-A hand is at rest before its first move.  Straight ways lead from rest to rest: the speed rises and
-falls at the hand's acceleration and is at most the move's.  A move that begins while the hand is
-still under way first lets it stop.
+A hand is at rest before its first move.  Straight ways lead from rest to rest: the speed rises and falls at
+the hand's acceleration and is at most the move's.  A move that begins while the hand still moves lets it stop
+first.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ REACHING_MPS = 2.0
 LONGEST_S = 3600.0  # of a run, and of anything in it
 FASTEST_MPS = 20.0
 MOST_TIMES = 1000
-# Of a tremor: what is slower or larger than these is a slip of the unit.
+# Bounds of a tremor: values outside them are a slip of the unit.
 TREMORS_M = (1e-5, 0.02)
 TREMORS_HZ = (0.1, 20.0)
 
@@ -56,8 +56,8 @@ _TREMOR_OF_1_MM = "tremor: {amplitude: 1 mm, rate: 8 Hz}"
 class Tremor:
     """A small involuntary motion on top of every move, and at rest: an ellipse of that size and rate.
 
-    The displacement is ``amplitude_m`` / sqrt(3) sin(2 pi ``rate_hz`` t + phase) along each axis,
-    with phases from the scenario's seed, and so never larger than the amplitude.
+    The displacement is ``amplitude_m`` / sqrt(3) sin(2 pi ``rate_hz`` t + phase) along each axis.  The phases
+    come from the scenario's seed, so the displacement never exceeds the amplitude.
     """
 
     amplitude_m: float = key("amplitude", _AMPLITUDE, "the displacement is never larger", _TREMOR_OF_1_MM)
@@ -79,7 +79,7 @@ TREMOR = table_of(Tremor, "tremor", where="tremor of a hand")
 
 @declared
 class MoveTo:
-    """Straight to a point."""
+    """Straight motion to a point."""
 
     position_in_base_m: Vector3 = key("move to", POINT, "straight there")
     speed_mps: float = key("speed", SPEEDS, "how fast the hand moves")
@@ -87,14 +87,14 @@ class MoveTo:
 
 @declared
 class Wait:
-    """Stop, and stay there; the time to stop counts."""
+    """A stop for a time, which includes the time to stop."""
 
     duration_s: float = key("wait", LASTING, "stop, and stay there")
 
 
 @declared
 class Hesitation:
-    """A reach stops ``distance_m`` before its goal for ``duration_s``, then goes on."""
+    """A stop of a reach, ``distance_m`` before its goal and for ``duration_s``; then the reach goes on."""
 
     distance_m: float = key("hesitating at", _DISTANCE, "the distance at which the hand stops on its way")
     duration_s: float = key("for", LASTING, "how long it stops there")
@@ -105,9 +105,9 @@ HESITATION = table_of(Hesitation, "hesitation")
 
 @declared
 class ReachForTcp:
-    """Head for the TCP, wherever it is just now, until ``until_distance_m`` from it.
+    """A reach for the TCP, wherever it is just now, until ``until_distance_m`` from it.
 
-    Ends after ``at_most_s`` if the TCP gives way for that long.
+    The reach ends after ``at_most_s`` if the TCP retreats for that long.
     """
 
     speed_mps: float = key(
@@ -123,7 +123,7 @@ class ReachForTcp:
 
 @declared
 class ReachForObject:
-    """Straight towards the object's own origin, until ``until_distance_m`` from it."""
+    """A reach straight towards the object's own origin, until ``until_distance_m`` from it."""
 
     speed_mps: float = key("reach for object", SPEEDS, "the same, straight to the object")
     until_distance_m: float = key(
@@ -135,7 +135,7 @@ class ReachForObject:
 
 @declared
 class FollowTcp:
-    """Keep heading for the TCP for ``duration_s``, to stop ``distance_m`` from it."""
+    """A pursuit of the TCP for ``duration_s``, with a stop ``distance_m`` from it."""
 
     speed_mps: float = key(
         "follow tcp", SPEEDS, "keep heading for the TCP for that long, to stop that far from it"
@@ -146,7 +146,7 @@ class FollowTcp:
 
 @declared
 class Wander:
-    """From one point of a box to the next for ``duration_s``; points are uniform, from the seed.
+    """Motion from one point of a box to the next for ``duration_s``; points are uniform, from the seed.
 
     ``corners_in_base_m`` are two opposite corners of the box, in any order.
     """
@@ -162,7 +162,7 @@ class Wander:
 
 @declared
 class Sweep:
-    """To one point, then ``times`` times to the other and back."""
+    """Motion to ``from_in_base_m``, then ``times`` times to ``to_in_base_m`` and back."""
 
     speed_mps: float = key("sweep", SPEEDS, "to the one point, then so many times to the other and back")
     from_in_base_m: Vector3 = key("from", POINT, "where a sweep begins and ends")
@@ -172,7 +172,7 @@ class Sweep:
 
 @declared
 class Withdraw:
-    """Straight back to where the hand started."""
+    """Straight motion back to the hand's start."""
 
     speed_mps: float = key("withdraw", SPEEDS, "straight back to where the hand started")
 
@@ -195,7 +195,7 @@ _EXAMPLES: dict[type[Any], str] = {
 
 
 def _table_of_move(kind: type[Any], example: str) -> KeyTable:
-    """Its first key is its name; all keys share one example."""
+    """Return the table of a move, whose first key is its name; all keys share one example."""
     table = table_of(kind, "")
     keys = tuple(replace(key, example=example) for key in table.keys)
     name = keys[0].name
@@ -211,6 +211,6 @@ MOVE = Below(
 )
 
 
-def shifted(point: Vector3, by: Vector3) -> Vector3:
-    """``point`` + ``by``."""
-    return point[0] + by[0], point[1] + by[1], point[2] + by[2]
+def shifted(point: Vector3, offset: Vector3) -> Vector3:
+    """Return ``point`` + ``offset``."""
+    return point[0] + offset[0], point[1] + offset[1], point[2] + offset[2]

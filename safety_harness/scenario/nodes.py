@@ -1,8 +1,8 @@
-"""The text of a scenario file as a tree that knows in which file and line each of its parts stands.
+"""The text of a scenario file as a tree whose parts know their file and line.
 
-YAML 1.2 is read down to its events and no further: no value is constructed, no tag is obeyed,
-nothing is expanded or executed.  What the small language does not need (tags, anchors and
-aliases, several documents, tabs, deep nesting) is refused by name.
+YAML 1.2 is read down to its events and no further.  The reader constructs no value, obeys no tag, and expands
+or executes no text.  Features that the small language does not need (tags, anchors and aliases, several
+documents, tabs, deep nesting) are refused by name.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _MOST_NODES = 20_000  # in one file; reading that many takes a second or two
 class Scalar:
     """A single value: its text, with quotes and folding undone.
 
-    ``drawn`` is the number, with its unit, to be read in place of the text: a space's own.
+    ``drawn`` is a number with its unit, drawn from a space, which replaces the text.
     """
 
     text: str
@@ -56,7 +56,7 @@ class Sequence:
 
 @dataclass(frozen=True)
 class Mapping:
-    """Keys and values in the order of the file; duplicate keys were refused."""
+    """Keys and values in the order of the file; a duplicate key is an error."""
 
     entries: tuple[tuple[Scalar, Node], ...]
     line: int
@@ -67,7 +67,16 @@ Node = Scalar | Sequence | Mapping
 
 
 def parse_tree(text: str, file: Path | None) -> Node:
-    """The tree of a YAML text with exactly one document; ScenarioError for anything else."""
+    """Return the tree of a YAML text with exactly one document.
+
+    Args:
+        text: The text.
+        file: Its file, for errors; None: no file.
+
+    Raises:
+        ScenarioError: The text is malformed, or it uses a feature outside the language.
+
+    """
     if "\t" in text:
         line = text.count("\n", 0, text.index("\t")) + 1
         hint = "a scenario file has no tabs, neither to indent nor within a line"
@@ -85,7 +94,7 @@ def parse_tree(text: str, file: Path | None) -> Node:
 
 
 def join(path: str, key: str) -> str:
-    """The field path of ``key`` within ``path``: ``tcp start.offset``, always printable."""
+    """Return the field path of ``key`` within ``path``: ``tcp start.offset``, always printable."""
     if not key.isprintable():
         key = "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in key)
     return f"{path}.{key}" if path else key
@@ -93,13 +102,14 @@ def join(path: str, key: str) -> str:
 
 @dataclass
 class _Builder:
-    """Takes events from the parser and gives nodes; ``path`` is the field that is being read."""
+    """Takes events from the parser and gives nodes; ``path`` is the path of the current field."""
 
     events: Iterator[Event]
     file: Path | None
     nodes: int = 0
 
     def node(self, event: Event, *, path: str, depth: int) -> Node:
+        """Return the node that begins with ``event``."""
         self.nodes += 1
         if self.nodes > _MOST_NODES:
             expected = f"at most {_MOST_NODES:,} keys and values in a file"
@@ -116,12 +126,14 @@ class _Builder:
         return Scalar(text, line, self.file)
 
     def _items(self, path: str, depth: int) -> Iterator[Node]:
+        """Yield the items of a list."""
         index = 0
         while not isinstance(event := next(self.events), SequenceEndEvent):
             yield self.node(event, path=f"{path}[{index}]", depth=depth)
             index += 1
 
     def _entries(self, path: str, depth: int) -> Iterator[tuple[Scalar, Node]]:
+        """Yield the keys and values of a mapping; ScenarioError for a key that comes twice."""
         first_line: dict[str, int] = {}
         while not isinstance(event := next(self.events), MappingEndEvent):
             key = self.node(event, path=path, depth=depth)
@@ -139,6 +151,7 @@ class _Builder:
             yield key, value
 
     def _refuse_what_has_no_use(self, event: Event, path: str, depth: int) -> None:
+        """Raise ScenarioError for an alias, an anchor, a tag or too deep a nesting."""
         line = _line(event)
         if isinstance(event, AliasEvent):
             raise _error(self.file, line, "the value itself", f"the alias *{event.anchor}", path)
@@ -152,7 +165,7 @@ class _Builder:
 
 
 def _events(text: str, file: Path | None) -> Iterator[Event]:
-    """The parser's events; whatever it raises becomes a ScenarioError with the line."""
+    """Yield the parser's events; any exception becomes a ScenarioError with the line."""
     try:
         yield from YAML(typ="safe", pure=True).parse(text)
     except MarkedYAMLError as error:
@@ -167,6 +180,7 @@ def _events(text: str, file: Path | None) -> Iterator[Event]:
 
 
 def _syntax_error(file: Path | None, line: int | None, problem: str) -> ScenarioError:
+    """Return the error for malformed YAML."""
     hint = 'a text with ": " or " #" in it, or one that begins with a sign such as % or @, needs quotes'
     got = f"a syntax error: {' '.join(problem.split())}"
     return _error(file, line, "well-formed YAML", got, hint=hint)
@@ -175,30 +189,33 @@ def _syntax_error(file: Path | None, line: int | None, problem: str) -> Scenario
 def _error(
     file: Path | None, line: int | None, expected: str, got: str, path: str = "", hint: str = ""
 ) -> ScenarioError:
+    """Return the error for a place in a file."""
     place = Place(file=file, line=line, field=path or None)
     return ScenarioError(place=place, expected=expected, got=got, hint=hint)
 
 
 def _line(event: Event) -> int:
+    """Return the line of an event, from 1."""
     return int(event.start_mark.line) + 1
 
 
 REFERRING = ("avoider", "controller", "recording")  # keys whose values name files
 
 
-def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool = False) -> Iterator[str]:
-    """What a space says below ``keys``: plain values, and their alternatives.
+def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, inside: bool = False) -> Iterator[str]:
+    """Yield the values of a space below ``keys``: plain values, and their alternatives.
 
-    No other text names a file: a hand that is called ``/etc/passwd`` brings that file into no ledger.
+    Other texts name no file.  A hand with the name ``/etc/passwd``, for example, brings that file into no
+    ledger.
     """
     if isinstance(node, Scalar):
         text = node.text
-        if within:
+        if inside:
             yield from text[7:].split(", ") if text.startswith("one of ") else [text]
     elif isinstance(node, Mapping):
         for key, value in node.entries:
             if key.text != "chances":
-                yield from references_in(value, keys, within=within or key.text in keys)
+                yield from references_in(value, keys, inside=inside or key.text in keys)
     else:
         for item in node.items:
-            yield from references_in(item, keys, within=within)
+            yield from references_in(item, keys, inside=inside)

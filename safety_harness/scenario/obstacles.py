@@ -1,4 +1,4 @@
-"""What stands in the cell beside table and object: boxes."""
+"""Obstacles in the cell beside table and object: boxes."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class Obstacle:
 
     @property
     def corners_in_base_m(self) -> NDArray[np.float64]:
-        """(8, 3) the four below, one after another, then those above them."""
-        across, along, up = (0.5 * edge for edge in self.size_m)
+        """The corners (8, 3): the four below in order around the box, then the four above them."""
+        across, along, half_height = (0.5 * edge for edge in self.size_m)
         square = np.array([[across, along], [-across, along], [-across, -along], [across, -along]])
         c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         square = square @ np.array([[c, s], [-s, c]])
         corners: NDArray[np.float64] = np.concatenate(
-            [np.column_stack([square, np.full(4, z)]) for z in (-up, up)]
+            [np.column_stack([square, np.full(4, z)]) for z in (-half_height, half_height)]
         )
         corners += np.array(self.position_in_base_m)
         return corners

@@ -1,7 +1,7 @@
-"""Which YAML files of a folder are ours: one answer for every command and for pytest.
+"""Recognition of our YAML files in a folder, the same for every command and for pytest.
 
 Other programs have files with a ``scenario:``, a ``suite:`` or ``claims:`` too.  A scenario is ours if it has
-a key that only we have, or extends one of ours; a suite is ours if it names a file of ours.
+a key that only we use, or extends a file of ours.  A suite is ours if it names a file of ours.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from safety_harness.scenario.nodes import Node, Scalar, Sequence, parse_tree
 
 # What pytest does not enter either, by its own default.
 NOT_ENTERED = (".*", "*.egg", "build", "CVS", "dist", "node_modules", "venv", "__pycache__")
-_ALONE = {"scenario space", "tcp start", "hand sensor"}  # nobody else's, whatever is beside them
-_TITLED = {"avoider", "hands"}  # nobody else's beside a title
-_TOLD = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE)  # by a title that others have as well
-_OTHERS = {"plan", "proof", "log"}  # titles of ours that begin something else
+_ALONE = {"scenario space", "tcp start", "hand sensor"}  # ours alone, whatever is beside them
+_TITLED = {"avoider", "hands"}  # ours alone beside a title
+_SHARED = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE)  # by a title of other programs as well
+_FOREIGN = {"plan", "proof", "log"}  # titles of ours that begin something else
 _WORTH = re.compile(r"\b(?:scenario|suite|extends|claims|tcp start|hand sensor)\b", re.IGNORECASE)
 _LINE = re.compile(r"^[\"']?([A-Za-z ]+?)[\"']?[ \t]*:(?=[ \t\r\n]|$)", re.MULTILINE)
 _VERDICTS = ("holds", "violated", "inconclusive")  # of the enum, which takes long to import
@@ -32,9 +32,9 @@ Entries = Mapping[str, Node | None]
 
 
 def is_ours(path: Path, known: dict[Path, bool] | None = None) -> bool:
-    """Is a file a scenario, a space or a suite of ours, also one with mistakes?  Never raises.
+    """Return whether a file is a scenario, a space or a suite of ours, with or without mistakes.
 
-    ``known`` are answers so far; files that lead to each other in a circle are ours.
+    It never raises.  ``known`` holds the answers so far.  Files that lead to each other in a circle are ours.
     """
     known = {} if known is None else known
     key = resolved(path)
@@ -45,12 +45,12 @@ def is_ours(path: Path, known: dict[Path, bool] | None = None) -> bool:
 
 
 def is_titled(path: Path) -> bool:
-    """Has a file the title of a scenario or a suite, as other programs have it too?"""
+    """Return whether a file has the title of a scenario or a suite, which other programs use too."""
     return _has_title(_entries(path))
 
 
 def yaml_files(folder: Path) -> Iterator[Path]:
-    """Every YAML file below ``folder`` in the order of its names, in the subfolders that pytest enters."""
+    """Yield every YAML file below ``folder`` by name, in the subfolders that pytest enters."""
     for at, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if _is_entered(Path(at, name)))
         yield from (Path(at, name) for name in sorted(files) if Path(name).suffix.lower() in SUFFIXES)
@@ -59,24 +59,34 @@ def yaml_files(folder: Path) -> Iterator[Path]:
 def files_of(
     path: Path, wanted: tuple[FileKind, ...], place: Place | None = None
 ) -> tuple[list[Path], list[Path]]:
-    """A file as it is; of a folder, also of subfolders, the ``wanted`` files of ours, and those left aside.
+    """Return the wanted files of a path, and the remaining files.
 
-    If none is wanted, all are given, so that whoever reads them says what they are.  ``shipped:NAME`` stands
-    for either.  ScenarioError, at ``place``, for a folder without a YAML file.
+    A file stands for itself.  A folder, with its subfolders, stands for the wanted files of ours in it.  If
+    it has no wanted file, the function returns all of its files, so that their reader names their kind.
+
+    Args:
+        path: A file or a folder; ``shipped:NAME`` works too.
+        wanted: The kinds to return.
+        place: The place of the path, for the error; None: the folder itself.
+
+    Raises:
+        ScenarioError: A folder has no YAML file.
+
     """
     path = located(path, place)
     if not path.is_dir():
         return [path], []
-    found, known = [*yaml_files(path)], dict[Path, bool]()
-    if not found:
+    files, known = [*yaml_files(path)], dict[Path, bool]()
+    if not files:
         expected = "a folder with scenario files (*.yaml)"
         got = f"none in {path}" if place else "none in it"
         raise ScenarioError(place=place or Place(file=path), expected=expected, got=got)
-    taken = [file for file in found if _is_wanted(file, wanted, known)] or found
-    return taken, [file for file in found if file not in taken]
+    accepted = [file for file in files if _is_wanted(file, wanted, known)] or files
+    return accepted, [file for file in files if file not in accepted]
 
 
 def _is_wanted(file: Path, wanted: tuple[FileKind, ...], known: dict[Path, bool]) -> bool:
+    """Return whether a file of a folder is of a wanted kind and ours."""
     kind = kind_of(file)
     if kind is FileKind.PLAN:
         return kind in wanted
@@ -84,55 +94,65 @@ def _is_wanted(file: Path, wanted: tuple[FileKind, ...], known: dict[Path, bool]
 
 
 def aside_lines(files: Iterable[Path]) -> list[str]:
-    """What a command left aside in folders, a line for each kind."""
+    """Return a line for each kind of file that a command left aside in folders."""
     by_kind: dict[str, list[str]] = {}
     for file in files:
         kind = kind_of(file)
-        words = "not ours" if kind is None or (kind in _TOLD and not is_ours(file)) else kind.words
-        by_kind.setdefault(words, []).append(str(told(file)))
-    return [f"left aside, {words}: {', '.join(names)}" for words, names in by_kind.items()]
+        noun = "not ours" if kind is None or (kind in _SHARED and not is_ours(file)) else kind.words
+        by_kind.setdefault(noun, []).append(str(told(file)))
+    return [f"left aside, {noun}: {', '.join(names)}" for noun, names in by_kind.items()]
 
 
 def _is_entered(folder: Path) -> bool:
-    return not any(fnmatch(folder.name, one) for one in NOT_ENTERED) and not (folder / "pyvenv.cfg").exists()
+    """Return whether pytest would enter a folder."""
+    return not any(fnmatch(folder.name, pat) for pat in NOT_ENTERED) and not (folder / "pyvenv.cfg").exists()
 
 
-def _has_title(found: Entries) -> bool:
-    """A title has a text on its line; that of a text that cannot be parsed may have."""
-    titles = [node for key, node in found.items() if key.lower() in TITLES]
+def _has_title(entries: Entries) -> bool:
+    """Return whether a mapping has a title with a text on its line.
+
+    In a text that cannot be parsed, any title counts.
+    """
+    titles = [node for key, node in entries.items() if key.lower() in TITLES]
     return any(node is None or (isinstance(node, Scalar) and bool(node.text)) for node in titles)
 
 
 def _is_ours(path: Path, known: dict[Path, bool]) -> bool:
-    found = _entries(path)
-    if _OTHERS & {*found}:
+    """Return whether a file is ours, without a look into ``known`` for itself."""
+    entries = _entries(path)
+    if _FOREIGN & {*entries}:
         return False
-    titled = _has_title(found)
-    if {*found} & (_ALONE | (_TITLED if titled else set())) or _has_verdicts(found.get("claims")):
+    titled = _has_title(entries)
+    if {*entries} & (_ALONE | (_TITLED if titled else set())) or _has_verdicts(entries.get("claims")):
         return True
-    base, several = found.get("extends"), found.get("scenarios")
+    base, several = entries.get("extends"), entries.get("scenarios")
     if isinstance(base, Scalar) and base.text:
         there = path.parent / base.text
         missing = titled and there.suffix.lower() in SUFFIXES and not os.path.lexists(there)
         return missing or _leads_to_ours(path, base.text, known)
-    items = several.items if isinstance(several, Sequence) and "suite" in found else ()
-    return any(_leads_to_ours(path, one.text, known) for one in items if isinstance(one, Scalar))
+    items = several.items if isinstance(several, Sequence) and "suite" in entries else ()
+    return any(_leads_to_ours(path, item.text, known) for item in items if isinstance(item, Scalar))
 
 
 def _has_verdicts(claims: Node | None) -> bool:
-    values = [value for _, value in claims.entries] if isinstance(claims, MappingNode) else []
-    return any(isinstance(one, Scalar) and one.text.startswith(_VERDICTS) for one in values)
+    """Return whether a claim of a file has a verdict of ours."""
+    values = [node for _, node in claims.entries] if isinstance(claims, MappingNode) else []
+    return any(isinstance(value, Scalar) and value.text.startswith(_VERDICTS) for value in values)
 
 
 def _leads_to_ours(path: Path, text: str, known: dict[Path, bool]) -> bool:
+    """Return whether a path in a file leads to a file of ours."""
     there = path.parent / text
     if text.startswith(PREFIX):
         return True
-    return any(is_ours(one, known) for one in (yaml_files(there) if os.path.isdir(there) else [there]))
+    return any(is_ours(file, known) for file in (yaml_files(there) if os.path.isdir(there) else [there]))
 
 
 def _entries(path: Path) -> Entries:
-    """The keys at the top of a file with their values; None for those of a text that cannot be parsed."""
+    """Return the keys at the top of a file with their values.
+
+    If the text cannot be parsed, the values are None.  If it has no keyword of ours, the result is empty.
+    """
     try:
         if not path.is_file():
             return {}

@@ -1,7 +1,7 @@
-"""Scenario files: ``read_scenario`` turns the text that a safety engineer wrote into a Scenario.
+"""Scenario files: ``read_scenario`` turns a safety engineer's text into a Scenario.
 
-docs/scenario-language.md is the reference of the language.  One function reads one object; all
-checks that need no kinematics are made here, every error has file, line and field.
+docs/scenario-language.md is the reference of the language.  A function reads one object.  All checks without
+kinematics are here, and every error has file, line and field.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ from safety_harness.scenario.units import DIMENSIONS, parse_quantity, shown
 MOST_TICKS = 1_000_000
 SMALLEST_BOX_M = 0.01  # from corner to corner
 SHORTEST_SWEEP_M = 0.001
-# The moves follow the keys that have to be there, in a message.
+# In a message the moves follow the other required keys.
 _MOVING_KEYS = (*MOVING_HAND.names[:3], "moves", *MOVING_HAND.names[3:-1])
 _COMPOSED = dict.fromkeys(
     COMPOSING, "only a file can have it, and a text is none: read_all_scenarios reads files"
 ) | {SUITE: "a suite is many scenarios: read_all_scenarios reads them"}
 
-# What a scenario must not have: distributions, which belong to scenario spaces.
+# Distributions, which a scenario must not have: they belong to scenario spaces.
 _HINT = f'a file that begins with "{SPACE_KEY}:" may have distributions in place of values'
 _SENTENCES = re.compile(r"from [+-]?[0-9.].* to .+|normal .+(\+-|\+/-|±).+|one of .+,.+")
 _KEYS = ({"one of"}, {"one of", "chances"}, {"box"}, {"shell", "from", "to"}, {"in"}, {"repeat", "moves"})
@@ -68,11 +68,18 @@ _PROSE = ("scenario", "about", "claims")
 
 
 def read_scenario(path: str | Path | Scenario) -> Scenario:
-    """The scenario in a file, with what it extends.
+    """Return the scenario in a file, with the content of the files that it extends.
 
-    A text is the file's path, ``shipped:NAME`` one of ours; the text of a scenario is for ``parse_scenario``.
-    A Scenario stays what it is.  ScenarioError or RecordingError when it cannot be used as it stands, and for
-    a matrix or a suite, which ``read_all_scenarios`` reads.  InputError for what is no path.
+    Args:
+        path: The file, or ``shipped:NAME``; ``parse_scenario`` reads a text.  A Scenario is returned as it
+            is.
+
+    Raises:
+        ScenarioError: The file is malformed, or it is a matrix or a suite (``read_all_scenarios`` reads
+            these).
+        RecordingError: A recording in it cannot be used.
+        InputError: ``path`` is no path.
+
     """
     if isinstance(path, Scenario):
         return path
@@ -82,7 +89,7 @@ def read_scenario(path: str | Path | Scenario) -> Scenario:
 
 
 def scenario_of_variant(variant: Variant, file: Path) -> Scenario:
-    """The scenario of one tree that ``file`` stands for."""
+    """Return the scenario of one tree of ``file``; ScenarioError for distributions."""
     refuse_distributions(Field(variant.tree, file, path="", line=1))
     return scenario_of(variant.tree, file, name=variant.name)
 
@@ -95,13 +102,20 @@ def parse_scenario(
     name: str | None = None,
     claims_required: bool = True,
 ) -> Scenario:
-    """The scenario that ``text`` describes, which has to be complete in itself.
+    """Return the scenario that a text describes; the text must be complete in itself.
 
-    ``file`` names it, unless ``name`` does, and is where recordings are sought from.
+    Args:
+        text: The text.
+        file: The folder of this path is where recordings are.  None: the working directory.
+        recordings: Contents of recordings, and of an arm's files, by their SHA-256.  They replace files
+            wherever the text has ``sha256`` beside ``recording``.
+        name: The name of the scenario; None: from ``file``, else "unnamed".
+        claims_required: Whether to refuse a scenario without claims, which has no verdict.
 
-    ``recordings`` are bytes of recordings, and of an arm's files, by their SHA-256, for a text that says
-    ``sha256`` beside ``recording``: they are used in place of files.  A scenario without claims says nothing
-    and is refused unless ``claims_required`` is False.  ScenarioError or RecordingError otherwise.
+    Raises:
+        ScenarioError: The text is malformed, or a value is impossible.
+        RecordingError: A recording cannot be used.
+
     """
     hint = "read_scenario(path) reads a file"
     refuse_other_type("parse_scenario(text)", text, str, expected="a text", hint=hint)
@@ -119,7 +133,7 @@ def scenario_of(
     name: str,
     claims_required: bool = True,
 ) -> Scenario:
-    """As ``parse_scenario``, for a text that is a tree already."""
+    """Return the scenario of a tree; arguments and errors as in ``parse_scenario``."""
     root = Field(tree, file, path="", line=1)
     given = root.fields(TOP.names, hints=_COMPOSED)
     values = TOP.values(given)
@@ -140,7 +154,7 @@ def scenario_of(
 
 
 def _choose_controller(given: Fields, values: dict[str, Any]) -> None:
-    """Only the visual servo has an avoider."""
+    """Refuse an avoider beside a controller other than the visual servo, and set NO_AVOIDER for it."""
     if values["controller"] == VISUAL_SERVO:
         return
     if "avoider" in given:
@@ -151,7 +165,7 @@ def _choose_controller(given: Fields, values: dict[str, Any]) -> None:
 
 
 def refuse_distributions(root: Field) -> None:
-    """ScenarioError, with a hint, for a scenario space and for a value that a distribution stands for."""
+    """Raise ScenarioError, with a hint, for a scenario space and for a distribution in place of a value."""
     if not isinstance(root.node, MappingNode):
         return
     for key, field in root.entries("a scenario"):
@@ -160,11 +174,12 @@ def refuse_distributions(root: Field) -> None:
             hint = "safety-harness fuzz searches it, and sample draws scenarios from it"
             raise field.error(expected, got="a scenario space", hint=hint)
         if key not in _PROSE:
-            for one in walk(field):
-                _refuse_distribution(one)
+            for child in walk(field):
+                _refuse_distribution(child)
 
 
 def _refuse_distribution(field: Field) -> None:
+    """Raise ScenarioError if a field is a distribution."""
     if isinstance(field.node, Scalar) and _SENTENCES.fullmatch(field.node.text.strip()):
         raise field.error("one value", hint=_HINT)
     if isinstance(field.node, MappingNode):
@@ -174,6 +189,7 @@ def _refuse_distribution(field: Field) -> None:
 
 
 def _check_duration(duration_s: float, field: Field, settings: Settings) -> None:
+    """Raise ScenarioError for a duration below a control period or above MOST_TICKS periods."""
     if duration_s < settings.clock.control_period_s:
         raise field.error(f"at least one control period, {settings.clock.control_period_s:g} s")
     if duration_s > MOST_TICKS * settings.clock.control_period_s:
@@ -181,7 +197,7 @@ def _check_duration(duration_s: float, field: Field, settings: Settings) -> None
 
 
 def _settings(given: Fields, robot: AnyRobot) -> Settings:
-    """The defaults with the values that the file changes; an own arm says itself how it stops."""
+    """Return the defaults with the values of the file; an own arm brings its own braking data."""
     changes = {
         name: read_group(given.required(key), name) for key, name in TOP_GROUPS.items() if key in given
     }
@@ -197,22 +213,22 @@ def _settings(given: Fields, robot: AnyRobot) -> Settings:
 
 
 def _misplaced() -> dict[str, str]:
-    """What to write instead of a key that stands one level too high, or too low, in ``settings``."""
+    """Return advice for keys that stand one level too high, or too low, in ``settings``."""
     hints = {key: f'"{key}:" stands at the top of the file' for key in TOP_GROUPS}
     for group, name in SETTINGS_KEYS.items():
         for key in setting_keys(type(getattr(DEFAULTS, name))):
             hint = f"{group}: {{{key.path[0]}: ...}}"
-            before = hints.get(key.path[0])
-            hints[key.path[0]] = f"{before}, or {hint}" if before else f"write {hint}"
+            earlier = hints.get(key.path[0])
+            hints[key.path[0]] = f"{earlier}, or {hint}" if earlier else f"write {hint}"
     return hints
 
 
 def _hands(
     field: Field | None, *, settings: Settings, carried: Mapping[str, bytes]
 ) -> tuple[HandTrajectory, ...]:
-    """The hands, at most MAX_HANDS, each with a name of its own.
+    """Return the hands, at most MAX_HANDS, each with its own name.
 
-    ``carried`` are recordings by the SHA-256 of their bytes; they come before files.
+    ``carried`` has recordings by the SHA-256 of their bytes; they replace files.
     """
     if field is None:
         return ()
@@ -225,13 +241,14 @@ def _hands(
             hand = _joined_hand(item.fields(JOINED_HAND.names), hands)
         else:
             hand = _moving_hand(item.fields(_MOVING_KEYS))
-        if any(hand.name == other.name for other in hands):
+        if any(hand.name == earlier.name for earlier in hands):
             raise item.error("another name for each hand", got=f'"{hand.name}" twice', hint="the key hand")
         hands.append(hand)
     return tuple(hands)
 
 
 def _moving_hand(given: Fields) -> MovingHand:
+    """Return a hand of moves; ScenarioError if its values contradict."""
     hand: MovingHand = MOVING_HAND.made_of(given)
     if hand.elbow_towards_in_base_m == shifted(hand.starts_at_in_base_m, hand.shift_in_base_m):
         raise given.required("elbow towards").error("a point other than where the hand starts")
@@ -246,7 +263,7 @@ def _moving_hand(given: Fields) -> MovingHand:
 
 
 def _check_move(move: HandMove, given: Mapping[str, Field], hand: MovingHand) -> None:
-    """ScenarioError for a move that the hand's bound on speed forbids, and for values that do not agree."""
+    """Raise ScenarioError for a move above the hand's speed bound, and for contradicting values."""
     if isinstance(move, Wander) and _apart_m(*move.corners_in_base_m) < SMALLEST_BOX_M:
         expected = f"a box of at least {SMALLEST_BOX_M * 1e3:g} mm from corner to corner"
         raise given["within"].error(expected)
@@ -264,14 +281,15 @@ def _check_move(move: HandMove, given: Mapping[str, Field], hand: MovingHand) ->
         raise given["hesitating at"].error(expected)
 
 
-def _apart_m(one: Vector3, other: Vector3) -> float:
-    return float(np.linalg.norm(np.subtract(one, other)))
+def _apart_m(first: Vector3, second: Vector3) -> float:
+    """Return the distance [m] of two points."""
+    return float(np.linalg.norm(np.subtract(first, second)))
 
 
-def _joined_hand(given: Fields, before: list[HandTrajectory]) -> JoinedHand:
-    """A hand that goes with one that is written before it."""
+def _joined_hand(given: Fields, earlier: list[HandTrajectory]) -> JoinedHand:
+    """Return a hand that accompanies a hand of ``earlier``."""
     hand: JoinedHand = JOINED_HAND.made_of(given)
-    names = [other.name for other in before if not isinstance(other, JoinedHand)]
+    names = [candidate.name for candidate in earlier if not isinstance(candidate, JoinedHand)]
     if hand.joined_to not in names:
         known = ", ".join(f'"{name}"' for name in names) or "(there is none)"
         expected = f"the name of a hand that is written before: {known}"
@@ -280,6 +298,7 @@ def _joined_hand(given: Fields, before: list[HandTrajectory]) -> JoinedHand:
 
 
 def _recorded_hand(given: Fields, settings: Settings, carried: Mapping[str, bytes]) -> RecordedHand:
+    """Return a hand of a recording, with its motion; RecordingError if it cannot be used."""
     values = RECORDED_HAND.values(given)
     recording = _recording(given, values["recording"], values.pop("motion", ""), carried)
     values.setdefault("name", values["track"].replace("_", " "))
@@ -293,7 +312,10 @@ def _recorded_hand(given: Fields, settings: Settings, carried: Mapping[str, byte
 
 
 def _refuse_too_fast(given: Fields, hand: RecordedHand) -> None:
-    """A recording keeps its own speed, unless a bound is written or it is sped up."""
+    """Raise ScenarioError for a recording faster than its bound.
+
+    Without a written bound, a recording at its own speed passes.
+    """
     if hand.max_speed_mps is None and hand.speed_factor <= 1.0:
         return
     bound_mps = REACHING_MPS if hand.max_speed_mps is None else hand.max_speed_mps
@@ -306,22 +328,22 @@ def _refuse_too_fast(given: Fields, hand: RecordedHand) -> None:
 
 
 def _recording(given: Fields, path: Path, digest: str, carried: Mapping[str, bytes]) -> Recording:
-    """The carried recording with the SHA-256 that is asked for, else the file beside the scenario."""
+    """Return the carried recording with the requested SHA-256, else the file beside the scenario."""
     field = given.required("recording")
     file = located((field.file.parent if field.file else Path()) / path, field.place)
     if digest in carried:
         data = carried[digest]
     else:
         data = read_bytes(file, most=MAX_BYTES, place=field.place, error=RecordingError)
-    found = hashlib.sha256(data).hexdigest()
-    if digest and found != digest:
-        place, got = given.required("sha256").place, f"one with {found}"
+    actual = hashlib.sha256(data).hexdigest()
+    if digest and actual != digest:
+        place, got = given.required("sha256").place, f"one with {actual}"
         raise RecordingError(place=place, expected="a recording with this SHA-256", got=got)
     return parse_recording(data, file)
 
 
 def _elbow_track(given: Fields, values: Mapping[str, Any], recording: Recording) -> str | None:
-    """What the forearm points to, if no fixed point: a recorded elbow, by default the same side's."""
+    """Return the track of the elbow, by default on the hand's side; None for a fixed point."""
     if "elbow track" in given and "elbow towards" in given:
         expected = "either an elbow track or a point that the elbow is towards"
         raise given.required("elbow towards").error(expected, got="both")
@@ -337,12 +359,13 @@ def _elbow_track(given: Fields, values: Mapping[str, Any], recording: Recording)
 
 
 def _claims(field: Field, *, required: bool) -> tuple[Claim, ...]:
-    """Claims are looked up later; here they only have to be sentences with a verdict."""
+    """Return the claims as sentences with a verdict; admission looks the sentences up later."""
     entries = CLAIMS.read(field) if required else field.entries(CLAIMS.expected)
     return tuple(_claim(sentence, verdict) for sentence, verdict in entries)
 
 
 def _claim(sentence: str, verdict: Field) -> Claim:
+    """Return a claim with its verdict, and with the bound of an expected violation."""
     if not is_sentence(sentence):
         raise verdict.error(SENTENCE, got=shown(sentence))
     text, bounded, largest = verdict.scalar(EXPECTED).partition(BY_AT_MOST)

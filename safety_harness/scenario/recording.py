@@ -1,10 +1,11 @@
 """Recorded hands: a CSV file of marker positions becomes a motion in the robot's base frame.
 
 The file has a column ``time_s`` and, for each tracked point, ``<track>_x_m``, ``<track>_y_m`` and
-``<track>_z_m``; its table is bounded in size, and text until a track of it is used.  Real recordings
-have gaps (empty cells) and swapped markers (jumps of several metres a second); both are mended by
-straight motion as far as the user's bounds allow, reported in words, and refused beyond.  Nothing is
-smoothed.
+``<track>_z_m``.  The size of its table is bounded, and its cells stay text until a hand uses their track.
+
+Real recordings have gaps (empty cells) and swapped markers (jumps of several metres a second).  Straight
+motion bridges both as far as the user's bounds allow, and the notes report it.  Larger gaps and jumps are
+refused.  No position is smoothed.
 """
 
 from __future__ import annotations
@@ -36,16 +37,16 @@ MAX_COLUMNS = 1_000
 TIME_COLUMN = "time_s"
 _LARGEST_TIME_S = 1e10  # a clock that counts from 1970 still fits
 LARGEST_COORDINATE_M = 100.0
-_SHORTEST_STEP_S = 1e-6
-_NEAREST_ELBOW_M = 1e-3
-_MISSING_ROWS = 1.5  # sampling periods between two rows; beyond it, rows are missing in between
+_SHORTEST_STEP_S = 1e-6  # between two rows
+_NEAREST_ELBOW_M = 1e-3  # from the hand; nearer, the forearm has no direction
+_MISSING_ROWS = 1.5  # sampling periods between two rows; above it, rows are missing between them
 _ROUNDING_S = 1e-9  # 10.67 - 10.47 is not quite 0.2
 _ADVICE = 'leave it out with "from" and "to", or raise "longest gap"'
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording as it stands in its file: cells are read as numbers only when a track is used."""
+    """A recording as it stands in its file; cells become numbers only when a hand uses their track."""
 
     file: Path
     sha256: str
@@ -61,14 +62,14 @@ class Recording:
         return tuple(stem for stem in stems if {f"{stem}_y_m", f"{stem}_z_m"} <= set(self.header))
 
     def elbow_of(self, track: str) -> str | None:
-        """The same side's elbow, ``right_elbow`` for ``right_hand``, if it was recorded."""
+        """Return the elbow on the side of ``track``, ``right_elbow`` for ``right_hand``, or None."""
         elbow = track.replace("hand", "elbow")
         return elbow if elbow != track and elbow in self.tracks else None
 
 
 @lru_cache(maxsize=8)  # once for all the scenarios that repeat the same bytes
 def parse_recording(data: bytes, file: Path) -> Recording:
-    """The table in the bytes of a CSV file; RecordingError when there is none with a time column."""
+    """Return the table in the bytes of a CSV file; RecordingError without a table with a time column."""
     text = decode(data, most=MAX_BYTES, file=file, error=RecordingError)
     header, rows, lines = _read_table(text, file)
     column = header.index(TIME_COLUMN)
@@ -90,7 +91,7 @@ def parse_recording(data: bytes, file: Path) -> Recording:
 
 
 def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str, ...]], list[int]]:
-    """Header, rows and the rows' line numbers; empty lines are skipped."""
+    """Return header, rows and the rows' line numbers; empty lines do not count."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows: list[tuple[str, ...]] = []
     lines: list[int] = []
@@ -113,7 +114,7 @@ def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str,
         raise _error(file, 1, expected="a line with the names of the columns", got="an empty file")
     header = rows[0]
     if TIME_COLUMN not in header:
-        ours = any(name.endswith("_x_m") for name in header)  # nothing is quoted of what may be anybody's
+        ours = any(name.endswith("_x_m") for name in header)  # a foreign file may be confidential: no quote
         got = f"the columns {shown(', '.join(header))}" if ours else "none of that name"
         hint = near_miss(TIME_COLUMN, header)
         raise _error(file, lines[0], expected=f'a column "{TIME_COLUMN}"', got=got, hint=hint)
@@ -129,6 +130,7 @@ def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str,
 
 
 def _check_time(time_s: NDArray[np.float64], lines: list[int], file: Path) -> None:
+    """Raise RecordingError unless there are two samples and their times rise."""
     if len(time_s) < 2:
         raise _error(file, expected="at least two samples", got=str(len(time_s)))
     for index in np.flatnonzero(~np.isfinite(time_s)):
@@ -140,7 +142,16 @@ def _check_time(time_s: NDArray[np.float64], lines: list[int], file: Path) -> No
 
 
 def _number(cell: str, file: Path, line: int | np.int64, column: str, largest: float) -> float:
-    """The number in a cell; NaN for an empty one (a gap), for which some programs write nan."""
+    """Return the number in a cell; NaN for a gap, which is an empty cell or "nan".
+
+    Args:
+        cell: The text of the cell.
+        file: The file, for errors.
+        line: The line of the cell.
+        column: The column's name.
+        largest: The largest allowed absolute value.
+
+    """
     if cell.lower() in ("", "nan"):
         return math.nan
     expected = f"a number of at most {largest:g}, or an empty cell for a gap"
@@ -156,17 +167,17 @@ def _number(cell: str, file: Path, line: int | np.int64, column: str, largest: f
 def _error(
     file: Path, line: int | None = None, column: str | None = None, *, expected: str, got: str, hint: str = ""
 ) -> RecordingError:
-    """The error for a place in a recording."""
+    """Return the error for a place in a recording."""
     place = Place(file=file, line=line, field=column)
     return RecordingError(place=place, expected=expected, got=got, hint=hint)
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """The samples of one point within the window that is used.
+    """The samples of one point within the used window.
 
-    ``time_s`` (n,) rises strictly; ``position_m`` (n, 3) is NaN where a cell was empty; ``line``
-    (n,) is each sample's line in ``file``, for messages; ``window_s`` is what was asked for.
+    ``time_s`` (n,) rises strictly.  ``position_m`` (n, 3) is NaN for an empty cell.  ``line`` (n,) is the
+    line of a sample in ``file``, for messages.  ``window_s`` is the requested window.
     """
 
     name: str
@@ -178,33 +189,33 @@ class Track:
 
     @cached_property
     def longest_step_s(self) -> float:
-        """The longest time between two rows between which none is missing."""
+        """The longest time between two rows without missing rows between them."""
         return _MISSING_ROWS * (float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else 0.0)
 
-    def speed_mps(self, one: int, other: int) -> float:
-        """From one sample straight to another."""
-        way_m = np.linalg.norm(self.position_m[other] - self.position_m[one])
-        return float(way_m / (self.time_s[other] - self.time_s[one]))
+    def speed_mps(self, first: int, second: int) -> float:
+        """Return the speed [m/s] straight from sample ``first`` to sample ``second``."""
+        way_m = np.linalg.norm(self.position_m[second] - self.position_m[first])
+        return float(way_m / (self.time_s[second] - self.time_s[first]))
 
 
 @dataclass(frozen=True, eq=False)
 class MendedTrack:
-    """A track whose swapped samples are gone.  ``usable`` (n,) marks what is left."""
+    """A track without swapped samples; ``usable`` (n,) marks the remaining samples."""
 
     track: Track
     usable: NDArray[np.bool_]
-    note: str  # what was bridged and removed; empty when nothing was
+    note: str  # the bridged gaps and removed jumps; empty without any
 
     def at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(k, 3) the positions at the times ``time_s`` (k,), straight between usable samples."""
+        """Return the positions (k, 3) at the times ``time_s`` (k,), straight between usable samples."""
         known_s, known_m = self.track.time_s[self.usable], self.track.position_m[self.usable]
         return np.stack([np.interp(time_s, known_s, known_m[:, axis]) for axis in range(3)], axis=1)
 
 
 def _mend(track: Track, longest_gap_s: float, fastest_jump_mps: float) -> MendedTrack:
-    """Take swapped samples out, hold every gap against ``longest_gap_s``, say what is bridged.
+    """Return the track without swapped samples, with a note on the bridged gaps.
 
-    RecordingError when fewer than two samples can be used or a gap is too long.
+    RecordingError if fewer than two samples are usable or a gap exceeds ``longest_gap_s``.
     """
     seen: NDArray[np.bool_] = np.asarray(np.isfinite(track.position_m).all(axis=1))
     usable, jumps = _without_jumps(track, seen, fastest_jump_mps)
@@ -216,12 +227,12 @@ def _mend(track: Track, longest_gap_s: float, fastest_jump_mps: float) -> Mended
         expected = f"at least two usable samples from {begin} to {end}"
         raise _error(track.file, None, track.name, expected=expected, got=str(len(good)))
     bridged_s = []
-    for before, after in itertools.pairwise(good):
-        gap_s = float(track.time_s[after] - track.time_s[before])
+    for last, following in itertools.pairwise(good):
+        gap_s = float(track.time_s[following] - track.time_s[last])
         if gap_s > longest_gap_s + _ROUNDING_S:
-            ends_s = float(track.time_s[before]), float(track.time_s[after])
-            raise _too_long(track, before + 1, ends_s, seen, longest_gap_s)
-        if after - before > 1 or gap_s > track.longest_step_s:
+            ends_s = float(track.time_s[last]), float(track.time_s[following])
+            raise _too_long(track, last + 1, ends_s, seen, longest_gap_s)
+        if following - last > 1 or gap_s > track.longest_step_s:
             bridged_s.append(gap_s)
     return MendedTrack(track, usable, _note(track, good, bridged_s, jumps))
 
@@ -229,11 +240,11 @@ def _mend(track: Track, longest_gap_s: float, fastest_jump_mps: float) -> Mended
 def _without_jumps(
     track: Track, seen: NDArray[np.bool_], fastest_mps: float
 ) -> tuple[NDArray[np.bool_], str]:
-    """Which of the ``seen`` samples are the marker itself, and in words which jumps the others were.
+    """Return a mark for each of the ``seen`` samples that is the marker itself, and a note on the jumps.
 
-    A sample that could be reached from the last good one only faster than ``fastest_mps`` is
-    another marker's.  So is each sample that follows it without a break or a second jump:
-    time alone makes a swapped marker plausible again, although it has not come back.
+    A sample is another marker's if only a speed above ``fastest_mps`` leads to it from the last good sample.
+    So is each sample that follows it without a break or a second jump: time alone makes a swapped marker
+    plausible again, although it has not come back.
     """
     usable = np.zeros(len(seen), dtype=np.bool_)
     indices = np.flatnonzero(seen).tolist()
@@ -256,8 +267,8 @@ def _without_jumps(
             jumps += 1
         previous = index
     samples = _count(len(indices) - int(usable.sum()), "sample")
-    words = f"{_count(jumps, 'jump')} removed ({samples}, fastest {fastest:.3g} m/s)"
-    return usable, words if jumps else ""
+    note = f"{_count(jumps, 'jump')} removed ({samples}, fastest {fastest:.3g} m/s)"
+    return usable, note if jumps else ""
 
 
 def _check_ends(track: Track, good: list[int], seen: NDArray[np.bool_], longest_gap_s: float) -> None:
@@ -267,13 +278,14 @@ def _check_ends(track: Track, good: list[int], seen: NDArray[np.bool_], longest_
     if first_s - begin_s > longest_gap_s + _ROUNDING_S:
         raise _too_long(track, 0, (begin_s, first_s), seen, longest_gap_s)
     if end_s - last_s > longest_gap_s + _ROUNDING_S:
-        after = min(good[-1] + 1, len(seen) - 1)
-        raise _too_long(track, after, (last_s, end_s), seen, longest_gap_s)
+        following = min(good[-1] + 1, len(seen) - 1)
+        raise _too_long(track, following, (last_s, end_s), seen, longest_gap_s)
 
 
 def _too_long(
     track: Track, index: int, gap_s: tuple[float, float], seen: NDArray[np.bool_], longest_gap_s: float
 ) -> RecordingError:
+    """Return the error for a gap that exceeds the bound."""
     begin, end, length = (_seconds(time_s) for time_s in (*gap_s, gap_s[1] - gap_s[0]))
     got = f"none for {length}, from {begin} to {end} of the file"
     if seen[index] and index > 0:
@@ -284,6 +296,7 @@ def _too_long(
 
 
 def _note(track: Track, good: list[int], bridged_s: list[float], jumps: str) -> str:
+    """Return a note on late starts, bridged gaps, early ends and jumps; empty without any."""
     parts = []
     if good[0] > 0:
         parts.append(f"starts {_seconds(track.time_s[good[0]] - track.time_s[0])} late")
@@ -296,10 +309,12 @@ def _note(track: Track, good: list[int], bridged_s: list[float], jumps: str) -> 
 
 
 def _count(number: int, noun: str) -> str:
+    """Return a number with its noun, in the plural where it belongs."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _seconds(time_s: float) -> str:
+    """Return a time in seconds, rounded to milliseconds."""
     return f"{round(float(time_s), 3):.12g} s"
 
 
@@ -310,13 +325,23 @@ def load_recording(
     forearm_length_m: float,
     places: Mapping[str, Place] = MappingProxyType({}),
 ) -> RecordedMotion:
-    """The window of the recording that ``hand`` uses, mended, turned and put where the user wants it.
+    """Return the window of the recording that ``hand`` uses, mended, turned and at its place.
 
-    The first used sample of ``hand.track`` comes to its start at time 0, and the hand rests there for
-    ``delay_s``.  Gaps and jumps are measured in the recording's own time, before ``speed_factor``.  The
-    elbow is that of ``elbow_track``; without one it lies ``forearm_length_m`` from the hand towards
-    ``elbow_towards_in_base_m``.  RecordingError says what cannot be used, and where: in the recording,
-    or at the one of ``places`` whose key (``track``, ``from``, ...) asks for what is not there.
+    The first used sample of ``hand.track`` lies at its start at time 0, and the hand rests there for
+    ``delay_s``.  Gaps and jumps count in the recording's own time, before ``speed_factor``.  The elbow comes
+    from ``elbow_track``.  Without such a track it lies ``forearm_length_m`` from the hand towards
+    ``elbow_towards_in_base_m``.
+
+    Args:
+        recording: The recording.
+        hand: The hand that repeats it.
+        forearm_length_m: The length of a forearm without a recorded elbow.
+        places: The places of the hand's keys (``track``, ``from``, ...), for errors.
+
+    Raises:
+        RecordingError: A part is unusable.  The place is in the recording, or the key that requests the
+            missing part.
+
     """
     window_s = _window(recording, hand, places)
     names = (hand.track,) if hand.elbow_track is None else (hand.track, hand.elbow_track)
@@ -338,32 +363,33 @@ def load_recording(
     if hand.delay_s > 0.0:
         played_s = np.concatenate([[0.0], played_s])
         hand_in_base_m, elbow_in_base_m = (
-            np.concatenate([one[:1], one]) for one in (hand_in_base_m, elbow_in_base_m)
+            np.concatenate([track[:1], track]) for track in (hand_in_base_m, elbow_in_base_m)
         )
     return RecordedMotion(
         time_s=played_s,
         hand_position_in_base_m=hand_in_base_m,
         elbow_position_in_base_m=elbow_in_base_m,
-        notes=tuple(one.note for one in mended if one.note),
+        notes=tuple(track.note for track in mended if track.note),
         sha256=recording.sha256,
     )
 
 
 def _window(recording: Recording, hand: RecordedHand, places: Mapping[str, Place]) -> tuple[float, float]:
-    """From when to when the recording is used, on its own clock."""
+    """Return the used part of the recording, as begin and end on its own clock."""
     first_s, last_s = float(recording.time_s[0]), float(recording.time_s[-1])
     begin_s = first_s if hand.from_s is None else hand.from_s
     end_s = last_s if hand.to_s is None else hand.to_s
     if not first_s <= begin_s < end_s <= last_s:
-        wrong = "to" if hand.to_s is not None and first_s <= begin_s < last_s else "from"
+        key = "to" if hand.to_s is not None and first_s <= begin_s < last_s else "from"
         expected = f'"from" before "to", both from {first_s:.12g} s to {last_s:.12g} s of {recording.file}'
         got = f"from {begin_s:.12g} s to {end_s:.12g} s"
-        place = places.get(wrong, Place(file=recording.file, field=TIME_COLUMN))
+        place = places.get(key, Place(file=recording.file, field=TIME_COLUMN))
         raise RecordingError(place=place, expected=expected, got=got)
     return begin_s, end_s
 
 
 def _refuse_unknown_track(recording: Recording, name: str, place: Place | None) -> None:
+    """Raise RecordingError for a track that the recording does not have."""
     if name not in recording.tracks:
         known = ", ".join(map(shown, recording.tracks)) or "(there is none)"
         raise RecordingError(
@@ -382,7 +408,7 @@ def _mended(
     longest_gap_s: float,
     fastest_jump_mps: float,
 ) -> MendedTrack:
-    """One point of the recording within the window, mended."""
+    """Return one point of the recording within the window, mended."""
     inside = np.flatnonzero((recording.time_s >= window_s[0]) & (recording.time_s <= window_s[1]))
     columns = [(column, recording.header.index(column)) for column in (f"{name}_{axis}_m" for axis in "xyz")]
     position_m = [
@@ -406,20 +432,23 @@ def _mended(
 
 
 def _common_times(mended: list[MendedTrack], file: Path) -> NDArray[np.float64]:
-    """The times of samples usable in any track, from when all are known until one is no more."""
-    begin_s = max(float(one.track.time_s[one.usable][0]) for one in mended)
-    end_s = min(float(one.track.time_s[one.usable][-1]) for one in mended)
-    any_usable = np.logical_or.reduce([one.usable for one in mended])
+    """Return the times of samples usable in any track, within the time that all tracks cover."""
+    begin_s = max(float(track.track.time_s[track.usable][0]) for track in mended)
+    end_s = min(float(track.track.time_s[track.usable][-1]) for track in mended)
+    any_usable = np.logical_or.reduce([track.usable for track in mended])
     time_s = mended[0].track.time_s[any_usable]
     time_s = time_s[(time_s >= begin_s) & (time_s <= end_s)]
     if len(time_s) < 2:
-        names = " and ".join(one.track.name for one in mended)
+        names = " and ".join(track.track.name for track in mended)
         raise _error(file, expected=f"at least two samples with {names}", got=str(len(time_s)))
     return time_s
 
 
 def _turned(vector: NDArray[np.float64], angle_rad: float) -> NDArray[np.float64]:
-    """(n, 3) turned about z; written out, since a matrix product may round otherwise elsewhere."""
+    """Return vectors (n, 3) turned about z.
+
+    The product is explicit, since a matrix product may round differently on another machine.
+    """
     cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
     x, y, z = vector.T
     return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
@@ -432,7 +461,7 @@ def _elbows_towards(
     recording: Recording,
     places: Mapping[str, Place],
 ) -> NDArray[np.float64]:
-    """(n, 3) elbows ``length_m`` from the hand towards one point."""
+    """Return elbows (n, 3) ``length_m`` from the hand towards one point."""
     forearm = np.array(towards_in_base_m) - hand_in_base_m
     distance_m = np.linalg.norm(forearm, axis=1, keepdims=True)
     if distance_m.min() < _NEAREST_ELBOW_M:

@@ -1,4 +1,4 @@
-"""The keys of a scenario file, mapping by mapping, in the order in which they are best written."""
+"""The keys of a scenario file, mapping by mapping, in the recommended order."""
 
 from __future__ import annotations
 
@@ -41,6 +41,7 @@ EXPECTED = "holds, violated, inconclusive or, with a bound, violated by at most 
 
 
 def _expectation(claim: Claim) -> str:
+    """Return the expected verdict of a claim as a file has it."""
     return claim.expectation
 
 
@@ -54,27 +55,27 @@ CLAIMS = FreeKeys(
 )
 
 _STARTS = {key.name: key for table in START.tables for key in table.keys}
-_WAYS = (*(replace(key, or_else="") for key in (_STARTS["position"], _STARTS["joints"])), _STARTS["tilt"])
+_FORMS = (*(replace(key, or_else="") for key in (_STARTS["position"], _STARTS["joints"])), _STARTS["tilt"])
 
 
 class _StartTable(KeyTable):
-    """One table of three ways to say a start."""
+    """A table of three alternatives for a start."""
 
     def read(self, field: Field) -> Any:
-        """One of them, each with its own keys."""
+        """Return the start; ScenarioError for keys of two alternatives."""
         given = field.fields(self.names)
-        ways = [key for key in self.names if key in given and key != "tilt"]
-        if len(ways) > 1 or ("joints" in given and "tilt" in given):
-            wrong = given.required(ways[1] if len(ways) > 1 else "tilt")
+        given_keys = [key for key in self.names if key in given and key != "tilt"]
+        if len(given_keys) > 1 or ("joints" in given and "tilt" in given):
+            extra = given.required(given_keys[1] if len(given_keys) > 1 else "tilt")
             expected = "one of offset, position (each with a tilt, if you want) and joints"
-            raise wrong.error(expected, got="both")
-        return START.by_key[ways[0] if ways else "offset"].made_of(given)
+            raise extra.error(expected, got="both")
+        return START.by_key[given_keys[0] if given_keys else "offset"].made_of(given)
 
 
 TCP_START = _StartTable(
     name="tcp start",
     path="tcp start",
-    keys=(replace(_STARTS["offset"], or_else="one of these three"), *_WAYS),
+    keys=(replace(_STARTS["offset"], or_else="one of these three"), *_FORMS),
 )
 GROUPS = {
     **{key: group_table(key, key) for key in TOP_GROUPS},
@@ -92,6 +93,7 @@ SETTINGS = KeyTable(
 
 
 def _title(field: Field) -> str:
+    """Return a title; ScenarioError for an empty one."""
     title = field.prose("a title on one line")
     if not title.strip():
         raise field.error("a title on one line")
@@ -99,16 +101,18 @@ def _title(field: Field) -> str:
 
 
 def _prose(expected: str) -> Text:
+    """Return the kind of a text of several lines."""
     return Text(words="text", reads=lambda field: field.prose(expected, lines=True))
 
 
 def _added(name: str) -> Key:
+    """Return the key that a package adds."""
     key: Key = part_named(ExtensionPoint.SCENARIO_KEYS, name, Key)
     return key
 
 
 def _read_added(field: Field) -> tuple[tuple[str, Any], ...]:
-    """Return the keys that packages add, each with its value; a package is loaded for its own alone."""
+    """Return the keys that packages add, each with its value; only the package of a given key is loaded."""
     names, given = sorted(names_of(ExtensionPoint.SCENARIO_KEYS)), field.entries("a mapping")
     for name, below in given:
         if name not in names:
@@ -118,6 +122,7 @@ def _read_added(field: Field) -> tuple[tuple[str, Any], ...]:
 
 
 def _write_added(values: tuple[tuple[str, Any], ...]) -> dict[str, Tree]:
+    """Return the values of keys that packages add."""
     return {name: _added(name).value.write(value) for name, value in values}
 
 
@@ -336,7 +341,7 @@ SUITE = KeyTable(
 
 
 def every_table() -> tuple[KeyTable, ...]:
-    """All tables, each once, from the top of a file downwards."""
+    """Return all tables, each once, from the top of a file downwards."""
     keys = tuple(key for _, key in loaded(ExtensionPoint.SCENARIO_KEYS, Key))
     added = [KeyTable(name="extensions", path="extensions", keys=keys)] if keys else []
     return tuple({id(table): table for table in (TOP, COMPOSED, SUITE, *TOP.below(), *added)}.values())

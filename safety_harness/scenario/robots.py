@@ -1,8 +1,8 @@
-"""Which arm stands in the cell: one of the package's, or one of the user's own, named by its files.
+"""The arm in the cell: an arm of the package, or the user's own arm, given by its files.
 
-An own arm is a URDF, the capsules that ``safety-harness robot fit`` wrote for it, how it stops, and where it
-stands.  Its texts are read with the scenario and kept by their SHA-256, as recordings are, so that a trace
-can be judged without them; ``safety_harness.cell.robot.robots`` makes numbers of them.
+An own arm is a URDF, its capsules from ``safety-harness robot fit``, its stop times, and its place.  The
+reader stores its texts with their SHA-256, as it does with recordings, so that a trace can be judged without
+the files.  ``safety_harness.cell.robot.robots`` turns them into numbers.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from safety_harness.scenario.urdf_packages import urdf_of_package
 MAX_URDF_BYTES = 20_000_000
 MAX_CAPSULES_BYTES = 4_000_000
 _ENDINGS = (".yaml", ".yml")
-FILES = ("urdf", "capsules")  # keys that name one
+FILES = ("urdf", "capsules")  # keys that name a file
 _PIECE = "{from: [0 mm, 0 mm, 20 mm], to: [0 mm, 0 mm, 120 mm], radius: 45 mm}"
 _CENTRE = "[0 mm, 0 mm, 50 mm]"
 _ORIGIN: Vector3 = (0.0, 0.0, 0.0)
@@ -59,12 +59,12 @@ class Robot(Enum):
 
     @property
     def arm_name(self) -> str:
-        """As its description is filed."""
+        """The name of its description's files."""
         return self.value.lower().replace(" ", "_")
 
     @property
     def label(self) -> str:
-        """What people call it."""
+        """The name for people."""
         return self.value
 
 
@@ -72,7 +72,7 @@ ROBOT_NAMES = Word(Robot)
 
 
 class YesNo(Enum):
-    """A choice of the user's."""
+    """A choice of the user."""
 
     YES = "yes"
     NO = "no"
@@ -86,7 +86,7 @@ class Angles(Enum):
 
 @declared
 class StopTimes:
-    """How an arm stops: after its reaction time it brakes within base + slope v, v the TCP's speed."""
+    """The stop of an arm: a reaction time, then braking within base + slope v, v the TCP's speed."""
 
     reaction_time_s: float = key(
         "reaction time",
@@ -106,7 +106,7 @@ class StopTimes:
 
     @property
     def settings(self) -> Braking:
-        """The same as a group of settings."""
+        """The same data as a group of settings."""
         return Braking(
             reaction_time_s=self.reaction_time_s,
             stop_time_base_s=self.stop_time_s,
@@ -116,7 +116,7 @@ class StopTimes:
 
 @declared
 class Seat:
-    """Where an arm's base link stands in the base frame of the scenario, whose z points up.
+    """The place of an arm's base link in the base frame of the scenario, whose z points up.
 
     Its rotation is Rz(yaw) R(tilt), the tilt a rotation vector: [180 deg, 0 deg, 0 deg] hangs from a ceiling.
     """
@@ -130,7 +130,7 @@ class Seat:
 
 @declared
 class Piece:
-    """A capsule that encloses something at the tool: all points within ``radius_m`` of its axis."""
+    """A capsule that encloses a part of the tool: all points within ``radius_m`` of its axis."""
 
     start_m: Vector3 = key("from", POINT, "one end of the axis", _PIECE)
     end_m: Vector3 = key("to", POINT, "the other end, which may be the same", _PIECE)
@@ -148,7 +148,7 @@ PIECES = Several(
 
 @declared
 class Tool:
-    """What is fixed to the link `tcp`, in the frame of that link; it moves the TCP."""
+    """A tool on the link `tcp`, in the frame of that link; it moves the TCP."""
 
     position_m: Vector3 = key("position", POINT, "of the TCP", "[0 mm, 0 mm, 150 mm]", default=_ORIGIN)
     tilt_rad: Vector3 = key("tilt", ROTATION, "of the TCP, a rotation vector", default=_ORIGIN)
@@ -162,7 +162,7 @@ class Tool:
 
 @declared
 class Payload:
-    """What the arm carries, tool and part together, as a mass in one point."""
+    """The load of the arm, tool and part together, as a mass in one point."""
 
     mass_kg: float = key("mass", QuantityValue(MASS, least=0.0, most=1000.0), "of tool and part", "2 kg")
     centre_m: Vector3 = key(
@@ -176,7 +176,7 @@ class Payload:
 
 @declared
 class Drives:
-    """How an arm's drives follow a demanded velocity.  A payload asks for the limits of torque."""
+    """The response of an arm's drives to a demanded velocity.  A payload implies limits of torque."""
 
     dead_time_s: float = key(
         "dead time",
@@ -210,12 +210,12 @@ class Drives:
 
     @property
     def torque_limit(self) -> float | None:
-        """The share of the URDF's efforts that the drives have; None where torque has no limit."""
+        """The share of the URDF's efforts that the drives have; None if torque has no limit."""
         return 1.0 if self.torque_share is None and self.payload is not None else self.torque_share
 
 
 def _sha256(field: Field) -> str:
-    """A SHA-256 as people write it."""
+    """Return a SHA-256 in the form of 64 hex digits; ScenarioError for another text."""
     digest = field.scalar("a SHA-256")
     if not re.fullmatch(r"[0-9a-f]{64}", digest):
         raise field.error("a SHA-256: 64 digits and letters from a to f")
@@ -228,18 +228,18 @@ _LINK = Text(words="name", expected="the name of a link")
 _EXAMPLE_SHA256 = "0123456789abcdef" * 4
 
 
-def _one_a_joint(what: str, of: QuantityValue) -> Several:
-    """A list of so many numbers, ``what`` in words."""
-    expected = f"a list of {what}, one a joint, from the base"
-    return Several(of=of, words=f"list of {what}", expected=expected, least=3, most=8)
+def _one_a_joint(noun: str, number: QuantityValue) -> Several:
+    """Return a list of numbers, one for each joint; ``noun`` names them."""
+    expected = f"a list of {noun}, one a joint, from the base"
+    return Several(of=number, words=f"list of {noun}", expected=expected, least=3, most=8)
 
 
 @declared
 class OwnRobot:
-    """An arm of the user's own.  ``urdf_text`` and ``capsules_text`` are the bytes of its files.
+    """The user's own arm; ``urdf_text`` and ``capsules_text`` are the bytes of its files.
 
-    ``files`` are those on this machine: the URDF, from which meshes are sought, the capsules, and the arm's
-    own if there is one.
+    ``files`` has the paths on this machine: the URDF, from which meshes are found, the capsules, and the
+    arm's own file if it has one.
     """
 
     urdf: str | None = key("urdf", _FILE, "the arm's description; or `package`", "panda.urdf", default=None)
@@ -347,7 +347,7 @@ class OwnRobot:
 
     @property
     def label(self) -> str:
-        """What people call it."""
+        """The name for people."""
         return Path(self.urdf or self.package or "").stem
 
     @property
@@ -356,18 +356,18 @@ class OwnRobot:
         return {str(self.urdf_sha256): self.urdf_text, str(self.capsules_sha256): self.capsules_text}
 
     def named(self, name: Callable[[str], str]) -> OwnRobot:
-        """The same arm whose files are named otherwise."""
+        """Return this arm with ``name`` applied to the names of its files."""
         urdf = None if self.urdf is None else name(self.urdf)
         return replace(self, urdf=urdf, capsules=name(self.capsules))
 
 
 _OWN = table_of(OwnRobot, "robot", path="robot")
-_MOUNTED = {one.attribute: one for one in _OWN.keys}
+_MOUNTED = {key.attribute: key for key in _OWN.keys}
 
 
 @declared
 class EquippedArm:
-    """An arm of the package with what is mounted on it; it stops as the settings say."""
+    """An arm of the package with a seat, a tool or a part; its braking data are the settings'."""
 
     arm: Robot = keyed(Key("arm", Word(Robot), "an arm of the package"))
     seat: Seat | None = keyed(_MOUNTED["seat"], default=None)
@@ -377,16 +377,16 @@ class EquippedArm:
 
     @property
     def label(self) -> str:
-        """What people call it, with what is mounted."""
+        """The name for people, with the equipment."""
         mounted = {"another seat": self.seat, "a tool": self.tool, "a part": self.part}
-        return f"{self.arm.label} with {' and '.join(name for name, one in mounted.items() if one)}"
+        return f"{self.arm.label} with {' and '.join(name for name, part in mounted.items() if part)}"
 
 
 AnyRobot = Robot | OwnRobot | EquippedArm
 
 
 def robot_seen_from(folder: Path, text: str, standing_in: Path) -> str:
-    """What a file says of a robot, as ``folder`` has to say it: the name of an arm stays."""
+    """Return a file's text about a robot as ``folder`` has to write it; the name of an arm stays."""
     return seen_from(folder, text, standing_in) if text.endswith(_ENDINGS) else text
 
 
@@ -399,7 +399,7 @@ _ARM = Key(
     "shipped:iiwa14",
     "none",
 )
-_BESIDE = tuple(replace(one, or_else="said there or here") if one.required else one for one in _OWN.keys)
+_BESIDE = tuple(replace(key, or_else="said there or here") if key.required else key for key in _OWN.keys)
 ROBOT = replace(_OWN, keys=(_ARM, *_BESIDE))
 
 
@@ -407,11 +407,11 @@ class _RobotValue(Below):
     """A name, a file with the keys of an own arm, or these keys themselves."""
 
     def read(self, field: Field) -> Field:
-        """Still to be read, by ``read_robot``: a trace carries the texts."""
+        """Return the field unread: ``read_robot`` reads it, since a trace carries the texts."""
         return field
 
     def write(self, value: object) -> Any:
-        """The name, or the mapping of an own or an equipped arm."""
+        """Return the name, or the mapping of an own or an equipped arm."""
         if isinstance(value, Robot):
             return value.value
         return (_EQUIPPED if isinstance(value, EquippedArm) else _OWN).write(value)
@@ -425,7 +425,13 @@ ROBOT_VALUE = _RobotValue(
 
 
 def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
-    """The arm that ``field`` names.  ``carried`` are texts by their SHA-256, which come before files."""
+    """Return the arm of a field.
+
+    Args:
+        field: The name of an arm, a file, or a mapping; a Robot is the default and returned as it is.
+        carried: Texts of files by their SHA-256, which replace the files.
+
+    """
     if isinstance(field, Robot):  # the default
         return field
     arm: tuple[Path, ...] = ()
@@ -457,24 +463,24 @@ def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
 
 
 def _equipped(field: Field) -> Robot | EquippedArm:
-    """An arm of the package with what is mounted on it; the arm alone where nothing is."""
+    """Return an arm of the package with its equipment, or the arm alone without any."""
     given = field.fields(_EQUIPPED.names, hints={"braking": "settings: {braking: ...}"})
     arm: EquippedArm = _EQUIPPED.made_of(given)
     return arm if arm.seat or arm.tool or arm.part else arm.arm
 
 
 def robot_named(text: str) -> AnyRobot:
-    """The arm that a scenario in the working directory means by ``text``, a name or a file; ScenarioError."""
+    """Return the arm that ``text`` means in the working directory, a name or a file; ScenarioError."""
     return read_robot(Field(Scalar(text, 1), None, path="FILE", line=1), {})
 
 
 def is_arm_file(text: str) -> bool:
-    """Does a text name a file with the keys of an arm?"""
+    """Return whether a text names a file with the keys of an arm."""
     return text.endswith(_ENDINGS) or is_shipped(text)
 
 
 def _keys_of_file(field: Field) -> Fields:
-    """The keys of an arm's file; what is wrong with them is said where they stand."""
+    """Return the keys of an arm's file; an error in them stands at their place in that file."""
     file = _path(field)
     data = read_bytes(file, most=MAX_CAPSULES_BYTES, place=field.place, error=ScenarioError)
     tree = parse_tree(data.decode("utf-8", "replace"), file)
@@ -482,44 +488,45 @@ def _keys_of_file(field: Field) -> Fields:
 
 
 def _path(field: Field) -> Path:
+    """Return the path that a field names, relative to the field's file."""
     text = field.sentence("the name of a file")
     return located((field.file.parent if field.file else Path()) / text, field.place)
 
 
 def _named_from(whole: Field, field: Field) -> str:
-    """A file that ``field`` names as the scenario's own file has to say it."""
+    """Return the file of ``field`` as the scenario's own file has to name it."""
     text = field.sentence("the name of a file")
     if field.file == whole.file:
         return text
-    here, there = (one.parent if one else Path() for one in (whole.file, field.file))
+    here, there = (file.parent if file else Path() for file in (whole.file, field.file))
     return seen_from(here, text, there)
 
 
 def _urdf(given: Fields, carried: Mapping[str, bytes]) -> Path:
-    """The URDF's file, which need not be there if its text is carried."""
+    """Return the path of the URDF, which need not exist if its text is carried."""
     if "urdf" in given:
         return _path(given.required("urdf"))
     package = given.required("package")
     text = package.sentence("the name of a URDF in an installed package")
-    asked = given.optional("urdf sha256")
+    digest = given.optional("urdf sha256")
     try:
         return urdf_of_package(text, package.place)
     except ScenarioError:
-        if asked and _sha256(asked) in carried:
+        if digest and _sha256(digest) in carried:
             return Path(text)
         raise
 
 
 def _text(given: Fields, name: str, file: Path, most: int, carried: Mapping[str, bytes]) -> bytes:
-    """The carried text with the SHA-256 that is asked for, else the file's; ScenarioError for another."""
-    asked, field = given.optional(f"{name} sha256"), given.optional(name) or given.whole
-    wanted = _sha256(asked) if asked else ""
+    """Return the carried text with the requested SHA-256, else the file's; ScenarioError for another."""
+    digest, field = given.optional(f"{name} sha256"), given.optional(name) or given.whole
+    wanted = _sha256(digest) if digest else ""
     if wanted in carried:
         return carried[wanted]
     data = read_bytes(file, most=most, place=field.place, error=ScenarioError)
     if len(data) > most:
         raise field.error(f"a file of at most {most:,} bytes", got=f"a longer one: {file}")
-    found = hashlib.sha256(data).hexdigest()
-    if asked and found != wanted:
-        raise asked.error("a file with this SHA-256", got=f"one with {found}: {file}")
+    actual = hashlib.sha256(data).hexdigest()
+    if digest and actual != wanted:
+        raise digest.error("a file with this SHA-256", got=f"one with {actual}: {file}")
     return data

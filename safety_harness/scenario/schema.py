@@ -1,7 +1,7 @@
-"""The JSON Schema (draft 2020-12) of scenario files, for editors: made from the reference tables.
+"""The JSON Schema (draft 2020-12) of scenario files, for editors, from the reference tables.
 
-A schema sees less than the reader: it does not know bounds of values with units, what does not go
-together, or what a recording holds.  What it refuses, the reader refuses as well.
+A schema checks less than the reader.  It does not know bounds of values with units, contradictions between
+keys, or the content of a recording.  The reader refuses everything that the schema refuses.
 """
 
 from __future__ import annotations
@@ -18,11 +18,14 @@ _NUMBER = r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?"
 _SPACED = {"2": "(2|\\^2|²)", "/": " */ *", "deg": "(deg|°)"}  # the ways to write a unit
 _ANY_TEXT: Schema = {
     "type": ["string", "number", "boolean", "null"]
-}  # 12 is a text where a text is asked for
+}  # where a text belongs, the reader takes 12 as a text
 
 
 def scenario_schema() -> Schema:
-    """The whole schema: a scenario, one that extends another, a suite; spaces are left to the reader."""
+    """Return the whole schema: a scenario, a scenario that extends another, a suite.
+
+    It accepts any space; only the reader checks spaces.
+    """
     scenario = _table(TOP, further=COMPOSED)
     required = scenario.pop("required")
     extending = {"if": {"required": ["extends"]}, "else": {"required": required}}
@@ -42,7 +45,7 @@ def scenario_schema() -> Schema:
 
 
 def table_schema(top: KeyTable, title: str) -> Schema:
-    """Of a file with the keys of one table."""
+    """Return the schema of a file with the keys of one table."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": title,
@@ -52,10 +55,12 @@ def table_schema(top: KeyTable, title: str) -> Schema:
 
 
 def _name(table: KeyTable) -> str:
+    """Return the name of a table's definition."""
     return (f"{table.path} {table.name}" if table.path != table.name else table.name).strip()
 
 
 def _table(table: KeyTable, further: KeyTable | None = None) -> Schema:
+    """Return the schema of a table, with the keys of ``further``."""
     keys = (*table.keys, *(further.keys if further else ()))
     schema: Schema = {
         "type": "object",
@@ -69,11 +74,13 @@ def _table(table: KeyTable, further: KeyTable | None = None) -> Schema:
 
 
 def _key(key: Key) -> Schema:
+    """Return the schema of a key."""
     default = f" Default: {key.default}." if key.default else ""
     return {"description": f"{key.meaning}. Takes: {key.words}.{default}", **_value(key.value)}
 
 
 def _value(value: Value) -> Schema:
+    """Return the schema of a kind of value."""
     if isinstance(value, QuantityValue):
         return _quantity(value)
     if isinstance(value, Word):
@@ -91,7 +98,7 @@ def _value(value: Value) -> Schema:
     if isinstance(value, FreeKeys):
         free: Schema = {"type": "object", "additionalProperties": _value(value.of)}
         return {**free, "minProperties": value.least} if value.least else free
-    # One table, or several: which of them is meant is told by one key of each.
+    # One table, or several: then a key of each table, ``told_by``, tells them apart.
     if not value.tables:
         return {"type": "object"}
     if value.or_text:
@@ -109,31 +116,37 @@ def _value(value: Value) -> Schema:
     }
 
 
-def _begins(table: KeyTable, others: tuple[KeyTable, ...]) -> Schema:
-    """That a mapping is of this table: it has its first key, not that of another that knows it too."""
+def _begins(table: KeyTable, tables: tuple[KeyTable, ...]) -> Schema:
+    """Return the condition that a mapping is of this table.
+
+    The mapping has the table's first key.  It lacks the first key of every further table that also knows that
+    key.
+    """
     first = table.told_by
-    wider = [other.told_by for other in others if first in other.names and other is not table]
+    wider = [rival.told_by for rival in tables if first in rival.names and rival is not table]
     mine: Schema = {"required": [first]}
     return {**mine, "not": {"anyOf": [{"required": [name]} for name in wider]}} if wider else mine
 
 
 def _pointer(name: str) -> str:
+    """Return a name escaped for a JSON pointer."""
     return name.replace("~", "~0").replace("/", "~1").replace(" ", "%20")
 
 
 def _quantity(value: QuantityValue) -> Schema:
+    """Return the schema of a quantity: a text, or a number if the unit may be absent."""
     texts: list[Schema] = [{"type": "string", "pattern": _pattern(value.dimension, value.whole)}]
     if value.dimension.bare:
         number: Schema = {"type": "integer" if value.whole else "number"}
         bounds = {"exclusiveMinimum": value.above, "minimum": value.least, "maximum": value.most}
-        texts.insert(0, number | {word: bound for word, bound in bounds.items() if bound is not None})
+        texts.insert(0, number | {keyword: bound for keyword, bound in bounds.items() if bound is not None})
     if value.or_word:
         texts.append({"const": value.or_word})
     return texts[0] if len(texts) == 1 else {"anyOf": texts}
 
 
 def _pattern(dimension: Dimension, whole: bool) -> str:
-    """A number with one of the units, in every spelling that the reader takes."""
+    """Return the pattern of a number with its unit, in every spelling that the reader accepts."""
     number = "[+-]?[0-9]+" if whole and dimension.bare else _NUMBER
     units = "|".join(map(_unit, dimension.units))
     unit = f" *({units}){'?' if dimension.bare else ''}" if units else ""
@@ -141,5 +154,6 @@ def _pattern(dimension: Dimension, whole: bool) -> str:
 
 
 def _unit(unit: str) -> str:
-    first, others = ("deg", unit[3:]) if unit.startswith("deg") else ("1?" * unit.startswith("/"), unit)
-    return "".join(_SPACED.get(part, part) for part in (first, *others))
+    """Return the pattern of a unit."""
+    first, rest = ("deg", unit[3:]) if unit.startswith("deg") else ("1?" * unit.startswith("/"), unit)
+    return "".join(_SPACED.get(part, part) for part in (first, *rest))

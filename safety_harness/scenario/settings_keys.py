@@ -1,9 +1,9 @@
-"""How the settings are written in a scenario file, derived from the dataclasses themselves.
+"""The written form of the settings in a scenario file, derived from the dataclasses themselves.
 
-What they mean and their own bounds stand beside the fields, in ``settings``.  A field's key is its
-name without the unit and the frame, in plain words: the settings field ``Avoidance.critical_distance_m``
-is ``avoidance: {critical distance: 400 mm}``.  Its dimension follows from the unit at the end of its
-name, the form of its value from the type of its default.
+Meanings and bounds stand beside the fields, in ``settings``.  A field's key is its name without the unit and
+the frame, in plain words.  So ``Avoidance.critical_distance_m`` is ``avoidance: {critical distance: 400
+mm}``.  The dimension follows from the unit at the end of the name, the form of the value from the type of the
+default.
 """
 
 from __future__ import annotations
@@ -43,20 +43,21 @@ _MAPPINGS = {
 
 
 def setting_keys(group: type[Any]) -> tuple[Key, ...]:
-    """The keys of one settings dataclass, in its order."""
+    """Return the keys of one settings dataclass, in its order."""
     return _KEYS[group]
 
 
-def _setting_key(attribute: str, default: Any, said: Mapping[str, Any]) -> Key:
-    dimension = next(one for one in _BY_SUFFIX if attribute.endswith(one.suffix))
+def _setting_key(attribute: str, default: Any, description: Mapping[str, Any]) -> Key:
+    """Return the key of a field from its name, its default and its metadata."""
+    dimension = next(unit for unit in _BY_SUFFIX if attribute.endswith(unit.suffix))
     name = attribute.removesuffix(dimension.suffix).replace("_", " ")
     for frame in _FRAMES:
         name = name.removesuffix(frame)
     above = next((first for first in _MAPPINGS if name.startswith(first + " ")), "")
     least, most = dimension.least, dimension.most
-    if said["least"] is not None:
-        least, most = said["least"], said["most"]
-    elif isinstance(default, tuple):  # of coordinates or angles, which may have either sign
+    if description["least"] is not None:
+        least, most = description["least"], description["most"]
+    elif isinstance(default, tuple):  # coordinates or angles, which may have either sign
         most = LARGEST_ANGLE_RAD if dimension is ANGLE else LARGEST_COORDINATE_M
         least = -most
     number = QuantityValue(
@@ -67,15 +68,15 @@ def _setting_key(attribute: str, default: Any, said: Mapping[str, Any]) -> Key:
         or_word=EVERY_TICK if default is None else None,
     )
     value = _value(default, number)
-    takes = said["takes"]
-    if not takes and said["least"] is None and not isinstance(value, Word):
-        # Without the bounds that its dimension gives to every setting.
+    takes = description["takes"]
+    if not takes and description["least"] is None and not isinstance(value, Word):
+        # The bounds that its dimension gives to every setting are not worth a mention.
         takes = value.name if isinstance(value, QuantityValue) else value.words.partition(", each")[0]
     return Key(
         name=name.removeprefix(f"{above} "),
         value=value,
-        meaning=said["meaning"],
-        example=said["example"] or (dimension.example if default is None else ""),
+        meaning=description["meaning"],
+        example=description["example"] or (dimension.example if default is None else ""),
         said=takes,
         attribute=attribute,
         fallback=default,
@@ -84,6 +85,7 @@ def _setting_key(attribute: str, default: Any, said: Mapping[str, Any]) -> Key:
 
 
 def _value(default: Any, number: QuantityValue) -> Value:
+    """Return the kind of value for a default; ``number`` is the kind of a single number."""
     if isinstance(default, DecisionCost):
         return Text(words=FORM, or_mapping=True, reads=read_decision_time, writes=write_decision_time)
     if isinstance(default, Enum):
@@ -106,13 +108,13 @@ def _value(default: Any, number: QuantityValue) -> Value:
 
 
 _KEYS: dict[type[Any], tuple[Key, ...]] = {
-    type(group): tuple(_setting_key(one.name, one.default, one.metadata) for one in fields(group))
-    for group in (getattr(DEFAULTS, one.name) for one in fields(DEFAULTS))
+    type(group): tuple(_setting_key(item.name, item.default, item.metadata) for item in fields(group))
+    for group in (getattr(DEFAULTS, item.name) for item in fields(DEFAULTS))
 }
 
 
 def read_group(field: Field, name: str) -> Any:
-    """The default group ``name`` of the settings with the values that the mapping ``field`` changes."""
+    """Return the default group ``name`` of the settings with the changes of the mapping ``field``."""
     default = getattr(DEFAULTS, name)
     keys = setting_keys(type(default))
     given = field.fields(tuple(dict.fromkeys(key.path[0] for key in keys)), hints=_MOVED)
@@ -130,14 +132,14 @@ def read_group(field: Field, name: str) -> Any:
 
 
 def group_table(group: str, path: str) -> KeyTable:
-    """The table of one group of settings; ``path`` leads to it from the top of a file."""
+    """Return the table of one group of settings; ``path`` leads to it from the top of a file."""
     keys: dict[str, Key] = {}
     inner: dict[str, list[Key]] = {}
-    for one in setting_keys(type(getattr(DEFAULTS, group.replace(" ", "_")))):
-        key = replace(one, within=(*path.split("."), *one.within))
-        keys[one.path[0]] = key  # of a mapping only its place, filled below
-        if one.within:
-            inner.setdefault(one.within[0], []).append(key)
+    for setting in setting_keys(type(getattr(DEFAULTS, group.replace(" ", "_")))):
+        key = replace(setting, within=(*path.split("."), *setting.within))
+        keys[setting.path[0]] = key  # of a mapping only its place, filled below
+        if setting.within:
+            inner.setdefault(setting.within[0], []).append(key)
     for name, members in inner.items():
         table = KeyTable(name=name, where=f"{name} of {group}", keys=tuple(members))
         keys[name] = Key(name, Below(tables=(table,)), *_MAPPINGS[name], or_else="none")

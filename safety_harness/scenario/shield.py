@@ -1,6 +1,6 @@
-"""The key ``shield`` of a scenario file: what stands between any controller and the drives, if anything does.
+"""The key ``shield`` of a scenario file: an optional protection between the controller and the drives.
 
-docs/shield.md says what it does and proves what that is worth; each value here is an assumption of the proof.
+docs/shield.md describes and proves it; each value here is an assumption of the proof.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from safety_harness.scenario.units import ACCELERATION, LENGTH, SPEED, TIME
 
 
 class ShieldKind(Enum):
-    """What shields there are."""
+    """The kinds of shield."""
 
     SPEED_AND_SEPARATION = "speed and separation"
 
 
 @declared
 class Shield:
-    """What the shield takes for granted; all of it is checked against nothing: it is the user's word."""
+    """The assumptions of the shield; the harness checks no assumption, so the user answers for them."""
 
     kind: ShieldKind = keyed(
         Key("kind", Word(ShieldKind), "what stands behind the controller ([shield](shield.md))"),
@@ -75,11 +75,11 @@ class _ShieldValue(Below):
     """The name of a kind of shield, with the defaults, or a mapping of its values."""
 
     def read(self, field: Field) -> Shield:
-        """The shield."""
+        """Return the shield."""
         if isinstance(field.node, Scalar):
             return Shield(kind=field.choice(ShieldKind))
-        found: Shield = SHIELD.read(field)
-        return found
+        shield: Shield = SHIELD.read(field)
+        return shield
 
 
 SHIELD_VALUE = _ShieldValue(

@@ -1,8 +1,7 @@
-"""Quantities as people write them, ``80 mm`` or ``0.5 m/s``, turned into SI without rounding twice.
+"""Quantities as people write them, ``80 mm`` or ``0.5 m/s``, as SI values without double rounding.
 
-The SI value is the float nearest to the decimal quantity that was written: ``80 mm`` is the
-literal ``0.08``.  Degrees are the exception, since pi is no fraction: they go through
-``math.radians``.
+The SI value is the float nearest to the written decimal quantity: ``80 mm`` is the literal ``0.08``.  Degrees
+are the exception, since pi is no fraction: they go through ``math.radians``.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from safety_harness.base.exceptions import Place, ScenarioError, near_miss
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _LONGEST_NUMBER = 64  # characters; a float's shortest exact form has at most 24
-_LARGEST_EXPONENT = 400  # decimal; beyond it there is no float
+_LARGEST_EXPONENT = 400  # decimal; no float is that large
 
 OTHER_UNIT = "nothing in a cell comes near to that: probably another unit is meant"
 _RARE = ("cm", "/cm", "mrad", "min", "km/h", "kHz")  # understood, and not what we write ourselves
@@ -30,9 +29,9 @@ _Factor = Fraction | None  # None: degrees, by math.radians
 class Dimension:
     """A kind of quantity: its name and an example for messages, its SI unit, its units' factors to SI.
 
-    The name of a settings field of that kind ends in ``suffix``, and its value lies from ``least`` to
-    ``most``, in SI, unless it has bounds of its own.  ``bare`` says that a number without a unit is
-    understood (numbers, and fractions beside ``%``).
+    The name of a settings field of that kind ends in ``suffix``.  Its value lies from ``least`` to ``most``,
+    in SI, unless the field has its own bounds.  ``bare`` allows a number without a unit (numbers, and
+    fractions beside ``%``).
     """
 
     name: str
@@ -46,17 +45,18 @@ class Dimension:
 
     @property
     def expected(self) -> str:
-        """For the sentence "expected ..."."""
+        """The completion of the sentence "expected ..."."""
         article = "an" if self.name[0] in "aeiou" else "a"
         return f"{article} {self.name} such as {self.example}"
 
     @property
     def most_of_limits(self) -> float:
-        """The largest limit of a claim (SI) that a cell can come near to; a time may be as long as a run."""
+        """The largest limit of a claim (SI) that makes sense in a cell; a time may be as long as a run."""
         return max(self.most, {"time": 3600.0, "number": 100.0}.get(self.name, 0.0))
 
 
 def _powers(scale: Mapping[str, _Factor], suffix: str = "") -> dict[str, _Factor]:
+    """Return units with a suffix, with the same factors."""
     return {unit + suffix: factor for unit, factor in scale.items()}
 
 
@@ -94,20 +94,20 @@ PER_LENGTH = Dimension("number per length", "0.0025 /m", "/m", _PER_LENGTHS, "_p
 TIME_PER_SPEED = Dimension("time per speed", "0.1 s2/m", "s2/m", {"s2/m": Fraction(1)}, "_s2pm", 1e-3, 10.0)
 MASS = Dimension("mass", "2 kg", "kg", {"kg": Fraction(1), "g": Fraction(1, 1000)}, "_kg", 1e-3, 1000.0)
 TORQUE = Dimension("torque", "87 Nm", "Nm", {"Nm": Fraction(1)}, "_nm", 1e-2, 1e5)
-DIMENSIONS = tuple(one for one in tuple(globals().values()) if isinstance(one, Dimension))
+DIMENSIONS = tuple(item for item in tuple(globals().values()) if isinstance(item, Dimension))
 
 
 def parse_quantity(text: str, dimension: Dimension, place: Place) -> float:
-    """The SI value of ``text``; ScenarioError at ``place`` when it is no finite quantity of that kind."""
-    found = _understood(text, dimension)
-    if isinstance(found, dict):
-        raise ScenarioError(place=place, **found)
-    return found
+    """Return the SI value of ``text``; ScenarioError at ``place`` unless it is a finite quantity."""
+    value = _understood(text, dimension)
+    if isinstance(value, dict):
+        raise ScenarioError(place=place, **value)
+    return value
 
 
 @lru_cache(maxsize=4096)  # the scenarios of a space repeat most of their quantities
 def _understood(text: str, dimension: Dimension) -> float | dict[str, str]:
-    """The SI value of ``text``, or why it has none, in the words of a message."""
+    """Return the SI value of ``text``, or the reason against it in the words of a message."""
     stripped = text.strip()
     matched = _NUMBER.match(stripped)
     if matched is None:
@@ -126,13 +126,13 @@ def _understood(text: str, dimension: Dimension) -> float | dict[str, str]:
 
 
 def format_quantity(value: float, dimension: Dimension) -> str:
-    """``value`` in its SI unit, so that ``parse_quantity`` gives the same float again."""
+    """Return ``value`` in its SI unit, so that ``parse_quantity`` gives the same float again."""
     number = repr(float(value))
     return f"{number} {dimension.si}" if dimension.si else number
 
 
 def nice(value: float, dimension: Dimension) -> str:
-    """``value`` in the unit that people would take; it reads back to the same float."""
+    """Return ``value`` in the unit that people would choose; it reads back to the same float."""
     if not dimension.units:
         return _digits(value)
     units = [unit for unit in dimension.units if not unit.startswith(_RARE)]
@@ -146,21 +146,23 @@ def nice(value: float, dimension: Dimension) -> str:
 
 
 def _in_unit(value: float, factor: Fraction | None) -> float:
+    """Return an SI value in the unit with ``factor``; None is the factor of degrees."""
     return math.degrees(value) if factor is None else float(Fraction(value) / factor)
 
 
 def _digits(value: float) -> str:
+    """Return a number with up to 12 digits."""
     return f"{value:.12g}".replace("e-0", "e-")
 
 
 def normal_unit(unit: str) -> str:
-    """One spelling for the ways to write a unit: ``m/s^2``, ``m/s²`` and ``m / s2`` are ``m/s2``."""
+    """Return a unit in its only internal spelling: ``m/s^2``, ``m/s²`` and ``m / s2`` become ``m/s2``."""
     unit = "".join(unit.split()).replace("²", "2").replace("^2", "2").replace("°", "deg")
     return unit.removeprefix("1") if unit.startswith("1/") else unit
 
 
 def shown(text: str) -> str:
-    """``text`` for a message: on one line, shortened."""
+    """Return ``text`` for a message: on one line, at most 80 characters."""
     printable = "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in " ".join(text.split()))
     if not printable:
         return "nothing"
@@ -168,13 +170,14 @@ def shown(text: str) -> str:
 
 
 def _units_hint(unit: str, dimension: Dimension) -> str:
+    """Return the hint with the allowed units, and with a near miss of ``unit``."""
     if not dimension.units:
         return "a number without a unit"
     return f"{near_miss(unit, dimension.units, most=2)} allowed units: {', '.join(dimension.units)}".strip()
 
 
 def _si_value(number: str, factor: _Factor) -> float | None:
-    """``number`` times ``factor``, rounded once; None when no finite float is meant."""
+    """Return ``number`` times ``factor``, rounded once; None without a finite result."""
     exponent = number.lower().partition("e")[2]
     # The exponent is looked at before anything is computed: 10**1000000000 would not end.
     if len(number) > _LONGEST_NUMBER or (exponent and abs(int(exponent)) > _LARGEST_EXPONENT):

@@ -19,17 +19,20 @@ _LAST = ("speed at most", "from", "to", "elbow track", "elbow towards")
 
 
 def write_scenario(scenario: Scenario, *, all_settings: bool = False) -> str:
-    """YAML text from which ``parse_scenario`` gives ``scenario`` again, but for its name and places.
+    """Return YAML text from which ``parse_scenario`` gives the scenario again, except its name and places.
 
-    Only settings that differ from the defaults are written; with ``all_settings`` every one, for
-    a text that must outlive a change of the defaults.
+    Args:
+        scenario: The scenario.
+        all_settings: Whether to write every setting, for a text that must outlive a change of the defaults;
+            otherwise only settings that differ from the defaults.
+
     """
     refuse_other_type("write_scenario(scenario)", scenario, Scenario)
     return text_of(tree_of(scenario, all_settings=all_settings))
 
 
 def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree]:
-    """What ``write_scenario`` writes, key by key: texts, mappings and lists of mappings."""
+    """Return the content of ``write_scenario``, key by key: texts, mappings and lists of mappings."""
     tree = TOP.write(scenario)
     for key in ("about", "obstacles", "avoider", "extensions"):
         if not getattr(scenario, key):
@@ -49,11 +52,12 @@ def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree
 
 
 def text_of(tree: Tree) -> str:
-    """The YAML text of such a tree."""
+    """Return the YAML text of such a tree."""
     return "\n".join(_lines(tree)) + "\n"
 
 
 def _hand(hand: HandTrajectory) -> dict[str, Tree]:
+    """Return the tree of a hand, with the last keys of a recorded hand at the end."""
     tree = HAND.write(hand)
     if isinstance(hand, RecordedHand):
         tree |= {key: tree.pop(key) for key in _LAST if key in tree}
@@ -61,18 +65,18 @@ def _hand(hand: HandTrajectory) -> dict[str, Tree]:
 
 
 def _settings(settings: Settings, default: Settings | None) -> dict[str, Tree]:
-    """The groups at the top of the file, then the others below ``settings``."""
+    """Return the groups at the top of the file, then the remaining groups below ``settings``."""
 
     def changed(groups: Mapping[str, str]) -> dict[str, Tree]:
         pairs = ((key, getattr(settings, name), getattr(default, name, None)) for key, name in groups.items())
-        return {key: values for key, own, other in pairs if (values := _group(own, other))}
+        return {key: values for key, own, base in pairs if (values := _group(own, base))}
 
     below = changed(SETTINGS_KEYS)
     return changed(TOP_GROUPS) | ({"settings": below} if below else {})
 
 
 def _group(group: object, default: object) -> dict[str, Tree]:
-    """The values of ``group`` that differ from ``default``'s (all of them for None), SI, exact."""
+    """Return the values of ``group`` that differ from ``default``'s, in SI and exact; all values for None."""
     written: dict[str, Any] = {}
     for key in setting_keys(type(group)):
         value = getattr(group, key.attribute)
@@ -84,6 +88,7 @@ def _group(group: object, default: object) -> dict[str, Tree]:
 
 
 def _without_braking(settings: dict[str, Tree]) -> dict[str, Tree]:
+    """Return the settings without the braking data."""
     below = settings.get("settings")
     kept = (
         {key: group for key, group in below.items() if key != "braking"} if isinstance(below, Mapping) else {}
@@ -92,6 +97,7 @@ def _without_braking(settings: dict[str, Tree]) -> dict[str, Tree]:
 
 
 def _lines(tree: Tree) -> Iterator[str]:
+    """Yield the lines of a tree."""
     line = in_a_line(tree)
     if line is not None:
         yield line
@@ -100,9 +106,9 @@ def _lines(tree: Tree) -> Iterator[str]:
             line = in_a_line(value)
             yield f"{key}:" if line is None else f"{key}: {line}"
             if line is None:
-                yield from (f"  {one}" for one in _lines(value))
+                yield from (f"  {inner}" for inner in _lines(value))
     else:
         for item in tree:
-            first, *others = _lines(item)
+            first, *rest = _lines(item)
             yield f"- {first}"
-            yield from (f"  {other}" for other in others)
+            yield from (f"  {inner_line}" for inner_line in rest)

@@ -1,9 +1,9 @@
-"""What may stand in place of a value: frozen distributions, each with its map from the unit cube and back.
+"""Distributions in place of values: frozen, each with its map from the unit cube and back.
 
-All of them are in SI; ``unit`` is the SI unit that a drawn value is written with.  Every map is
-constructive and vectorised: cube coordinates (n, columns) to values (n, columns), row by row.  Going
-there and back gives every drawn value again to the last bit for ``Uniform``, ``Choice`` and ``InBox``,
-within 1e-9 standard deviations for ``TruncatedNormal``, and within 1e-12 of its size for the others.
+All values are in SI; ``unit`` is the SI unit of a written value.  Every map is constructive and vectorised:
+cube coordinates (n, columns) to values (n, columns), row by row.  There and back gives the same value to the
+last bit for ``Uniform``, ``Choice`` and ``InBox``.  It does so within 1e-9 standard deviations for
+``TruncatedNormal``, and within 1e-12 of the size for the rest.
 """
 
 from __future__ import annotations
@@ -26,12 +26,19 @@ Rows = NDArray[np.float64]  # (n, d): a row a draw, a column a number
 _INVERSE = np.frompyfunc(NormalDist().inv_cdf, 1, 1)
 _ERFC = np.frompyfunc(math.erfc, 1, 1)
 _SMALLEST, _LARGEST = 1e-300, 1.0 - 2.0**-53
-LEAST_MASS = 1e-6  # of a truncated normal within its bounds: beyond it, they are another distribution's
+LEAST_MASS = 1e-6  # of a truncated normal within its bounds; with less, they do not belong to it
 
 
 @dataclass(frozen=True)
 class Uniform:
-    """Every value from ``low`` to ``high`` alike.  ValueError unless low < high, both finite."""
+    """Equally likely values between two ends.
+
+    Args:
+        low: The lower end; ValueError unless it is finite and below ``high``.
+        high: The upper end.
+        unit: The SI unit; empty: that of the value in whose place it stands, or none.
+
+    """
 
     low: float
     high: float
@@ -47,26 +54,33 @@ class Uniform:
         return (min(max(self.low, 0.0), self.high),)
 
     def values_at(self, u: Rows) -> Vector:
-        """(n, 1) -> (n, 1), rising; 0 and 1 are the ends themselves."""
+        """Return the values (n, 1) at the coordinates ``u`` (n, 1), rising; 0 and 1 give the ends."""
         inside = np.minimum(self.low + u * (self.high - self.low), self.high)  # rounding may overshoot
         return np.where(u >= 1.0, self.high, inside)
 
     def cube_at(self, values: Rows) -> Vector:
-        """The inverse of ``values_at``."""
+        """Return the coordinates (n, 1) of ``values`` (n, 1): the inverse of ``values_at``."""
         u = np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0)
         return _polished(self, u, values)
 
     def log_density(self, values: Rows) -> Vector:
-        """(n, 1) -> (n,) natural logarithm; -inf outside."""
+        """Return the natural logarithm (n,) of the density at ``values`` (n, 1); -inf outside."""
         inside = (values[:, 0] >= self.low) & (values[:, 0] <= self.high)
         return np.where(inside, -math.log(self.high - self.low), -np.inf)
 
 
 @dataclass(frozen=True)
 class TruncatedNormal:
-    """A normal distribution given that the value lies from ``low`` to ``high``.
+    """A normal distribution restricted to an interval.
 
-    ValueError unless low < high, all is finite, and at least a millionth of it is within the bounds.
+    Args:
+        mean: The mean of the unrestricted distribution.
+        std: Its standard deviation; ValueError unless it is above 0.
+        low: The lower end; ValueError unless it is below ``high``, with a millionth of the distribution
+            between them.
+        high: The upper end.
+        unit: The SI unit, as in ``Uniform``.
+
     """
 
     mean: float
@@ -87,7 +101,7 @@ class TruncatedNormal:
         return (min(max(self.low, 0.0), self.high),)
 
     def values_at(self, u: Rows) -> Vector:
-        """(n, 1) -> (n, 1), rising; 0 and 1 are the ends themselves."""
+        """Return the values (n, 1) at the coordinates ``u`` (n, 1), rising; 0 and 1 give the ends."""
         p = self._below + (1.0 - u if self._mirrored else u) * self._mass
         z = np.asarray(_INVERSE(np.clip(p, _SMALLEST, _LARGEST)), float)
         z = np.clip(-z if self._mirrored else z, *self._ends)
@@ -95,13 +109,13 @@ class TruncatedNormal:
         return np.where(u <= 0.0, self.low, np.where(u >= 1.0, self.high, inside))
 
     def cube_at(self, values: Rows) -> Vector:
-        """The inverse of ``values_at``."""
+        """Return the coordinates (n, 1) of ``values`` (n, 1): the inverse of ``values_at``."""
         z = (values - self.mean) / self.std
         share = (_lower_tail(-z if self._mirrored else z) - self._below) / self._mass
         return _polished(self, np.clip(1.0 - share if self._mirrored else share, 0.0, 1.0), values)
 
     def log_density(self, values: Rows) -> Vector:
-        """(n, 1) -> (n,) natural logarithm; -inf outside."""
+        """Return the natural logarithm (n,) of the density at ``values`` (n, 1); -inf outside."""
         value = values[:, 0]
         z = (value - self.mean) / self.std
         constant = math.log(self.std * math.sqrt(2.0 * math.pi) * self._mass)
@@ -115,27 +129,31 @@ class TruncatedNormal:
 
     @property
     def _mirrored(self) -> bool:
-        """Bounds mostly above the mean are computed below it, where small numbers keep their digits."""
+        """Whether to compute the mirror image, for bounds mostly above the mean.
+
+        The lower tail has small probabilities, which keep their digits.
+        """
         return sum(self._ends) > 0.0
 
     @cached_property
     def _below(self) -> float:
-        """How probable less than the bounds is (mirrored: more), in the normal distribution without them."""
+        """The probability below the bounds (mirrored: above) in the unrestricted normal distribution."""
         low, high = self._ends
         return float(_lower_tail(np.array(-high if self._mirrored else low)))
 
     @cached_property
     def _mass(self) -> float:
-        """How probable a value between the bounds is in it."""
+        """The probability between the bounds in the unrestricted normal distribution."""
         low, high = self._ends
         return float(_lower_tail(np.array(-low if self._mirrored else high))) - self._below
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One of several, by number; ``labels`` are for people.  ValueError unless each has a chance.
+    """A choice among alternatives, by number; ``labels`` are for people.
 
-    Each number has an interval of the cube, as long as it is probable; the inverse is its middle.
+    Every number has an interval of the cube, as long as its probability; its inverse is the middle.
+    ValueError unless all ``chances`` are above 0.
     """
 
     labels: tuple[str, ...]
@@ -149,34 +167,34 @@ class Choice:
 
     @classmethod
     def even(cls, labels: tuple[str, ...]) -> Choice:
-        """All alike."""
+        """Return the choice of equally likely alternatives."""
         return cls(labels, (1.0,) * len(labels))
 
     @property
     def simplest(self) -> tuple[float, ...]:
-        """The first."""
+        """The first alternative."""
         return (0.0,)
 
     @cached_property
     def edges(self) -> Vector:
-        """(k + 1,) from 0 to 1: where in the cube one number's interval ends and the next begins."""
+        """The ends (k + 1,) of the numbers' intervals in the cube, from 0 to 1."""
         edges = np.concatenate([[0.0], np.cumsum(self.chances)])
         scaled: Vector = edges / edges[-1]
         return scaled
 
     def values_at(self, u: Rows) -> Vector:
-        """(n, 1) -> (n, 1) numbers from 0, rising."""
+        """Return the numbers (n, 1) at the coordinates ``u`` (n, 1), from 0 and rising."""
         number = np.searchsorted(self.edges[1:-1], u[:, 0], side="right")
         return number.astype(float)[:, None]
 
     def cube_at(self, values: Rows) -> Vector:
-        """The middle of each number's interval."""
+        """Return the middle (n, 1) of the interval of ``values`` (n, 1)."""
         edges, number = self.edges, values[:, 0].astype(int)
         middle: Vector = (edges[number] + edges[number + 1])[:, None] / 2.0
         return middle
 
     def log_density(self, values: Rows) -> Vector:
-        """(n, 1) -> (n,) natural logarithm of the probability; -inf for what is no number of it."""
+        """Return the natural logarithm (n,) of the probability of ``values`` (n, 1), or -inf outside."""
         value = np.nan_to_num(values[:, 0], nan=-1.0)
         number = np.clip(value, 0, len(self.chances) - 1).astype(int)
         probable = np.log(np.array(self.chances) / math.fsum(self.chances))[number]
@@ -187,7 +205,12 @@ class Choice:
 class InShell:
     """A point between two spheres about a centre, uniform in volume.
 
-    ValueError unless 0 <= inner < outer.
+    Args:
+        centre: The centre.
+        inner: The radius of the inner sphere, from 0; ValueError unless it is below ``outer``.
+        outer: The radius of the outer sphere.
+        unit: The SI unit of all three.
+
     """
 
     centre: Vector3
@@ -207,7 +230,7 @@ class InShell:
         return x + self.inner, y, z
 
     def values_at(self, u: Rows) -> Vector:
-        """(n, 3) -> (n, 3): radius, height and azimuth."""
+        """Return the points (n, 3) at the coordinates ``u`` (n, 3): radius, height and azimuth."""
         r = np.cbrt(self.inner**3 + u[:, 0] * (self.outer**3 - self.inner**3))
         height, azimuth = 2.0 * u[:, 1] - 1.0, 2.0 * math.pi * u[:, 2]
         across = np.sqrt(np.maximum(1.0 - height * height, 0.0))
@@ -216,7 +239,10 @@ class InShell:
         return points
 
     def cube_at(self, values: Rows) -> Vector:
-        """The inverse of ``values_at``; the centre and the poles, which have no azimuth, get 0."""
+        """Return the coordinates (n, 3) of the points ``values`` (n, 3): the inverse of ``values_at``.
+
+        The centre and the poles have no azimuth, and get 0.
+        """
         x, y, z = (values - np.array(self.centre)).T
         r = np.sqrt(x * x + y * y + z * z)
         volume = (r**3 - self.inner**3) / (self.outer**3 - self.inner**3)
@@ -226,7 +252,10 @@ class InShell:
         return u
 
     def log_density(self, values: Rows) -> Vector:
-        """(n, 3) -> (n,) natural logarithm; -inf outside (but for rounding)."""
+        """Return the natural logarithm (n,) of the density at ``values`` (n, 3); -inf outside.
+
+        The bounds have a tolerance of 1e-12 for rounding.
+        """
         r = np.linalg.norm(values - np.array(self.centre), axis=1)
         slack = 1e-12 * (self.outer + float(np.abs(self.centre).max()))
         inside = (r >= self.inner - slack) & (r <= self.outer + slack)
@@ -236,7 +265,14 @@ class InShell:
 
 @dataclass(frozen=True)
 class InBox:
-    """Every point of a box between two corners alike.  ValueError unless low < high in each coordinate."""
+    """Equally likely points of a box.
+
+    Args:
+        low: The lowest corner; ValueError unless each coordinate is below that of ``high``.
+        high: The highest corner.
+        unit: The SI unit of both.
+
+    """
 
     low: Vector3
     high: Vector3
@@ -248,7 +284,7 @@ class InBox:
 
     @cached_property
     def sides(self) -> tuple[Uniform, ...]:
-        """Each coordinate by itself."""
+        """The distribution of each coordinate."""
         return tuple(Uniform(low, high) for low, high in zip(self.low, self.high, strict=True))
 
     @property
@@ -260,25 +296,28 @@ class InBox:
         )
 
     def values_at(self, u: Rows) -> Vector:
-        """(n, 3) -> (n, 3), coordinate by coordinate."""
+        """Return the points (n, 3) at the coordinates ``u`` (n, 3), coordinate by coordinate."""
         return np.hstack([side.values_at(u[:, [k]]) for k, side in enumerate(self.sides)])
 
     def cube_at(self, values: Rows) -> Vector:
-        """The inverse of ``values_at``."""
+        """Return the coordinates (n, 3) of the points ``values`` (n, 3): the inverse of ``values_at``."""
         return np.hstack([side.cube_at(values[:, [k]]) for k, side in enumerate(self.sides)])
 
     def log_density(self, values: Rows) -> Vector:
-        """(n, 3) -> (n,) natural logarithm; -inf outside."""
+        """Return the natural logarithm (n,) of the density at ``values`` (n, 3); -inf outside."""
         each = (side.log_density(values[:, [k]]) for k, side in enumerate(self.sides))
         return sum(each, np.zeros(len(values)))
 
 
 @dataclass(frozen=True)
 class InRegion:
-    """Every point of a named region alike: of a box, or of the shell around a hole in one.
+    """Equally likely points of a named region: of a box, or of the shell around a hole in a box.
 
-    ``region`` is None until the space is read, which knows whose seen space is meant.  Where the point
-    is a shift (the TCP start's offset), so is the region.
+    Args:
+        name: The name: "seen hand", "unseen hand", "seen tcp" or "unseen tcp".
+        region: The region; None until the reader of the space knows whose seen space it means.  For a shift
+            (the TCP start's offset) it is a region of shifts.
+
     """
 
     name: str
@@ -288,13 +327,13 @@ class InRegion:
 
     @property
     def known(self) -> Region:
-        """The region itself."""
+        """The region itself, after reading."""
         assert self.region is not None, "a region that reading has not resolved"
         return self.region
 
     @property
     def simplest(self) -> tuple[float, ...]:
-        """The box's centre; of a shell, the middle of the hole's nearest side."""
+        """The centre of a box; for a shell, the middle of the hole's nearest side."""
         hole = self.known.hole
         if hole is None:
             return self.known.outer.centre_m
@@ -302,7 +341,10 @@ class InRegion:
         return (*hole.centre_m[:axis], face, *hole.centre_m[axis + 1 :])
 
     def sides_of(self, hole: Box) -> list[tuple[int, float, float, float]]:
-        """(axis, least, most, the hole's face) beyond each face of the hole, the nearest face first."""
+        """Return (axis, least, most, the hole's face) for the space outside each face of the hole.
+
+        The nearest face comes first.
+        """
         outer, centre = self.known.outer, hole.centre_m
         sides = [
             (axis, low, high, face)
@@ -316,16 +358,22 @@ class InRegion:
         return sorted(sides, key=lambda side: round(abs(side[3] - centre[side[0]]), 9))
 
     def values_at(self, u: Rows) -> Vector:
-        """(n, 3) -> (n, 3): the first coordinate picks one of at most six boxes as well."""
+        """Return the points (n, 3) at the coordinates ``u`` (n, 3).
+
+        The first coordinate also picks one of at most six boxes.
+        """
         low, high, edges = self._pieces
         piece = np.searchsorted(edges[1:-1], u[:, 0], side="right")
-        within = u.copy()
-        within[:, 0] = (u[:, 0] - edges[piece]) / (edges[piece + 1] - edges[piece])
-        points: Vector = np.clip(low[piece] + within * (high - low)[piece], low[piece], high[piece])
+        inner = u.copy()
+        inner[:, 0] = (u[:, 0] - edges[piece]) / (edges[piece + 1] - edges[piece])
+        points: Vector = np.clip(low[piece] + inner * (high - low)[piece], low[piece], high[piece])
         return points
 
     def cube_at(self, values: Rows) -> Vector:
-        """The inverse of ``values_at``; of a side that two boxes share, in the first."""
+        """Return the coordinates (n, 3) of the points ``values`` (n, 3): the inverse of ``values_at``.
+
+        A side of two boxes belongs to the first.
+        """
         low, high, edges = self._pieces
         inside = np.all((values[:, None] >= low) & (values[:, None] <= high), axis=2)
         piece = inside.argmax(axis=1)
@@ -336,19 +384,19 @@ class InRegion:
         return u
 
     def log_density(self, values: Rows) -> Vector:
-        """(n, 3) -> (n,) natural logarithm; -inf outside."""
+        """Return the natural logarithm (n,) of the density at ``values`` (n, 3); -inf outside."""
         low, high, _ = self._pieces
         volume_m3 = math.fsum(np.prod(high - low, axis=1))
         return np.where(self.known.contains(values), -math.log(volume_m3), -np.inf)
 
     @property
     def edges(self) -> Vector:
-        """(k + 1,) from 0 to 1: where along the first coordinate one box ends and the next begins."""
+        """The ends (k + 1,) of the boxes' intervals of the first coordinate, from 0 to 1."""
         return self._pieces[2]
 
     @cached_property
     def _pieces(self) -> tuple[Vector, Vector, Vector]:
-        """Corners (k, 3) and the edges (k + 1,) of the boxes' shares of the first coordinate."""
+        """The corners (k, 3) of the boxes, and the edges (k + 1,) of their shares of the first coordinate."""
         pieces = self.known.pieces
         low, high = (np.array([getattr(piece, end) for piece in pieces]) for end in ("low_m", "high_m"))
         edges = np.concatenate([[0.0], np.cumsum([piece.volume_m3 for piece in pieces])])
@@ -359,25 +407,29 @@ Distribution: TypeAlias = Uniform | TruncatedNormal | Choice | InBox | InShell |
 
 
 def _lower_tail(z: Vector) -> Vector:
-    """P(Z <= z) of a standard normal Z."""
+    """Return P(Z <= z) of a standard normal Z."""
     tail: Vector = 0.5 * np.asarray(_ERFC(-z / math.sqrt(2.0)), float)
     return tail
 
 
 def _polished(distribution: Uniform | TruncatedNormal, u: Rows, values: Rows) -> Vector:
-    """``u``, moved by the few last digits that rounding took, where that gives the value exactly."""
-    wrong = np.flatnonzero(distribution.values_at(u)[:, 0] != values[:, 0])
-    if not len(wrong):
+    """Return ``u`` with corrections of the last digits, where these give ``values`` exactly.
+
+    The search covers four floats on either side.
+    """
+    rows = np.flatnonzero(distribution.values_at(u)[:, 0] != values[:, 0])
+    if not len(rows):
         return u
-    down = up = u[wrong]
+    lower = upper = u[rows]
     for _ in range(4):
-        down, up = np.nextafter(down, 0.0), np.nextafter(up, 1.0)
-        for candidate in (down, up):
-            right = distribution.values_at(candidate)[:, 0] == values[wrong, 0]
-            u[wrong[right]] = candidate[right]
+        lower, upper = np.nextafter(lower, 0.0), np.nextafter(upper, 1.0)
+        for candidate in (lower, upper):
+            exact = distribution.values_at(candidate)[:, 0] == values[rows, 0]
+            u[rows[exact]] = candidate[exact]
     return u
 
 
-def _refuse_unless(right: bool, expected: str, got: object) -> None:
-    if not right:
+def _refuse_unless(condition: bool, expected: str, got: object) -> None:
+    """Raise ValueError unless a condition is true."""
+    if not condition:
         raise ValueError(f"expected {expected}; got {got}")

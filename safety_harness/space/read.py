@@ -1,4 +1,4 @@
-"""Scenario spaces from files and texts, each tried out: every end, a value between, every choice."""
+"""Scenario spaces from files and texts, with a trial of every end, a value between, and every choice."""
 
 from __future__ import annotations
 
@@ -25,29 +25,43 @@ from safety_harness.space.template import Parameter
 
 Vector = NDArray[np.float64]
 
-_BETWEEN = 0.381966  # of the cube: no round number, so that whole numbers are told from others
-_SOMEWHERE = Region(Box((0.7, -0.3, 0.2), (0.8, -0.2, 0.3)))  # while the settings are not read yet
+_INNER = 0.381966  # of the cube: no round number, so that it tells whole numbers from fractions
+_SOMEWHERE = Region(Box((0.7, -0.3, 0.2), (0.8, -0.2, 0.3)))  # before the settings are read
 
 
 def read_space(path: str | Path, library: Library | None = None) -> ScenarioSpace:
-    """The scenario space in a file; InputError with its place when it cannot be used as it stands.
+    """Return the scenario space in a file.
 
-    A text is the file's path, ``shipped:NAME`` one of ours; the text of a space is for ``parse_space``.
-    ``library`` is told of every file that is read.
+    Args:
+        path: The file, or ``shipped:NAME``; ``parse_space`` reads a text.
+        library: Records every file that is read.  None: no record.
+
+    Raises:
+        InputError: The file cannot be used as it stands; the error has its place.
+
     """
     path = as_path(path, "read_space(path)", of_text="parse_space")
     refuse_other_kind(path, FileKind.SPACE)
-    found = only_variant(path, library or Library(), "one scenario space")
-    return space_of(found.tree, path, name=found.name)
+    variant = only_variant(path, library or Library(), "one scenario space")
+    return space_of(variant.tree, path, name=variant.name)
 
 
 def parse_space(
     text: str, file: Path | None = None, recordings: Mapping[str, bytes] | None = None
 ) -> ScenarioSpace:
-    """The scenario space that ``text`` describes; ``file`` and ``recordings`` as for ``parse_scenario``.
+    """Return the scenario space that a text describes.
 
-    Every parameter is tried out: its ends, a value between them, every one of its alternatives.  What the
-    scenario reader refuses of these is refused here, and so is a value that could not be read back.
+    The reader tries every parameter: its ends, a value between them, each of its alternatives.  It refuses a
+    value that the scenario reader refuses, and a value that cannot be read back.
+
+    Args:
+        text: The text.
+        file: The folder of this path is where recordings are.  None: the working directory.
+        recordings: Contents of recordings by their SHA-256, as for ``parse_scenario``.
+
+    Raises:
+        InputError: The text cannot be used as it stands; the error has its place.
+
     """
     refuse_other_type("parse_space(text)", text, str, expected="a text", hint="read_space(path) reads a file")
     return space_of(parse_tree(text, file), file, recordings)
@@ -56,7 +70,10 @@ def parse_space(
 def space_of(
     tree: Node, file: Path | None, recordings: Mapping[str, bytes] | None = None, *, name: str | None = None
 ) -> ScenarioSpace:
-    """As ``parse_space``, for a text that is a tree already."""
+    """Return the scenario space of a tree.
+
+    ``name`` is the name of the space; the remaining arguments are as in ``parse_space``.
+    """
     root = Field(tree, file, path="", line=1)
     template, parameters = TemplateReader().whole(root)
     space = ScenarioSpace(
@@ -74,23 +91,23 @@ def space_of(
 
 
 def _with_regions(space: ScenarioSpace) -> ScenarioSpace:
-    """The space with its named regions, which are about what its avoider has seen."""
-    if not any(isinstance(parameter.distribution, InRegion) for parameter in space.parameters):
+    """Return the space with its named regions, which depend on the training data of its avoider."""
+    if not any(isinstance(item.distribution, InRegion) for item in space.parameters):
         return space
 
     def with_regions(region_of: Callable[[str, str], Region], *notes: str) -> ScenarioSpace:
         parameters = (
-            replace(one, distribution=InRegion(at.name, region_of(at.name, one.name)))
-            if isinstance(at := one.distribution, InRegion)
-            else one
-            for one in space.parameters
+            replace(parameter, distribution=InRegion(at.name, region_of(at.name, parameter.name)))
+            if isinstance(at := parameter.distribution, InRegion)
+            else parameter
+            for parameter in space.parameters
         )
         return replace(space, parameters=tuple(parameters), notes=notes)
 
     def region(name: str, path: str) -> Region:
-        found = region_named(name, seen, base.settings)
+        named = region_named(name, seen, base.settings)
         a_shift = path.startswith("tcp start") and ".offset" in path  # from the desired TCP
-        return found.shifted((-x, -y, -z)) if a_shift else found
+        return named.shifted((-x, -y, -z)) if a_shift else named
 
     base = with_regions(lambda name, path: _SOMEWHERE).simplest
     folder = space.file.parent if space.file else None
@@ -100,7 +117,7 @@ def _with_regions(space: ScenarioSpace) -> ScenarioSpace:
 
 
 def _try_out(space: ScenarioSpace) -> None:
-    """ScenarioError for the first value that the reader refuses, or that a scenario does not show again."""
+    """Raise ScenarioError for the first value that the reader refuses or that cannot be read back."""
     for claim in space.simplest.claims:
         if claim.most is not None:
             expected = "holds, violated or inconclusive, without a bound, in a space"
@@ -126,15 +143,15 @@ def _try_out(space: ScenarioSpace) -> None:
 
 
 def _trials(space: ScenarioSpace, parameter: Parameter) -> Iterator[tuple[Vector, bool]]:
-    """Values (d,) that use ``parameter``, and whether to look for them in the scenario."""
-    raw = np.concatenate([other.distribution.simplest for other in space.parameters])
+    """Yield values (d,) that use ``parameter``, and whether to look for them in the scenario."""
+    raw = np.concatenate([each.distribution.simplest for each in space.parameters])
     for condition in parameter.when[0] if parameter.when else ():
         raw[space.parameters[condition.parameter].column] = condition.least
     distribution = parameter.distribution
     if isinstance(distribution, Choice):
         trials = [((float(number),), True) for number in range(len(distribution.labels))]
     else:
-        u = np.array([0.0, 1.0, _BETWEEN])[:, None].repeat(distribution.columns, axis=1)
+        u = np.array([0.0, 1.0, _INNER])[:, None].repeat(distribution.columns, axis=1)
         ends_and_between = distribution.values_at(u)
         trials = [(tuple(row), number == 2) for number, row in enumerate(ends_and_between)]
     for value, read_back in trials:
@@ -144,7 +161,7 @@ def _trials(space: ScenarioSpace, parameter: Parameter) -> Iterator[tuple[Vector
 
 
 def _anchors(scenario: Scenario) -> tuple[object, ...]:
-    """What the named regions depend on."""
+    """Return the settings that the named regions depend on."""
     cell, avoidance = scenario.settings.cell, scenario.settings.avoidance
     return (
         scenario.under_test,

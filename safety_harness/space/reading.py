@@ -1,4 +1,4 @@
-"""From the tree of a scenario space to its template and its parameters."""
+"""The way from the tree of a scenario space to its template and its parameters."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class _Named:
 
     place: Field
     template: Template
-    uses: list[_Use]  # what a use of this value uses, its own parameters first of all
+    uses: list[_Use]  # the uses of a use of this value, its own parameters first
     used: bool = False
 
 
@@ -47,14 +47,14 @@ class TemplateReader:
     """Reads one file from its beginning to its end."""
 
     def __init__(self) -> None:
-        self._drafts: list[Parameter] = []  # when each is used, and its column, is known at the end
+        self._drafts: list[Parameter] = []  # their conditions and columns are known at the end
         self._named: dict[str, _Named] = {}
-        self._uses: list[_Use] = []  # by what is being read: a named value, or the scenario
-        self._time = ""  # which repetition is being read, for names
+        self._uses: list[_Use] = []  # of the current named value, or of the scenario
+        self._time = ""  # the current repetition, for names
         self._members = 0  # that repetitions have made so far
 
     def whole(self, root: Field) -> tuple[Keyed, tuple[Parameter, ...]]:
-        """The template of a scenario and the parameters in it; ScenarioError for what is not understood."""
+        """Return the template of a scenario and its parameters; ScenarioError for a text without meaning."""
         entries = dict(root.entries("a mapping with the keys of a scenario"))
         if SPACE_KEY not in entries:
             expected = f'the key "{SPACE_KEY}"'
@@ -78,6 +78,7 @@ class TemplateReader:
         return Keyed(tuple(gaps), root.line), self._parameters(root)
 
     def _choices(self, below: Field) -> None:
+        """Read the named values below ``choices``."""
         for name, value in below.entries("a mapping of names and values"):
             outer, self._uses = self._uses, []
             template = self._template(value, ())
@@ -87,6 +88,7 @@ class TemplateReader:
                 raise value.error('a value that varies, such as "one of left, right"')
 
     def _parameters(self, root: Field) -> tuple[Parameter, ...]:
+        """Return the parameters with their columns and their conditions of use."""
         whens: list[dict[tuple[Condition, ...], None]] = [{} for _ in self._drafts]
         for number, conditions in self._uses:
             whens[number][conditions] = None
@@ -100,6 +102,7 @@ class TemplateReader:
         return tuple(parameters)
 
     def _parameter(self, at: Field, distribution: Distribution, context: tuple[Condition, ...]) -> int:
+        """Add a parameter and return its number."""
         if len(self._drafts) >= MOST_COLUMNS:
             raise at.error(f"at most {MOST_COLUMNS} values that vary", got="more")
         self._drafts.append(Parameter(at.path + self._time, distribution, 0, (), at.place))
@@ -107,6 +110,7 @@ class TemplateReader:
         return len(self._drafts) - 1
 
     def _template(self, at: Field, context: tuple[Condition, ...]) -> Template:
+        """Return the template of a field that is used under the conditions ``context``."""
         if isinstance(at.node, Scalar):
             return self._scalar(at, context)
         if isinstance(at.node, Sequence):
@@ -115,7 +119,7 @@ class TemplateReader:
         if "one of" in keys:
             return self._one_of(at, context)
         if "by" in keys:
-            return self._by(at, context)
+            return self._switch(at, context)
         if keys == {"box"} or keys == {"in"} or "shell" in keys:
             return Given(self._parameter(at, _point(at), context), at.line)
         gaps = [self._template(child, context) for _, child in at.entries("a mapping")]
@@ -126,17 +130,19 @@ class TemplateReader:
         )
 
     def _scalar(self, at: Field, context: tuple[Condition, ...]) -> Template:
+        """Return the template of a text: a named value, alternatives, a distribution, or the text itself."""
         text = " ".join(at.scalar("a value").split())
         if text.startswith("the "):
             return self._use(at, text.removeprefix("the ").strip(), context).template
         if text.startswith("one of "):
-            words = options_of(at, text.removeprefix("one of "))
-            number = self._parameter(at, Choice.even(words), context)
-            return Alternatives(number, tuple(Scalar(word, at.line) for word in words), at.line)
-        said = sentence(at, text)
-        return at.node if said is None else Given(self._parameter(at, said, context), at.line)
+            options = options_of(at, text.removeprefix("one of "))
+            number = self._parameter(at, Choice.even(options), context)
+            return Alternatives(number, tuple(Scalar(option, at.line) for option in options), at.line)
+        distribution = sentence(at, text)
+        return at.node if distribution is None else Given(self._parameter(at, distribution, context), at.line)
 
     def _use(self, at: Field, name: str, context: tuple[Condition, ...]) -> _Named:
+        """Return a named value, and note that its parameters are used under ``context``."""
         if name not in self._named:
             known = ", ".join(self._named)
             expected = f"one of the choices {known}" if known else "a name below choices, which has none"
@@ -149,6 +155,7 @@ class TemplateReader:
         return named
 
     def _list(self, at: Field, context: tuple[Condition, ...]) -> Template:
+        """Return the template of a list."""
         items: list[Template] = []
         for item in at.items("a list"):
             if isinstance(item.node, Mapping) and any(key.text == "repeat" for key, _ in item.node.entries):
@@ -161,6 +168,7 @@ class TemplateReader:
         return Listing(tuple(items), at.node.line)
 
     def _repeat(self, at: Field, context: tuple[Condition, ...]) -> list[Template]:
+        """Return the members that a mapping with ``repeat`` gives."""
         given = at.fields(("repeat", "moves"))
         least, most = times(given.required("repeat"))
         moves = given.required("moves").items("the list that is repeated", least=1)
@@ -184,6 +192,7 @@ class TemplateReader:
         return [Repeated(number, least, tuple(copies), at.line)]
 
     def _one_of(self, at: Field, context: tuple[Condition, ...]) -> Template:
+        """Return the template of a mapping with ``one of``."""
         given = at.fields(("one of", "chances"))
         options = listed_options(given.required("one of"))
         chances = (1.0,) * len(options)
@@ -196,27 +205,29 @@ class TemplateReader:
         number = self._parameter(at, Choice(labels, chances), context)
         return self._alternatives(at, number, options, context)
 
-    def _by(self, at: Field, context: tuple[Condition, ...]) -> Template:
+    def _switch(self, at: Field, context: tuple[Condition, ...]) -> Template:
+        """Return the template of a mapping with ``by``: a value for each word of a named choice."""
         entries = dict(at.entries("a mapping"))
-        by = entries.pop("by")
-        name = by.scalar("the name of a choice").removeprefix("the ")
-        chosen = self._use(by, name, context).template
+        choice = entries.pop("by")
+        name = choice.scalar("the name of a choice").removeprefix("the ")
+        chosen = self._use(choice, name, context).template
         if not isinstance(chosen, Alternatives) or not all(isinstance(o, Scalar) for o in chosen.options):
-            raise by.error("a choice of words", got=f"{name}, which is something else")
-        words = [option.text for option in chosen.options if isinstance(option, Scalar)]
-        for word, child in entries.items():
-            if word not in words:
-                expected = f"one of the keys {', '.join(words)}"
-                raise child.error(expected, got=f'the key "{word}"', hint=near_miss(word, words))
-        missing = [word for word in words if word not in entries]
+            raise choice.error("a choice of words", got=f"{name}, which is something else")
+        labels = [option.text for option in chosen.options if isinstance(option, Scalar)]
+        for label, child in entries.items():
+            if label not in labels:
+                expected = f"one of the keys {', '.join(labels)}"
+                raise child.error(expected, got=f'the key "{label}"', hint=near_miss(label, labels))
+        missing = [label for label in labels if label not in entries]
         if missing:
-            raise at.error(f"a value for each of {', '.join(words)}", got=f"none for {missing[0]}")
-        options = tuple(entries[word] for word in words)
+            raise at.error(f"a value for each of {', '.join(labels)}", got=f"none for {missing[0]}")
+        options = tuple(entries[label] for label in labels)
         return self._alternatives(at, chosen.parameter, options, context)
 
     def _alternatives(
         self, at: Field, number: int, options: tuple[Field, ...], context: tuple[Condition, ...]
     ) -> Alternatives:
+        """Return the alternatives of a parameter, each used if the parameter has its number."""
         templates = (
             self._template(option, (*context, Condition(number, choice, choice)))
             for choice, option in enumerate(options)
@@ -225,6 +236,7 @@ class TemplateReader:
 
 
 def _chances(at: Field, count: int) -> tuple[float, ...]:
+    """Return the chances of alternatives."""
     expected = f"a list of {count} chances, numbers from 0.000001 to 1000000 such as 3 or 25 %"
     chances = []
     for item in at.items(expected, count=count):
@@ -236,7 +248,7 @@ def _chances(at: Field, count: int) -> tuple[float, ...]:
 
 
 def _point(at: Field) -> Distribution:
-    """The distribution of a point that a mapping says."""
+    """Return the distribution of the point that a mapping describes."""
     entries = dict(at.entries("a mapping"))
     if "in" in entries:
         return _region(at, entries["in"])
@@ -244,20 +256,22 @@ def _point(at: Field) -> Distribution:
         return _box(entries["box"])
     given = at.fields(("shell", "from", "to"))
     centre, unit = _corner(given.required("shell"))
-    (inner, one), (outer, other) = (fixed_quantity(given.required(key)) for key in ("from", "to"))
-    if not (one == other == unit and 0.0 <= inner < outer):
+    (inner, inner_unit), (outer, outer_unit) = (fixed_quantity(given.required(key)) for key in ("from", "to"))
+    if not (inner_unit == outer_unit == unit and 0.0 <= inner < outer):
         raise at.error("a centre, and two radii of which the second is larger, all of them lengths")
     return InShell(centre, inner, outer, unit)
 
 
 def _box(at: Field) -> InBox:
-    (low, unit), (high, other) = (_corner(corner) for corner in at.items("two corners", count=2))
-    if unit != other or not all(a < b for a, b in zip(low, high, strict=True)):
+    """Return the distribution of a point between two corners."""
+    (low, unit), (high, high_unit) = (_corner(corner) for corner in at.items("two corners", count=2))
+    if unit != high_unit or not all(a < b for a, b in zip(low, high, strict=True)):
         raise at.error("two corners, each coordinate of the second larger, all of one kind")
     return InBox(low, high, unit)
 
 
 def _region(at: Field, name: Field) -> InRegion:
+    """Return the distribution of a point in a named region."""
     text = name.scalar("the name of a region")
     if text not in REGIONS:
         raise name.error(f"one of {', '.join(REGIONS)}", hint=near_miss(text, REGIONS))
@@ -267,8 +281,8 @@ def _region(at: Field, name: Field) -> InRegion:
 
 
 def _corner(at: Field) -> tuple[Vector3, str]:
-    """Three quantities of one kind, and its SI unit."""
-    (x, unit), (y, second), (z, third) = (fixed_quantity(c) for c in at.items("a list of three", count=3))
-    if not unit == second == third:
+    """Return three quantities of one kind, and their SI unit."""
+    (x, unit), (y, y_unit), (z, z_unit) = (fixed_quantity(c) for c in at.items("a list of three", count=3))
+    if not unit == y_unit == z_unit:
         raise at.error("three quantities of one kind")
     return (x, y, z), unit

@@ -1,18 +1,18 @@
-"""Regions that need no numbers: what an avoider has seen in training, and the shells around it (Table 3).
+"""Regions without numbers: the space that an avoider saw in training, and the shells around it (Table 3).
 
-The paper gives the seen hands (nominal +- 300 mm, section 4.1) and no other bound.  Ours, chosen before
-any result, and why:
+The paper gives only the bounds of the seen hands (nominal +- 300 mm, section 4.1).  The remaining bounds are
+ours.  They were chosen before any result, for these reasons:
 
-* Seen TCPs lie within +-(60, 150, 100) mm of the desired position, x narrowest as in the paper: in the
-  default cell all of that box is within reach of the arm and has the object in view.
-* Unseen TCPs lie outside that box and inside one of twice its size.  They border on what was seen (a TCP on
-  its rim that gives way by R = 100 mm ends there) and seven eighths of the larger box are new.  In the
-  default cell the arm reaches all of them; in about a fifth the object is partly out of view.
-* Unseen hands lie outside the seen box and inside one of 1.5 times its size, and no hand's centre is below
-  the table's top.  A hand only shifts the target, by 0.05 of its own displacement (eq. 13), so that little
-  would be learnt further away, and twice the box would have hands among the arm's own links.
+* Seen TCPs lie within +-(60, 150, 100) mm of the desired position, x narrowest as in the paper.  In the
+  default cell the arm reaches all of that box, with the object in view.
+* Unseen TCPs lie outside that box and inside a box of twice its size.  They border on the seen box: a TCP on
+  its rim that retreats by R = 100 mm ends there.  Seven eighths of the larger box are new.  In the default
+  cell the arm reaches all of them; in about a fifth the object is partly out of view.
+* Unseen hands lie outside the seen box and inside a box of 1.5 times its size, and no hand's centre is below
+  the table's top.  A hand only shifts the target, by 0.05 of its own displacement (eq. 13), so a larger box
+  would teach little.  Twice the box would have hands among the arm's own links.
 
-A network's file says what it saw in training, and the regions are about that.
+A network's file states the bounds of its training, and the regions follow them.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ REGIONS = ("seen hand", "unseen hand", "seen tcp", "unseen tcp")
 class SeenRegions:
     """The boxes of hands and TCPs that an avoider was trained on, in the base frame.
 
-    ``source`` says whose they are.
+    ``source`` tells whose boxes they are.
     """
 
     hand: Box
@@ -58,7 +58,7 @@ class SeenRegions:
 
 
 def paper_seen(settings: Settings, source: str = "the paper") -> SeenRegions:
-    """The paper's seen space: TCPs about the desired one, hands about the nominal one."""
+    """Return the paper's seen space: TCPs about the desired position, hands about the nominal position."""
     return SeenRegions(
         hand=Box.about(settings.avoidance.nominal_hand_position_in_base_m, SEEN_HAND_HALF_SIZE_M),
         tcp=Box.about(settings.cell.desired_tcp_position_in_base_m, SEEN_TCP_HALF_SIZE_M),
@@ -67,11 +67,19 @@ def paper_seen(settings: Settings, source: str = "the paper") -> SeenRegions:
 
 
 def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> SeenRegions:
-    """What the avoider that a scenario names has seen, by its own file's metadata.
+    """Return the space that a scenario's avoider saw in training, from its file's metadata.
 
-    ``folder`` is where relative files are sought from.  The metadata of a network are read, and no user's
-    program is run for it: what has none counts as trained on the paper's seen space, and ``source``
-    says so.  ModelError for a model file that cannot be used.
+    The function reads the metadata of a network and runs no user program.  An avoider without metadata counts
+    as trained on the paper's seen space, and ``source`` reports this.
+
+    Args:
+        avoider: The avoider's reference.
+        folder: The folder of relative files; None: the working directory.
+        settings: The settings with the desired TCP and the nominal hand.
+
+    Raises:
+        ModelError: A model file cannot be used.
+
     """
     path = located((folder or Path()) / os.path.expanduser(file_and_name(avoider)[0]))
     seen: SeenSpace | None = None
@@ -87,7 +95,17 @@ def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> SeenReg
 
 
 def region_named(name: str, seen: SeenRegions, settings: Settings) -> Region:
-    """One of ``REGIONS``, in the base frame; RegionError with their names for any other."""
+    """Return the region of a name in the base frame.
+
+    Args:
+        name: A member of ``REGIONS``.
+        seen: The avoider's seen space.
+        settings: The settings with the height of the table.
+
+    Raises:
+        RegionError: The name is unknown.
+
+    """
     if name == "seen hand":
         return Region(seen.hand)
     if name == "seen tcp":
@@ -103,7 +121,7 @@ def region_named(name: str, seen: SeenRegions, settings: Settings) -> Region:
 
 
 def exported_use(path: Path) -> NetworkUse | None:
-    """What an ONNX file of ours says of its network; None for one of others."""
+    """Return the network's data from an ONNX file of ours; None for a foreign file."""
     text = onnx_metadata(path, onnx_bytes(path)).get(KEY)
     if text is None:
         return None

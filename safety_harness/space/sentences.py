@@ -1,4 +1,4 @@
-"""Distributions as people write them in place of one value: ``from 0.5 m/s to 2 m/s``."""
+"""Distributions as people write them in place of a value: ``from 0.5 m/s to 2 m/s``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TIMES = re.compile(r"(?:from )?([0-9]{1,9})(?: to ([0-9]{1,9}))? times?")
 
 
 def sentence(field: Field, text: str) -> Uniform | TruncatedNormal | None:
-    """What a value with this text says that begins like a distribution of numbers; None for another."""
+    """Return the distribution of a text that begins with "from" or "normal"; None for another text."""
     first = text.partition(" ")[0]
     if first == "from":
         return _uniform(field, text)
@@ -28,7 +28,7 @@ def sentence(field: Field, text: str) -> Uniform | TruncatedNormal | None:
 
 
 def times(field: Field) -> tuple[int, int]:
-    """``from 1 to 4 times``: the least and the most."""
+    """Return the least and the most of a text such as ``from 1 to 4 times``."""
     expected = f'how often, such as "from 1 to 4 times", at most {MOST_TIMES}'
     matched = _TIMES.fullmatch(" ".join(field.scalar(expected).split()))
     if matched is None:
@@ -40,7 +40,13 @@ def times(field: Field) -> tuple[int, int]:
 
 
 def fixed_quantity(field: Field, text: str | None = None) -> tuple[float, str]:
-    """Any quantity with its SI unit: the unit that is written says of which dimension it is."""
+    """Return a quantity in SI with its SI unit; the written unit tells its dimension.
+
+    Args:
+        field: The field, for errors.
+        text: The text; None: the field's own.
+
+    """
     text = field.scalar("a quantity such as 80 mm") if text is None else text
     number = _NUMBER.match(text.strip())
     unit = normal_unit(text.strip()[number.end() :]) if number else ""
@@ -52,6 +58,7 @@ def fixed_quantity(field: Field, text: str | None = None) -> tuple[float, str]:
 
 
 def _uniform(field: Field, text: str) -> Uniform:
+    """Return the uniform distribution of a text."""
     matched = _UNIFORM.fullmatch(text)
     if matched is None:
         raise field.error('both ends, such as "from 0.5 m/s to 2 m/s"')
@@ -62,6 +69,7 @@ def _uniform(field: Field, text: str) -> Uniform:
 
 
 def _normal(field: Field, text: str) -> TruncatedNormal:
+    """Return the truncated normal distribution of a text."""
     matched = _NORMAL.fullmatch(text)
     if matched is None:
         example = "normal 1 m/s +- 0.2 m/s from 0.5 m/s to 2 m/s"
@@ -77,15 +85,15 @@ def _normal(field: Field, text: str) -> TruncatedNormal:
 
 
 def _alike(field: Field, *texts: str) -> tuple[tuple[float, ...], str]:
-    """The quantities, which must be of one dimension, and its SI unit."""
-    found = [fixed_quantity(field, text) for text in texts]
-    if len({unit for _, unit in found}) > 1:
+    """Return quantities in SI, which must have one dimension, and its SI unit."""
+    quantities = [fixed_quantity(field, text) for text in texts]
+    if len({unit for _, unit in quantities}) > 1:
         raise field.error("quantities of one kind, each with its unit")
-    return tuple(value for value, _ in found), found[0][1]
+    return tuple(value for value, _ in quantities), quantities[0][1]
 
 
 def options_of(field: Field, text: str) -> tuple[str, ...]:
-    """``A, B``: the options as they are written."""
+    """Return the options of a text ``A, B`` as they are written."""
     options = tuple(option.strip() for option in text.split(","))
     _refuse_options(field, options)
     if not all(options):
@@ -94,14 +102,14 @@ def options_of(field: Field, text: str) -> tuple[str, ...]:
 
 
 def listed_options(field: Field) -> tuple[Field, ...]:
-    """The options of a list."""
+    """Return the options of a list."""
     options = field.items(f"a list of 2 to {MOST_OPTIONS} options")
     _refuse_options(field, tuple(range(len(options))))
     return options
 
 
 def _refuse_options(field: Field, options: tuple[object, ...]) -> None:
-    """ScenarioError unless there are 2 to MOST_OPTIONS of them, no two the same."""
+    """Raise ScenarioError unless there are 2 to MOST_OPTIONS different options."""
     if not 2 <= len(options) <= MOST_OPTIONS:
         raise field.error(f"from 2 to {MOST_OPTIONS} options", got=f"{len(options)}")
     if len(set(options)) < len(options):

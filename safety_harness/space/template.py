@@ -1,8 +1,8 @@
 """A scenario's tree with gaps: fixed nodes, and places that a space's parameters fill.
 
-A value is written into the tree as an exact quantity in its SI unit, so that the ordinary reader reads it
-and the language stays one.  From a scenario back to values, its written tree is laid over the template, gap
-by gap: what is found is a guess that the template allows; the caller fills it in and compares.
+A value goes into the tree as an exact quantity in its SI unit, so that the ordinary reader reads it and the
+language stays one.  For the way from a scenario back to values, its written tree is laid over the template,
+gap by gap.  A match is a guess that the template allows; the caller fills it in and compares.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from safety_harness.space.sentences import fixed_quantity
 
 @dataclass(frozen=True)
 class Given:
-    """A parameter's value: a quantity, or a list of three."""
+    """The value of a parameter: a quantity, or a list of three."""
 
     parameter: int
     line: int
@@ -35,7 +35,7 @@ class Given:
 
 @dataclass(frozen=True)
 class Alternatives:
-    """One of several subtrees, by the number that a parameter has."""
+    """A choice among subtrees, by the number of a parameter."""
 
     parameter: int
     options: tuple[Template, ...]
@@ -44,9 +44,9 @@ class Alternatives:
 
 @dataclass(frozen=True)
 class Repeated:
-    """Members of a list, ``least`` times and as often again as a parameter says.
+    """Members of a list: ``least`` copies, and as many more as a parameter has.
 
-    ``copies`` are all of them, the most that there can be; each has parameters of its own.
+    ``copies`` has the largest possible number of copies; each copy has its own parameters.
     """
 
     parameter: int
@@ -57,7 +57,7 @@ class Repeated:
 
 @dataclass(frozen=True)
 class Listing:
-    """A list with gaps in it."""
+    """A list with gaps."""
 
     items: tuple[Template, ...]
     line: int
@@ -65,19 +65,19 @@ class Listing:
 
 @dataclass(frozen=True)
 class Keyed:
-    """A mapping with gaps in it."""
+    """A mapping with gaps."""
 
     entries: tuple[tuple[Scalar, Template], ...]
     line: int
 
 
 Template: TypeAlias = Node | Given | Alternatives | Repeated | Listing | Keyed
-Found: TypeAlias = dict[int, tuple[float, ...]]  # the values of each parameter that was met
+Match: TypeAlias = dict[int, tuple[float, ...]]  # the values of each parameter so far
 
 
 @dataclass(frozen=True)
 class Condition:
-    """That a parameter's number is from ``least`` to ``most``."""
+    """The condition that a parameter's number is from ``least`` to ``most``."""
 
     parameter: int
     least: int
@@ -86,10 +86,15 @@ class Condition:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One thing that varies.
+    """A value that varies.
 
-    ``name`` is its path in the file, for people; ``column`` its first one in the cube.  It is used
-    when all the conditions of one of ``when`` hold: its alternative is taken, its repetition happens.
+    Args:
+        name: Its path in the file, for people.
+        distribution: Its distribution.
+        column: Its first coordinate in the cube.
+        when: The alternative conditions of its use; a scenario uses it if all members of a tuple are true.
+        place: Its place in the file.
+
     """
 
     name: str
@@ -110,7 +115,15 @@ def filled(
     values: Values[float],
     known: Values[Any] | None = None,
 ) -> Node:
-    """The tree that ``values`` (one for each coordinate) give; ``known`` are the numbers read from it."""
+    """Return the tree of values.
+
+    Args:
+        template: The template.
+        parameters: The parameters of the space.
+        values: The values, one for each coordinate.
+        known: The numbers that the reader gets in place of the values; None: the values.
+
+    """
     if isinstance(template, Node):
         return template
     if isinstance(template, Keyed):
@@ -139,100 +152,110 @@ def filled(
 
 
 def written(value: float, unit: str) -> str:
-    """A quantity from which the reader gives the same float again."""
+    """Return a quantity from which the reader gives the same float again."""
     return f"{float(value)!r} {unit}".rstrip()
 
 
-def matches(template: Template, written: Tree, parameters: Values[Parameter]) -> Iterator[Found]:
-    """Every way to read ``written`` (by ``scenario.write.tree_of``) as something the template gives."""
+def matches(template: Template, written: Tree, parameters: Values[Parameter]) -> Iterator[Match]:
+    """Yield every match of ``written`` (by ``scenario.write.tree_of``) with the template.
+
+    A match has the values of each parameter in it.
+    """
     yield from _Matcher(parameters).below(template, written, {}, False)
 
 
 class _Matcher:
-    """``strict`` is whether fixed parts must be alike, which tells alternatives apart."""
+    """Lays a written tree over a template.
+
+    ``strict`` means that fixed parts must be equal too, which tells alternatives apart.
+    """
 
     def __init__(self, parameters: Values[Parameter]) -> None:
         self._parameters = parameters
 
-    def below(self, template: Template, written: Tree, found: Found, strict: bool) -> Iterator[Found]:
+    def below(self, template: Template, written: Tree, matched: Match, strict: bool) -> Iterator[Match]:
+        """Yield every extension of the match ``matched`` by a subtree."""
         if isinstance(template, Node):
             if not strict or _alike(template, written):
-                yield found
+                yield matched
         elif isinstance(template, Given):
-            yield from self._given(template, written, found)
+            yield from self._given(template, written, matched)
         elif isinstance(template, Alternatives):
             for number, option in enumerate(template.options):
-                chosen = _with(found, template.parameter, (float(number),))
+                chosen = _with(matched, template.parameter, (float(number),))
                 if chosen is not None:
                     yield from self.below(option, written, chosen, True)
         elif isinstance(template, Listing):
             listed = _listed(written)
             if listed is not None:
                 exactly = strict or any(isinstance(item, Repeated) for item in template.items)
-                yield from self._items(template.items, listed, found, exactly)
+                yield from self._items(template.items, listed, matched, exactly)
         elif (
             isinstance(template, Keyed)
             and isinstance(written, abc.Mapping)
             and (not strict or _same_keys(template.entries, written))
         ):
-            yield from self._entries(template.entries, written, found, strict)
+            yield from self._entries(template.entries, written, matched, strict)
 
-    def _given(self, template: Given, written: Tree, found: Found) -> Iterator[Found]:
+    def _given(self, template: Given, written: Tree, matched: Match) -> Iterator[Match]:
+        """Yield the extension by the value of a parameter, if it is possible."""
         distribution = self._parameters[template.parameter].distribution
         texts = _listed(written) if distribution.columns > 1 else [written]
         if texts is None or len(texts) != distribution.columns:
             return
         values = tuple(value for text in texts if (value := _number(text, distribution.unit)) is not None)
-        chosen = _with(found, template.parameter, values) if len(values) == len(texts) else None
+        chosen = _with(matched, template.parameter, values) if len(values) == len(texts) else None
         if chosen is not None and distribution.log_density(np.array([values]))[0] > -np.inf:
             yield chosen
 
     def _items(
-        self, items: Values[Template], written: Values[Tree], found: Found, strict: bool
-    ) -> Iterator[Found]:
+        self, items: Values[Template], written: Values[Tree], matched: Match, strict: bool
+    ) -> Iterator[Match]:
+        """Yield every extension by the members of a list."""
         if not items:
             if not written:
-                yield found
+                yield matched
             return
-        first, others = items[0], items[1:]
+        first, rest = items[0], items[1:]
         if isinstance(first, Repeated):
             for times in range(first.least, len(first.copies) + 1):
-                chosen = _with(found, first.parameter, (float(times - first.least),))
+                chosen = _with(matched, first.parameter, (float(times - first.least),))
                 if chosen is not None:
                     expanded = [item for copy in first.copies[:times] for item in copy]
-                    yield from self._items([*expanded, *others], written, chosen, strict)
+                    yield from self._items([*expanded, *rest], written, chosen, strict)
         elif written:
-            for one in self.below(first, written[0], found, strict):
-                yield from self._items(others, written[1:], one, strict)
+            for match in self.below(first, written[0], matched, strict):
+                yield from self._items(rest, written[1:], match, strict)
 
     def _entries(
         self,
         entries: Values[tuple[Scalar, Template]],
         written: abc.Mapping[str, Tree],
-        found: Found,
+        matched: Match,
         strict: bool,
-    ) -> Iterator[Found]:
+    ) -> Iterator[Match]:
+        """Yield every extension by the entries of a mapping."""
         if not entries:
-            yield found
+            yield matched
             return
-        (key, template), others = entries[0], entries[1:]
+        (key, template), rest = entries[0], entries[1:]
         text = scalar_text(key.text)
         if text in written:
-            for one in self.below(template, written[text], found, strict):
-                yield from self._entries(others, written, one, strict)
+            for match in self.below(template, written[text], matched, strict):
+                yield from self._entries(rest, written, match, strict)
         elif isinstance(template, Node):
-            yield from self._entries(others, written, found, strict)
+            yield from self._entries(rest, written, matched, strict)
 
 
-def _with(found: Found, parameter: int, values: tuple[float, ...]) -> Found | None:
-    """``found`` with one more; None where the parameter was met before with other values."""
-    if parameter in found:
-        return found if found[parameter] == values else None
-    return {**found, parameter: values}
+def _with(matched: Match, parameter: int, values: tuple[float, ...]) -> Match | None:
+    """Return ``matched`` with one more parameter; None if it has the parameter with other values."""
+    if parameter in matched:
+        return matched if matched[parameter] == values else None
+    return {**matched, parameter: values}
 
 
 def _alike(node: Node, written: Tree) -> bool:
-    """Whether a fixed part is what was written of it, as far as can be told without reading it."""
+    """Return whether a fixed part equals its written form, without the help of the reader."""
     if isinstance(node, Mapping):
         if not isinstance(written, abc.Mapping) or not _same_keys(node.entries, written):
             return False
@@ -256,17 +279,17 @@ def _alike(node: Node, written: Tree) -> bool:
 
 
 def _same_keys(entries: Values[tuple[Scalar, object]], written: abc.Mapping[str, Tree]) -> bool:
-    """Whether every key was written; the reader's defaults may have added others."""
+    """Return whether all keys were written; further keys may be defaults of the reader."""
     return all(scalar_text(key.text) in written for key, _ in entries)
 
 
 def _listed(written: Tree) -> Values[Tree] | None:
-    """The members of a list; None of anything else."""
+    """Return the members of a list; None for another tree."""
     return None if isinstance(written, str | abc.Mapping) else written
 
 
 def _number(written: Tree, unit: str) -> float | None:
-    """The value of a quantity that was written in SI; None for another unit, or for no quantity."""
+    """Return the value of a quantity written in SI; None for another unit, or for another text."""
     if not isinstance(written, str):
         return None
     number, _, its_unit = written.partition(" ")

@@ -1,11 +1,10 @@
-"""Where the drawn values of a space end up in its scenario, and what has to hold of them.
+"""The places of a space's drawn values in its scenario, and the conditions on them.
 
-A scenario is read once for each structure, with a ``TracedNumber`` in place of every number that varies.
-That goes through the ordinary reader like the number that it has; it remembers how it was computed, and every
-comparison that it was part of.  Other values are then filled in at the same paths, as long as they answer all
-these comparisons alike.  What cannot be remembered (a conversion, an array, a text) is a TypeError, so that
-nothing is ever filled in wrongly.  A path leads through dataclass fields by name, through members of tuples
-by number.
+A scenario is read once for each structure, with a ``TracedNumber`` in place of every number that varies.  It
+passes through the ordinary reader like its number; it remembers its computation, and every comparison that it
+was part of.  Further values go in at the same paths, as long as they answer all these comparisons alike.  A
+conversion, an array or a text cannot be remembered and raises TypeError, so that a form never has a wrong
+value.  A path leads through dataclass fields by name, through members of tuples by number.
 """
 
 from __future__ import annotations
@@ -27,29 +26,34 @@ Path = tuple[str | int, ...]
 T = TypeVar("T")
 Values = Sequence[float]
 _Computed = Callable[[Values], Any]  # from a point's values
-_Check = tuple[_Computed, bool]  # a comparison, and how it has to come out
+_Check = tuple[_Computed, bool]  # a comparison, and its required result
 
 # The groups of settings as they are by default.
-_NEVER_DRAWN = frozenset(id(getattr(DEFAULTS, one.name)) for one in fields(DEFAULTS))
+_NEVER_DRAWN = frozenset(id(getattr(DEFAULTS, group.name)) for group in fields(DEFAULTS))
 
 
 def value_at(root: object, path: Path) -> Any:
-    """What lies at ``path`` below ``root``."""
+    """Return the object at ``path`` below ``root``."""
     for step in path:
         root = root[step] if isinstance(step, int) else getattr(root, step)  # type: ignore[index]
     return root
 
 
 def with_value(root: T, path: Path, value: object) -> T:
-    """``root`` with ``value`` at ``path``, and everything on the way made anew."""
+    """Return ``root`` with ``value`` at ``path``; every object on the way is new."""
     return form_of(root, {path: 0})([value])
 
 
 def leaves(root: object, path: Path = (), *, but: Collection[int] = ()) -> list[tuple[Path, Any]]:
-    """Everything below ``root`` that is neither a dataclass nor a tuple, with its path, in their order.
+    """Return everything below ``root`` except dataclasses and tuples themselves, with paths and in order.
 
-    Fields that do not count in a comparison (places in files) are left out, and objects with an ``id`` in
-    ``but``.
+    Fields that do not count in a comparison (places in files) are skipped.
+
+    Args:
+        root: The object to begin with.
+        path: Its own path.
+        but: The ``id`` of each object to skip.
+
     """
     if id(root) in but:
         return []
@@ -62,11 +66,12 @@ def leaves(root: object, path: Path = (), *, but: Collection[int] = ()) -> list[
 
 @lru_cache
 def _compared(kind: Any) -> tuple[str, ...]:
+    """Return the names of the fields that count in a comparison."""
     return tuple(field.name for field in fields(kind) if field.compare)
 
 
 def form_of(root: T, numbers: Mapping[Path, int]) -> Callable[[Sequence[Any]], T]:
-    """``root`` as a function of values: with ``values[numbers[path]]`` at each path, and else as it is."""
+    """Return ``root`` as a function of values: it puts ``values[numbers[path]]`` at each path."""
     if () in numbers:
         return itemgetter(numbers[()])
     below: dict[Any, dict[Path, int]] = {}
@@ -88,42 +93,45 @@ def form_of(root: T, numbers: Mapping[Path, int]) -> Callable[[Sequence[Any]], T
 
 
 def words(path: Path) -> str:
-    """``hands[0].moves[1].speed_mps``."""
+    """Return a path as text: ``hands[0].moves[1].speed_mps``."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
     return text.removeprefix(".")
 
 
 def _operator(apply: Callable[[Any, Any], Any], *, mirrored: bool = False) -> Callable[[Any, Any], Any]:
-    """An operator of ``TracedNumber``: a bool for a comparison, which is noted down, else another one."""
+    """Return an operator of ``TracedNumber``.
 
-    def applied(self: TracedNumber, other: object) -> Any:
-        if not isinstance(other, TracedNumber | float | int):
+    A comparison gives a bool and is recorded; any other operator gives a traced number.
+    """
+
+    def applied(self: TracedNumber, operand: object) -> Any:
+        if not isinstance(operand, TracedNumber | float | int):
             return NotImplemented
-        of_other = other.of if isinstance(other, TracedNumber) else lambda values: other
-        left, right = (of_other, self.of) if mirrored else (self.of, of_other)
+        of_operand = operand.compute if isinstance(operand, TracedNumber) else lambda values: operand
+        left, right = (of_operand, self.compute) if mirrored else (self.compute, of_operand)
 
-        def of(values: Values) -> Any:
+        def compute(values: Values) -> Any:
             return apply(left(values), right(values))
 
-        result = of(self.values)
+        result = compute(self.values)
         if not isinstance(result, bool):
-            return TracedNumber(of, self.values, self.checks)
-        self.checks.append((of, result))
+            return TracedNumber(compute, self.values, self.checks)
+        self.checks.append((compute, result))
         return result
 
     return applied
 
 
 class TracedNumber:
-    """A number that ``of`` computes from a point's values; ``values`` are those of the point being read.
+    """A number that ``compute`` derives from a point's values; ``values`` belong to the current point.
 
     All numbers of a reading share their ``checks``: every comparison so far.
     """
 
-    __array_ufunc__ = None  # numpy makes nothing of it
+    __array_ufunc__ = None  # numpy refuses to compute with it
 
-    def __init__(self, of: _Computed, values: Values, checks: list[_Check]) -> None:
-        self.of, self.values, self.checks = of, values, checks
+    def __init__(self, compute: _Computed, values: Values, checks: list[_Check]) -> None:
+        self.compute, self.values, self.checks = compute, values, checks
 
     __add__, __radd__ = _operator(operator.add), _operator(operator.add, mirrored=True)
     __sub__, __rsub__ = _operator(operator.sub), _operator(operator.sub, mirrored=True)
@@ -143,13 +151,13 @@ class TracedNumber:
     __repr__ = __str__
 
     def __reduce__(self) -> tuple[type[float], tuple[float]]:
-        """In another process it is the number that it has."""
-        return float, (self.of(self.values),)
+        """Return the number itself for another process."""
+        return float, (self.compute(self.values),)
 
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A scenario to fill in: all those of one structure, which differ in values, name and seed."""
+    """A form for all scenarios of one structure, which differ in values, name and seed."""
 
     checks: tuple[_Check, ...]
     places: tuple[_Computed, ...]
@@ -157,9 +165,14 @@ class Form:
 
     @classmethod
     def read(cls, row: Values, read: Callable[[Sequence[TracedNumber]], Scenario]) -> Form:
-        """From one point's values; InputError as the reader's.
+        """Return the form from one point's values; InputError as the reader's.
 
-        Where the reader does more with the numbers than arithmetic, the form fits no point.
+        If the reader does more with the numbers than arithmetic, the form fits no point.
+
+        Args:
+            row: The values of the point.
+            read: The reader, which takes the traced numbers.
+
         """
         checks: list[_Check] = []
         traced = [TracedNumber(itemgetter(column), row, checks) for column in range(len(row))]
@@ -172,14 +185,14 @@ class Form:
         for path, leaf in leaves(scenario, but=_NEVER_DRAWN):
             if isinstance(leaf, TracedNumber):
                 numbers[path] = len(places)
-                places.append(leaf.of)
+                places.append(leaf.compute)
             elif isinstance(leaf, np.ndarray) and leaf.dtype == object:
                 return cls((), (), None)
         return cls(tuple(checks), tuple(places), form_of(scenario, numbers))
 
     def filled(self, row: Values, name: str, seed: int) -> Scenario | None:
-        """The scenario of a point's values; None where only the reader can make it, or refuse it."""
-        if self.fill is None or not all(of(row) is answer for of, answer in self.checks):
+        """Return the scenario of a point's values; None if only the reader can make it, or refuse it."""
+        if self.fill is None or not all(compute(row) is answer for compute, answer in self.checks):
             return None
-        found = [of(row) for of in self.places]
-        return self.fill([*found, name, seed]) if all(map(isfinite, found)) else None
+        numbers = [compute(row) for compute in self.places]
+        return self.fill([*numbers, name, seed]) if all(map(isfinite, numbers)) else None

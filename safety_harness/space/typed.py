@@ -1,4 +1,4 @@
-"""Scenario spaces from Python: a scenario, and what varies in it by its path.
+"""Scenario spaces from Python: a scenario, and the values that vary in it by their paths.
 
     space_from(scenario, {
         "hands[0].moves[0].speed": Uniform(0.2, 1.6),
@@ -6,7 +6,7 @@
         "avoider": OneOf(("opposite pose", "mc-dropout"), chances=(3, 1)),
     })
 
-Numbers are in SI; a number or a distribution without a unit takes that of the value it stands for.
+Numbers are in SI.  A number or a distribution without a unit takes the unit of the value that it replaces.
 Within a mapping, values are texts as in a file (``{"wait": "1 s"}``) or distributions with their unit.
 """
 
@@ -37,7 +37,13 @@ _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 
 @dataclass(frozen=True)
 class OneOf:
-    """One of several values, all alike or by their ``chances``."""
+    """A choice among values.
+
+    Args:
+        options: The values.
+        chances: Their relative probabilities; None: all are equally likely.
+
+    """
 
     options: tuple[Value, ...]
     chances: tuple[float, ...] | None = None
@@ -45,7 +51,13 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Switch:
-    """The value that belongs to the word that the choice called ``name`` has."""
+    """A value that depends on a named choice.
+
+    Args:
+        name: The name of the choice, whose options are words.
+        options: A value for each of its words.
+
+    """
 
     name: str
     options: Mapping[str, Value]
@@ -53,14 +65,26 @@ class Switch:
 
 @dataclass(frozen=True)
 class Ref:
-    """The value of the choice called ``name``."""
+    """The value of a named choice.
+
+    Args:
+        name: The name of the choice.
+
+    """
 
     name: str
 
 
 @dataclass(frozen=True)
 class Repeat:
-    """Members of a list, from ``least`` to ``most`` times."""
+    """Members of a list, repeated.
+
+    Args:
+        least: The least number of repetitions.
+        most: The largest number of repetitions.
+        moves: The members.
+
+    """
 
     least: int
     most: int
@@ -90,10 +114,16 @@ def space_from(
     *,
     choices: Mapping[str, Value] | None = None,
 ) -> ScenarioSpace:
-    """``scenario`` with other values at the paths of ``varied``; ``choices`` are named values.
+    """Return the space of a scenario with values that vary.
 
-    A path is that of a message, ``hands[0].moves[1].speed``.  ScenarioError as for ``parse_space``, and for a
-    path that the scenario has not.
+    Args:
+        scenario: The scenario.
+        varied: New values by their paths, such as ``hands[0].moves[1].speed``.
+        choices: Named values, which ``Ref`` and ``Switch`` use.  None: no named values.
+
+    Raises:
+        ScenarioError: The scenario lacks a path, or ``parse_space`` would refuse the space.
+
     """
     tree = parse_tree(write_scenario(scenario), scenario.file)
     full = Field(parse_tree(write_scenario(scenario, all_settings=True), None), None, path="", line=1)
@@ -116,25 +146,25 @@ def space_from(
 
 
 def _replaced(node: Node, steps: Values[int | str], new: Node) -> Node:
-    """The tree with another node at a path; mappings that are missing on the way are made."""
+    """Return the tree with another node at a path; missing mappings on the way are created."""
     if not steps:
         return new
-    step, others = steps[0], steps[1:]
+    step, rest = steps[0], steps[1:]
     if isinstance(step, int):
         assert isinstance(node, SequenceNode)
         items = list(node.items)
-        items[step] = _replaced(items[step], others, new)
+        items[step] = _replaced(items[step], rest, new)
         return SequenceNode(tuple(items), node.line)
     assert isinstance(node, MappingNode)
     entries = dict(node.entries)
     by_text = {key.text: key for key in entries}
     key = by_text.get(step, Scalar(step, node.line))
-    entries[key] = _replaced(entries.get(key, MappingNode((), node.line)), others, new)
+    entries[key] = _replaced(entries.get(key, MappingNode((), node.line)), rest, new)
     return MappingNode(tuple(entries.items()), node.line)
 
 
 def _unit(node: Node) -> str:
-    """The SI unit of a quantity that the program wrote, or of the first of a list; empty for a word."""
+    """Return the SI unit of a written quantity, or of the first member of a list; empty for a word."""
     while isinstance(node, SequenceNode) and node.items:
         node = node.items[0]
     if not isinstance(node, Scalar):
@@ -148,7 +178,7 @@ def _unit(node: Node) -> str:
 
 
 def _node(value: Value, unit: str) -> Node:
-    """``value`` as it would stand in a file."""
+    """Return ``value`` as it would stand in a file."""
 
     def text(number: float) -> str:
         return written(number, getattr(value, "unit", "") or unit)
@@ -186,4 +216,5 @@ def _node(value: Value, unit: str) -> Node:
 
 
 def _keyed(entries: Mapping[str, Value], unit: str) -> MappingNode:
+    """Return a mapping as it would stand in a file."""
     return MappingNode(tuple((Scalar(key, 1), _node(value, unit)) for key, value in entries.items()), 1)

@@ -14,13 +14,18 @@ _QUANTITY = re.compile(r"[+-]?[0-9.][A-Za-z0-9./%]*(?: [A-Za-z0-9./%-]+)*")
 
 
 def write_space(space: ScenarioSpace) -> str:
-    """YAML text from which ``parse_space`` gives the same space again, but for its name and places."""
+    """Return YAML text from which ``parse_space`` gives the space again, except its name and places.
+
+    Args:
+        space: The space.
+
+    """
     refuse_other_type("write_space(space)", space, ScenarioSpace)
     return text_of(_tree(space.tree))
 
 
 def _tree(node: Node) -> Tree:
-    """A node as ``text_of`` takes it."""
+    """Return a node as ``text_of`` expects it."""
     if isinstance(node, Scalar):
         return node.text if _QUANTITY.fullmatch(node.text) else scalar_text(node.text)
     if isinstance(node, Mapping):

@@ -144,7 +144,7 @@ def test_the_page_names_every_move() -> None:
 def test_the_page_names_every_fault_with_its_keys() -> None:
     section = TEXT.split("## `faults`", 1)[1].split("| key |", 1)[0]
     lines = {words: line for words, line in re.findall(r"^\| `(.*?: .*?)` \|(.*?)\|", section, re.M)}
-    assert list(lines) == [f"{kind.said.subject}: {kind.said.predicate}" for kind in EVERY_FAULT]
+    assert list(lines) == [f"{kind.phrase.subject}: {kind.phrase.predicate}" for kind in EVERY_FAULT]
     for own in OWN_KEYS.values():
         line = lines[f"{own.told_by}: {own.name}"]
         assert tuple(re.findall("`(.*?)`", line)) == own.names

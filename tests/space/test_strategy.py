@@ -17,7 +17,7 @@ from safety_harness.scenario.moves import MoveTo
 from safety_harness.space.distributions import InRegion
 from safety_harness.space.read import parse_space, read_space
 from safety_harness.space.space import ScenarioSpace
-from safety_harness.space.strategy import near, strategy, values
+from safety_harness.space.strategy import real, strategy, values
 
 EVERYTHING = everything()
 QUICK = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -113,7 +113,7 @@ def test_an_offset_shrinks_to_none() -> None:
 
 
 def test_an_angle_is_a_round_number_of_degrees() -> None:
-    found = find(near(-0.5, 0.5, 0.0, "rad"), lambda angle: angle > 0.2, settings=SEARCH)
+    found = find(real(-0.5, 0.5, 0.0, "rad"), lambda angle: angle > 0.2, settings=SEARCH)
     assert np.degrees(found) == pytest.approx(11.5)
 
 
@@ -135,12 +135,12 @@ def test_a_range_is_never_left(data: st.DataObject) -> None:
     low = data.draw(st.floats(-100.0, 100.0))
     high = data.draw(st.floats(low + 1e-6, 200.0))
     target = data.draw(st.sampled_from([low, high, min(max(0.0, low), high)]))
-    assert low <= data.draw(near(low, high, target, data.draw(st.sampled_from(["", "m", "rad"])))) <= high
+    assert low <= data.draw(real(low, high, target, data.draw(st.sampled_from(["", "m", "rad"])))) <= high
 
 
 def test_both_ends_and_the_middle_of_a_range_are_found() -> None:
     for wanted in (1.0, 2.0, 1.5):
-        assert find(near(1.0, 2.0, 1.0, "s"), lambda value, w=wanted: value == w, settings=SEARCH) == wanted
+        assert find(real(1.0, 2.0, 1.0, "s"), lambda value, w=wanted: value == w, settings=SEARCH) == wanted
 
 
 def test_every_side_of_a_shell_is_found() -> None:

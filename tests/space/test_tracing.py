@@ -115,8 +115,8 @@ def test_a_traced_number_remembers_how_it_was_computed_and_compared() -> None:
     (a, b), checks = traced(3.0, 4.0)
     other = 1.0 - (2.0 * a + b / 4.0 - 1.0) / b
     assert isinstance(other, TracedNumber)
-    assert other.of((3.0, 4.0)) == -0.5
-    assert other.of((1.0, 1.0)) == -0.25
+    assert other.compute((3.0, 4.0)) == -0.5
+    assert other.compute((1.0, 1.0)) == -0.25
     assert a < b
     assert not a >= 5.0
     assert bool(a)

@@ -1,4 +1,4 @@
-"""Arrays of float64 whose type says their shape: for compiled functions, which take many of them."""
+"""Arrays of float64 whose type names their shape, for the many parameters of compiled functions."""
 
 from __future__ import annotations
 

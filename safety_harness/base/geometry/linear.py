@@ -1,4 +1,4 @@
-"""Small dense linear systems and copies in compiled code (numba's own solver would need scipy)."""
+"""Small dense linear systems and copies in compiled code; numba's own solver would need scipy."""
 
 from __future__ import annotations
 
@@ -12,8 +12,13 @@ from safety_harness.base.compiled import compiled, inlined, njit_no_nrt
 def solve_in_place(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> bool:
     """Solve A x = b by Gaussian elimination with partial pivoting (Golub and Van Loan, 2013, section 3.4).
 
-    A is ``matrix`` (n, n), b ``vector`` (n,).  Overwrites both: ``vector`` becomes x, ``matrix`` is used up.
-    False, with unusable contents, when a pivot is zero or not finite.
+    Args:
+        matrix: (n, n) A; the elimination destroys it.
+        vector: (n,) b; becomes x.
+
+    Returns:
+        False, with unusable contents, if a pivot is zero or not finite.
+
     """
     n = vector.shape[0]
     for column in range(n):
@@ -43,21 +48,34 @@ def solve_in_place(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> 
 
 @njit_no_nrt
 def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> bool:
-    """Gauss-Jordan inverse with partial pivoting; False if a pivot is 0 or not finite.
+    """Compute the Gauss-Jordan inverse with partial pivoting.
 
-    ``matrix`` (n, n) is left as it is; ``inverse_out`` (n, n) gets A^-1, by the row operations that turn
-    (A | I) into (I | A^-1); n is at most 15.  An exactly singular matrix (a straight elbow gives one) is an
-    answer here, not an exception.
+    Row operations turn (A | I) into (I | A^-1).  An exactly singular matrix (a straight elbow gives one) is a
+    valid input, so the result reports it without an exception.
+
+    Args:
+        matrix: (n, n) A, unchanged; n is at most 15.
+        inverse_out: (n, n) receives A^-1.
+
+    Returns:
+        False if a pivot is 0 or not finite.
+
     """
     return invert_with(matrix, matrix.shape[0], inverse_out)
 
 
 @inlined
 def invert_with(matrix: NDArray[np.float64], n: int, inverse_out: NDArray[np.float64]) -> bool:
-    """``invert``; where n is a constant of the caller, loops are laid open.
+    """Compute ``invert`` with an explicit ``n``; the compiler unrolls the loops if ``n`` is a constant.
 
-    ``matrix`` and ``inverse_out`` (n, n).  A column of A that is done with gives its place to the column of
-    A^-1 that is begun; rows that were swapped leave columns to be swapped back.
+    The inverse grows in place: each finished column of A yields to the next column of A^-1.  A swap of two
+    rows therefore needs a swap of two columns at the end; ``pivots`` holds four bits for each column.
+
+    Args:
+        matrix: (n, n) A, unchanged.
+        n: Its size, at most 15.
+        inverse_out: (n, n) receives A^-1.
+
     """
     work, pivots = inverse_out, 0
     for i in range(n):
@@ -98,7 +116,7 @@ def invert_with(matrix: NDArray[np.float64], n: int, inverse_out: NDArray[np.flo
 def copy_vector(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
     """Fill ``out`` with ``source``, both (n,).
 
-    An assignment to a slice would first look for an overlap, and have numba compile the words of an error.
+    An assignment to a slice would look for an overlap first, and numba would compile its error message.
     """
     for i in range(out.shape[0]):
         out[i] = source[i]
@@ -106,7 +124,7 @@ def copy_vector(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
 
 @inlined
 def copy_matrix(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-    """Fill ``out`` with ``source``, both (m, n): as ``copy_vector``."""
+    """Fill ``out`` with ``source``, both (m, n), for the reason of ``copy_vector``."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = source[i, j]

@@ -1,4 +1,4 @@
-"""How near a segment comes to a pyramid: what stands between a camera and a flat object."""
+"""Distance from a segment to a pyramid: the obstruction between a camera and a flat object."""
 
 from __future__ import annotations
 
@@ -15,18 +15,22 @@ from safety_harness.base.geometry.segments import segment_segment_distance
 
 @compiled
 def segment_pyramid_distance(start: Array3, end: Array3, apex: Array3, base: ArrayNx3) -> float:
-    """Distance [m] from a segment to the solid pyramid over ``base``; 0 where they meet.
+    """Return the distance [m] from a segment to the solid pyramid over ``base``; 0 if they meet.
 
-    All points [m] in one frame; the segment's ends may be the same, and ``base`` has the corners of a flat
-    simple polygon, one after another.
+    The pyramid's surface is its base and a triangle for each side.  A segment outside is nearest to a face at
+    an end of the segment or at an edge.  A segment that meets the pyramid crosses a face or has an end
+    inside.
 
-    The pyramid's surface is its base and a triangle for each side.  A segment outside it is nearest
-    to one of these faces, at one of its own ends or at an edge; one that reaches in crosses a face or
-    has an end within.
+    Args:
+        start: (3,) An end of the segment [m]; all points are in one frame.
+        end: (3,) The other end [m]; it may equal ``start``.
+        apex: (3,) The tip [m].
+        base: (n, 3) The corners [m] of a flat simple polygon, in order along its outline.
+
     """
     n = base.shape[0]
     normal = _normal(base)
-    if _within(start, apex, base, normal) or _within(end, apex, base, normal):
+    if _is_within(start, apex, base, normal) or _is_within(end, apex, base, normal):
         return 0.0
     least = min(_base_distance(start, base, normal), _base_distance(end, base, normal))
     if _crosses(start, end, base, normal):
@@ -48,9 +52,9 @@ def segment_pyramid_distance(start: Array3, end: Array3, apex: Array3, base: Arr
 
 @compiled
 def _normal(polygon: ArrayNx3) -> NDArray[np.float64]:
-    """(3,) unit normal of a flat ``polygon`` (n, 3) by Newell's sum; zeros for one without an area.
+    """Return the unit normal (3,) of a flat ``polygon`` (n, 3) by Newell's sum; zeros without an area.
 
-    It is N/|N| with N = sum_k (p_k - p_0) x (p_(k+1) - p_0) over the corners p_k, |N| twice the area.
+    It is N/|N| with N = sum_k (p_k - p_0) x (p_(k+1) - p_0) over the corners p_k; |N| is twice the area.
     """
     normal = np.zeros(3)
     n = polygon.shape[0]
@@ -68,7 +72,7 @@ def _normal(polygon: ArrayNx3) -> NDArray[np.float64]:
 
 @compiled
 def _height(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
-    """Height n . (p - p_0) [m] of ``point`` (3,) over ``polygon`` (n, 3) with ``normal`` (3,)."""
+    """Return the height n . (p - p_0) [m] of ``point`` (3,) over ``polygon`` (n, 3) with ``normal`` (3,)."""
     height = 0.0
     for i in range(3):
         height += normal[i] * (point[i] - polygon[0, i])
@@ -76,11 +80,12 @@ def _height(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
 
 
 @compiled
-def _over(point: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
-    """Is ``point`` (3,) in the prism along ``normal`` (3,) over ``polygon`` (n, 3)?
+def _is_over(point: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
+    """Return whether ``point`` (3,) is in the prism along ``normal`` (3,) over ``polygon`` (n, 3).
 
     The even-odd rule: a ray from the point's foot in the plane crosses the outline an odd number of times.
-    The coordinate along which the normal is largest is left out, so that the outline keeps its area.
+    The test drops the coordinate with the largest component of the normal, so that the outline keeps its
+    area.
     """
     drop = 0
     for i in range(1, 3):
@@ -102,19 +107,19 @@ def _over(point: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
 
 @compiled
 def _base_distance(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
-    """|n . (p - p_0)| [m] for a point over the polygon, else infinity: its edges are nearer.
+    """Return |n . (p - p_0)| [m] for a point over the polygon, else infinity: its edges are nearer.
 
     ``point`` (3,), ``polygon`` (n, 3) and ``normal`` (3,) as in ``_height``.
     """
-    return abs(_height(point, polygon, normal)) if _over(point, polygon, normal) else np.inf
+    return abs(_height(point, polygon, normal)) if _is_over(point, polygon, normal) else np.inf
 
 
 @compiled
 def _crosses(start: Array3, end: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
-    """Does the segment from ``start`` (3,) to ``end`` (3,) go through ``polygon`` (n, 3), ``normal`` (3,)?
+    """Return whether the segment crosses ``polygon`` (n, 3) with ``normal`` (3,).
 
-    Its ends have heights h_0 and h_1 of different sign, and the polygon holds the point at the share
-    h_0/(h_0 - h_1) of the way.
+    The ends ``start`` and ``end`` (3,) have heights h_0 and h_1 of different sign.  The polygon contains the
+    point at the share h_0/(h_0 - h_1) of the segment.
     """
     below, above = _height(start, polygon, normal), _height(end, polygon, normal)
     if below == above or (below > 0.0) == (above > 0.0):
@@ -123,15 +128,16 @@ def _crosses(start: Array3, end: Array3, polygon: ArrayNx3, normal: Array3) -> b
     point = np.empty(3)
     for i in range(3):
         point[i] = start[i] + share * (end[i] - start[i])
-    return _over(point, polygon, normal)
+    return _is_over(point, polygon, normal)
 
 
 @compiled
-def _within(point: Array3, apex: Array3, base: ArrayNx3, normal: Array3) -> bool:
-    """Is ``point`` (3,) in the pyramid: between base and apex, and seen from there over the base?
+def _is_within(point: Array3, apex: Array3, base: ArrayNx3, normal: Array3) -> bool:
+    """Return whether ``point`` (3,) is inside the pyramid.
 
-    With h its height over ``base`` (n, 3) of ``normal`` (3,) and H that of ``apex`` (3,): 0 <= h/H < 1, and
-    the line from the apex a through the point p meets the base, at a + (p - a)/(1 - h/H).
+    Let h be its height over ``base`` (n, 3) with ``normal`` (3,), and H the height of ``apex`` (3,).  Inside
+    means 0 <= h/H < 1, and the line from the apex a through the point p meets the base, at a + (p - a)/(1 -
+    h/H).
     """
     top, height = _height(apex, base, normal), _height(point, base, normal)
     if top == 0.0 or not 0.0 <= height / top < 1.0:
@@ -140,4 +146,4 @@ def _within(point: Array3, apex: Array3, base: ArrayNx3, normal: Array3) -> bool
     shadow = np.empty(3)
     for i in range(3):
         shadow[i] = apex[i] + share * (point[i] - apex[i])
-    return _over(shadow, base, normal)
+    return _is_over(shadow, base, normal)

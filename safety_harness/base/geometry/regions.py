@@ -1,4 +1,4 @@
-"""Where points may be: axis-parallel boxes, and the shells between a box and a hole in it."""
+"""Regions of space: axis-parallel boxes, and shells between a box and a hole in it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-parallel box in the base frame, its boundary included; RegionError unless low < high."""
+    """An axis-parallel box, its boundary included.
+
+    Args:
+        low_m: The lowest corner in the base frame.
+        high_m: The highest corner; RegionError unless each coordinate is above that of ``low_m``.
+
+    """
 
     low_m: Vector3
     high_m: Vector3
@@ -32,14 +38,21 @@ class Box:
 
     @classmethod
     def about(cls, centre_m: Vector3, half_size_m: Vector3, factor: float = 1.0) -> Box:
-        """The box of ``factor`` times the half-sizes about a centre."""
+        """Return the box about a centre.
+
+        Args:
+            centre_m: Its centre in the base frame.
+            half_size_m: Half of its size along each axis.
+            factor: Scales the half-sizes.
+
+        """
         centre, half = np.array(centre_m), factor * np.array(half_size_m)
         return cls(_vector3(centre - half), _vector3(centre + half))
 
     def grown(self, factor: float) -> Box:
-        """The box of ``factor`` times the size about the same centre.
+        """Return the box of ``factor`` times the size about the same centre.
 
-        Corners are rounded to a picometre, so that they do not depend on how this box came about.
+        The corners are rounded to a picometre, so that boxes of different origin give the same corners.
         """
         low, high = np.array(self.low_m), np.array(self.high_m)
         centre, half = (low + high) / 2.0, factor * (high - low) / 2.0
@@ -47,36 +60,58 @@ class Box:
 
     @property
     def centre_m(self) -> Vector3:
-        """Its middle, rounded to a picometre."""
+        """The centre, rounded to a picometre."""
         return _vector3(np.round((np.array(self.low_m) + self.high_m) / 2.0, 12) + 0.0)
 
     @property
     def volume_m3(self) -> float:
-        """What is in it."""
+        """The volume."""
         return float(np.prod(np.array(self.high_m) - self.low_m))
 
     def shifted(self, by_m: Vector3) -> Box:
-        """The same box elsewhere, its corners rounded to a picometre."""
+        """Return this box shifted by ``by_m``, its corners rounded to a picometre."""
         low, high = (np.round(np.array(corner) + by_m, 12) + 0.0 for corner in (self.low_m, self.high_m))
         return Box(_vector3(low), _vector3(high))
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
-        """``points_in_base_m`` (..., 3) -> (...): which points are in the box; NaN is not."""
+        """Return which points are in the box; False for NaN.
+
+        Args:
+            points_in_base_m: The points (..., 3).
+
+        Returns:
+            An array (...) of booleans.
+
+        """
         inside: NDArray[np.bool_] = np.all(
             (points_in_base_m >= self.low_m) & (points_in_base_m <= self.high_m), axis=-1
         )
         return inside
 
     def outside_m(self, points_in_base_m: Vector) -> Vector:
-        """``points_in_base_m`` (..., 3) -> (...): how far each is from the box [m], 0 within; NaN of NaN."""
-        beyond = np.maximum(np.array(self.low_m) - points_in_base_m, points_in_base_m - np.array(self.high_m))
-        outside: Vector = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        """Return the distance of points to the box [m]: 0 inside the box, and NaN for NaN.
+
+        Args:
+            points_in_base_m: The points (..., 3).
+
+        Returns:
+            An array (...).
+
+        """
+        excess = np.maximum(np.array(self.low_m) - points_in_base_m, points_in_base_m - np.array(self.high_m))
+        outside: Vector = np.linalg.norm(np.maximum(excess, 0.0), axis=-1)
         return outside
 
 
 @dataclass(frozen=True)
 class Region:
-    """A box, or the shell between it and a hole inside it.  RegionError if nothing is left."""
+    """A box, or the shell between it and a hole inside it.
+
+    Args:
+        outer: The box.
+        hole: The hole; None: no hole.  RegionError if it sticks out of the box or fills it.
+
+    """
 
     outer: Box
     hole: Box | None = None
@@ -92,9 +127,14 @@ class Region:
             raise RegionError.of_option("shell", expected, f"the hole {self.hole} in {self.outer}")
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
-        """``points_in_base_m`` (..., 3) -> (...): which are in the box and not in the hole.
+        """Return which points are in the region; the hole's boundary belongs to it.
 
-        The hole's boundary belongs to the shell.
+        Args:
+            points_in_base_m: The points (..., 3).
+
+        Returns:
+            An array (...) of booleans.
+
         """
         inside = self.outer.contains(points_in_base_m)
         if self.hole is not None:
@@ -104,10 +144,15 @@ class Region:
         return inside
 
     def draw(self, rng: np.random.Generator, count: int) -> Vector:
-        """(count, 3) points, uniform over the region, four uniform numbers a point.
+        """Return points (count, 3), uniform over the region, from four uniform numbers for each point.
 
-        The shell is cut into at most six boxes; one is chosen by its volume and drawn into, so nothing
-        is ever thrown away.
+        The shell consists of at most six boxes.  One number picks a box by its volume, three place a point in
+        it, so every draw counts.
+
+        Args:
+            rng: The source of the numbers.
+            count: The number of points.
+
         """
         boxes = self.pieces
         low = np.array([box.low_m for box in boxes])  # (pieces, 3)
@@ -124,11 +169,11 @@ class Region:
         return tuple(self._pieces())
 
     def shifted(self, by_m: Vector3) -> Region:
-        """The same region elsewhere."""
+        """Return this region shifted by ``by_m``."""
         return Region(self.outer.shifted(by_m), None if self.hole is None else self.hole.shifted(by_m))
 
     def _pieces(self) -> Iterator[Box]:
-        """Below and above the hole, axis by axis."""
+        """Yield the boxes below and above the hole, axis by axis."""
         if self.hole is None:
             yield self.outer
             return
@@ -146,4 +191,5 @@ class Region:
 
 
 def _vector3(array: Vector) -> Vector3:
+    """Return an array (3,) as three floats."""
     return float(array[0]), float(array[1]), float(array[2])

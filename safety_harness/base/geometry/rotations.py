@@ -1,4 +1,4 @@
-"""Rotation matrices and rotation vectors (axis times angle), both ways, without weak spots."""
+"""Conversions between rotation matrices and rotation vectors (axis times angle), accurate at every angle."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ SMALL_SQUARED_ANGLE = 1e-8
 
 @compiled
 def rotation_from_vector(vector: Array3) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) of a rotation ``vector`` (3,) v [rad], by Rodrigues' formula.
+    """Return the rotation matrix (3, 3) of a rotation ``vector`` (3,) v [rad], by Rodrigues' formula.
 
         R = I + a [v]x + b [v]x^2,   a = sin(t)/t,   b = (1 - cos t)/t^2,   t = |v|,
 
-    with [v]x u = v x u.  Near t = 0 the series a = 1 - t^2/6, b = 1/2 - t^2/24.
+    with [v]x u = v x u.  Near t = 0 the series are a = 1 - t^2/6, b = 1/2 - t^2/24.
     """
     x, y, z = vector[0], vector[1], vector[2]
     squared = x * x + y * y + z * z
@@ -47,14 +47,14 @@ def rotation_from_vector(vector: Array3) -> NDArray[np.float64]:
 
 @compiled
 def vector_from_rotation(rotation: Array3x3) -> NDArray[np.float64]:
-    """Rotation vector (3,) [rad] of a matrix ``rotation`` (3, 3); its length is at most pi.
+    """Return the rotation vector (3,) [rad] of a matrix ``rotation`` (3, 3); its length is at most pi.
 
         v = 2 atan2(|u|, w) u/|u|,   (w, u) the unit quaternion of the rotation with w >= 0,
 
-    where 4 w^2 = 1 + tr R, 4 w u = (R_21 - R_12, R_02 - R_20, R_10 - R_01), and by analogy for u.  Goes
-    through the unit quaternion, whose largest component is computed first (Shepperd 1978), so nothing cancels
-    near the identity or near a half turn.  At exactly pi both signs of the vector mean the same rotation;
-    one of them is returned.
+    where 4 w^2 = 1 + tr R, 4 w u = (R_21 - R_12, R_02 - R_20, R_10 - R_01), and by analogy for u.  The
+    computation begins with the largest component of the quaternion (Shepperd, 1978), so terms never cancel
+    near the identity or a half turn.  At exactly pi both signs of the vector mean the same rotation, and the
+    result is either of them.
     """
     r00, r11, r22 = rotation[0, 0], rotation[1, 1], rotation[2, 2]
     trace = r00 + r11 + r22
@@ -92,9 +92,15 @@ def vector_from_rotation(rotation: Array3x3) -> NDArray[np.float64]:
 
 @compiled
 def rotation_about(axis: Array3, angle_rad: float, rotation_out: Array3x3) -> None:
-    """Fill ``rotation_out`` (3, 3) with the turn by ``angle_rad`` t about the *unit* ``axis`` (3,) a.
+    """Fill a matrix with the turn by an angle t about a *unit* axis a.
 
-    Rodrigues' formula, R = cos t I + sin t [a]x + (1 - cos t) a a^T.
+    Rodrigues' formula is R = cos t I + sin t [a]x + (1 - cos t) a a^T.
+
+    Args:
+        axis: (3,) The unit axis.
+        angle_rad: The angle.
+        rotation_out: (3, 3) receives R.
+
     """
     entries = rotation_entries(axis[0], axis[1], axis[2], angle_rad)
     for i in range(9):
@@ -105,9 +111,16 @@ def rotation_about(axis: Array3, angle_rad: float, rotation_out: Array3x3) -> No
 def rotation_entries(
     x: float, y: float, z: float, angle_rad: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """The entries, row by row, of ``rotation_about``: by ``angle_rad`` about the *unit* axis (x, y, z).
+    """Return the nine entries of ``rotation_about``, row by row.
 
     1 - cos t is 2 sin^2(t/2), which does not cancel.
+
+    Args:
+        x: The first component of the *unit* axis.
+        y: The second component.
+        z: The third component.
+        angle_rad: The angle.
+
     """
     c, s = cos(angle_rad), sin(angle_rad)
     half = sin(0.5 * angle_rad)

@@ -1,4 +1,4 @@
-"""Exact distances between points and line segments in space, all of a call [m] in one frame."""
+"""Exact distances between points and line segments in space; all points of a call are [m] in one frame."""
 
 from __future__ import annotations
 
@@ -9,15 +9,21 @@ import numpy as np
 from safety_harness.base.compiled import inlined
 from safety_harness.base.geometry.arrays import Array2x3, Array3
 
-ROUNDING_M = 1e-9  # by which a bound of a distance, computed otherwise, may be off
+ROUNDING_M = 1e-9  # the most by which rounding lifts a lower bound above the distance
 
 
 @inlined
 def point_segment_distance(point: Array3, start: Array3, end: Array3) -> float:
-    """Distance [m] from ``point`` (3,) p to the segment from ``start`` (3,) a to ``end`` (3,) b.
+    """Return the distance [m] from a point p to the segment from a to b.
 
-    |p - a - t u| with u = b - a and t = (p - a) . u / |u|^2, cut to [0, 1]; t = 0 where u = 0,
-    for the segment may be a point.
+    It is |p - a - t u| with u = b - a and t = (p - a) . u / |u|^2, cut to [0, 1].  If the segment is a point
+    (u = 0), t = 0.
+
+    Args:
+        point: (3,) p.
+        start: (3,) a.
+        end: (3,) b.
+
     """
     ux, uy, uz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     wx, wy, wz = point[0] - start[0], point[1] - start[1], point[2] - start[2]
@@ -31,23 +37,36 @@ def point_segment_distance(point: Array3, start: Array3, end: Array3) -> float:
 
 @inlined
 def axes_lower_m(a: Array2x3, b: Array2x3) -> float:
-    """Segments ``a`` (2, 3) and ``b`` (2, 3), ends by row, are no nearer than this [m], but for ROUNDING_M.
+    """Return a lower bound [m] of the distance of two segments; negative if they may touch.
 
-    |m_a - m_b| - (l_a + l_b)/2 with middles m and lengths l, as no point of a segment is farther from its
-    middle than half of it (triangle inequality).  A third of the work of ``segment_segment_distance``; below
-    zero where they may touch.
+    The bound is |m_a - m_b| - (l_a + l_b)/2 with middles m and lengths l, and may exceed the distance by
+    ROUNDING_M.  It follows from the triangle inequality: a point of a segment is at most half the length from
+    its middle.  The bound takes a third of the work of ``segment_segment_distance``.
+
+    Args:
+        a: (2, 3) The ends of the first segment, by row.
+        b: (2, 3) The ends of the second segment.
+
     """
-    between, one, other = 0.0, 0.0, 0.0
+    middles_squared, a_squared, b_squared = 0.0, 0.0, 0.0
     for i in range(3):
-        between += (0.5 * (a[0, i] + a[1, i]) - 0.5 * (b[0, i] + b[1, i])) ** 2
-        one += (a[1, i] - a[0, i]) ** 2
-        other += (b[1, i] - b[0, i]) ** 2
-    return sqrt(between) - 0.5 * (sqrt(one) + sqrt(other))
+        middles_squared += (0.5 * (a[0, i] + a[1, i]) - 0.5 * (b[0, i] + b[1, i])) ** 2
+        a_squared += (a[1, i] - a[0, i]) ** 2
+        b_squared += (b[1, i] - b[0, i]) ** 2
+    return sqrt(middles_squared) - 0.5 * (sqrt(a_squared) + sqrt(b_squared))
 
 
 @inlined
 def segment_segment_distance(a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3) -> float:
-    """Distance [m] between two segments: the length of ``segment_segment_vector``."""
+    """Return the distance [m] between two segments: the length of ``segment_segment_vector``.
+
+    Args:
+        a_start: (3,) The start of segment a.
+        a_end: (3,) Its end.
+        b_start: (3,) The start of segment b.
+        b_end: (3,) Its end.
+
+    """
     x, y, z = segment_segment_vector(a_start, a_end, b_start, b_end)
     return sqrt(x * x + y * y + z * z)
 
@@ -56,7 +75,15 @@ def segment_segment_distance(a_start: Array3, a_end: Array3, b_start: Array3, b_
 def segment_segment_vector(
     a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3
 ) -> tuple[float, float, float]:
-    """Shortest vector (x, y, z) [m] from segment a to segment b: that of ``nearest_of_segments``."""
+    """Return the shortest vector (x, y, z) [m] from segment a to segment b, as in ``nearest_of_segments``.
+
+    Args:
+        a_start: (3,) The start of segment a.
+        a_end: (3,) Its end.
+        b_start: (3,) The start of segment b.
+        b_end: (3,) Its end.
+
+    """
     x, y, z, _, _ = nearest_of_segments(a_start, a_end, b_start, b_end)
     return x, y, z
 
@@ -65,18 +92,30 @@ def segment_segment_vector(
 def nearest_of_segments(
     a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3
 ) -> tuple[float, float, float, float, float]:
-    """(x, y, z) [m] from the point of segment a that is nearest to segment b to that of b, and both shares.
+    """Return the vector between the nearest points of two segments a and b, and both shares.
 
-    A share is how far along its segment, 0 to 1, the point lies; all is NaN if an end is.  With u and v the
-    segments' vectors and w = b_start - a_start it is the least |w + t v - s u| over s and t in [0, 1].
-    Inside, with n = u x v (Ericson, 2005, section 5.1.9, which divides by |u|^2 |v|^2 - (u . v)^2 instead),
+    Let u and v be the segments' vectors and w = b_start - a_start.  The vector is the least |w + t v - s u|
+    over s and t in [0, 1].  In the interior, with n = u x v,
 
-        s = (w x v) . n / |n|^2,   t = (w x u) . n / |n|^2;
+        s = (w x v) . n / |n|^2,   t = (w x u) . n / |n|^2.
 
-    at an end the other share is that of ``point_segment_distance``.  Segments may be parallel or points.
-    The least distance is taken either at an end of one of the segments, or at two inner points whose joining
-    line is perpendicular to both.  All four ends are tried beside the inner solution, so an ill-conditioned
-    one (nearly parallel segments) never makes the answer wrong.
+    Ericson (2005, section 5.1.9) divides by |u|^2 |v|^2 - (u . v)^2 instead, which cancels.  At an end, the
+    share of the opposite segment comes from ``point_segment_distance``.  Segments may be parallel or points.
+
+    The least distance lies at an end of a segment, or at two inner points whose joining line is perpendicular
+    to both segments.  The loop always tries all four ends besides the inner solution.  So nearly parallel
+    segments, whose inner solution is ill-conditioned, never make the answer wrong.
+
+    Args:
+        a_start: (3,) The start of segment a.
+        a_end: (3,) Its end.
+        b_start: (3,) The start of segment b.
+        b_end: (3,) Its end.
+
+    Returns:
+        (x, y, z, s, t): the vector [m] from a to b, and the positions of its ends along the segments, 0 to 1.
+        All five are NaN if an end is.
+
     """
     ux, uy, uz = a_end[0] - a_start[0], a_end[1] - a_start[1], a_end[2] - a_start[2]
     vx, vy, vz = b_end[0] - b_start[0], b_end[1] - b_start[1], b_end[2] - b_start[2]

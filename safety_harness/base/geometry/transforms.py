@@ -1,4 +1,4 @@
-"""Rigid transforms as 4 x 4 matrices: ``transform_a_to_b`` takes coordinates in a to b."""
+"""Rigid transforms as 4 x 4 matrices: ``transform_a_to_b`` maps coordinates in a to coordinates in b."""
 
 from __future__ import annotations
 
@@ -11,7 +11,13 @@ from safety_harness.base.geometry.arrays import Array3, Array3x3, Array4x4
 
 @compiled
 def transform_from(rotation: Array3x3, translation: Array3) -> NDArray[np.float64]:
-    """Transform (4, 4) that turns by ``rotation`` (3, 3), then shifts by ``translation`` (3,) [m]."""
+    """Return the transform (4, 4) that turns, then shifts.
+
+    Args:
+        rotation: (3, 3) The turn.
+        translation: (3,) The shift [m].
+
+    """
     transform = np.zeros((4, 4))
     for i in range(3):
         for j in range(3):
@@ -23,7 +29,12 @@ def transform_from(rotation: Array3x3, translation: Array3) -> NDArray[np.float6
 
 @compiled
 def inverse_transform(transform: Array4x4) -> NDArray[np.float64]:
-    """Inverse (4, 4) of a rigid ``transform`` (4, 4) of rotation R and shift t: (R^T, -R^T t)."""
+    """Return the inverse (4, 4) of a rigid transform of rotation R and shift t: (R^T, -R^T t).
+
+    Args:
+        transform: (4, 4) The transform.
+
+    """
     inverse = np.empty((4, 4))
     invert_into(transform, inverse)
     return inverse
@@ -31,7 +42,13 @@ def inverse_transform(transform: Array4x4) -> NDArray[np.float64]:
 
 @inlined
 def invert_into(transform: Array4x4, inverse_out: Array4x4) -> None:
-    """Fill ``inverse_out`` with the ``inverse_transform``, both (4, 4); it must not be the same array."""
+    """Fill an array with the inverse of a rigid transform.
+
+    Args:
+        transform: (4, 4) The transform.
+        inverse_out: (4, 4) receives the inverse; another array than ``transform``.
+
+    """
     for i in range(3):
         shift = 0.0
         for j in range(3):
@@ -44,9 +61,15 @@ def invert_into(transform: Array4x4, inverse_out: Array4x4) -> None:
 
 @inlined
 def compose_into(outer: Array4x4, inner: Array4x4, transform_out: Array4x4) -> None:
-    """Fill ``transform_out`` with ``outer`` @ ``inner``, all (4, 4); it must not be one of the two.
+    """Fill an array with ``outer`` @ ``inner``.
 
-    (R, t) (S, u) = (R S, R u + t): first the inner one, so that b_to_c and a_to_b give a_to_c.
+    (R, t) (S, u) = (R S, R u + t): the inner transform acts first, so b_to_c and a_to_b give a_to_c.
+
+    Args:
+        outer: (4, 4) The second transform.
+        inner: (4, 4) The first transform.
+        transform_out: (4, 4) receives the product; another array than both.
+
     """
     for i in range(3):
         for j in range(4):

@@ -1,8 +1,8 @@
-"""What comes with the package, by name: ``shipped:fast-reach`` is a file, wherever that is installed.
+"""Files that ship with the package, by name: ``shipped:fast-reach`` is a file, wherever its installation is.
 
-A wheel has scenarios, spaces, plans, recordings, robots and examples in a folder of this package; a checkout
-has them beside the package, where a build takes them from.  Both have one layout, so that what these files
-say of each other holds in both.  ``located`` is the one place that knows the names.
+A wheel has scenarios, spaces, plans, recordings, robots and examples in a folder of this package.  A checkout
+has them beside the package, from where a build copies them.  Both have one layout, so that references between
+these files hold in both.  Only ``located`` resolves the names.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _TITLE = re.compile(r"^(?:scenario|scenario space|suite|plan|proof): *(.+)$", re
 
 
 class ShippedKind(StrEnum):
-    """The folders that have a name of their own, by that name."""
+    """The folders with a name of their own, by that name."""
 
     SCENARIOS = "scenarios"
     SPACES = "spaces"
@@ -54,15 +54,15 @@ class ShippedFile:
 
     @property
     def about(self) -> str:
-        """One line that the file, or what lies beside it, says of it; empty if it says nothing."""
+        """A line that describes the file, from itself or a file beside it; empty without one."""
         path = self.path
         if self.kind is ShippedKind.RECORDINGS:
             row = re.search(rf"`{re.escape(path.name)}` \| ([^|]+)", _text(path.with_name("README.md")))
             return row[1].strip() if row else ""
         if self.kind is ShippedKind.EXAMPLES:
             file = next(iter(sorted(path.glob("test_*.py"))), None) if path.is_dir() else path
-            words = ast.get_docstring(ast.parse(_text(file))) if file else ""
-            return (words or "").partition("\n")[0]
+            docstring = ast.get_docstring(ast.parse(_text(file))) if file else ""
+            return (docstring or "").partition("\n")[0]
         if self.kind is ShippedKind.ROBOTS:
             return _text(path).partition("\n")[0].removeprefix("# ")
         title = _TITLE.search(_text(path))
@@ -70,22 +70,23 @@ class ShippedFile:
 
 
 def is_installed() -> bool:
-    """Do the files lie in the package itself, as a wheel has them?"""
+    """Return whether the files lie in the package itself, as in a wheel."""
     return (PACKED / "scenarios").is_dir()
 
 
 def contents() -> Path:
-    """The folder of everything shipped: of this package in an installation, else the repository's."""
+    """Return the folder of all shipped files: the package in an installation, else the repository."""
     return PACKED if is_installed() else PACKED.parents[2]
 
 
 @lru_cache
 def shipped_files() -> tuple[ShippedFile, ...]:
-    """Everything that has a name, kind by kind."""
+    """Return every file with a name, kind by kind."""
     return tuple(_listed(contents()))
 
 
 def _listed(root: Path) -> Iterator[ShippedFile]:
+    """Yield the files and folders below ``root``, kind by kind."""
     for kind, (folder, pattern) in FOLDERS.items():
         for path in sorted((root / folder).glob(pattern)):
             yield ShippedFile(kind, path.stem if path.suffix == ".yaml" else path.name, path)
@@ -95,47 +96,57 @@ def _listed(root: Path) -> Iterator[ShippedFile]:
 
 
 def is_shipped(path: str | PurePath) -> bool:
-    """Does a part of the path begin with ``shipped:``?"""
+    """Return whether a part of the path begins with ``shipped:``."""
     return any(part.startswith(PREFIX) for part in PurePath(path).parts)
 
 
 def located(path: str | Path, place: Place | None = None) -> Path:
-    """The path itself, unless a part of it begins with ``shipped:``: then the file or folder of that name.
+    """Return the path itself, or the shipped file or folder if a part begins with ``shipped:``.
 
-    What comes before that part is dropped, so that ``folder / text`` can be asked for whatever a text in a
-    file names.  A name is that of ``shipped_files``, with or without ``.yaml``, a folder's, or the way to a
-    file from the root of them all.  ScenarioError, at ``place``, with the nearest names for any other.
+    The function drops the parts before ``shipped:``, so that a caller may pass ``folder / text`` for any text
+    of a file.  A name is from ``shipped_files``, with or without ``.yaml``, from the folders, or a path below
+    the root.
+
+    Args:
+        path: A path, perhaps with ``shipped:``.
+        place: The place of the name, for the error; None: the name itself.
+
+    Raises:
+        ScenarioError: The name is unknown; the hint has the nearest names.
+
     """
     parts = PurePath(path).parts
     first = next((n for n, part in enumerate(parts) if part.startswith(PREFIX)), None)
     if first is None:
         return Path(path)
     name = PurePath(*parts[first:]).as_posix().removeprefix(PREFIX)
-    found = _found(name)
-    if found is None:
+    target = _path_of(name)
+    if target is None:
         raise _unknown(name, place)
-    return found
+    return target
 
 
 @lru_cache
 def _by_name() -> dict[str, Path]:
-    """Files by their names, those of YAML also with ``.yaml``, and folders."""
-    found: dict[str, Path] = {kind: contents() / folder for kind, (folder, _) in FOLDERS.items()}
-    found |= {file.path.name: file.path for file in shipped_files()}
-    return found | {file.name: file.path for file in shipped_files()}
+    """Return files by their names, folders by theirs; a YAML file has a name with and without ``.yaml``."""
+    paths: dict[str, Path] = {kind: contents() / folder for kind, (folder, _) in FOLDERS.items()}
+    paths |= {file.path.name: file.path for file in shipped_files()}
+    return paths | {file.name: file.path for file in shipped_files()}
 
 
-def _found(name: str) -> Path | None:
+def _path_of(name: str) -> Path | None:
+    """Return the path of a name, or None for an unknown name."""
     if name in _by_name():
         return _by_name()[name]
-    way = PurePath(name)
-    ours = way.parts[:1] in {PurePath(folder).parts[:1] for folder, _ in FOLDERS.values()}
-    path = contents() / way
-    return path if ours and ".." not in way.parts and path.exists() else None
+    below = PurePath(name)
+    ours = below.parts[:1] in {PurePath(folder).parts[:1] for folder, _ in FOLDERS.values()}
+    path = contents() / below
+    return path if ours and ".." not in below.parts and path.exists() else None
 
 
 def _unknown(name: str, place: Place | None) -> ScenarioError:
-    names = (PREFIX + one for one in (*FOLDERS, *(file.name for file in shipped_files())))
+    """Return the error for an unknown name, with the nearest names."""
+    names = (PREFIX + entry for entry in (*FOLDERS, *(file.name for file in shipped_files())))
     expected = "the name of something shipped"
     hint = near_miss(PREFIX + name, names, most=3, all_of_them="safety-harness list")
     got = repr(name)
@@ -143,14 +154,15 @@ def _unknown(name: str, place: Place | None) -> ScenarioError:
 
 
 def shipped_name(path: Path) -> str:
-    """``shipped:NAME`` of a file or folder among them, an absolute path; empty for any other."""
+    """Return ``shipped:NAME`` of a shipped file or folder (an absolute path), else an empty text."""
     root = contents()
     if root not in path.parents:
         return ""
-    name = next((name for name, one in reversed(_by_name().items()) if one == path), "")
+    name = next((name for name, target in reversed(_by_name().items()) if target == path), "")
     name = name or path.relative_to(root).as_posix()
-    return PREFIX + name if _found(name) == path else ""
+    return PREFIX + name if _path_of(name) == path else ""
 
 
 def _text(path: Path) -> str:
+    """Return the text of a file; empty if it does not exist."""
     return path.read_text(encoding="utf-8") if path.is_file() else ""

@@ -1,4 +1,4 @@
-"""The documents: the packaged site, its sections by name, and how a message leads to one of them."""
+"""The documents: the packaged site, its sections by name, and the section for a text."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ COMMAND = "safety-harness docs"
 
 @dataclass(frozen=True)
 class Section:
-    """A page, or a part of one; ``name`` is what ``safety-harness docs`` takes: claims#proposals."""
+    """A page or a part of it; ``name`` is the argument of ``safety-harness docs``, as in claims#proposals."""
 
     name: str
     title: str
 
 
 def site() -> Path:
-    """The folder of the site, which need not be there: a checkout has it once it was built."""
+    """Return the folder of the site; a checkout lacks it before a build."""
     return contents() / "site"
 
 
 def missing() -> ScenarioError:
-    """What is said where there is no site."""
+    """Return the error for a missing site."""
     markdown = contents() / "docs"
     hint = f"make docs builds it; as Markdown it is in {markdown}"
     return ScenarioError(
@@ -38,32 +38,37 @@ def missing() -> ScenarioError:
 
 
 def sections() -> tuple[Section, ...]:
-    """Every page and heading of the site; ScenarioError if there is none."""
+    """Return every page and heading of the site; ScenarioError without a site."""
     index = site() / "search.json"
     if not index.is_file():
         raise missing()
-    found = json.loads(index.read_text(encoding="utf-8"))["items"]
-    return tuple(Section(one["location"].replace(".html", "", 1), one["title"]) for one in found)
+    items = json.loads(index.read_text(encoding="utf-8"))["items"]
+    return tuple(Section(item["location"].replace(".html", "", 1), item["title"]) for item in items)
 
 
-def section_named(words: str) -> Section:
-    """The page, the section page#heading, or the first with these words in its heading or its name.
+def section_named(text: str) -> Section:
+    """Return the section for a text.
 
-    ScenarioError with the nearest for any other.
+    Args:
+        text: A page, a section page#heading, or words of a heading or a name; the first match counts.
+
+    Raises:
+        ScenarioError: No section matches; the hint has the nearest names.
+
     """
-    known, asked = sections(), words.strip().lower()
-    for one in known:
-        if one.name.lower() == asked:
-            return one
-    for one in known:
-        if asked and (asked in one.title.lower() or asked.replace(" ", "-") in one.name.lower()):
-            return one
+    known, name = sections(), text.strip().lower()
+    for page in known:
+        if page.name.lower() == name:
+            return page
+    for page in known:
+        if name and (name in page.title.lower() or name.replace(" ", "-") in page.name.lower()):
+            return page
     expected = "a page, page#section, or words of a heading"
-    hint = near_miss(asked, (one.name for one in known), most=3) or "without any the first page is opened"
-    raise ScenarioError.of_option("docs", expected, repr(words), hint)
+    hint = near_miss(name, (page.name for page in known), most=3) or "without any the first page is opened"
+    raise ScenarioError.of_option("docs", expected, repr(text), hint)
 
 
 def path_of(section: Section) -> tuple[Path, str]:
-    """The file of a section, and the place in it."""
+    """Return the file of a section, and its anchor in the file."""
     page, _, anchor = section.name.partition("#")
     return site() / f"{page}.html", anchor

@@ -106,8 +106,8 @@ def acted(trace: Trace, k: int = 0) -> np.ndarray:
 
 def test_every_fault_has_a_phrase_a_record_and_a_test_here() -> None:
     assert {type(fault) for fault in FAULTS} == set(EVERY_FAULT)
-    assert len({kind.said.kind for kind in EVERY_FAULT}) == len(EVERY_FAULT) == len(FAULTS)
-    assert {kind.said.kind for kind in EVERY_FAULT} == set(FaultKind)
+    assert len({kind.phrase.kind for kind in EVERY_FAULT}) == len(EVERY_FAULT) == len(FAULTS)
+    assert {kind.phrase.kind for kind in EVERY_FAULT} == set(FaultKind)
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: type(fault).__name__)
@@ -425,6 +425,6 @@ def test_a_question_that_is_asked_before_the_fault_is_answered_at_once() -> None
 
 def test_the_table_has_a_record_for_each_fault_in_its_order() -> None:
     table = fault_table(FAULTS)
-    assert table["kind"].tolist() == [int(fault.said.kind) for fault in FAULTS]
+    assert table["kind"].tolist() == [int(fault.phrase.kind) for fault in FAULTS]
     assert np.isinf(table["end_s"]).all()
     assert fault_table((CameraBlind(from_s=1.0, for_s=0.5),))["end_s"][0] == 1.5
