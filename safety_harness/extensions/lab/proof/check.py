@@ -1,10 +1,10 @@
 """An independent check of a certificate of ``prove``, by numpy alone; of ONNX files by ONNX's own reference.
 
-Run: python check.py CERTIFICATE MODEL.  It bounds the answers p to hands h and TCPs t in each box called
-proven or refuted, and refuses the rest.  A network is steps (name, of which, weight, bias, size of the bias's
-terms), or (name, of which) for a ReLU.  Bounds are forms (centre, symbols, slack); a ReLU of l < 0 < u is s z
-+ b +- b, s = u / (u - l), b = -s l / 2.  A sum of n terms is off by (n + 17) u of their sizes, u above 2^-24
-for ONNX files, 2^-53 for others; a claim has to be kept by MARGIN more.  The optimum is t + 0.1 d + 0.05 (t -
+Run: python check.py CERTIFICATE MODEL.  It bounds answers p to hands h and TCPs t in each box called proven
+or refuted, and refuses the rest.  A network is steps (name, inputs, weight, bias, size of the bias's terms),
+or (name, inputs) for a ReLU.  Bounds are forms (centre, symbols, slack).  A ReLU of l < 0 < u is s z + b +-
+b, s = u / (u - l), b = -s l / 2.  A sum of n terms is off by (n + 17) u of their sizes; u is above 2^-24 for
+ONNX files, 2^-53 for others.  A claim has to be kept by MARGIN more.  The optimum is t + 0.1 d + 0.05 (t -
 h), d the direction of DESIRED - t or the nearest on the rim of the cone CONE about AXIS.  Its derivative is
 (1 - d d^T) / |v| by v, and a second one at most 2 / (sqrt(3) |v|^2).
 """
@@ -30,14 +30,14 @@ SUMS, AFFINE = ("Add", "Sub", "Concat"), ("Gemm", "MatMul", "Mul", "Div", "Ident
 NORM, LEGAL = "BatchNormalization", {"training_mode": (0,), "to": (1, 11)}  # no batch's statistics; floats
 
 
-def need(held: bool | np.bool_, what: str) -> None:
-    """Refuse unless it holds."""
+def need(held: bool | np.bool_, message: str) -> None:
+    """Raise ValueError with ``message`` unless ``held``."""
     if not held:
-        raise ValueError(what)
+        raise ValueError(message)
 
 
 def network_of(data: bytes) -> tuple[list[Any], float, float]:
-    """Steps, u and the threshold of the spread; of perceptrons their mean, and how far each is off it."""
+    """Return steps, u and the spread's threshold; steps of perceptrons end with their mean and deviations."""
     if data[8:9] != b"{":
         return onnx_steps(data), SINGLE, np.nan
     tensors = json.loads(data[8 : (start := 8 + int.from_bytes(data[:8], "little"))])
@@ -59,7 +59,7 @@ def network_of(data: bytes) -> tuple[list[Any], float, float]:
 
 
 def onnx_steps(data: bytes) -> list[Any]:
-    """Affine maps are what it makes of 0 and of unit vectors, row by row; others are left out."""
+    """Return steps; affine maps are the reference's output for 0 and unit vectors, row by row."""
     import onnx.reference
 
     evaluator: Any = onnx.reference.ReferenceEvaluator
@@ -90,7 +90,7 @@ def onnx_steps(data: bytes) -> list[Any]:
 
 
 def forms_of(steps: list[Any], u: float, centre: Array, half: Array) -> Any:
-    """Forms (n, w), (n, k, w), (n, w) of all steps by name, in boxes ``centre`` +- ``half`` (n, 6)."""
+    """Return forms (n, w), (n, k, w), (n, w) of all steps by name, in boxes ``centre`` +- ``half`` (n, 6)."""
     whole = centre, half[:, :, None] * np.eye(6), u * (u > DOUBLE) * (np.abs(centre) + half)  # float32's
     forms: Any = {name: [x[..., p] for x in whole] for name, p in ((HAND, slice(3)), (TCP, slice(3, 6)))}
     for out, own, *affine in steps:
@@ -114,14 +114,14 @@ def forms_of(steps: list[Any], u: float, centre: Array, half: Array) -> Any:
 
 
 def lengths(c: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Bounds (n,) of |c + d|, d the symbols and slack: its part along c, and |c|^2 + 2 c . d + |d|^2."""
+    """Return bounds (n,) of |c + d|, d the symbols and slack, from its part along c and its square."""
     norm, wide = np.linalg.norm(c, axis=1), np.linalg.norm(np.abs(g).sum(axis=1) + r, axis=1)
     dot = np.abs(np.einsum("nki,ni->nk", g, c)).sum(axis=1) + (r * np.abs(c)).sum(axis=1)
     return norm - dot / np.maximum(norm, 1e-30), np.sqrt(norm**2 + 2.0 * dot + wide**2)
 
 
 def off_optimum(centre: Array, half: Array, q: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Bounds (n,) of |p - o|, of the form ``q``, ``g``, ``r`` of p - t, in boxes ``centre`` +- ``half``."""
+    """Return bounds (n,) of |p - o|, from the form ``q``, ``g``, ``r`` of p - t in ``centre`` +- ``half``."""
     way, cos, rho = DESIRED - centre[:, 3:], np.cos(CONE), np.linalg.norm(half[:, 3:], axis=1)
     least, most = np.full(len(q), np.inf), np.zeros(len(q))
     rim = -1.0, EYE - np.outer(AXIS, AXIS), RADIUS * np.sin(CONE), RADIUS * cos
@@ -143,7 +143,7 @@ def off_optimum(centre: Array, half: Array, q: Array, g: Array, r: Array) -> tup
 
 
 def products(q: Array, w: Array, half: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Bounds (n,) of (p - t) . (t - h), at centres ``q`` . ``w`` (n, 3); ``g`` and ``r`` are of p - t."""
+    """Return bounds (n,) of (p - t) . (t - h), at centres ``q`` . ``w`` (n, 3); ``g``, ``r`` are of p - t."""
     h = np.concatenate([-half[:, :3, None] * EYE, half[:, 3:, None] * EYE], axis=1)
     linear, both = np.einsum("nki,ni->nk", g, w), np.einsum("nki,nmi->nkm", g[:, :6], h)
     linear[:, :6] += np.einsum("nki,ni->nk", h, q)
@@ -156,7 +156,7 @@ def products(q: Array, w: Array, half: Array, g: Array, r: Array) -> tuple[Array
 
 
 def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: float, doubt: float) -> Any:
-    """Which boxes (n,) from ``low`` to ``high`` (n, 6) are what ``code`` says of them."""
+    """Return whether ``code`` is right for each box (n,) from ``low`` to ``high`` (n, 6)."""
     kind, limit, (near, far) = claim["kind"], claim["limit_m"], claim["region"]["apart_m"]
     half = np.maximum(high - (centre := (low + high) / 2.0), centre - low) * (1.0 + 1e-12)
     way, wide = centre[:, 3:] - centre[:, :3], half[:, 3:] + half[:, :3]
@@ -182,7 +182,7 @@ def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: flo
 
 @np.errstate(all="ignore")
 def check_claim(network: Any, claim: dict[str, Any]) -> str:
-    """What the tree of one claim shows, in words of this file; refused if that is not what it says."""
+    """Return a sentence on the tree of a claim; ValueError if the tree does not show the claim."""
     kind, region, limit = claim["kind"], claim["region"], claim["limit_m"]
     corners = np.array([[[*region[f"hand_{c}_m"], *region[f"tcp_{c}_m"]]] for c in ("low", "high")])
     (low, high), shares, part = corners, dict.fromkeys(NAMES.values(), 0.0), 1.0
@@ -217,10 +217,10 @@ def check_claim(network: Any, claim: dict[str, Any]) -> str:
 
 
 def check(certificate: bytes, model: bytes) -> list[str]:
-    """What is confirmed, a line a claim; ValueError, or another exception, if anything is not."""
-    need((found := json.loads(certificate))["format"] == FORMAT and found["claims"] != [], "no certificate")
-    need(found["model_sha256"] == hashlib.sha256(model).hexdigest(), "it is of another network")
-    return [check_claim(network_of(model), claim) for claim in found["claims"]]
+    """Return a line for each confirmed claim; ValueError, or another exception, for any failure."""
+    need((doc := json.loads(certificate))["format"] == FORMAT and doc["claims"] != [], "no certificate")
+    need(doc["model_sha256"] == hashlib.sha256(model).hexdigest(), "it is of another network")
+    return [check_claim(network_of(model), claim) for claim in doc["claims"]]
 
 
 if __name__ == "__main__":
