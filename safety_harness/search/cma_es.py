@@ -78,7 +78,7 @@ class Descent:
         return np.clip(proposed, 0.0, 1.0)
 
     def learn(self, scores: NDArray[np.float64]) -> None:
-        """Learn the scores (m,) of the points proposed last; +inf for a point without a score."""
+        """Learn ``scores`` (m,) of the points proposed last; +inf for a point without a score."""
         self._scores += scores.tolist()
         if len(self._scores) < len(self._population):
             return
@@ -93,7 +93,7 @@ class Descent:
         self._population = []
 
     @property
-    def over(self) -> bool:
+    def ended(self) -> bool:
         """Whether the descent has stagnated; only ever true between generations."""
         stuck = self.flat or self.since_better >= _PATIENCE or float(self._cma.sigma) < 1e-3
         return not self._population and (stuck or bool(self._cma.stop()))
@@ -120,7 +120,7 @@ class CmaEs:
 
     def propose(self, count: int) -> Points:
         """Return the rest of a generation, or the start of the next."""
-        if self._descent.over:
+        if self._descent.ended:
             self._restarts += 1
             self._descent = self._begin()
         return self._descent.propose(count)

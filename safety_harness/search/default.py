@@ -162,7 +162,7 @@ class Default:
         island.descent.learn(known)
         if known.min() < island.score:
             island.score, island.end = float(known.min()), canonical[int(known.argmin())]
-        if island.score < 0.0 or island.descent.over:
+        if island.score < 0.0 or island.descent.ended:
             worth_it = island.score < 0.0 or island.score < island.known - _BETTER
             self._in_vain[island.claim] = 0 if worth_it else self._in_vain[island.claim] + 1
             self._archives[island.claim].take(island.end)

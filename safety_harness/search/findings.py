@@ -88,7 +88,7 @@ class Evaluate(Protocol):
         """
 
 
-APART = 0.25  # root mean square over the cube: violations that are nearer are taken for one
+LEAST_APART = 0.25  # root mean square over the cube: violations that are nearer are taken for one
 _MOST_OTHERS = 9  # runs of a mishap: of ten that meet it in a third of all runs one shows it, 98 times in 100
 _MOST_GROUPS = 200  # of one claim; beyond them a violation joins its nearest
 
@@ -224,7 +224,7 @@ class Findings:
             distances = self.cube.distances(leaders, canonical)
             nearest = rivals[int(distances.argmin())]
             full = sum(group.claim == claim for group in self.groups) >= _MOST_GROUPS
-            if claim is None or distances.min() <= APART or full:
+            if claim is None or distances.min() <= LEAST_APART or full:
                 nearest.count += 1
                 if claim is None and len(nearest.others) < _MOST_OTHERS:
                     nearest.others.append(episode)

@@ -23,7 +23,7 @@ from safety_harness.extensions.lab.proof.certificate import Proof, taken_up, wri
 from safety_harness.extensions.lab.proof.claims import ClaimKind
 from safety_harness.extensions.lab.proof.onnx_file import OnnxFunction
 from safety_harness.extensions.lab.proof.plan import ProofPlan, read_proof_plan
-from safety_harness.extensions.lab.proof.session import Effort, carry_on, fresh
+from safety_harness.extensions.lab.proof.session import Effort, continue_proofs, fresh
 from safety_harness.extensions.lab.proof.together import JointBound, joint_bounds
 from safety_harness.extensions.lab.scoring.question_file import question_file
 from safety_harness.scenario.files import told
@@ -68,9 +68,9 @@ def prove(
         on_step = closing.enter_context(output.steps())
         over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
         effort = Effort(
-            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, told=on_step
+            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, show=on_step
         )
-        for number, proof in enumerate(carry_on(read, begun, effort)):
+        for number, proof in enumerate(continue_proofs(read, begun, effort)):
             proofs[number] = proof
         interrupted = stopped()
     options = ("--minutes", f"{minutes:g}", "--halvings", str(halvings))

@@ -43,7 +43,7 @@ def dataset(
     robot: Cell = None,
     seed: Seed = 0,
 ) -> int:
-    """Make the data set for a network: TCP x hand, with eq. 13's labels.
+    """Make a network's data set: TCP x hand, with eq. 13's labels.
 
     The defaults are the paper's 5,000,000 samples, in a few seconds.
 
@@ -106,7 +106,7 @@ def train(
     resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint.")] = False,
     device: Annotated[str, Option(help="Where PyTorch computes: cpu, cuda, ...")] = "cpu",
 ) -> int:
-    """Train and calibrate a network, for the UR10 or another cell.
+    """Train and calibrate a network of the UR10's or another cell.
 
     "trial-mc-dropout" takes under a minute.  Ctrl-C costs the present epoch; --resume continues from there,
     to the same bits.  Training needs PyTorch, the extra "learning" of this package.

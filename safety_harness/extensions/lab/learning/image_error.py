@@ -58,14 +58,14 @@ class ImageErrors(NamedTuple):
     def at(
         self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the error (...) of each TCP position, and whether it sees the whole object (...).
+        """Return errors (...) of ``positions_in_base_m`` (..., 3), and whether they see all the object (...).
 
         The error is |f - f*|^2 (eq. 15, in metres and radians) of the features f of the image from there.  It
         is +inf without an image of the object.  The exact image has no border: beyond it, the error belongs
         to a larger sensor.
 
         Args:
-            positions_in_base_m: (..., 3) the TCP positions.
+            positions_in_base_m: TCP positions in the base frame.
             raster: Sample at pixel centres like the camera, and crop; for dense objects only.
 
         Raises:
@@ -87,13 +87,13 @@ class ImageErrors(NamedTuple):
     def select(
         self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the number (n,) of each selected candidate, and how many (n,) see the whole object.
+        """Return the selected numbers (n,) of ``positions_in_base_m`` (n, c, 3), and how many see (n,).
 
-        The selected candidate has the least error among those in view, or among all if no candidate is in
-        view.
+        The selected candidate has the least error among the candidates in view, or among all if no candidate
+        is in view. The second array counts the candidates that see the whole object.
 
         Args:
-            positions_in_base_m: (n, c, 3) the candidates.
+            positions_in_base_m: C candidates for each TCP, in the base frame.
             raster: As in ``at``.
 
         Raises:

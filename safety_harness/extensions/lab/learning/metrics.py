@@ -85,7 +85,8 @@ def picp_variants(
 ) -> dict[str, IntervalCoverage]:
     """Return the readings of the paper's PICP side by side, by name.
 
-    Half the width of an interval is 1.96 times s, or 1.96 times one of these:
+    ``predictions`` y, ``targets`` and ``spreads`` s are (n, 3), and ``residual_std`` r is (3,).  Half the
+    width of an interval is 1.96 times s, or 1.96 times one of these:
 
     * sqrt(s^2 + 1/tau), with the inverse model precision (Gal and Ghahramani 2016); at the paper's tau of
       1e-6 per mm^2, 1/tau is a variance of one square metre;
@@ -94,11 +95,11 @@ def picp_variants(
     * sqrt(s^2 + r^2), with the variance of validation residuals, which is the labels' own noise.
 
     Args:
-        predictions: (n, 3) the predictions y.
-        targets: (n, 3) the labels.
-        spreads: (n, 3) s, the standard deviations over the passes.
+        predictions: The predictions.
+        targets: The labels.
+        spreads: The standard deviations over the passes.
         precision: Tau, in the unit of the predictions.
-        residual_std: (3,) r, of validation residuals; None leaves the last reading out.
+        residual_std: The standard deviation of validation residuals; None leaves the last reading out.
 
     """
     half_widths = {
@@ -114,14 +115,15 @@ def picp_variants(
 def calibration_curve(predictions: Floats, targets: Floats, spreads: Floats, levels: Floats) -> Floats:
     """Return the share (k, 3) of targets within the central normal interval of each level, by axis.
 
-    The interval of level p is prediction +- Phi^-1((1 + p)/2) s.  For calibrated normal predictions the
-    shares equal the levels.
+    ``predictions``, ``targets`` and ``spreads`` s are (n, 3), and ``levels`` p in (0, 1) are (k,).  The
+    interval of level p is prediction +- Phi^-1((1 + p)/2) s.  For calibrated normal predictions the shares
+    equal the levels.
 
     Args:
-        predictions: (n, 3) the predictions.
-        targets: (n, 3) the labels.
-        spreads: (n, 3) the standard deviations s.
-        levels: (k,) the levels p in (0, 1).
+        predictions: The predictions.
+        targets: The labels.
+        spreads: The standard deviations.
+        levels: The levels.
 
     """
     distances, stds = _finite(np.abs(predictions - targets)), _finite(spreads)
@@ -132,11 +134,12 @@ def calibration_curve(predictions: Floats, targets: Floats, spreads: Floats, lev
 def auroc(scores_without: Floats, scores_with: Floats) -> float:
     """Return the area under the ROC curve of a score that should be higher in the second group.
 
-    It is P(with > without) + P(with = without)/2 over all pairs (Mann and Whitney, 1947), exactly.
+    It is P(with > without) + P(with = without)/2 over all pairs of ``scores_without`` (n,) and
+    ``scores_with`` (m,), exactly (Mann and Whitney, 1947).
 
     Args:
-        scores_without: (n,) the scores of the first group, for example of seen questions.
-        scores_with: (m,) the scores of the second group, for example of unseen questions.
+        scores_without: The scores of the first group, for example of seen questions.
+        scores_with: The scores of the second group, for example of unseen questions.
 
     Raises:
         ValueError: A group is empty, or a score is not finite.
@@ -170,13 +173,13 @@ def conformal_quantile(scores: Floats, level: float) -> float:
 def conformal_multiplier(predictions: Floats, targets: Floats, scales: Floats, level: float = 0.95) -> float:
     """Return the split-conformal m, so that prediction +- m scale covers *all three* axes at ``level``.
 
-    The score of a row is max_axis |prediction - target|/scale, and m is the ``conformal_quantile`` of the
-    scores.
+    ``predictions`` and ``targets`` are (n, 3), and ``scales`` (n, 3), or (3,) for every row.  The score of a
+    row is max_axis |prediction - target|/scale, and m is the ``conformal_quantile`` of the scores.
 
     Args:
-        predictions: (n, 3) predictions for held-out questions.
-        targets: (n, 3) their labels.
-        scales: (n, 3), or (3,) for every row; positive.
+        predictions: Predictions for held-out questions.
+        targets: Their labels.
+        scales: Positive scales.
         level: The coverage.
 
     Raises:

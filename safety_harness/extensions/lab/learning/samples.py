@@ -60,12 +60,12 @@ class Normalisation:
 
     @classmethod
     def of(cls, recipe: Recipe, mean: NDArray[np.float64], std: NDArray[np.float64]) -> Normalisation:
-        """Return the normalisation of a recipe; plain millimetres if it does not normalise.
+        """Return a recipe's normalisation by ``mean`` and ``std`` (9,), or plain millimetres without one.
 
         Args:
             recipe: The recipe.
-            mean: (9,) means of inputs and targets [m].
-            std: (9,) their standard deviations [m].
+            mean: Means of inputs and targets [m].
+            std: Their standard deviations [m].
 
         """
         if recipe.normalise:

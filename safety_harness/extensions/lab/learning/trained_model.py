@@ -165,9 +165,11 @@ def calibrate(
 def interval_scale(spreads: Floats, residual_std: Floats) -> Floats:
     """Return the scale sqrt(s^2 + r^2) (n, 3) [m] that the interval multiplier multiplies.
 
+    Here s is ``spreads`` (n, 3), and r is ``residual_std`` (3,).
+
     Args:
-        spreads: (n, 3) s, the passes' standard deviation.
-        residual_std: (3,) r, the residuals' root mean square on held-out labels.
+        spreads: The passes' standard deviation.
+        residual_std: The residuals' root mean square on held-out labels.
 
     """
     scale: Floats = np.sqrt(spreads**2 + residual_std**2)

@@ -72,7 +72,8 @@ class DecisionClaim:
             hands: (n, 3) the hands [m].
             tcps: (n, 3) the TCPs [m].
             answers: (n, 3) the answers [m].
-            doubt_m: (n,) the largest spread over the axes, less the network's threshold; None: no spread.
+            doubt_m: ``doubt_m`` (n,) is the largest spread over the axes, less the network's threshold; None:
+                no spread.
 
         """
         steps = answers - tcps

@@ -69,7 +69,7 @@ def certified(avoider: LearnedAvoider, question: Question, half_m: float) -> Cer
     answers, spreads = avoider.propose_many(hands, tcps, np.full(len(hands), question.seed, np.uint64))
     threshold_m, away = avoider.spread_threshold_m, AWAY.margins(hands, tcps, answers) >= 0.0
     network = _network_of(avoider.model, 0 if avoider.model.dropout is Dropout.NONE else question.seed)
-    region = ProofRegion.about(question.tcp_position_in_base_m, hands.min(axis=0), hands.max(axis=0))
+    region = ProofRegion.around(question.tcp_position_in_base_m, hands.min(axis=0), hands.max(axis=0))
     cheap = network._replace(gathers=network.gathers * CHEAP)
     (code,), ((least_m, most_m),) = examined_with_spreads(
         cheap, optimum_constants(), AWAY, region, region.corners()

@@ -97,11 +97,11 @@ class AffineForm:
         return {s: np.abs(value) + self.error[s] for s, value in self.value.items()}
 
     def linear(self, weight: Floats, bias: Floats, unit: float) -> AffineForm:
-        """Return the form after a linear layer.
+        """Return the form after a layer with ``weight`` (width, outputs) and ``bias`` (outputs,).
 
         Args:
-            weight: (width, outputs), or with an axis of members before.
-            bias: (outputs,), or with an axis of members before.
+            weight: The weights, with an axis of members before if members differ.
+            bias: The bias, with an axis of members before if members differ.
             unit: The unit roundoff of the program.
 
         """
@@ -160,17 +160,17 @@ def question(unit: float = 0.0) -> AffineForm:
 class Layers:
     """The ReLU layers of a network so far; ``known`` layers of the same network are not computed again."""
 
-    found: list[AffineForm] = field(default_factory=list)
+    forms: list[AffineForm] = field(default_factory=list)
     known: dict[int, AffineForm] = field(default_factory=dict)
 
     def relu(self, make: Callable[[], AffineForm]) -> AffineForm:
         """Add a ReLU layer, and return its outputs as a form."""
-        form = self.known.get(len(self.found)) or make()
+        form = self.known.get(len(self.forms)) or make()
         if form.is_shared:
-            self.known[len(self.found)] = form
-        self.found.append(form)
+            self.known[len(self.forms)] = form
+        self.forms.append(form)
         own = np.eye(form.width)
-        return AffineForm({len(self.found): own}, {len(self.found): 0.0 * own})
+        return AffineForm({len(self.forms): own}, {len(self.forms): 0.0 * own})
 
 
 def packed(layers: Sequence[AffineForm], members: int = 1) -> ReluNetwork:
@@ -250,19 +250,19 @@ def _resnet(model: Model, seed: int) -> ReluNetwork:
         dropped = form.scaled(drop[layer], SINGLE) if own.places == FULL_PLACES else form
         return dropped.linear(weight[:, layer], bias[:, layer], SINGLE)
 
-    def block(x: AffineForm, layer: int, *, within: bool) -> AffineForm:
+    def block(x: AffineForm, layer: int, *, inner: bool) -> AffineForm:
         h = layers.relu(lambda: connected(x, layer))
         g = layers.relu(lambda: connected(h, layer + 1))
         return layers.relu(
-            lambda: connected(g, layer + 2).plus(x if within else connected(x, layer + 3), SINGLE)
+            lambda: connected(g, layer + 2).plus(x if inner else connected(x, layer + 3), SINGLE)
         )
 
     first, constant = np.eye(PERCEPTRON_INPUTS, WIDTH) / own.input_std[:, None], np.eye(WIDTH)[INPUTS - 1]
     x = question().linear(first, constant - own.input_mean @ first, SINGLE)
     for number in range(STAGES * BLOCKS):
-        stage, within = divmod(number, BLOCKS)
-        x = block(x, stage * STAGE_LAYERS + 3 * within + (within > 0), within=within > 0)
-        if own.places == STAGES and within == BLOCKS - 1:
+        stage, inner = divmod(number, BLOCKS)
+        x = block(x, stage * STAGE_LAYERS + 3 * inner + (inner > 0), inner=inner > 0)
+        if own.places == STAGES and inner == BLOCKS - 1:
             x = x.scaled(drop[stage], SINGLE)
     scale = own.scale_out.astype(float)[..., None] * np.eye(WIDTH)
     x = x.linear(scale, own.shift_out.astype(float), SINGLE)
@@ -270,4 +270,4 @@ def _resnet(model: Model, seed: int) -> ReluNetwork:
         x = x.scaled(drop[LAYERS], SINGLE)
     answer = x.linear(own.weight_out.astype(float), own.bias_out.astype(float), SINGLE)
     answer = answer.linear(np.diag(own.target_std), own.target_mean, DOUBLE)
-    return packed([*layers.found, answer], model.members * passes)
+    return packed([*layers.forms, answer], model.members * passes)

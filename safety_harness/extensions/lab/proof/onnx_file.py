@@ -53,11 +53,7 @@ class OnnxFunction:
     ) -> tuple[Floats, Floats]:
         """Return positions and spreads (n, 3) [m], NaN for a missing answer.
 
-        Args:
-            hands_in_base_m: (n, 3) the hands.
-            tcps_in_base_m: (n, 3) the TCPs.
-            seeds: (n,) the seeds.
-
+        ``hands_in_base_m`` and ``tcps_in_base_m`` are (n, 3), and ``seeds`` (n,).
         """
         posed = [
             Question(hand, tcp, int(seed))
@@ -115,11 +111,11 @@ def _layers(path: Path, data: bytes) -> list[AffineForm]:
             forms[node.output[0]] = _computed(node.op_type, given, more, layers)
         except ValueError as error:
             refuse(path, place, str(error), f"the operator {node.op_type}")
-        if sum(form.width for form in layers.found) > MOST_UNITS:
+        if sum(form.width for form in layers.forms) > MOST_UNITS:
             refuse(path, place, f"at most {MOST_UNITS} ReLU units", "more")
     if POSITION not in forms or forms[POSITION].width != OUTPUTS:
         refuse(path, POSITION, "an output of three coordinates that follows from hand and TCP", "none")
-    return [*layers.found, forms[POSITION]]
+    return [*layers.forms, forms[POSITION]]
 
 
 def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: Layers) -> AffineForm:

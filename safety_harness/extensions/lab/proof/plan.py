@@ -54,7 +54,7 @@ class ProofRegion:
     apart_m: tuple[float, float] = ANY_APART_M
 
     @classmethod
-    def about(cls, tcp_m: Floats, low_m: Floats, high_m: Floats) -> ProofRegion:
+    def around(cls, tcp_m: Floats, low_m: Floats, high_m: Floats) -> ProofRegion:
         """Return the region of one TCP, ``tcp_m`` (3,), and hands from ``low_m`` (3,) to ``high_m`` (3,)."""
         tcp, low, high = ((float(x[0]), float(x[1]), float(x[2])) for x in (tcp_m, low_m, high_m))
         return cls(name="a box", hand_low_m=low, hand_high_m=high, tcp_low_m=tcp, tcp_high_m=tcp)

@@ -19,7 +19,7 @@ from safety_harness.extensions.lab.proof.tree import BoxTree, Over, examined, wo
 MOST_ASKED = 200_000  # questions at the centres of leaves
 WRONG_BY = 1e-8  # m or m2, beyond all rounding
 
-Told = Callable[[str, float], None]
+OnStep = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class Effort:
     """The effort of a session: at most ``seconds`` in all, and ``halvings`` of a box.
 
     Time counts once the processes have started and compiled their code.  ``over`` maps ``at_once`` batches of
-    boxes, for example in other processes.  ``stopped`` ends the work.  ``told`` receives the claim, and the
+    boxes, for example in other processes.  ``stopped`` ends the work.  ``show`` receives the claim, and the
     decided share of all volume.
     """
 
@@ -36,10 +36,10 @@ class Effort:
     over: Over = map
     at_once: int = 1
     stopped: Callable[[], bool] = field(default=lambda: False)
-    told: Told = field(default=lambda words, share: None)
+    show: OnStep = field(default=lambda text, share: None)
 
 
-def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[Proof]:
+def continue_proofs(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[Proof]:
     """Yield each proof after further work; time that a proof does not need goes to later proofs.
 
     Args:
@@ -56,9 +56,9 @@ def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[P
         now_s = time.monotonic()
         share_s = (end_s - now_s) / (len(proofs) - number)
 
-        def told(tree: BoxTree, number: int = number, proof: Proof = proof) -> None:
+        def report(tree: BoxTree, number: int = number, proof: Proof = proof) -> None:
             decided = 1.0 - tree.shares()["undecided"]
-            effort.told(f"{proof.planned.sentence}: {decided:.2%} decided", (number + decided) / len(proofs))
+            effort.show(f"{proof.planned.sentence}: {decided:.2%} decided", (number + decided) / len(proofs))
 
         work(
             proof.tree,
@@ -70,7 +70,7 @@ def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[P
             until_s=now_s + share_s,
             over=effort.over,
             at_once=effort.at_once,
-            told=told,
+            on_level=report,
             stopped=effort.stopped,
         )
         yield replace(proof, question=proof.question or wrong_question(plan, proof))

@@ -30,7 +30,7 @@ from safety_harness.extensions.lab.proof.plan import Normal, PlannedProof, Proof
 from safety_harness.extensions.lab.proof.tree import BoxTree
 
 Floats = NDArray[np.float64]
-Wrong = Callable[[Floats], NDArray[np.bool_]]
+IsWrong = Callable[[Floats], NDArray[np.bool_]]
 UP = 1.0 + 1e-9  # above the rounding of sums and differences of probabilities
 DOUBTFUL = 1e-8  # m or m2: what keeps a claim by less counts as wrong
 
@@ -72,12 +72,12 @@ def chances(questions: QuestionLaw, region: ProofRegion, low: Floats, high: Floa
 
 
 def drawn(questions: QuestionLaw, low: Floats, high: Floats, rng: np.random.Generator) -> Floats:
-    """Return a question (n, 6) from each box.
+    """Return a question (n, 6) from each box ``low`` to ``high`` (n, 6).
 
     Args:
         questions: The distribution.
-        low: (n, 6) the low corners.
-        high: (n, 6) the high corners.
+        low: The low corners.
+        high: The high corners.
         rng: The generator.
 
     """
@@ -112,7 +112,7 @@ def joint_bound(
     tree: BoxTree,
     region: ProofRegion,
     questions: QuestionLaw,
-    wrong: Wrong,
+    is_wrong: IsWrong,
     *,
     confidence: float,
     rng: np.random.Generator,
@@ -123,7 +123,7 @@ def joint_bound(
         tree: The tree.
         region: The region.
         questions: The distribution.
-        wrong: Returns which of questions (n, 6) have a wrong answer.
+        is_wrong: Returns which of questions (n, 6) have a wrong answer.
         confidence: The confidence of the bound.
         rng: The generator of the questions.
 
@@ -136,7 +136,7 @@ def joint_bound(
         ends = np.cumsum(each)
         count = questions.samples
         rows = np.searchsorted(ends, rng.random(count) * ends[-1], side="right").clip(max=len(each) - 1)
-        against = int(np.count_nonzero(wrong(drawn(questions, low[rows], high[rows], rng))))
+        against = int(np.count_nonzero(is_wrong(drawn(questions, low[rows], high[rows], rng))))
         most = upper_bound(against, count, 1.0 - confidence)
     return JointBound(
         low=max(0.0, refuted / UP),
@@ -170,12 +170,14 @@ def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
 
 
 def answered_wrongly(avoider: Answering, planned: PlannedProof, points: Floats) -> NDArray[np.bool_]:
-    """Return which (n,) of ``points`` the claim concerns and the network answers wrongly, or nearly so.
+    """Return which (n,) of ``points`` (n, 6) the claim concerns and the network answers wrongly.
+
+    An answer that is nearly wrong counts too.
 
     Args:
         avoider: The network.
         planned: The claim with its region.
-        points: (n, 6) hands and TCPs.
+        points: Hands and TCPs.
 
     """
     apart_m, (near_m, far_m) = np.linalg.norm(points[:, :3] - points[:, 3:], axis=1), planned.region.apart_m

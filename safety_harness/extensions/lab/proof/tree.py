@@ -82,11 +82,13 @@ def examined(
     boxes: Boxes,
     doubt_m: float = np.nan,
 ) -> Codes:
-    """Return the codes (n,) of boxes; a function of a module, so that other processes can call it.
+    """Return the codes (n,) of boxes, with ``constants`` (10,) of the optimum.
+
+    It is a function of a module, so that further processes can call it.
 
     Args:
         network: The network.
-        constants: (10,) the constants of the optimum.
+        constants: The constants of ``optimum_constants``.
         claim: The claim.
         region: The region.
         boxes: The corners of the boxes.
@@ -104,7 +106,10 @@ def examined_with_spreads(
     boxes: Boxes,
     doubt_m: float = np.nan,
 ) -> tuple[Codes, Floats]:
-    """Return the codes (n,), and bounds (n, 2) of the spread [m]; the arguments are as for ``examined``."""
+    """Return the codes (n,), and bounds (n, 2) of the spread [m], with ``constants`` (10,).
+
+    The arguments are as for ``examined``.
+    """
     codes, spreads_m = np.empty(len(boxes[0]), np.uint8), np.empty((len(boxes[0]), 2))
     near_m, far_m = region.apart_m
     examine(
@@ -124,7 +129,7 @@ def work(
     doubt_m: float = np.nan,
     over: Over = map,
     at_once: int = 1,
-    told: Callable[[BoxTree], Any] = lambda tree: None,
+    on_level: Callable[[BoxTree], Any] = lambda tree: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
     """Continue the undecided leaves of ``tree``, largest first, down to ``halvings`` halvings.
@@ -141,7 +146,7 @@ def work(
         doubt_m: The network's threshold of the spread; NaN: no threshold.
         over: Maps batches of boxes, for example in other processes.
         at_once: The number of batches at a time; the result does not depend on it.
-        told: Receives the tree after each level.
+        on_level: Receives the tree after each level.
         stopped: Ends the work when it returns True.
 
     """
@@ -160,7 +165,7 @@ def work(
                 codes[part] = np.where(judged < PROVEN, UNDECIDED, judged) if last else judged
         low, high = halves(low, high, codes)
         _put_next(tree, level, old_codes, len(low))
-        told(tree)
+        on_level(tree)
         level += 1
 
 

@@ -75,7 +75,7 @@ def _paired(
                     f"{text} on {more} questions on which {name} does neither{where}, and the other way "
                     f"round on {fewer}, of {len(differ):,}; of two alike that has a chance of {chance:.2g}"
                 )
-                shown = tuple(map(mine.questions.one, np.flatnonzero(worse)[:3].tolist()))
+                shown = tuple(map(mine.questions.single, np.flatnonzero(worse)[:3].tolist()))
                 yield ScoreFinding(kind, mine.region, sentence, shown)
                 break
 

@@ -32,14 +32,14 @@ def asked_together(avoider: Avoider, questions: Questions) -> Answers:
 
 def asked_alone(avoider: Avoider, questions: Questions) -> tuple[Answers, list[float]]:
     """Return the answers to one question at a time, and the time of each answer [s]."""
-    answers = [ask(avoider, questions.one(row)) for row in range(len(questions))]
+    answers = [ask(avoider, questions.single(row)) for row in range(len(questions))]
     return _arrays(answers), [answer.latency_s for answer in answers]
 
 
 def _of_chunk(avoider: Avoider, questions: Questions) -> Answers:
     """Return the answers to one chunk."""
     if isinstance(avoider, OutOfProcessAvoider):
-        every = [questions.one(row) for row in range(len(questions))]
+        every = [questions.single(row) for row in range(len(questions))]
         return _arrays(avoider.answers(every, together=True))
     if takes_many(avoider):
         answers = _at_once(avoider, questions)
@@ -57,7 +57,7 @@ def _at_once(avoider: BatchAvoider, questions: Questions) -> Answers | None:
     """Return the answers to a chunk in one call; None if one is invalid, so that the parts show which."""
     try:
         threshold_m = spread_threshold_of(avoider)
-        every = [questions.one(0)] * len(questions)
+        every = [questions.single(0)] * len(questions)
         with interrupted_after(limit_of(every), avoider.name):
             positions, spreads = avoider.propose_many(
                 questions.hands_in_base_m.copy(), questions.tcps_in_base_m.copy(), questions.seeds.copy()

@@ -23,7 +23,7 @@ Matrix = tuple[Vector3, Vector3, Vector3]
 
 WRONG_M = 0.060  # off the optimum: more than half of the repulsion radius, another direction altogether
 COARSEST_M = 0.001  # between the answers of a number format: half precision has it beyond a metre
-WITHIN = (1, 2, 3)  # spreads
+SPREAD_COUNTS = (1, 2, 3)  # spreads
 WORST = 10
 TAIL = (1.0 - LEVEL) / 2.0
 NORMAL = 1.959964
@@ -231,7 +231,7 @@ def _spreads(error: ArrayNx3, posed: Questions, spreads: ArrayNx3) -> Spreads:
     return Spreads(
         within=tuple(
             tuple(Proportion.of(np.abs(error[:, axis]) <= k * spreads[:, axis]) for axis in range(3))  # type: ignore[misc]
-            for k in WITHIN
+            for k in SPREAD_COUNTS
         ),
         error_to_spread=Figure(errors_m.value / rms_m, errors_m.low / rms_m, errors_m.high / rms_m),
         by_axis=_by_axis(error, spreads),
@@ -269,7 +269,7 @@ def asked_row(
     x, y, z = proposed[0].tolist()
     return ScoredQuestion(
         region,
-        single.one(0),
+        single.single(0),
         (x, y, z),
         float(answers.spreads_m[row].max()),
         float(off_m(proposed, optimum)[0]),

@@ -114,7 +114,7 @@ def _of_region(
             f"the first: {faults[int(rows[0])]}"
         )
         yield ScoreFinding(
-            Kind.NO_ANSWER, score.region, text, tuple(score.questions.one(int(row)) for row in rows)
+            Kind.NO_ANSWER, score.region, text, tuple(score.questions.single(int(row)) for row in rows)
         )
     if score.off_m is None:
         return
@@ -193,7 +193,7 @@ def _towards(
     share = Proportion.of(alone)
     if share.low > limits.towards:
         text = f"{_percent(share)} of the answers lead towards the hand where each yardstick leads away"
-        shown = tuple(score.questions.one(int(row)) for row in np.flatnonzero(alone)[:3])
+        shown = tuple(score.questions.single(int(row)) for row in np.flatnonzero(alone)[:3])
         yield ScoreFinding(Kind.LEADS_TOWARDS, score.region, text, shown)
 
 

@@ -198,7 +198,7 @@ def _followed(
         def change(k: int) -> AnswerChange:
             ends = points[np.array([k * (PARTS + 1) + best[k], k * (PARTS + 1) + best[k] + 1])]  # noqa: B023
             sizes_m = float(change_m[k]), float(step_m[k])  # noqa: B023
-            return AnswerChange(segments.moved, ends.one(0), ends.one(1), *sizes_m)
+            return AnswerChange(segments.moved, ends.single(0), ends.single(1), *sizes_m)
 
         slopes = np.where((step_m >= STEEP_M[0]) & (step_m < STEEP_M[1]), change_m / step_m, 0.0)
         k = int(np.argmax(slopes))

@@ -29,7 +29,7 @@ class Questions:
         """Return some of the questions."""
         return Questions(self.hands_in_base_m[rows], self.tcps_in_base_m[rows], self.seeds[rows])
 
-    def one(self, row: int) -> Question:
+    def single(self, row: int) -> Question:
         """Return a single question, in the form for an avoider."""
         return Question(self.hands_in_base_m[row], self.tcps_in_base_m[row], int(self.seeds[row]))
 

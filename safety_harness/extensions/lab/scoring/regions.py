@@ -79,7 +79,7 @@ def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion
 
     def region_of(name: str, hands: Region, tcps: Region) -> QuestionRegion:
         def holds(hand: ArrayNx3, tcp: ArrayNx3) -> Flags:
-            return hands.contains(hand) & tcps.contains(tcp) & near(hand, tcp, near_m)
+            return hands.contains(hand) & tcps.contains(tcp) & are_near(hand, tcp, near_m)
 
         return QuestionRegion(
             name=name,
@@ -102,13 +102,13 @@ def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion
         name=FAR,
         about=f"far: hands farther than {near_m * 1e3:g} mm from the TCP, about which no run asks",
         pairs=lambda rng, count: (Region(hands).draw(rng, count), Region(tcps).draw(rng, count)),
-        holds=lambda hand, tcp: hands.contains(hand) & tcps.contains(tcp) & ~near(hand, tcp, near_m),
+        holds=lambda hand, tcp: hands.contains(hand) & tcps.contains(tcp) & ~are_near(hand, tcp, near_m),
         asked_in_runs=False,
         settings=settings,
     )
     return (*regions, far)
 
 
-def near(hands: ArrayNx3, tcps: ArrayNx3, near_m: float) -> Flags:
+def are_near(hands: ArrayNx3, tcps: ArrayNx3, near_m: float) -> Flags:
     """Return whether (n,) hands (n, 3) are within ``near_m`` of TCPs (n, 3)."""
     return np.asarray(np.linalg.norm(hands - tcps, axis=1) < near_m)

@@ -45,14 +45,14 @@ class Subject:
         """Return the subject of a reference; errors are those of ``resolve_avoider``, at ``place``."""
         scenario, at = scenario_of_avoider(reference), place or Place(field="--avoider")
 
-        def apart() -> Avoider:
+        def separate() -> Avoider:
             with processes_apart():
                 return resolve_avoider(scenario, at)
 
         def another() -> Avoider:
             return resolve_avoider(scenario, at)
 
-        return cls(reference, another(), another, apart, not is_executed(reference))
+        return cls(reference, another(), another, separate, not is_executed(reference))
 
     @classmethod
     def made_by(cls, make: Callable[[], Avoider], reference: str) -> Subject:
@@ -118,7 +118,7 @@ def compared(
         questions=len(sample),
         differ=len(rows),
         largest_m=float(np.nan_to_num(apart_m, nan=np.inf).max(initial=0.0)),
-        first=sample.one(int(rows[0])) if len(rows) else None,
+        first=sample.single(int(rows[0])) if len(rows) else None,
         apart=apart,
     )
 

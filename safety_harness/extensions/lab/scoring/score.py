@@ -109,10 +109,10 @@ class ClosedForm:
         return Proposal(optimum_in_base_m(self.settings, hands, tcps)[0])
 
 
-Told = Callable[[str], object]
+OnStep = Callable[[str], object]
 
 
-def _nobody(what: object) -> None:
+def _ignore(value: object) -> None:
     """Ignore a value."""
     return None
 
@@ -124,8 +124,8 @@ def score(
     seed: int,
     counts: Counts | None = None,
     seen: str = "",
-    on_step: Told = _nobody,
-    on_region: Callable[[Scorecard], object] = _nobody,
+    on_step: OnStep = _ignore,
+    on_region: Callable[[Scorecard], object] = _ignore,
 ) -> Scorecard:
     """Return the scores of an avoider in every region.
 
@@ -178,7 +178,7 @@ def score(
 
 
 def yardsticks(
-    regions: Sequence[QuestionRegion], *, seed: int, counts: Counts, on_step: Told = _nobody
+    regions: Sequence[QuestionRegion], *, seed: int, counts: Counts, on_step: OnStep = _ignore
 ) -> tuple[Scorecard, ...]:
     """Return the yardsticks' cards, in the order of ``YARDSTICKS``, for the same questions as ``score``.
 
@@ -203,7 +203,7 @@ def yardsticks(
             )
             jumps: tuple[Jumps, ...] = ()
         else:
-            both = list(_by_region(avoider, regions, drawn, seed, counts, _nobody))
+            both = list(_by_region(avoider, regions, drawn, seed, counts, _ignore))
             scores, jumps = tuple(item for item, _ in both), tuple(item for _, own in both for item in own)
         cards.append(Scorecard(name, avoider.name, seed, "", scores, jumps))
     return tuple(cards)
@@ -271,7 +271,7 @@ def _by_region(
     drawn: Sequence[Questions],
     seed: int,
     counts: Counts,
-    on_step: Told,
+    on_step: OnStep,
 ) -> Iterator[tuple[RegionScore, list[Jumps]]]:
     """Yield each region's score and jumps."""
     for number, (region, questions) in enumerate(zip(regions, drawn, strict=True)):
@@ -279,8 +279,8 @@ def _by_region(
         scored = _scored(avoider, region, questions)
         jumps: list[Jumps] = []
         if region.asked_in_runs and len(questions):
-            for which, moved in enumerate(Moved):
-                rng = generator(seed, Branch.SCORING, number, _SEGMENTS, which)
+            for stream, moved in enumerate(Moved):
+                rng = generator(seed, Branch.SCORING, number, _SEGMENTS, stream)
                 few = min(counts.segments, len(questions))
                 ask = partial(asked_together, avoider)
                 jumps.append(jumps_of(ask, region, moved, questions, scored.answers, rng, few))

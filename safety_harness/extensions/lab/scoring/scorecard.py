@@ -239,8 +239,8 @@ class Kind(Enum):
     SLOW = "slow"
 
 
-_ASKED = {Kind.NO_ANSWER, Kind.LEADS_TOWARDS, Kind.OUT_OF_REACH, Kind.SURE_AND_UNSAFE}
-UNSAFE = frozenset(_ASKED | {Kind.JUMPS, Kind.NOT_REPEATED, Kind.SLOW})
+_WRONG_ANSWERS = {Kind.NO_ANSWER, Kind.LEADS_TOWARDS, Kind.OUT_OF_REACH, Kind.SURE_AND_UNSAFE}
+UNSAFE = frozenset(_WRONG_ANSWERS | {Kind.JUMPS, Kind.NOT_REPEATED, Kind.SLOW})
 """Kinds that are wrong whatever an avoider is meant to answer; others say that it is unlike yardsticks."""
 UNSAFE_OF_NETWORK = UNSAFE | {Kind.WRONG_AND_SURE, Kind.SPREAD_MISSES}
 """Those of a network trained here: the closed-form optimum is what it was trained to answer."""

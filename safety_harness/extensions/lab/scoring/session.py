@@ -92,9 +92,9 @@ class ScoringSession:
             self.scored.interrupted = True
         return self.scored
 
-    def _step(self, words: str) -> None:
+    def _step(self, text: str) -> None:
         """Report the next step; known yardsticks take no steps."""
-        self.on_step(words, min(self._steps_done / self._steps, 0.99))
+        self.on_step(text, min(self._steps_done / self._steps, 0.99))
         self._steps_done += 1
 
     def _seen(self, reference: str) -> SeenRegions:

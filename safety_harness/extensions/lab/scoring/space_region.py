@@ -13,7 +13,7 @@ from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.cell.robot.robots import arm_model
 from safety_harness.cell.simulation.hand_motion import advance_hands
 from safety_harness.cell.simulation.hand_programs import hands_at_start
-from safety_harness.extensions.lab.scoring.regions import Pairs, QuestionRegion, near
+from safety_harness.extensions.lab.scoring.regions import Pairs, QuestionRegion, are_near
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 
@@ -68,7 +68,7 @@ def space_region(space: ScenarioSpace, seed: int, draws: int = DRAWS) -> Questio
         name=space.name,
         about=f"{space.name}: what {draws} draws of the space lead to; hands within {near_m * 1e3:g} mm",
         pairs=pairs,
-        holds=lambda hand, tcp: near(hand, tcp, near_m),
+        holds=lambda hand, tcp: are_near(hand, tcp, near_m),
         asked_in_runs=True,
         settings=settings,
         robot=space.simplest.robot,
