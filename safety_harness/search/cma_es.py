@@ -12,8 +12,8 @@ from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.search import least
 
-_FLAT = 1e-9  # a population whose scores differ by less says nothing
-_PATIENCE = 10  # generations that find nothing better
+_FLAT = 1e-9  # a population with smaller differences of scores has no direction
+_PATIENCE = 10  # generations without an improvement
 
 
 class Descent:
@@ -38,7 +38,7 @@ class Descent:
         rng: np.random.Generator,
         population: int | None = None,
     ) -> None:
-        with warnings.catch_warnings(action="ignore"):  # which it gives where there is no matplotlib
+        with warnings.catch_warnings(action="ignore"):  # cma warns if matplotlib is missing
             import cma  # slow to import
 
         self._low, self._size = low, high - low
@@ -55,7 +55,7 @@ class Descent:
             options["popsize"] = population
         self.size = len(self._free)
         mean = (start - low)[self._free] / self._size[self._free]
-        if self.size < 2:  # which cma cannot
+        if self.size < 2:  # cma needs two dimensions
             mean = np.concatenate([mean, np.full(2 - self.size, 0.5)])
         self._cma = cma.CMAEvolutionStrategy(np.clip(mean, 0.0, 1.0), step, options)
         self._population: list[Point] = []

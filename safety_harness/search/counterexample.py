@@ -93,9 +93,9 @@ def sure_about_unseen(trace: Trace, seen: SeenRegions) -> list[str]:
     return [f"{text}, {where}; {len(sure)} of {len(rows)} decisions are so"]
 
 
-KEPT = 0.1  # of the margin, when shrinking
+KEPT = 0.1  # of the first margin, at least, so that the result does not lie on the edge
 DRAWS = 10  # of the avoider's own randomness
-_NUMBER = re.compile(r"(?<![\w.-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")  # not those within names
+_NUMBER = re.compile(r"(?<![\w.-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")  # no digits within names
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +200,7 @@ def counterexample_of(
     confirm = Confirm(complaint, world, by=-KEPT * (margin or 0.0))
     confirms, runs = [confirm], count(1)
     if sooner is not None and not complaint.kind and (quick := replace(confirm, world=sooner))(scenario):
-        confirms = [quick, confirm]  # an avoider that hangs would be waited for twice
+        confirms = [quick, confirm]  # otherwise the search would wait twice for an avoider that hangs
 
     def violates(simpler: Scenario) -> bool:
         on_step(f"shrinking, run {next(runs)} of at most {budget}")

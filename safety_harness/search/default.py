@@ -21,7 +21,7 @@ from safety_harness.search.cma_es import Descent
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.sampling import Explorer
 
-_KEPT = 256  # a claim
+_KEPT = 256  # points for each claim
 
 
 class Archive:
@@ -76,9 +76,9 @@ class Archive:
 
 
 _EXPLORING = 1.0 / 3.0
-_LEAST_APART = 0.15  # root mean square: beginnings and ends of descents on the same claim are farther apart
+_LEAST_APART = 0.15  # root mean square over the cube, between the places of descents on one claim
 _STEP = 0.15
-_BETTER = 0.01  # of a score
+_BETTER = 0.01  # the least improvement of a score that counts
 
 
 @dataclass(eq=False)
@@ -110,8 +110,8 @@ class Default:
         self._archives = [Archive(cube, _LEAST_APART) for _ in range(claims)]
         self._islands: list[_Island] = []
         self._begun = self._explored = self._proposed = self._next_claim = 0
-        self._in_vain = [0] * claims  # descents since the last that found a violation or a lesser score
-        self._due = 0.0  # points of exploration
+        self._in_vain = [0] * claims  # descents since the last with a violation or a lesser score
+        self._due = 0.0  # points of exploration still to propose
         self._parts: list[tuple[_Island | None, int]] = []
 
     @property

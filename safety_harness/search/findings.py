@@ -18,7 +18,7 @@ from safety_harness.claims.properties.against import SCALES
 from safety_harness.claims.properties.base import Property, Unit
 from safety_harness.search.cube import Cube, Point, Points, Scores
 
-RUN_FAILED = "the run failed: "  # how the mishap of a world that broke begins
+RUN_FAILED = "the run failed: "  # the beginning of a run error's text, if the world failed
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,9 @@ class Evaluate(Protocol):
         """
 
 
-LEAST_APART = 0.25  # root mean square over the cube: violations that are nearer are taken for one
-_MOST_OTHERS = 9  # runs of a mishap: of ten that meet it in a third of all runs one shows it, 98 times in 100
-_MOST_GROUPS = 200  # of one claim; beyond them a violation joins its nearest
+LEAST_APART = 0.25  # root mean square over the cube: nearer violations form one group (random points: 0.41)
+_MOST_OTHERS = 9  # if a run error occurs in a third of runs, one of ten shows it with 98 %
+_MOST_GROUPS = 200  # of one claim; a further violation joins its nearest group
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +114,7 @@ class Group:
     kind: str
     first: TriedPoint
     worst: TriedPoint
-    leader: Point  # canonical point of the first
+    leader: Point  # canonical point of ``first``
     count: int = 1
     others: list[TriedPoint] = field(default_factory=list)
 

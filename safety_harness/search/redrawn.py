@@ -24,13 +24,13 @@ from safety_harness.search.findings import Findings, Group
 from safety_harness.search.trials import Trials
 from safety_harness.trace.trace import Trace
 
-CHANCE = 0.05  # of all claims together that an avoider as good as the reference is found worse
-SELDOM = 0.01  # the chance of the test on overruling: at 0.05 it named int8 weights, which are harmless
+CHANCE = 0.05  # for all claims together, of a finding on an avoider as good as the reference
+SELDOM = 0.01  # of the test on overruling: at 0.05 it found int8 weights, which are harmless
 OFTEN = 0.03  # of all runs: int8 weights or another training alone violate a claim in 2 % of them
 PAIRS = 72  # of runs for each claim, shared evenly among its groups
 MOST_GROUPS = 6
 _FIRST = 1_000_000_000  # above the number of every point that is searched
-_OF_DECISIONS = (Unit.FRACTION, Unit.COUNT)  # few that fall the other way are much of a run
+_OF_DECISIONS = (Unit.FRACTION, Unit.COUNT)  # a few decisions are a large part of a run: never "by much"
 _Pairs = NDArray[np.float64]  # (n, 2) by how much the avoider alone, and the reference alone, violates [SI]
 
 
@@ -58,7 +58,7 @@ def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Tria
     if trials.reference is None:
         return []
     admitter, lines, drawn = Admitter(), list[str](), None
-    chance = CHANCE / len(findings.goals)  # two tests, of either of which one side counts
+    chance = CHANCE / len(findings.goals)  # two tests for each claim, of which one side counts
     for claim, goal in enumerate(findings.goals):
         near_count = sum(_is_near(run.claims[claim]) for run in trials.differences)
         if near_count:
@@ -142,7 +142,7 @@ def _redrawn(trials: Trials, admitter: Admitter, group: Group, claim: int, draws
         try:
             scenario = trials.scenario(group.worst.point, _FIRST + group.worst.number * PAIRS + draw)
             both = [admitter.admit(pair) for pair in (scenario, trials.reference.in_place(scenario))]
-        except InputError:  # the seed decides whether a run can begin
+        except InputError:  # a run may not be able to begin with this seed
             continue
         admitted += [replace(pair, avoider=OtherDraws(pair.avoider, draw)) for pair in both]
     runs: Sequence[Trace | Exception] = trials.world(admitted)

@@ -43,7 +43,7 @@ class QuasiRandom:
     def propose(self, count: int) -> Points:
         """Return the next ``count`` points of the sequence (count, d)."""
         with warnings.catch_warnings():
-            # It is balanced after powers of two only, which a search that may end any time cannot keep.
+            # The sequence is balanced only after powers of two, and a search may end at any time.
             warnings.filterwarnings("ignore", message="The balance properties of Sobol", category=UserWarning)
             points: Points = self._sequence.random(count)
         return points
@@ -52,7 +52,7 @@ class QuasiRandom:
         """Ignore the scores."""
 
 
-_AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # this part of so many points, then as one over how many there were
+_AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # this share of the first 400 points; then the share falls as 1 / number
 
 
 class Explorer:
@@ -79,7 +79,7 @@ class Explorer:
 
     def points(self, count: int) -> Points:
         """Return the next ``count`` points (count, d)."""
-        # Not from a Sobol sequence: of three of many coordinates it may leave a place out for long.
+        # Random, because a Sobol sequence left a place in three coordinates out for more than 13,000 points.
         points = self._rng.random((count, self._cube.dimension))
         number = self._made + np.arange(count + 1)
         self._made += count
@@ -102,7 +102,7 @@ class Explorer:
 
     def _at_ends(self, points: Points) -> Points:
         """Move a random share of each point's coordinates to an end of their interval."""
-        share = self._rng.random(len(points))  # of the coordinates, another for each point
+        share = self._rng.random(len(points))  # of the coordinates, drawn for each point
         for number, column in enumerate(self._cube.columns):
             if column.flat:
                 continue

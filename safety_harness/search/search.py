@@ -101,7 +101,7 @@ class AskTell:
                 f"{self.name}: tell() expects scores of shape {wanted}; got {scores.shape}"
             )
         finite = scores.astype(np.float64)
-        finite[np.isinf(finite)] = np.nan  # an infinite margin comes from nothing that can have happened
+        finite[np.isinf(finite)] = np.nan  # an infinite margin cannot guide a search
         points, self._asked = self._asked, None
         self._searcher.learn(points, finite, cells)
 

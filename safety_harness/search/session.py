@@ -55,12 +55,12 @@ FINDINGS, AS_FOUND = "findings.json", "as-found"
 AS_EXPECTED = " (as the space expects)"
 NOT_CONFIRMED = f"not confirmed in {PYBULLET.label}"
 NO_REFERENCE = f"nothing is confirmed in {PYBULLET.label}, which is not installed: this is {KINEMATIC} alone"
-MOST_SHRUNK = 3  # counterexamples of one claim, and of mishaps
-SHRINKING_RUNS = 200  # for each
-MOST_RUN_TWICE = 8  # disagreements of the worlds of which both runs are made, to be shown
+MOST_SHRUNK = 3  # counterexamples of each claim, and of run errors
+SHRINKING_RUNS = 200  # for each counterexample
+MOST_RUN_TWICE = 8  # disagreements of the worlds with both runs, for the page
 _MOST_AS_FOUND = 1_000  # files
-LEAST_DRAWN = 300  # pairs of runs anywhere in the space: fewer tell no 3 % from chance
-_BATCH = 64  # runs that go to their decisions together
+LEAST_DRAWN = 300  # pairs of runs anywhere in the space: with fewer, 3 % may be chance
+_BATCH = 64  # runs that are simulated together
 
 
 def basis_of_search(findings: Findings, confirmed: int) -> str:
@@ -154,9 +154,9 @@ class SearchSession:
     @property
     def differs(self) -> bool:
         """Whether the result differs from the space's expectations, or is unknown."""
-        applicable = ~self.trials.of_others  # of the other claims nothing can be known
+        applicable = ~self.trials.of_others  # all other claims cannot be judged
         unknown = bool(self.findings.tried) and not applicable.any()
-        unknown |= not self.findings.evidence[applicable].all()  # of a claim that no run put to the test
+        unknown |= not self.findings.evidence[applicable].all()  # a claim that no run exercised
         unknown |= bool(self.overruled or self.not_found)
         return unknown or not all(written.expected for written in self.written)
 

@@ -28,7 +28,7 @@ from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.space.tracing import Path, leaves, value_at, with_value, words
 
-FINER = 3  # how many times a step is divided by ten before a number is left as it is
+FINER = 3  # levels of round numbers, each ten times finer; a finer number stays unchanged
 LEAST_S, LEAST_MPS = 0.1, 0.1  # one step of the grid below: a smaller target would be no round number
 
 _NOWHERE = (0.0, 0.0, 0.0)
@@ -321,7 +321,7 @@ class _Shrinking:
         if candidate == self.scenario:
             return False
         text = write_scenario(candidate)
-        if text == write_scenario(self.scenario):  # the stop times of an own arm are no settings in a file
+        if text == write_scenario(self.scenario):  # a file does not contain the stop times of a user's arm
             return False
         read = _read_back(text, candidate) if self._known.get(text, True) else None
         if text not in self._known:

@@ -117,8 +117,8 @@ class Trials:
     sentences: tuple[str, ...] = ()
     reference: Reference | None = None
     coverage: Coverage = field(default_factory=Coverage)
-    violations: Coverage = field(default_factory=Coverage)  # those runs alone that violated a claim
-    declared_s: float = 0.0  # what a decision costs by the avoider's own words
+    violations: Coverage = field(default_factory=Coverage)  # runs that violated a claim
+    declared_s: float = 0.0  # the decision time that the avoider declares
     nearest_hand_m: float = field(default=np.inf, init=False)
     decisions: int = field(default=0, init=False)
     unanswered: int = field(default=0, init=False)
@@ -148,9 +148,9 @@ class Trials:
             )
         self.properties: tuple[Property, ...] = tuple(property_of(claim, simplest) for claim in self.claims)
         name = "" if self.reference is None else self.reference.name
-        self.of_others = np.zeros(len(self.properties), bool)  # claims that the controller does not concern
+        self.of_others = np.zeros(len(self.properties), bool)  # claims that do not apply to the controller
         self.goals = tuple(Goal.of(prop, name) for prop in self.properties)
-        # That the avoider answered leads a search only where nothing else is claimed.
+        # "the avoider answered" leads a search only without another claim.
         self.answered = next((claim for claim in expected if claim not in self.claims), None)
 
     @property

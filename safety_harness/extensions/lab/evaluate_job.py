@@ -159,7 +159,7 @@ class EvaluationResult:
 def _moved(shown: ShownQuestion, folder: Path) -> ShownQuestion:
     """Write a worst question's file to another folder, and return the question."""
     old = shown.file.path
-    assert old is not None  # others are left out
+    assert old is not None  # a question without a file is left out
     path = folder / old.name
     text = write_scenario(as_seen_from(folder, parse_scenario(shown.file.text, old)))
     write_text(path, text)

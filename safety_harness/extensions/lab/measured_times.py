@@ -21,7 +21,7 @@ from safety_harness.scenario.fields import is_sentence
 from safety_harness.scenario.references import file_and_name
 
 QUANTILES = 101  # from the quickest answer to the slowest
-AROUND_M = 0.15  # the nominal hand and the desired TCP, on each axis
+AROUND_M = 0.15  # half the box about the nominal hand and the desired TCP, on each axis
 
 
 @dataclass(frozen=True, eq=False)

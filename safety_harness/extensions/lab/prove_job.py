@@ -157,7 +157,7 @@ class ProofResult:
         )
         write_text(out / PAGE, render(evidence))
         made = replace(self, claims=tuple(written["claims"]))
-        made.__dict__["bounds"] = self.bounds  # which takes long
+        made.__dict__["bounds"] = self.bounds  # computing them again takes long
         return made
 
 

@@ -28,7 +28,7 @@ from safety_harness.search.attribution.ingredients import Altered, Change, Ingre
 from safety_harness.search.attribution.unavoidable import why_unavoidable
 from safety_harness.trace.trace import Trace
 
-ABOUT_PROPOSALS = "propos"  # in the sentence of a claim: it judges proposals, or what was proposed
+ABOUT_PROPOSALS = "propos"  # marks a claim about proposals: its sentence has "proposals" or "proposed"
 
 Changes = tuple[Change, ...]
 
@@ -238,7 +238,7 @@ class _Trials:
     def __init__(self, system: Altered, run: Runner) -> None:
         self.system, self._run = system, run
         self._done: dict[Changes, Trace | Exception] = {}
-        self._idle: set[Changes] = set()  # what changes nothing
+        self._idle: set[Changes] = set()  # changes without an effect
 
     def made(self, wanted: Iterable[Changes]) -> dict[Changes, Trace | Exception]:
         """Return the run for each list of changes; lists without an effect are absent."""

@@ -55,7 +55,7 @@ from safety_harness.scenario.robots import OwnRobot
 from safety_harness.scenario.settings_keys import setting_keys
 from safety_harness.trace.trace import Trace
 
-FARTHEST_M = 3.0  # a critical distance that a scenario may have
+FARTHEST_M = 3.0  # the largest critical distance of a scenario
 
 
 class Ingredient(Enum):
@@ -74,7 +74,7 @@ class Ingredient(Enum):
     HAND = "hand"
 
 
-# A controller of one's own replaces the servo, so that changes of these have no effect on it.
+# A user's controller replaces the servo, so that changes of these have no effect.
 OF_THE_SERVO = frozenset({Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GATE, Ingredient.FALLBACK})
 
 
@@ -390,7 +390,7 @@ def _slower_move(move: HandMove) -> HandMove:
     return replace(move, **{k: factor * getattr(move, k) for k, factor in slower.items() if hasattr(move, k)})
 
 
-# What describes arm, cell, person and sensors is no choice, and some have an ingredient of their own.
+# Settings with ingredients of their own.  Groups that describe arm, cell, person and sensors are no choice.
 ELSEWHERE = ("gate", "critical_distance_m", "decision_time", "decision_deadline_s")
 AT_DEFAULT = (
     *(

@@ -33,9 +33,9 @@ from safety_harness.scenario.moves import FollowTcp, ReachForTcp
 from safety_harness.search.attribution.ingredients import fastest_tcp_mps
 
 SeeksTcp = ReachForTcp | FollowTcp
-STEPS = 200  # in which a hand that slows down is followed
+STEPS = 200  # of the path of a hand that brakes
 LEAST = 1.05  # times the TCP's speed: a slower hand is not followed any further
-NOWHERE = np.zeros(3)  # of the TCP, for hands that do not look at it
+NOWHERE = np.zeros(3)  # a TCP for hands that do not depend on it
 
 
 def why_unavoidable(checked: Checked, prop: Property) -> str:

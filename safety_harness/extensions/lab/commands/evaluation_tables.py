@@ -15,7 +15,7 @@ from safety_harness.extensions.lab.learning.evaluation import LEVELS, Figures
 from safety_harness.extensions.lab.learning.metrics import RESIDUALS, Errors, IntervalCoverage
 
 NONE = "-"
-VARIANTS = {  # of the PICP: the name in the figures, and in the table
+VARIANTS = {  # of the PICP, by name in the figures: the name in the table
     "spread": "spread",
     RESIDUALS: "and residuals",
     "spread and 1/tau": "and 1/tau",

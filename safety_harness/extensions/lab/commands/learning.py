@@ -335,7 +335,7 @@ def export(
     if seed < 0:
         raise ModelError.of_option("--seed", "a seed of at least 0", str(seed))
     loaded = load_model(path)
-    with LEARNING.needed("export"), ONNX.needed("export"):  # onnxscript is asked for by PyTorch, and late
+    with LEARNING.needed("export"), ONNX.needed("export"):  # PyTorch imports onnxscript late
         from safety_harness.extensions.lab.learning.export import write_export  # brings PyTorch
 
         difference_m = write_export(loaded, path.read_bytes(), out, seed=seed)

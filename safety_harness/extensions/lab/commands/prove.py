@@ -181,7 +181,7 @@ def _check(file: Path, model: Path | None) -> int:
     )
     try:
         lines = check(certificate, weights)
-    except Exception as error:  # whatever a stranger's certificate makes of the checker, it is not confirmed
+    except Exception as error:  # any exception from a foreign certificate means that it is not confirmed
         say(f"not confirmed: {type(error).__name__}: {error}")
         document(confirmed=False, why=f"{type(error).__name__}: {error}", claims=[])
         return DIFFERS

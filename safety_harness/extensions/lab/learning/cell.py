@@ -16,7 +16,7 @@ from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.robots import AnyRobot, OwnRobot, Robot
 from safety_harness.space.regions import paper_seen
 
-TRIED = 200  # TCPs of the seen box, beside its corners
+TRIED = 200  # random TCPs of the seen box, besides its corners
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from safety_harness.scenario.files import refuse_no_file
 from safety_harness.scenario.typed_json import plain, typed
 
 FORMAT = "safety-harness checkpoint 1"
-KEY = "safety_harness"  # of the metadata
+KEY = "safety_harness"  # the key of the JSON text in the metadata
 
 Tensors = Mapping[str, NDArray[np.float32]]
 

@@ -359,7 +359,7 @@ def _furthest_along(
                 best_out[k, s, i] = offsets[s, best, i]
 
 
-HELD_OUT = 0.1  # for validation, and as much again for testing
+HELD_OUT = 0.1  # the share for validation, and for testing
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,7 +59,7 @@ BRANCH = 8
 _DECISIONS, _CHOICE = 0, 1  # below the branch and a set's number: seeds of its decisions, its choice of rows
 FLOOR_TCPS = 10_000  # the first ones, at most: 7 s
 SEEN_NAME, TEST_NAME = "seen, new TCPs", "seen, test part"
-MOST_VIEWS = 20_000_000  # of a data set that is made again: TCPs times candidates; the paper's has a million
+MOST_VIEWS = 20_000_000  # TCPs times candidates of a data set to generate again; the paper's has a million
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -30,9 +30,9 @@ from safety_harness.cell.avoidance.onnx_names import HAND, MASKS, POSITION, SPRE
 from safety_harness.extensions.lab.learning.networks import Network, load_tensors, network_of
 from safety_harness.scenario.references import ONNX_SUFFIX
 
-ROWS = 256  # that an exported file is tried with, in the seen space and as many outside
+ROWS = 256  # of the comparison, in the seen space, and as many outside
 MOST_DIFFERENT_M = 1e-6  # float32 in another order of sums: 1e-7 m, or 4e-7 m in raw millimetres; measured
-FARTHER = 1.5  # how much larger than the seen boxes those are that the unseen half is drawn from
+FARTHER = 1.5  # times the seen boxes: the boxes of the unseen half
 
 Arrays = tuple[NDArray[np.float64], ...]
 Function = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_] | None], Arrays]
@@ -67,7 +67,7 @@ class WholeFunction(nn.Module):
         answers = answers.double()
         std = self.get_buffer("target_std")
         mean = answers.mean(dim=1)
-        # A ReLU may make a NaN a 0 elsewhere: what is not finite stays so.
+        # A ReLU of a runtime may turn NaN into 0: this sum keeps an input that is not finite.
         doubt = 0.0 * inputs.sum(dim=1, keepdim=True)
         spread = std * ((answers - mean[:, None]) ** 2).mean(dim=1).sqrt()
         return self.get_buffer("target_mean") + std * mean + doubt, spread + doubt
@@ -175,7 +175,7 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
             external_data=False,
             verbose=False,
         )
-    assert program is not None  # of an export with dynamo
+    assert program is not None  # always, for an export with dynamo
     proto = program.model_proto
     proto.graph.ClearField("value_info")  # PyTorch's shapes of transposed weights contradict inferred ones
     for part in (*proto.graph.node, *proto.graph.input, *proto.graph.output):
@@ -190,7 +190,7 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
 
 def load_onnx(path: Path) -> Function:
     """Return the function of an exported ONNX file, in onnxruntime."""
-    session = open_session(path, path.read_bytes())  # just written
+    session = open_session(path, path.read_bytes())  # the file that was just written
 
     def function(
         hands: NDArray[np.float64], tcps: NDArray[np.float64], masks: NDArray[np.bool_] | None

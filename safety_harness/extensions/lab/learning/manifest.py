@@ -186,7 +186,7 @@ def _read_arrays(path: Path, described: dict[str, _StoredArray]) -> dict[str, An
         raise
     except KeyError as error:
         raise _error(path, f"the arrays {', '.join(DTYPES)}", f"{error}") from error
-    except Exception as error:  # zlib.error, struct.error: whatever damaged bytes provoke
+    except Exception as error:  # zlib.error, struct.error or any other exception from damaged bytes
         raise _error(path, "arrays in a .npz file, whole", f"{type(error).__name__}: {error}") from error
     for name, dtype in DTYPES.items():
         array, counted = arrays[name], arrays["hand_in_base" if name == "hand_in_base" else "tcp_in_base"]

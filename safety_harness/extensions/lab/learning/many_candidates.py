@@ -41,7 +41,7 @@ def _keep(
     least_cosine: float,
     radius_m: float,
     offsets_out: NDArray[np.float64],  # (n, count, 3)
-    kept: NDArray[np.int64],  # (n,) how many there are already; counted on
+    kept: NDArray[np.int64],  # (n,) the counts so far, updated
 ) -> None:
     """Append the directions within the cone to every set that is not full."""
     sets, _, proposals = angles_rad.shape

@@ -27,7 +27,7 @@ from safety_harness.cell.avoidance.model_file import (
 )
 from safety_harness.extensions.lab.learning.recipes import Recipe
 
-UNTRACKED = "num_batches_tracked"  # PyTorch's counter, of no use to a network that is done
+UNTRACKED = "num_batches_tracked"  # PyTorch's counter, without use in a trained network
 
 Masks = Sequence[Tensor] | Tensor
 Drop = Callable[[Tensor], Tensor]

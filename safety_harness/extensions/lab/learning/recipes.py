@@ -94,7 +94,7 @@ OURS = _family(_BASE, full_epochs=20)
 OURS_DETERMINISTIC, OURS_MC_DROPOUT, OURS_MC_DROPOUT_FULL, OURS_ENSEMBLE = OURS
 OURS_OPTIMUM = replace(_BASE, name="optimum", target="continuous", epochs=40)
 
-# Its bounds matter, so its largest errors do: l2, and more steps than the others take.
+# Proofs bound the student's largest errors: l2, and more steps than the other recipes.
 STUDENT = replace(
     _BASE,
     name="student",

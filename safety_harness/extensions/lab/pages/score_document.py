@@ -20,7 +20,7 @@ from safety_harness.extensions.lab.scoring.scorecard import Scorecard
 from safety_harness.report.words import count_words
 
 SCHEMA = "safety-harness scores 1"
-NAMES = {  # of figures that stand beside each other in a scorecard
+NAMES = {  # of the figures in a scorecard's tuples
     "gained_m": ("p50", "p5"),
     "angle_rad": ("p50", "p95"),
     "off_m": ("p50", "p95", "p99"),

@@ -71,7 +71,7 @@ def rows_of(
                     yield ScoreRow(name, card.avoider, number > 0, cells(score, jumps))
 
 
-OFTEN_TOWARDS = 0.20  # of a region's proposals: twice the optimum's share of all near hands, and never green
+OFTEN_TOWARDS = 0.20  # of a region's proposals: twice the optimum's share for near hands; more is not green
 
 
 def most_towards(card: Scorecard) -> tuple[float, str]:
@@ -98,7 +98,7 @@ def towards_words(card: Scorecard) -> str:
 
 def is_green(card: Scorecard) -> bool:
     """Return whether few enough proposals lead towards the hand, in every region, for green."""
-    return most_towards(card)[0] <= OFTEN_TOWARDS  # NaN is not
+    return most_towards(card)[0] <= OFTEN_TOWARDS  # False for NaN
 
 
 def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:

@@ -23,9 +23,9 @@ Codes = NDArray[np.uint8]
 PROVEN, REFUTED, UNDECIDED, OUTSIDE = 6, 7, 8, 9  # codes of a leaf; below: the axis along which it was halved
 FARTHEST_M = 100.0
 MARGIN = 2e-9
-NEAREST_M = 1e-6  # of a direction's length: nearer to 0 it has none
+NEAREST_M = 1e-6  # the least length of a vector with a direction
 AT_MOST, AT_LEAST, OPTIMUM, AWAY, UNSURE, CERTAIN = range(6)
-OF_AXES, OF_CURVES = 0.4, 3.0  # tried: how much each counts where to halve
+OF_AXES, OF_CURVES = 0.4, 3.0  # weights in the choice of the axis to halve; found by trial
 
 
 @njit_no_nrt
@@ -85,7 +85,7 @@ def _off_optimum(
         along += wanted[o] * axis[o]
         length += wanted[o] * wanted[o]
     rho, length = sqrt(rho) * UP, sqrt(length)
-    cone_side = along - cos * length  # changes by at most 1 + cos a metre
+    cone_side = along - cos * length  # changes by at most 1 + cos for each metre
     bounds_out[0], bounds_out[1] = np.inf, 0.0
     spread = 0.0
     for rim in range(2):
@@ -106,7 +106,7 @@ def _off_optimum(
         for o in range(3):
             to = centre[3 + o] + scale * vector[o] / norm + (radius * cos * axis[o] if rim else 0.0)
             c[o] = p[o] - to - pull * (centre[3 + o] - centre[o])
-        saved = g[count : count + PERCEPTRON_INPUTS]  # beyond the symbols: as they are, for the other side
+        saved = g[count : count + PERCEPTRON_INPUTS]  # rows after the symbols: a copy, for the second side
         for i in range(PERCEPTRON_INPUTS):
             for o in range(3):
                 saved[i, o] = g[i, o]
@@ -115,7 +115,7 @@ def _off_optimum(
             g[3 + o, o] -= (1.0 + pull) * half[3 + o]
         for i in range(3):
             for o in range(3):
-                # d changes by -half e; what is along the axis does not count on the rim
+                # d changes by -half e; its part along the axis does not count on the rim
                 change = 1.0 if i == o else 0.0
                 if rim:
                     change -= axis[i] * axis[o]
@@ -126,7 +126,7 @@ def _off_optimum(
             for o in range(3):
                 weight[i] += OF_AXES * abs(g[i, o])
                 g[i, o] = saved[i, o]
-        bounds_out[0] = min(bounds_out[0], bounds[0] - rest)  # which is a ball about the form
+        bounds_out[0] = min(bounds_out[0], bounds[0] - rest)  # the rest is a ball about the form
         bounds_out[1] = max(bounds_out[1], (bounds[1] + rest) * UP)
     for i in range(3):
         weight[3 + i] += OF_CURVES * spread * half[3 + i] * half[3 + i] / max(rho * rho, 1e-30)
@@ -275,7 +275,7 @@ def examine(
         else:
             axis = 0
             for i in range(6):
-                if not whole:  # smaller boxes are so, or outside
+                if not whole:  # smaller boxes are wholly inside or outside
                     weight[i] += half[i] * (1.0 if decided and refuted else 0.4)
                 if weight[i] > weight[axis]:
                     axis = i

@@ -39,7 +39,7 @@ class ClaimKind(IntEnum):
     OPTIMUM = 2
     AWAY = 3
     UNSURE = 4
-    CERTAIN = 5  # a spread of at most the limit on each axis: of single decisions alone
+    CERTAIN = 5  # a spread of at most the limit on each axis; for single decisions alone
 
 
 _PATTERNS = {

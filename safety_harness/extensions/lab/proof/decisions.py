@@ -29,7 +29,7 @@ from safety_harness.trace.certified import CertifiedDecision, CertifiedDecisions
 from safety_harness.trace.trace import Trace
 
 HALVINGS, HALVED_CHEAPLY = 4, 2
-CHEAP = 3  # layers in which slack of a deep network grows, before it becomes symbols
+CHEAP = 3  # layers of a deep network in which slack grows before it becomes symbols
 PLACES = np.array([(0.0, 0.0, 0.0), *product((-1.0, 1.0), repeat=3)])
 AWAY = DecisionClaim(ClaimKind.AWAY, 0.0)
 NO_ANSWER = CertifiedDecision(certain=Sameness.NONE, away=Sameness.NONE)
@@ -74,7 +74,7 @@ def certified(avoider: LearnedAvoider, question: Question, half_m: float) -> Cer
     (code,), ((least_m, most_m),) = examined_with_spreads(
         cheap, optimum_constants(), AWAY, region, region.corners()
     )
-    certain = Sameness.SAME  # without a threshold, or of a single answer, which has no spread
+    certain = Sameness.SAME  # without a threshold, or for a single pass, which has no spread
     if threshold_m is not None and len(network.weight) > 1:
         sure = spreads.max(axis=1) <= threshold_m
         known = most_m <= threshold_m - MARGIN or least_m >= threshold_m + MARGIN
@@ -87,7 +87,7 @@ def certified(avoider: LearnedAvoider, question: Question, half_m: float) -> Cer
     )
 
 
-_network_of = lru_cache(maxsize=1)(network_of)  # without dropout the same for every decision
+_network_of = lru_cache(maxsize=1)(network_of)  # the same for every decision without dropout
 
 
 def _same(

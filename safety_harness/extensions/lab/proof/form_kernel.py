@@ -30,8 +30,8 @@ from safety_harness.extensions.lab.proof.network import ReluNetwork
 Floats = NDArray[np.float64]
 
 UP = 1.0 + 4e-12
-MOST = 1e8  # of a unit: beyond it nothing is decided
-OF_RELUS = 2.5  # tried: how much what ReLUs add counts where to halve
+MOST = 1e8  # the largest unit: beyond it, a box stays undecided
+OF_RELUS = 2.5  # weight of the ReLUs' additions in the choice of the axis to halve; found by trial
 Z, SLACK, SIZE, SLOPE = range(4)  # rows of ``units``
 
 
@@ -67,7 +67,7 @@ def _rectify(
         low, high = z - r, z + r
         slope, half = 1.0, 0.0
         units[SIZE, j] = abs(z) + r
-        if low < 0.0 and high == high:  # NaN stays NaN, and decides nothing
+        if low < 0.0 and high == high:  # NaN stays NaN, so that the box stays undecided
             slope = high / (high - low) if high > 0.0 else 0.0
             half = max(-slope * low, (1.0 - slope) * high) / 2.0 if high > 0.0 else 0.0
             z = slope * z + half
@@ -75,7 +75,7 @@ def _rectify(
             units[Z, j], units[SIZE, j] = z, size
             units[SLACK, j] = (slope * units[SLACK, j] + rounding * size) * UP if high > 0.0 else 0.0
         units[SLOPE, j] = slope
-        for i in range(PERCEPTRON_INPUTS):  # only a hint
+        for i in range(PERCEPTRON_INPUTS):  # only a hint for halving, never part of a bound
             share[i, j] = (
                 abs(g[i, j]) / r * (1.0 if first == PERCEPTRON_INPUTS else slope) if half > 0.0 else 0.0
             )

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 CELLS, AT_ONCE = 20, 100_000
 VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))  # across, up
 EDGES = (1e-9, 0.01, 0.1, 0.5)  # of a share, below the classes 1 to 4
-NOTHING = "-"  # in a cell that the claim is not about
+NOTHING = "-"  # in a cell outside the claim
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,8 +42,8 @@ Indices = NDArray[np.int64]
 CONSTANT, QUESTION = -1, 0  # sources; layers count from 1
 SINGLE, DOUBLE = 2.0**-24, 2.0**-53
 SHALLOW = 8  # layers
-GUARD, TINY = 16, 1e-30  # terms; what products below float32's least number lose together
-LARGEST = 1e12  # of a coefficient: with units below 1e8 no float32 sum overflows
+GUARD, TINY = 16, 1e-30  # terms; the loss of all products below float32's least number
+LARGEST = 1e12  # the largest coefficient: with units below 1e8 no float32 sum overflows
 
 
 class ReluNetwork(NamedTuple):
@@ -61,7 +61,7 @@ class ReluNetwork(NamedTuple):
     bias: Floats  # (m, units)
     bias_error: Floats
     rounding: float
-    gathers: int  # of so many layers, the last makes slack symbols; 0: none does
+    gathers: int  # the last of so many layers turns slack into symbols; 0: no layer does
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +241,7 @@ def _resnet(model: Model, seed: int) -> ReluNetwork:
     """
     own, known = _folded(model)
     passes = own.passes if own.places else 1
-    layers = Layers(known=known if passes > 1 else {})  # one pass alone has the shape of what is shared
+    layers = Layers(known=known if passes > 1 else {})  # a single pass has the shape of shared layers
     factors = np.empty((own.places, passes, WIDTH), np.float32)
     fill_factors(np.uint64(seed), own.probability, factors)
     weight, bias, drop = own.weight.astype(float), own.bias.astype(float), factors.astype(float)

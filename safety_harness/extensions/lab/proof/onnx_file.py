@@ -46,7 +46,7 @@ class OnnxFunction:
     """The answers of onnxruntime, in its own process, one question at a time like in a run."""
 
     avoider: IsolatedAvoider
-    model = None  # and so no threshold of a spread
+    model = None  # so that there is no threshold of the spread
 
     def propose_many(
         self, hands_in_base_m: Floats, tcps_in_base_m: Floats, seeds: NDArray[np.uint64]
@@ -77,7 +77,7 @@ def _layers(path: Path, data: bytes) -> list[AffineForm]:
 
     try:
         model = onnx.load_from_string(data)
-    except Exception as error:  # protobuf's own
+    except Exception as error:  # an exception of protobuf
         refuse(path, None, "an ONNX file", type(error).__name__)
     versions = [part.version for part in model.opset_import if part.domain in ("", "ai.onnx")]
     if not versions or versions[0] < OLDEST:

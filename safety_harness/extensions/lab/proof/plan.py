@@ -34,8 +34,8 @@ SEEN = "seen"
 MOST_CLAIMS, MOST_REGIONS = 64, 64
 STEPS = 150
 MOST_SAMPLES = 10_000_000
-ANY_APART_M = 0.0, 4.0 * LARGEST_COORDINATE_M  # more than any pair
-LEAST_INSIDE = 1e-3  # of a normal axis, within each region
+ANY_APART_M = 0.0, 4.0 * LARGEST_COORDINATE_M  # 0 to more than the distance of any pair
+LEAST_INSIDE = 1e-3  # the least probability of a normal axis within each region
 
 Asked = LearnedAvoider | OnnxFunction
 Floats = NDArray[np.float64]
@@ -71,7 +71,7 @@ class ProofRegion:
         Two boxes have all distances from the least to the largest.
         """
         (low,), (high,) = self.corners()
-        least, most = low[:3] - high[3:], high[:3] - low[3:]  # of hand less TCP
+        least, most = low[:3] - high[3:], high[:3] - low[3:]  # of hand minus TCP
         nearest = np.linalg.norm(np.maximum(np.maximum(least, -most), 0.0))
         farthest = np.linalg.norm(np.maximum(np.abs(least), np.abs(most)))
         return bool(nearest <= self.apart_m[1] and farthest >= self.apart_m[0])
@@ -87,7 +87,7 @@ class ProofRegion:
             self.hand_low_m, self.hand_high_m, self.tcp_low_m, self.tcp_high_m, strict=True
         ):
             edges = np.linspace(low - to, high - from_, STEPS + 1)
-            offset = (edges[1:] + edges[:-1]) / 2.0  # from TCP to hand; how likely: the overlap of two boxes
+            offset = (edges[1:] + edges[:-1]) / 2.0  # from TCP to hand; its chance: the overlap of two boxes
             overlap = np.maximum(0.0, np.minimum(high, to + offset) - np.maximum(low, from_ + offset))
             offsets.append(offset)
             chances.append(overlap / overlap.sum())

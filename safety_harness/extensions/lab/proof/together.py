@@ -32,7 +32,7 @@ from safety_harness.extensions.lab.proof.tree import BoxTree
 Floats = NDArray[np.float64]
 IsWrong = Callable[[Floats], NDArray[np.bool_]]
 UP = 1.0 + 1e-9  # above the rounding of sums and differences of probabilities
-DOUBTFUL = 1e-8  # m or m2: what keeps a claim by less counts as wrong
+DOUBTFUL = 1e-8  # m or m2: an answer with a smaller margin counts as wrong
 
 
 @dataclass(frozen=True, kw_only=True)

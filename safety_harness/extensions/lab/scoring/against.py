@@ -14,8 +14,8 @@ from safety_harness.extensions.lab.scoring.figures import WRONG_M
 from safety_harness.extensions.lab.scoring.scorecard import Kind, RegionScore, Scorecard, ScoreFinding
 
 Errors = dict[Kind, NDArray[np.bool_]]
-CHANCE = 0.05  # of all tests together that two avoiders alike in their errors differ in one
-MORE = 0.03  # of the questions: int8 weights and training from another seed lead towards on up to 2 % more
+CHANCE = 0.05  # for all tests together, of a finding on two avoiders with equal errors
+MORE = 0.03  # of the questions: int8 weights or another training seed lead towards on up to 2 % more
 
 
 def findings_against(

@@ -17,7 +17,7 @@ from safety_harness.cell.avoidance.avoider import Avoider, spread_threshold_of
 from safety_harness.extensions.lab.scoring.questions import Answers, Questions
 
 CHUNK = 2_048
-FEW = 16  # a chunk that fails is halved until whose fault it is can be asked one by one
+FEW = 16  # a failed chunk is halved down to this size, then asked one by one
 
 
 def asked_together(avoider: Avoider, questions: Questions) -> Answers:

@@ -22,7 +22,7 @@ ArrayN = NDArray[np.float64]  # (n,)
 Matrix = tuple[Vector3, Vector3, Vector3]
 
 WRONG_M = 0.060  # off the optimum: more than half of the repulsion radius, another direction altogether
-COARSEST_M = 0.001  # between the answers of a number format: half precision has it beyond a metre
+COARSEST_M = 0.001  # the largest step of a number format: half precision reaches it beyond a metre
 SPREAD_COUNTS = (1, 2, 3)  # spreads
 WORST = 10
 TAIL = (1.0 - LEVEL) / 2.0
@@ -172,7 +172,7 @@ def number_step_m(positions: ArrayNx3) -> float:
             step_m = float(np.spacing(kind(largest)))
             return step_m if step_m <= COARSEST_M else 0.0
     gaps = np.concatenate([np.diff(np.unique(column)) for column in positions.T])
-    gaps = gaps[gaps > 1e-9]  # what is less is the rounding of multiples
+    gaps = gaps[gaps > 1e-9]  # smaller gaps are rounding errors of multiples
     step_m = float(gaps.min(initial=np.inf))
     if not 1e-8 < step_m <= COARSEST_M:
         return 0.0
@@ -185,7 +185,7 @@ def _most_alike(proposed: ArrayNx3, step_m: float) -> Proportion:
     for column in proposed.T:
         _, counts = np.unique(column, return_counts=True)
         usual = np.zeros_like(counts)
-        if step_m > 0.0:  # twice as many as at the most frequent of the next two on either side
+        if step_m > 0.0:  # twice the most frequent of two neighbours on either side
             around = np.pad(counts, 2)
             usual = 2 * np.max([around[k : k + len(counts)] for k in (0, 1, 3, 4)], axis=0)
         most = max(most, int((counts - usual).max()))

@@ -36,29 +36,29 @@ MM = 1e3  # metres and seconds in thousandths
 class FindingLimits:
     """The limits beyond which a figure is a finding."""
 
-    towards: float = 0.02  # of the questions, where no yardstick does; of sure ones, more than the worst
+    towards: float = 0.02  # of questions where no yardstick does; of sure ones, more than the worst yardstick
     unreached: float = 0.002
     wrong_and_sure: float = 0.002
     unsure: float = 0.03
-    doubtful: float = 0.10  # where the yardsticks are above their own threshold more often, others may be too
-    stuck: float = 0.0005  # no two answers of a yardstick have a coordinate in common
-    stuck_least: int = 10  # of single precision some do
-    off_factor: float = 1.25  # of the worst yardstick's median, 95 % and 99 % quantile
-    most_factor: float = 1.5  # of the worst yardstick's largest distance, of ten thousand questions
+    doubtful: float = 0.10  # no finding where the yardsticks doubt more often: everyone may doubt there
+    stuck: float = 0.0005  # no two answers of a yardstick share a coordinate
+    stuck_least: int = 10  # in single precision some do
+    off_factor: float = 1.25  # times the worst yardstick's median, 95 % and 99 % quantile
+    most_factor: float = 1.5  # times the worst yardstick's largest distance, over ten thousand questions
     bias_m: float = 0.003  # more than bias_factor times the worst yardstick's: mc-dropout's is 4 mm in "seen"
     bias_factor: float = 1.5
     pull: float = 0.020  # metres a metre, more than the worst: eq. 13 asks for 0.05, mc-dropout errs by 0.008
     scale: float = 0.060  # metres a metre, more than the worst
-    jumped: int = 2  # segments; one may pass a hair's breadth beside a point where the optimum itself turns
+    jumped: int = 2  # segments; one may pass very near a point where the optimum itself turns
     steep: float = (
         4.0  # times the worst yardstick, for hands: TCPs turn the optimum at once near the desired one
     )
-    too_sure: float = 1.25  # error to spread, times the larger of 1 and what mc-dropout has
+    too_sure: float = 1.25  # error to spread, times the larger of 1 and mc-dropout's
     too_unsure: float = 0.70  # times the smaller of the two
     rank: float = 0.05  # below both mc-dropout's rank correlation and that of honest spreads
-    same_m: float = 1e-9  # the order of a sum may hang on the size of a batch: 1e-16 m, or
-    same_steps: float = 4.0  # of single precision
-    late: int = 4  # answers after the deadline: what else this machine does may delay a few
+    same_m: float = 1e-9  # the order of a sum may depend on the size of a batch: 1e-16 m, or
+    same_steps: float = 4.0  # steps of single precision
+    late: int = 4  # answers after the deadline: other work of this machine may delay a few
 
 
 LIMITS = FindingLimits()
@@ -170,7 +170,7 @@ def _shares(
             continue
         worst = max(theirs, key=lambda score_of: score_of.high)
         if kind is Kind.UNSURE and worst.share > limits.doubtful:
-            continue  # who doubts where nothing was learnt is right
+            continue  # doubt is right where the training had no data
         if mine.low > worst.high + margin:
             yield ScoreFinding(
                 kind,
@@ -187,7 +187,7 @@ def _towards(
 
     Two avoiders may have the same share, with errors in different places.
     """
-    count = min(len(scored.questions) for scored in (score, *beside))  # the first ones, of all of them
+    count = min(len(scored.questions) for scored in (score, *beside))  # the questions of all cards
     own, *theirs = (_leads_towards(scored, count) for scored in (score, *beside))
     alone = own & ~np.any(theirs, axis=0)
     share = Proportion.of(alone)

@@ -31,17 +31,17 @@ from safety_harness.extensions.lab.scoring.scorecard import AnswerChange, Jumps,
 Ask = Callable[[Questions], Answers]
 Floats = NDArray[np.float64]
 
-NEAR_M = 2e-9  # the end of following: a slope would have to be 250,000 to look like a jump
+NEAR_M = 2e-9  # the least length of a step: a slope would need 250,000 to look like a jump
 STEEP_M = (0.0003, 0.003)  # between questions that are about 1 mm apart: the steepest change
 POINTS = 13  # of a segment
 LENGTHS_M = {Moved.HAND: 0.300, Moved.TCP: 0.120}
 ANCHOR_LENGTH_M = 0.060  # through the worst questions
-ANCHORS = 64  # by each of three measures
-FOLLOWED = 128  # of the other segments
+ANCHORS = 64  # for each of three measures
+FOLLOWED = 128  # of the segments through drawn questions
 PARTS = 8
-CELLS_M = 2e-6 * 8.0 ** np.arange(4)  # ways from a jump, up to 1 mm: coarser rounding is not harmless
-STEPPED, STEPPED_M = 0.9, 0.020  # share of the segments that are followed, and twice 10 mm
-SAME_M = 1e-9  # a way of 2 um moves the answers of an avoider that does not round its question farther
+CELLS_M = 2e-6 * 8.0 ** np.arange(4)  # distances from a jump, up to 1 mm: coarser rounding is harmful
+STEPPED, STEPPED_M = 0.9, 0.020  # the share of followed segments; twice the 10 mm error of a predicted hand
+SAME_M = 1e-9  # without rounding, a step of 2 um moves an answer farther
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ def _anchors(questions: Questions, answers: Answers, region: QuestionRegion) -> 
     hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
     off_by = off_m(proposed, optimum_in_base_m(region.settings, hands, tcps))
     badness = [off_by, -gained_m(hands, tcps, proposed), off_by / (answers.spreads_m.max(axis=1) + 1e-3)]
-    known = [np.nan_to_num(values, nan=-np.inf).round(9) for values in badness]  # rounding breaks no tie
+    known = [np.nan_to_num(values, nan=-np.inf).round(9) for values in badness]  # or noise would order ties
     worst = [np.argsort(-values, kind="stable")[:ANCHORS] for values in known]
     return np.unique(np.concatenate(worst))
 

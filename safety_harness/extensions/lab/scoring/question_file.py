@@ -34,8 +34,8 @@ from safety_harness.scenario.robots import AnyRobot, Robot
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.trace import Trace
 
-SAME_PLACE_M = 0.001  # the hand as it is perceived, and the question's
-LASTS_S = 0.4  # the first decision, and none after it: a way of 100 mm takes 0.65 s
+SAME_PLACE_M = 0.001  # between the perceived hand and the question's
+LASTS_S = 0.4  # contains the first decision alone: a path of 100 mm takes 0.65 s
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ Generator = np.random.Generator
 Pairs = tuple[ArrayNx3, ArrayNx3]  # hands and TCPs in the base frame [m]
 Flags = NDArray[np.bool_]
 
-MOST_DRAWN, LEAST_DRAWN = 2_000, 200_000  # pairs, for each one found and in all: then there are no more
+MOST_DRAWN, LEAST_DRAWN = 2_000, 200_000  # pairs for each valid pair, and in all: then drawing ends
 AT_ONCE = 10_000
 FAR = "far"
 NAMED = (

@@ -40,10 +40,10 @@ from safety_harness.extensions.lab.scoring.scorecard import (
 
 OPTIMUM, TRAINED = "closed-form optimum", "mc-dropout"
 YARDSTICKS = (OPTIMUM, NEAREST, TRAINED)
-FEWER = 3_000  # questions of a yardstick that takes long and has no learning: its figures hang on no place
-LATER_S = 2.0  # at least, between the first answers and those of a later time
+FEWER = 3_000  # questions of a slow yardstick without learning, whose figures do not depend on the place
+LATER_S = 2.0  # the least time between the first answers and the repetition
 QUICK_S = 0.00015  # a question: all of some 200,000 are asked within half a minute
-PROBE = 64  # questions that tell how quick an avoider is
+PROBE = 64  # questions that measure an avoider's pace
 _QUESTIONS, _SEGMENTS, _PACE = 0, 1, 2  # below the branch and a region's number
 
 

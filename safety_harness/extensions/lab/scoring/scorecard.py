@@ -196,7 +196,7 @@ class AnswerTimes:
     median_s: float
     p99_s: float
     most_s: float
-    late: int  # how many took longer than the deadline
+    late: int  # answers after the deadline
     declared_s: float
     deadline_s: float
 
@@ -205,10 +205,10 @@ class AnswerTimes:
 class Scorecard:
     """All figures of one avoider; a yardstick has neither repeats nor times."""
 
-    avoider: str  # as its reference says
-    name: str  # as it calls itself
+    avoider: str  # its reference
+    name: str  # its own name
     seed: int
-    seen: str  # whose seen space the regions are about
+    seen: str  # the source of the regions' seen space
     regions: tuple[RegionScore, ...]
     jumps: tuple[Jumps, ...]
     repeats: tuple[AskedAgain, ...] = ()

@@ -34,7 +34,7 @@ CLAIMS = (
     f"proposals lead away to within {1e3 * TOLERANCE_M:g} mm",
     f"proposals never sure and more than {1e3 * WRONG_M:g} mm from the optimum",
 )
-MOST_SHOWN, MOST_TRIED = 10, 30  # of the worst questions, as files
+MOST_SHOWN, MOST_TRIED = 10, 30  # worst questions as files, and trials for them
 AVOIDER = Place(field="AVOIDER")
 
 
@@ -70,7 +70,7 @@ class ScoringSession:
         """Score all avoiders; Ctrl-C ends the session and keeps the finished avoiders."""
         subjects = [
             (Subject.of(entry, AVOIDER), self._regions(entry)) for entry in self.references
-        ]  # every mistake before anything is asked
+        ]  # a wrong name is found before the first question
         rival = None if self.against is None else Subject.of(self.against, Place(field="--against"))
         for _, regions in subjects:
             searched = sum(region.asked_in_runs for region in regions) if self.budget else 0

@@ -32,11 +32,11 @@ from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import searcher_named
 
 SEARCHER, BATCH = "diverse", 64
-SEEDS = 8  # of a region's questions: a coordinate of the search, or a random avoider would be all noise to it
-DRAWS = 500  # for the boxes that are searched
+SEEDS = 8  # of a region's questions; a coordinate of the search, or a random avoider would look like noise
+DRAWS = 500  # draws of the region, for the boxes of the search
 TOLERANCE_M = 0.010  # towards the hand
-APART_M = 0.05  # of hands and TCPs: worst questions that are nearer are one place
-# Goals keep their margins above zero, or a descent would end at the first violation: it is to find the worst.
+APART_M = 0.05  # of hands or TCPs: nearer worst questions count as one place
+# Added to margins, which stay above zero: a descent ends at a violation, and should find the worst.
 _FAR_M = 10.0
 
 
@@ -198,7 +198,7 @@ def search_region(
             searching.cube, goals, searching, make, budget=budget, batch=BATCH, on_progress=on_progress
         )
         ledger.interrupted = findings.interrupted
-    except InadmissibleError:  # next to no point of the boxes is in the region: what was asked stays
+    except InadmissibleError:  # almost no point of the boxes is in the region: the ledger keeps its questions
         pass
     return ledger
 
