@@ -164,7 +164,16 @@ def disagreement_of(
 
 
 def in_one_world(world: ScenarioRunner, admitted: Admitted) -> InOneWorld:
-    """Run and judge one scenario."""
+    """Run and judge one scenario.
+
+    Args:
+        world: The runner.
+        admitted: The admitted scenario.
+
+    Returns:
+        The run with its evaluations; without them for a failed run.
+
+    """
     run = world([admitted])[0]
     evaluations = tuple(prop.evaluate(run) for prop in admitted.properties) if isinstance(run, Trace) else ()
     return InOneWorld(run, evaluations)

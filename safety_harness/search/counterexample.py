@@ -78,6 +78,11 @@ def sure_about_unseen(trace: Trace, seen: SeenRegions) -> list[str]:
 
     The gate accepted it because its spread was below the threshold.  The list is empty without such an
     answer.
+
+    Args:
+        trace: The run.
+        seen: The regions of the avoider's training data.
+
     """
     rows = trace.decisions
     spread_m = np.max(rows["proposed_spread_m"], axis=-1, initial=0.0)

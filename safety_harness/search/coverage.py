@@ -71,7 +71,13 @@ class Coverage:
         return counts
 
     def table(self, rows: str, columns: str) -> dict[str, dict[str, int]]:
-        """Return the number of runs for each pair of words of the axes ``rows`` and ``columns``."""
+        """Return the number of runs for each pair of words of the axes ``rows`` and ``columns``.
+
+        Args:
+            rows: An axis of AXES.
+            columns: Another axis of AXES.
+
+        """
         counts = {row: dict.fromkeys(AXES[columns], 0) for row in AXES[rows]}
         for cell, count in self.counts.items():
             counts[getattr(cell, rows)][getattr(cell, columns)] += count

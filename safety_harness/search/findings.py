@@ -165,9 +165,12 @@ class Findings:
         return group.kind if group.claim is None else self.goals[group.claim].sentence
 
     def always_violated(self, claim: int, least: int = 20) -> bool:
-        """Return whether every one of at least ``least`` runs violated ``claim``.
+        """Return whether every run violated a claim, so that the claim or the space is at fault as a whole.
 
-        Such a claim or its space is at fault as a whole, as opposed to a corner of it.
+        Args:
+            claim: The claim's number.
+            least: The least number of runs for such a statement.
+
         """
         return bool(self.tried >= least and self.violated[claim] == self.tried)
 

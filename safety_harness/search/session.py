@@ -469,7 +469,13 @@ def search_space(
 
 @contextmanager
 def watching_search(budget: int, output: Output) -> Iterator[Callable[[Findings], None]]:
-    """Yield a function that shows the progress, from the findings after each batch."""
+    """Yield a function that shows the progress, from the findings after each batch.
+
+    Args:
+        budget: The number of runs.
+        output: Receives the progress.
+
+    """
     begun_s = time.monotonic()
     with output.block() as show:
         show([f"tried 0/{budget}"])
@@ -515,7 +521,13 @@ def not_found_words(findings: Findings) -> str:
 
 
 def summary(findings: Findings, budget: int) -> str:
-    """Return the numbers of tried and refused points and of distinct violations."""
+    """Return the numbers of tried and refused points and of distinct violations.
+
+    Args:
+        findings: The findings.
+        budget: The number of runs.
+
+    """
     violations = sum(group.claim is not None for group in findings.groups)
     mishaps = len(findings.groups) - violations
     return (

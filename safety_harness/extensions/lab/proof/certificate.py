@@ -151,7 +151,16 @@ def _identity(planned: PlannedProof) -> dict[str, Any]:
 
 
 def taken_up(path: Path, plan: ProofPlan) -> list[Proof]:
-    """Return the proofs of a certificate, to continue; InputError for another plan or network."""
+    """Return the proofs of a certificate, to continue.
+
+    Args:
+        path: The certificate's file.
+        plan: The plan that it has to belong to.
+
+    Raises:
+        InputError: The certificate belongs to another plan or network, or is invalid.
+
+    """
     content = of_format(read_json(path, "a certificate of prove"), FORMAT, path)
     claims = content.get("claims")
     same = (
@@ -169,7 +178,16 @@ def taken_up(path: Path, plan: ProofPlan) -> list[Proof]:
 
 
 def read_proofs(content: Mapping[str, Any], path: Path) -> list[Proof]:
-    """Return all proofs of a confirmed certificate; InputError for an invalid field."""
+    """Return all proofs of a confirmed certificate.
+
+    Args:
+        content: The certificate as JSON.
+        path: Its file, for errors.
+
+    Raises:
+        InputError: A field is invalid.
+
+    """
     try:
         return [_proof(entry, _planned(entry), path) for entry in content["claims"]]
     except (KeyError, IndexError, TypeError, ValueError):

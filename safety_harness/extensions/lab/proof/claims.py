@@ -103,7 +103,14 @@ class Answering(Protocol):
 
 
 def margins_of(avoider: Answering, claim: DecisionClaim, questions: Floats) -> Floats:
-    """Return the margins (n,) of the network's own answers to ``questions`` (n, 6), hands and TCPs."""
+    """Return the margins (n,) of the network's own answers to ``questions`` (n, 6), hands and TCPs.
+
+    Args:
+        avoider: The network.
+        claim: The claim.
+        questions: Hands and TCPs in the base frame [m].
+
+    """
     hands, tcps = questions[:, :3], questions[:, 3:]
     answers, spreads = avoider.propose_many(hands, tcps, np.zeros(len(questions), np.uint64))
     return claim.margins(hands, tcps, answers, spreads.max(axis=1) - threshold_m(avoider.model))

@@ -85,6 +85,11 @@ def wrong_question(plan: ProofPlan, proof: Proof) -> WrongQuestion | None:
     """Return the worst question in the middle of a leaf that is not proven; None if no answer is wrong.
 
     Its violation is twice the width of its bounds, so that a check by other bounds refutes it too.
+
+    Args:
+        plan: The plan.
+        proof: The proof with its tree.
+
     """
     planned, tree = proof.planned, proof.tree
     leaves = chain(*(tree.leaves(planned.region, code) for code in (REFUTED, UNDECIDED)))

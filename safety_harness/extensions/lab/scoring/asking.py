@@ -21,17 +21,31 @@ FEW = 16  # a failed chunk is halved down to this size, then asked one by one
 
 
 def asked_together(avoider: Avoider, questions: Questions) -> Answers:
-    """Return the answers in order; NoAnswerError if the avoider hangs.
+    """Return the answers to many questions, in order.
 
     An avoider that takes many questions gets ``CHUNK`` at once.  A failed chunk is asked in smaller parts,
     and at last question by question.
+
+    Args:
+        avoider: The avoider.
+        questions: The questions.
+
+    Raises:
+        NoAnswerError: The avoider hangs.
+
     """
     starts = range(0, len(questions), CHUNK)
     return Answers.joined([_of_chunk(avoider, questions[start : start + CHUNK]) for start in starts])
 
 
 def asked_alone(avoider: Avoider, questions: Questions) -> tuple[Answers, list[float]]:
-    """Return the answers to one question at a time, and the time of each answer [s]."""
+    """Return the answers to one question at a time, and the time of each answer [s].
+
+    Args:
+        avoider: The avoider.
+        questions: The questions.
+
+    """
     answers = [ask(avoider, questions.single(row)) for row in range(len(questions))]
     return _arrays(answers), [answer.latency_s for answer in answers]
 
