@@ -305,7 +305,7 @@ class _ClaimTrials:
         return Replay(changes, Outcome.of(evaluation), evaluation.margin)
 
     def made(self, **fields: Any) -> Attribution:
-        """Return an ``Attribution`` of the claim; ``said`` has its other fields."""
+        """Return an ``Attribution`` of the claim; ``fields`` are its further fields."""
         scenario = self.trials.system.scenario
         claim, unit = scenario.claims[self.number], self.prop.unit
         return Attribution(scenario=scenario.name, claim=claim, unit=unit, **fields)

@@ -32,7 +32,7 @@ OF_AXES, OF_CURVES = 0.4, 3.0  # weights in the choice of the axis to halve; fou
 def _lengths(c: Floats, g: Floats, slack: Floats, out: Floats) -> None:
     """Fill ``out`` (2,) with bounds of |c + d|, d = sum e_k g_k + slack.
 
-    c + d| is at least its part along c.  Its square is |c|^2 + 2 c . d + |d|^2, with |d| bounded by axis.
+    The length is at least its part along c.  Its square is |c|^2 + 2 c . d + |d|^2, with |d| bounded by axis.
 
     ``c`` (3,), ``g`` (k, 3), ``slack`` (3,).
     """
@@ -68,9 +68,9 @@ def _off_optimum(
     with b the direction of d without its part along the axis a.
 
     The direction f of a vector v has the derivative (1 - f f^T) / |v|.  Its second derivative is at most 2 /
-    (sqrt(3) |v|^2).  So u is its tangent at the centre +- 2 / sqrt(3) (-ln(1 - s) - s).  The last factor is
-    the integral of (1 - x) / (1 - s x)^2 from 0 to 1, times that bound.  Here s = rho / |v|, and rho is half
-    the diagonal of the TCP's box.  If the box may be on either side of the cone, both sides have to keep the
+    (sqrt(3) |v|^2).  So u is its tangent at the centre +- 2 / sqrt(3) (-ln(1 - s) - s).  This is 2 s^2 /
+    sqrt(3) times the integral of (1 - x) / (1 - s x)^2 from 0 to 1.  Here s = rho / |v|, and rho is half the
+    diagonal of the TCP's box.  If the box may be on either side of the cone, both sides have to keep the
     claim.
 
     ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (n, 3), ``slack`` (3,), ``scratch``
