@@ -85,7 +85,7 @@ class Coverage:
 
     @property
     def touching(self) -> int:
-        """The number of runs in which a hand touched the arm's capsules, claim or no claim."""
+        """The number of runs in which a hand touched the arm's capsules, with or without such a claim."""
         return self.along("distance")[DISTANCES[0]]
 
     @property

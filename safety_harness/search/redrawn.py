@@ -129,7 +129,7 @@ def _alone(pairs: _Pairs, least: float = 0.0) -> tuple[int, int]:
 
 
 def _is_near(claim: ClaimDifference) -> bool:
-    """Return whether the avoider alone violates, and the reference keeps less than the tolerance."""
+    """Return whether the avoider alone violates, and the reference keeps by less than the tolerance."""
     differs = difference_of(claim.mine, claim.reference) < 0.0
     return claim.change is VerdictChange.NEW and claim.reference.verdict is Verdict.HOLDS and not differs
 

@@ -90,7 +90,7 @@ class Explorer:
         return points
 
     def _evened(self, points: Points) -> Points:
-        """Give each interval of a coordinate the same share of the cube, whatever its chance."""
+        """Give each interval of a coordinate the same share of the cube, for any chance."""
         for number, column in enumerate(self._cube.columns):
             edges = np.array(column.edges)
             count = len(edges) - 1

@@ -98,8 +98,8 @@ class Trials:
     replace the space's claims.  "the avoider answered" is claimed too, unless a claim covers it.  The search
     treats claims that the space expects to be violated like all others; ``to_be_found`` names them.
 
-    With a ``reference``, every point also runs with that avoider.  A violation that the reference keeps then
-    leads the search, and ``differences`` has all pairs.
+    With a ``reference``, every point also runs with that avoider.  A claim that the avoider violates and the
+    reference keeps then leads the search, and ``differences`` has all pairs.
 
     The other fields are totals over all runs.  ``nearest_hand_m`` is the least distance between hand and arm,
     ``decisions`` counts decisions, and ``unanswered`` counts decisions without an answer.  ``overruling``

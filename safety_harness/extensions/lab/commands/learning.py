@@ -316,7 +316,7 @@ def export(
     hands, decisions and verdicts as ROS 2 messages and in Foxglove's schemas, and a LOG.yaml beside it for
     "judge".
 
-    Exit code 0; 2: bad input, or the file answers differently (then it is deleted); 130: interrupted.
+    Exit code 0; 2: bad input, or the file answers differently (then it is not written); 130: interrupted.
     """
     from safety_harness.cell.avoidance.model_file import load_model
     from safety_harness.cell.avoidance.shipped import model_file

@@ -1,7 +1,8 @@
 """Metrics of predictions and of their uncertainties, with numpy only.
 
 Arrays are (n, 3), a row for each decision and a column for each axis, in any common unit of length.  Every
-function raises ValueError for numbers that are not finite, so that no number is silently left out.
+function except the half widths raises ValueError for numbers that are not finite, so that it ignores no
+number silently.
 """
 
 from __future__ import annotations

@@ -183,7 +183,7 @@ def packed(layers: Sequence[AffineForm], members: int = 1) -> ReluNetwork:
     starts = np.cumsum([0, *sizes])[:-1]
 
     def flat(parts: Iterable[Floats]) -> Floats:
-        """(members, N) one after another, row by row."""
+        """Return the parts (members, N) one after another, row by row."""
         rows = [part.reshape(-1, part.shape[-2] * part.shape[-1]) for part in parts]
         table, end = np.empty((members, sum(row.shape[1] for row in rows))), 0
         for row in rows:
