@@ -43,7 +43,7 @@ FLOAT_TYPES = (1, 11)  # TensorProto's float and double
 
 @dataclass(frozen=True, eq=False)
 class OnnxFunction:
-    """The answers of onnxruntime, in its own process, one question at a time like in a run."""
+    """The answers of onnxruntime, in its own process, one question at a time as in a run."""
 
     avoider: IsolatedAvoider
     model = None  # so that there is no threshold of the spread
@@ -161,6 +161,7 @@ def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: 
 
 
 def _row(constant: Any, width: int) -> Floats:
-    """Return the constant (width,) that is added to, or multiplied with, each row; ValueError."""
+    """Return the constant (width,) that is added to, or multiplied with, each row; ValueError for another shape.
+    """
     row: Floats = np.broadcast_to(np.asarray(constant, np.float64), (1, width))[0]
     return row

@@ -34,8 +34,8 @@ def space_region(space: ScenarioSpace, seed: int, draws: int = DRAWS) -> Questio
     """Return the region of questions that the admitted draws of a space can lead to.
 
     A hand is where its program has it, every 100 ms, while the TCP goes straight from its start to the
-    desired position. The TCP is anywhere on that path, and up to the repulsion radius beside it, like in a
-    run that retreats.  A pair is a hand and a TCP of the same draw, at any two times, within the critical
+    desired position. The TCP is anywhere on that path, and up to the repulsion radius beside it, as in a run
+    that retreats.  A pair is a hand and a TCP of the same draw, at any two times, within the critical
     distance.  The region ignores the errors of perception.  It executes no code of a user.
 
     Args:
