@@ -61,15 +61,17 @@ def evaluate(
 ) -> int:
     """Score the answers of avoiders directly, before any gate.
 
-    The command draws hands and TCPs in named regions, or from the draws of a space, without a simulation.  It
-    asks the avoider and yardsticks.  A search finds the worst questions and writes them as scenario files for
-    run. A Python file is executed.
+    The command draws hands and TCPs in named regions, or from the draws of a
+    space, without a simulation.  It asks the avoider and yardsticks.  A search
+    finds the worst questions and writes them as scenario files for run. A Python
+    file is executed.
 
-    A finding is an answer that is wrong for any purpose of the avoider: towards the hand, out of reach,
-    missing, late, ... Differences from the yardsticks appear beside it, and decide only with --against.
+    A finding is an answer that is wrong for any purpose of the avoider: towards
+    the hand, out of reach, missing, late, ... Differences from the yardsticks
+    appear beside it, and decide only with --against.
 
-    Exit code 0: no finding; 1: findings, or no region with a proposal was asked about; 2: bad input, or an
-    avoider that does not answer; 130: interrupted.
+    Exit code 0: no finding; 1: findings, or no region with a proposal was asked
+    about; 2: bad input, or an avoider that does not answer; 130: interrupted.
     """
     from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
     from safety_harness.cli.progress import TERMINAL

@@ -108,8 +108,9 @@ def train(
 ) -> int:
     """Train and calibrate a network of the UR10's or another cell.
 
-    "trial-mc-dropout" takes under a minute.  Ctrl-C costs the present epoch; --resume continues from there,
-    to the same bits.  Training needs PyTorch, the extra "learning" of this package.
+    "trial-mc-dropout" takes under a minute.  Ctrl-C costs the present epoch;
+    --resume continues from there, to the same bits.  Training needs PyTorch, the
+    extra "learning" of this package.
 
     Exit code 0; 2: bad input; 130: interrupted.
     """
@@ -209,9 +210,9 @@ def metrics(
 ) -> int:
     """Compare networks on seen and unseen space.
 
-    The tables have errors, intervals, coverage, and doubt as a detector, against eq. 13's labels;
-    ``evaluate`` scores any avoider.  Every model answers the same questions, and no sample was used in
-    training or calibration.
+    The tables have errors, intervals, coverage, and doubt as a detector, against
+    eq. 13's labels; ``evaluate`` scores any avoider.  Every model answers the
+    same questions, and no sample was used in training or calibration.
 
     Exit code 0; 2: bad input; 130: interrupted.
     """
@@ -258,10 +259,12 @@ def time_avoider(
 ) -> int:
     """Measure answer times of an avoider here: p50, p99, max.
 
-    A scenario can name the profile (settings: {avoidance: {decision time: FILE.json}}).  Then it draws the
-    simulated time of each decision from it.  A Python file is executed.
+    A scenario can name the profile (settings: {avoidance: {decision time:
+    FILE.json}}).  Then it draws the simulated time of each decision from it.  A
+    Python file is executed.
 
-    Exit code 0; 2: bad input, or an avoider that does not answer; 130: interrupted.
+    Exit code 0; 2: bad input, or an avoider that does not answer; 130:
+    interrupted.
     """
     from safety_harness.base.whole_file import write_text
     from safety_harness.extensions.lab.measured_times import measured_times
@@ -311,12 +314,14 @@ def export(
 ) -> int:
     """Write a model as ONNX and compare them, or a run as MCAP.
 
-    The comparison uses random questions.  A model needs PyTorch, the extra "learning" of this package. With
-    --out FILE.mcap the argument is a trace, and needs the extra "logs".  The file has joints, transforms,
-    hands, decisions and verdicts as ROS 2 messages and in Foxglove's schemas, and a LOG.yaml beside it for
-    "judge".
+    The comparison uses random questions.  A model needs PyTorch, the extra
+    "learning" of this package. With --out FILE.mcap the argument is a trace, and
+    needs the extra "logs".  The file has joints, transforms, hands, decisions and
+    verdicts as ROS 2 messages and in Foxglove's schemas, and a LOG.yaml beside it
+    for "judge".
 
-    Exit code 0; 2: bad input, or the file answers differently (then it is not written); 130: interrupted.
+    Exit code 0; 2: bad input, or the file answers differently (then it is not
+    written); 130: interrupted.
     """
     from safety_harness.cell.avoidance.model_file import load_model
     from safety_harness.cell.avoidance.shipped import model_file

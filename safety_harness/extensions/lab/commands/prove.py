@@ -49,12 +49,14 @@ def prove(
 ) -> int:
     """Prove claims about every answer of a small ReLU network.
 
-    The bounds hold for the network's own arithmetic.  A region is halved until its boxes are proven, or
-    refuted as a whole; the rest is undecided.  A question that the network itself answers wrongly refutes a
-    claim.  It becomes a scenario if a run can ask it.
+    The bounds hold for the network's own arithmetic.  A region is halved until
+    its boxes are proven, or refuted as a whole; the rest is undecided.  A
+    question that the network itself answers wrongly refutes a claim.  It becomes
+    a scenario if a run can ask it.
 
-    Exit code 0: all proven, or all decisions of a trace the same; 1: not so, or a certificate that is not
-    confirmed; 2: bad input; 130: interrupted, with a certificate of the results so far.
+    Exit code 0: all proven, or all decisions of a trace the same; 1: not so, or a
+    certificate that is not confirmed; 2: bad input; 130: interrupted, with a
+    certificate of the results so far.
     """
     if check:
         return _check(file, model)

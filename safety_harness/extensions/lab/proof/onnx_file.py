@@ -161,7 +161,6 @@ def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: 
 
 
 def _row(constant: Any, width: int) -> Floats:
-    """Return the constant (width,) that is added to, or multiplied with, each row; ValueError for another shape.
-    """
+    """Return the constant of each row (width,); ValueError for another shape."""
     row: Floats = np.broadcast_to(np.asarray(constant, np.float64), (1, width))[0]
     return row
