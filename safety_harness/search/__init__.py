@@ -1,1 +1,1 @@
-"""Search: find scenarios that violate a claim, and hand back the simplest; it estimates nothing."""
+"""Search: find scenarios that violate a claim, and return the simplest, without an estimate."""

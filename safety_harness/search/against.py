@@ -1,4 +1,7 @@
-"""A search for the largest difference: what one avoider violates and a reference, on the same draw, keeps."""
+"""The search for the largest difference: a claim that an avoider violates and a reference keeps.
+
+Both avoiders run on the same draw of the space.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +22,33 @@ from safety_harness.trace.trace import Trace
 
 
 def difference_of(mine: Evaluation, reference: Evaluation) -> float:
-    """Return the ``difference`` of two runs of one scenario."""
+    """Return the ``difference`` of two evaluations of one claim in the same scenario.
+
+    Args:
+        mine: The claim in the run of the avoider under test.
+        reference: The claim in the run of the reference.
+
+    """
     return difference(mine.margin, reference.margin, SCALES[mine.unit], tolerance(mine, reference))
 
 
 def difference(mine: float | None, reference: float | None, scale: float, by: float | None = None) -> float:
-    """What leads a search, in the unit of both margins: less is nearer to what it is after, or more of it.
+    """Return the value that leads a search for a difference, in the unit of both margins; less is better.
 
-    Negative exactly where mine < 0 and the reference keeps the claim ``by`` so much (None: ``TOLERANCE`` of
-    the scale): then it is mine - reference.  Elsewhere it falls as that does, and as mine falls
-    to 0 and the reference rises to the tolerance, and stays positive: a difference of two that both keep a
-    claim is no finding.  Where the reference has no margin a violation counts whole.  NaN where nothing is
-    known.
+    The value is negative exactly where ``mine`` < 0 and the reference keeps the claim by the tolerance; it
+    then is ``mine`` - ``reference``.  Everywhere else it stays positive, because a difference between two
+    avoiders that both keep a claim is no finding.  There it falls as the difference falls, as ``mine`` falls
+    to 0, and as the reference rises to the tolerance.
+
+    Args:
+        mine: The margin of the avoider under test [unit of ``scale``]; None or NaN if it is unknown.
+        reference: The margin of the reference; without it, a violation counts whole.
+        scale: The scale of the unit.
+        by: The tolerance; None: ``TOLERANCE`` times the scale.
+
+    Returns:
+        The difference; NaN if it is unknown.
+
     """
     if mine is None or isnan(mine):
         return float("nan")
@@ -45,44 +63,51 @@ def difference(mine: float | None, reference: float | None, scale: float, by: fl
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """An avoider, named from the working directory, in the place of a run's own; all else is the same."""
+    """An avoider that replaces a run's own; everything else stays the same.
+
+    ``avoider`` is a name, or a path from the working directory.
+    """
 
     avoider: str
     _runs: WeakKeyDictionary[Trace, Trace | None] = field(default_factory=WeakKeyDictionary, repr=False)
 
     @property
     def name(self) -> str:
-        """As results call it."""
+        """The avoider's name in results."""
         return told_avoider(self.avoider)
 
     def in_place(self, scenario: Scenario) -> Scenario:
-        """The scenario with it; InadmissibleError that names ``--against``."""
+        """Return ``scenario`` with this avoider; an InadmissibleError names ``--against``."""
         return with_avoider(scenario, self.avoider, Place(field="--against"))
 
     def said_of(self, claim: Claim, run: Trace) -> Evaluation | None:
-        """The claim with the reference; None if it could not be run."""
+        """Return the evaluation of ``claim`` in the reference's run of the scenario of ``run``.
+
+        The result is None if that scenario could not be run.  Each run is repeated once, then remembered.
+        """
         if run not in self._runs:
             self._runs[run] = self._run(run)
-        other = self._runs[run]
-        return None if other is None else property_of(claim, run.scenario).evaluate(other)
+        repeated = self._runs[run]
+        return None if repeated is None else property_of(claim, run.scenario).evaluate(repeated)
 
     def _run(self, run: Trace) -> Trace | None:
+        """Return the run with the reference, in the same world; None if it is refused or fails."""
         try:
             admitted = admit(self.in_place(run.scenario))
         except InputError:
             return None
-        found = next(run_all([admitted], world_of_trace(run.provenance.world)))
-        return found if isinstance(found, Trace) else None
+        repeated = next(run_all([admitted], world_of_trace(run.provenance.world)))
+        return repeated if isinstance(repeated, Trace) else None
 
     def keeps(self, claim: Claim, run: Trace) -> bool:
-        """Was it run, and did it keep the claim by the stated tolerance, as far as it has a margin?"""
-        found = self.said_of(claim, run)
-        if found is None or found.verdict is Verdict.VIOLATED:
+        """Return whether the reference ran and kept ``claim``, by the tolerance if there is a margin."""
+        evaluation = self.said_of(claim, run)
+        if evaluation is None or evaluation.verdict is Verdict.VIOLATED:
             return False
-        return found.margin is None or found.margin >= tolerance(found)
+        return evaluation.margin is None or evaluation.margin >= tolerance(evaluation)
 
     def words(self, claim: Claim, run: Trace) -> str:
-        """What becomes of the claim with it, for people."""
-        found = self.said_of(claim, run)
-        said = "no run" if found is None else f"{found.verdict.value}, {found.margin_text()}"
-        return f"with {self.name} on the same draws: {said}"
+        """Return the reference's verdict and margin for ``claim`` in words."""
+        judged = self.said_of(claim, run)
+        verdict = "no run" if judged is None else f"{judged.verdict.value}, {judged.margin_text()}"
+        return f"with {self.name} on the same draws: {verdict}"

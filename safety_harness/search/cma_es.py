@@ -1,4 +1,4 @@
-"""CMA-ES (Hansen and Ostermeier, 2001) with restarts, from the package ``cma``, for asking and telling."""
+"""CMA-ES (Hansen and Ostermeier, 2001) with restarts, from the package ``cma``, as ask and tell."""
 
 from __future__ import annotations
 
@@ -12,15 +12,21 @@ from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.search import least
 
-_FLAT = 1e-9  # a population whose scores differ by less says nothing
-_PATIENCE = 10  # generations that find nothing better
+_FLAT = 1e-9  # a population with smaller differences of scores has no direction
+_PATIENCE = 10  # generations without an improvement
 
 
 class Descent:
-    """One run of CMA-ES within bounds; points are handed out until a population is complete.
+    """One run of CMA-ES within bounds; it returns points until a population is complete.
 
-    ``low``, ``high`` (d,) are the bounds, of which equal ones fix a coordinate; ``start`` (d,) is the
-    first mean and ``step`` its deviation, as a part of the bounds' distance.
+    Args:
+        low: (d,) the lower bounds.
+        high: (d,) the upper bounds; equal bounds fix a coordinate.
+        start: (d,) the first mean.
+        step: The first standard deviation, as a part of the bounds' distance.
+        rng: The generator of all draws.
+        population: Points per generation; None: the default of ``cma``.
+
     """
 
     def __init__(
@@ -32,7 +38,7 @@ class Descent:
         rng: np.random.Generator,
         population: int | None = None,
     ) -> None:
-        with warnings.catch_warnings(action="ignore"):  # which it gives where there is no matplotlib
+        with warnings.catch_warnings(action="ignore"):  # cma warns if matplotlib is missing
             import cma  # slow to import
 
         self._low, self._size = low, high - low
@@ -49,7 +55,7 @@ class Descent:
             options["popsize"] = population
         self.size = len(self._free)
         mean = (start - low)[self._free] / self._size[self._free]
-        if self.size < 2:  # which cma cannot
+        if self.size < 2:  # cma needs two dimensions
             mean = np.concatenate([mean, np.full(2 - self.size, 0.5)])
         self._cma = cma.CMAEvolutionStrategy(np.clip(mean, 0.0, 1.0), step, options)
         self._population: list[Point] = []
@@ -60,43 +66,43 @@ class Descent:
         self.flat = False
 
     def propose(self, count: int) -> Points:
-        """(m, d) the next points of this generation, 0 <= m <= ``count``."""
+        """Return the next points (m, d) of this generation, 0 <= m <= ``count``."""
         if not self._population:
             self._population, self._scores, self._handed_out = list(self._cma.ask()), [], 0
         points = self._population[self._handed_out : self._handed_out + count]
         self._handed_out += len(points)
-        found = np.tile(self._start, (len(points), 1))
-        for row, point in zip(found, points, strict=True):
-            within = np.clip(point, 0.0, 1.0)[: self.size]
-            row[self._free] = self._low[self._free] + within * self._size[self._free]
-        return np.clip(found, 0.0, 1.0)
+        proposed = np.tile(self._start, (len(points), 1))
+        for row, point in zip(proposed, points, strict=True):
+            clipped = np.clip(point, 0.0, 1.0)[: self.size]
+            row[self._free] = self._low[self._free] + clipped * self._size[self._free]
+        return np.clip(proposed, 0.0, 1.0)
 
     def learn(self, scores: NDArray[np.float64]) -> None:
-        """``scores`` (m,) of the points that were proposed last; +inf where there is none."""
+        """Learn ``scores`` (m,) of the points proposed last; +inf for a point without a score."""
         self._scores += scores.tolist()
         if len(self._scores) < len(self._population):
             return
-        told = np.array(self._scores)
-        finite = told[np.isfinite(told)]
+        all_scores = np.array(self._scores)
+        finite = all_scores[np.isfinite(all_scores)]
         worst = finite.max() if len(finite) else 0.0
         self.flat = len(finite) == 0 or worst - finite.min() < _FLAT
         lowest = finite.min() if len(finite) else np.inf
         self.since_better = 0 if lowest < self.best - 1e-3 else self.since_better + 1
         self.best = min(self.best, lowest)
-        self._cma.tell(self._population, np.where(np.isfinite(told), told, worst + 1.0).tolist())
+        self._cma.tell(self._population, np.where(np.isfinite(all_scores), all_scores, worst + 1.0).tolist())
         self._population = []
 
     @property
-    def over(self) -> bool:
-        """Whether another generation is worth asking for; only true between generations."""
+    def ended(self) -> bool:
+        """Whether the descent has stagnated; only ever true between generations."""
         stuck = self.flat or self.since_better >= _PATIENCE or float(self._cma.sigma) < 1e-3
         return not self._population and (stuck or bool(self._cma.stop()))
 
 
 class CmaEs:
-    """CMA-ES on the least score, from a random point anew whenever it stagnates, with twice the population.
+    """CMA-ES on the least score; it restarts from a random point with twice the population on stagnation.
 
-    It goes where a claim is violated the most; alternatives are coordinates to it like all others.
+    It goes where a claim is violated the most, and treats alternatives like all other coordinates.
     """
 
     name = "cma-es"
@@ -106,18 +112,19 @@ class CmaEs:
         self._descent = self._begin()
 
     def _begin(self) -> Descent:
+        """Return the next descent, over the whole cube."""
         rng = generator(self._seed, Branch.SEARCH, self._restarts)
         low, high = np.zeros(self._dimension), np.ones(self._dimension)
         population = (4 + int(3 * np.log(self._dimension))) * 2 ** min(self._restarts, 5)
         return Descent(low, high, rng.random(self._dimension), 0.3, rng, max(population, 4))
 
     def propose(self, count: int) -> Points:
-        """The rest of a generation, or the next one."""
-        if self._descent.over:
+        """Return the rest of a generation, or the start of the next."""
+        if self._descent.ended:
             self._restarts += 1
             self._descent = self._begin()
         return self._descent.propose(count)
 
     def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
-        """The least score of each point."""
+        """Give the least score of each point to the descent."""
         self._descent.learn(least(scores))

@@ -1,6 +1,7 @@
-"""Whether one scenario shows what a search found, in a world, and for how many draws of the avoider's own.
+"""Confirmation: whether one scenario shows a finding of a search, in a world, and in how many draws.
 
-What one world shows and the other does not is a finding of its own, with the run of either.
+The draws are of the avoider's own randomness.  A finding that only one of two worlds shows becomes a
+``Disagreement``, with both runs.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True)
 class Complaint:
-    """What is wrong: a claim is violated, or, without one, a run fails.
+    """A violated claim, or, without a claim, a failed run.
 
-    ``kind`` is in which words it fails, or what the avoider did instead of answering.  With a
-    ``reference`` it is that the claim is violated, and is not with that avoider in the same scenario.
+    ``kind`` is the text of the failure, or the fault of an avoider that gave no answer.  If there is a
+    ``reference``, the complaint also requires that the reference keeps the claim in the same scenario.
     """
 
     claim: Claim | None
@@ -37,20 +38,20 @@ class Complaint:
 
     @property
     def sentence(self) -> str:
-        """For people."""
+        """The complaint in words."""
         return self.kind if self.claim is None else self.claim.sentence
 
     @property
     def words(self) -> str:
-        """With what the avoider did instead of answering."""
+        """The complaint in words, with the avoider's fault if it gave no answer."""
         return f"{self.sentence}: {self.kind}" if self.claim is not None and self.kind else self.sentence
 
     def is_in(self, run: Trace | Exception) -> bool:
-        """Whether a run shows it."""
+        """Return whether ``run`` shows the complaint."""
         return failure_of(run) == self.kind if self.claim is None else self.margin_in(run) is not None
 
     def margin_in(self, run: Trace | Exception) -> float | None:
-        """The margin by which the claim is violated [SI]; None if it is not."""
+        """Return the margin of the violation [SI]; None if ``run`` does not violate the claim."""
         if self.claim is None or isinstance(run, Exception):
             return None
         if self.kind and self.kind != without_numbers(fault_of(run)):
@@ -62,20 +63,20 @@ class Complaint:
         return evaluation.margin if new else None
 
     def reference_words(self, run: Trace | Exception) -> str:
-        """What becomes of the claim with the reference; empty without one."""
+        """Return the reference's verdict on the claim in words; empty without a reference."""
         if self.claim is None or self.reference is None or isinstance(run, Exception):
             return ""
         return self.reference.words(self.claim, run)
 
 
 def failure_of(run: Trace | Exception) -> str:
-    """Why there is no run, without its numbers; empty if there is one."""
+    """Return why a run failed, without its numbers; empty for a trace."""
     return f"{RUN_FAILED}{without_numbers(described(run))}" if isinstance(run, Exception) else ""
 
 
 @dataclass(frozen=True)
 class Confirm:
-    """Runs one scenario at a time, with everything made anew; True if the complaint is in the run.
+    """Runs one scenario at a time, built anew; True if the complaint is in the run.
 
     A claim has to be violated by at least ``by`` [SI].
     """
@@ -85,7 +86,7 @@ class Confirm:
     by: float = 0.0
 
     def __call__(self, scenario: Scenario) -> bool:
-        """False as well for what admission refuses."""
+        """Return whether ``scenario`` shows the complaint; False if admission refuses it."""
         try:
             run = self.world([admit(scenario)])[0]
         except InputError:
@@ -94,22 +95,25 @@ class Confirm:
         return self.complaint.is_in(run) and (margin is None or -margin >= self.by)
 
     def share_of_draws(self, scenario: Scenario, draws: int) -> int:
-        """In how many of ``draws`` of the avoider's own randomness it is violated, all else the same."""
+        """Return in how many of ``draws`` draws of the avoider's own randomness the complaint occurs.
+
+        Everything else stays the same.
+        """
         admitted = admit(scenario)
-        others = (replace(admitted, avoider=OtherDraws(admitted.avoider, k)) for k in range(draws))
-        return sum(self.complaint.is_in(self.world([one])[0]) for one in others)
+        redrawn = (replace(admitted, avoider=OtherDraws(admitted.avoider, k)) for k in range(draws))
+        return sum(self.complaint.is_in(self.world([draw])[0]) for draw in redrawn)
 
 
 @dataclass(frozen=True, eq=False)
 class OtherDraws(AvoiderAround):
-    """An avoider with other seeds: the k-th stream of its own randomness."""
+    """An avoider with other seeds: stream number ``stream`` of its own randomness."""
 
     stream: int
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int, **seen: Any
     ) -> Proposal:
-        """What the avoider says with another seed."""
+        """Return the avoider's answer with another seed."""
         return self.avoider.propose(
             hand_position_in_base_m=hand_position_in_base_m,
             tcp_position_in_base_m=tcp_position_in_base_m,
@@ -120,7 +124,7 @@ class OtherDraws(AvoiderAround):
 
 @dataclass(frozen=True, eq=False)
 class InOneWorld:
-    """A run, judged by its scenario's claims; an exception where there is none."""
+    """A run and its evaluations by the scenario's claims; or the exception of a failed run."""
 
     run: Trace | Exception
     evaluations: tuple[Evaluation, ...] = ()
@@ -128,7 +132,7 @@ class InOneWorld:
 
 @dataclass(frozen=True, eq=False)
 class Disagreement:
-    """A finding that PyBullet does not show, in the world that was searched and there; None where not run."""
+    """A finding that PyBullet does not show, in both worlds; None for a world without a run."""
 
     group: Group
     complaint: Complaint
@@ -137,12 +141,21 @@ class Disagreement:
 
 
 def disagreement_of(
-    group: Group, complaint: Complaint, found: Scenario, searched: ScenarioRunner, confirming: ScenarioRunner
+    group: Group, complaint: Complaint, case: Scenario, searched: ScenarioRunner, confirming: ScenarioRunner
 ) -> Disagreement:
-    """Run ``found`` in both worlds, judged by what is complained about alone, if that is a claim."""
-    claims = found.claims if complaint.claim is None else (complaint.claim,)
+    """Run a scenario in both worlds, and judge the complaint's claim alone, if there is one.
+
+    Args:
+        group: The violations that the scenario stands for.
+        complaint: The claim or failure that ``confirming`` does not show.
+        case: The scenario.
+        searched: The world of the search.
+        confirming: The world that confirms.
+
+    """
+    claims = case.claims if complaint.claim is None else (complaint.claim,)
     try:
-        admitted = admit(replace(found, claims=claims))
+        admitted = admit(replace(case, claims=claims))
     except InputError as error:
         return Disagreement(group, complaint, InOneWorld(error), InOneWorld(error))
     return Disagreement(
@@ -151,7 +164,16 @@ def disagreement_of(
 
 
 def in_one_world(world: ScenarioRunner, admitted: Admitted) -> InOneWorld:
-    """Run and judge a scenario."""
+    """Run and judge one scenario.
+
+    Args:
+        world: The runner.
+        admitted: The admitted scenario.
+
+    Returns:
+        The run with its evaluations; without them for a failed run.
+
+    """
     run = world([admitted])[0]
-    found = tuple(prop.evaluate(run) for prop in admitted.properties) if isinstance(run, Trace) else ()
-    return InOneWorld(run, found)
+    evaluations = tuple(prop.evaluate(run) for prop in admitted.properties) if isinstance(run, Trace) else ()
+    return InOneWorld(run, evaluations)

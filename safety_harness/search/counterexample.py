@@ -1,6 +1,7 @@
-"""A counterexample: shrunk, confirmed, explained, and as a scenario file with its evidence in comments.
+"""Counterexamples: shrunk, confirmed and explained, as a scenario file with its evidence in comments.
 
-Why it violates is known as far as other runs tell, which another part makes, and by what was decided.
+Two sources explain a violation: replays with changes, from the part for attribution, and the decisions of the
+run.
 """
 
 from __future__ import annotations
@@ -35,17 +36,17 @@ Explain = Callable[[Scenario, Claim], Sequence[str]]
 
 
 def unexplained(scenario: Scenario, claim: Claim) -> Sequence[str]:
-    """An Explain that says nothing."""
+    """Return no lines: an ``Explain`` without an explanation."""
     return ()
 
 
 def seen_of(scenario: Scenario) -> SeenRegions:
-    """What the scenario's avoider was trained on."""
+    """Return the regions of the training data of the scenario's avoider."""
     return seen_by(scenario.under_test, folder=folder_of(scenario), settings=scenario.settings)
 
 
 def circumstances(trace: Trace) -> list[str]:
-    """Where the run lies relative to the seen space, and what was decided in it."""
+    """Return lines on the run's place relative to the seen space, and on its decisions."""
     seen = seen_of(trace.scenario)
     cell = cell_of(trace, seen)
     lines = [] if cell is None else [f"the run: {cell} (seen by {seen.source})"]
@@ -54,54 +55,63 @@ def circumstances(trace: Trace) -> list[str]:
     lines += sure_about_unseen(trace, seen)
     for k, decision in enumerate(trace.decisions):
         spread_m = decision["proposed_spread_m"]
-        words = [f"decision {k + 1} at {decision['time_s']:.3f} s"]
-        words.append(DecisionOutcome(int(decision["outcome"])).name.lower())
+        parts = [f"decision {k + 1} at {decision['time_s']:.3f} s"]
+        parts.append(DecisionOutcome(int(decision["outcome"])).name.lower())
         if decision["fault"]:
-            words.append(f"the avoider: {decision['fault']}")
+            parts.append(f"the avoider: {decision['fault']}")
         elif np.any(spread_m > 0.0):
-            words.append(f"largest spread {spread_m.max() * 1e3:.3g} mm")
+            parts.append(f"largest spread {spread_m.max() * 1e3:.3g} mm")
             if np.isfinite(decision["spread_threshold_m"]):
-                words[-1] += f" (threshold {decision['spread_threshold_m'] * 1e3:.3g} mm)"
+                parts[-1] += f" (threshold {decision['spread_threshold_m'] * 1e3:.3g} mm)"
         failed = Check(int(decision["proposed_failed"]))
         if failed:
             names = (str(check.name).lower().replace("_", " ") for check in failed)
-            words.append("the proposal failed: " + ", ".join(names))
+            parts.append("the proposal failed: " + ", ".join(names))
         inside = seen.hand.contains(decision["hand_position_in_base_m"])
-        words.append("hand seen in training" if inside else "hand where none was in training")
-        lines.append("; ".join(words))
+        parts.append("hand seen in training" if inside else "hand where none was in training")
+        lines.append("; ".join(parts))
     return lines
 
 
 def sure_about_unseen(trace: Trace, seen: SeenRegions) -> list[str]:
-    """Of the answers about a hand that training never had, the surest one that the gate took for certain."""
-    asked = trace.decisions
-    spread_m = np.max(asked["proposed_spread_m"], axis=-1, initial=0.0)
-    unseen = ~seen.hand.contains(asked["hand_position_in_base_m"])
-    taken = asked["outcome"] == DecisionOutcome.PROPOSED
-    sure = np.flatnonzero(unseen & taken & (spread_m > 0.0) & (spread_m <= asked["spread_threshold_m"]))
+    """Return a line on the surest accepted answer about a hand outside the training data.
+
+    The gate accepted it because its spread was below the threshold.  The list is empty without such an
+    answer.
+
+    Args:
+        trace: The run.
+        seen: The regions of the avoider's training data.
+
+    """
+    rows = trace.decisions
+    spread_m = np.max(rows["proposed_spread_m"], axis=-1, initial=0.0)
+    unseen = ~seen.hand.contains(rows["hand_position_in_base_m"])
+    used = rows["outcome"] == DecisionOutcome.PROPOSED
+    sure = np.flatnonzero(unseen & used & (spread_m > 0.0) & (spread_m <= rows["spread_threshold_m"]))
     if not len(sure):
         return []
     surest = sure[np.argmin(spread_m[sure])]
-    beyond_m = float(seen.hand.outside_m(asked["hand_position_in_base_m"][surest]))
-    words = f"sure ({spread_m[surest] * 1e3:.1f} mm) about a hand never seen in training"
+    beyond_m = float(seen.hand.outside_m(rows["hand_position_in_base_m"][surest]))
+    text = f"sure ({spread_m[surest] * 1e3:.1f} mm) about a hand never seen in training"
     where = f"{beyond_m * 1e3:.0f} mm from the nearest that was, in decision {surest + 1}"
-    return [f"{words}, {where}; {len(sure)} of {len(asked)} decisions are so"]
+    return [f"{text}, {where}; {len(sure)} of {len(rows)} decisions are so"]
 
 
-KEPT = 0.1  # of the margin, when shrinking
+KEPT = 0.1  # of the first margin, at least, so that the result does not lie on the edge
 DRAWS = 10  # of the avoider's own randomness
-_NUMBER = re.compile(r"(?<![\w.-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")  # not those within names
+_NUMBER = re.compile(r"(?<![\w.-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")  # no digits within names
 
 
 @dataclass(frozen=True, eq=False)
 class Counterexample:
-    """``shrunk.scenario`` with the verdicts of the confirming run as what its claims expect.
+    """A shrunk scenario whose claims expect the verdicts of the confirming run.
 
-    ``run`` is that run (an Exception for one that could not be carried on), ``draws`` in how many of
-    DRAWS draws of the avoider's own randomness it happens.  ``found_margin`` is the margin in the confirming
-    world before shrinking [SI], None for a mishap.  ``circumstances`` and ``attribution``, whose fault
-    it is, are lines for people.  Where shrinking was interrupted there are neither attribution nor draws, and
-    no draws where there is no avoider.
+    ``run`` is that run, or an Exception if it could not be finished.  ``draws`` counts in how many of DRAWS
+    draws of the avoider's own randomness the violation occurs.  ``found_margin`` [SI] is the margin in the
+    confirming world before shrinking; None for a run error.  ``circumstances`` and ``attribution`` (the
+    cause) are lines for people.  An interrupted shrinking leaves attribution and draws empty.  A scenario
+    without an avoider has no draws.
     """
 
     complaint: Complaint
@@ -115,7 +125,7 @@ class Counterexample:
 
     @property
     def explanation(self) -> list[str]:
-        """Lines for people."""
+        """The explanation, as lines for people."""
         lines = [*self.attribution, *self.circumstances]
         if self.draws is not None:
             often = f"it happens in {self.draws} of {DRAWS} draws of it"
@@ -124,14 +134,14 @@ class Counterexample:
 
     @property
     def evaluation(self) -> Evaluation | None:
-        """Of the claim that is violated; None for a mishap."""
+        """The evaluation of the violated claim; None for a run error."""
         claims = self.shrunk.scenario.claims
         pairs = zip(claims, self.evaluations, strict=False)
         return next((evaluation for claim, evaluation in pairs if claim == self.complaint.claim), None)
 
     @property
     def scenario(self) -> Scenario:
-        """What is written."""
+        """The scenario that is written to the file."""
         shrunk = self.shrunk.scenario
         claims = shrunk.claims
         if self.evaluations:
@@ -142,20 +152,23 @@ class Counterexample:
 
     @cached_property
     def structure(self) -> str:
-        """The file that it shrank to, without name, seed, claims and numbers.
+        """The shrunk file without its name, seed, claims and numbers.
 
-        What is left are the avoider, the hands with their moves, the faults, and the settings that matter.
+        The avoider, the hands with their moves, the faults and the relevant settings remain.
         """
         plain = replace(self.shrunk.scenario, name="", title="-", about="", seed=0, claims=())
         return _NUMBER.sub("#", write_scenario(plain))
 
-    def is_same_as(self, other: Counterexample) -> bool:
-        """Whether they violate the same claim (the avoider fails in the same words) with one structure."""
-        return self.complaint == other.complaint and self.structure == other.structure
+    def is_same_as(self, second: Counterexample) -> bool:
+        """Return whether both violate the same claim with the same structure.
+
+        For missing answers, the text of the failure must agree too.
+        """
+        return self.complaint == second.complaint and self.structure == second.structure
 
 
 def counterexample_of(
-    found: Scenario,
+    scenario: Scenario,
     complaint: Complaint,
     world: ScenarioRunner,
     *,
@@ -164,30 +177,41 @@ def counterexample_of(
     explain: Explain = unexplained,
     on_step: Callable[[str], None] = lambda words: None,
 ) -> Counterexample | None:
-    """Confirm, shrink and explain; None if ``world`` does not show the complaint.
+    """Confirm, shrink and explain a violation.
 
-    What it shrinks to is violated by a tenth of the first margin at least, so that it is not on the edge.
-    A quicker world, asked ``sooner``, has to show it too, if it shows what was found: it refuses most of what
-    is not violated.
-    ``explain`` is asked about a violation, and not where the avoider gave no answer.
-    Ctrl-C while it shrinks keeps the simplest so far; ``shrunk.interrupted`` then says so.
-    ``on_step`` is told what comes next.
+    Every shrunk scenario must violate by at least a tenth of the first margin, so that the result does not
+    lie on the edge.  Ctrl-C during shrinking keeps the simplest scenario so far and sets
+    ``shrunk.interrupted``.
+
+    Args:
+        scenario: The violating scenario.
+        complaint: The claim or failure.
+        world: The world that confirms.
+        budget: The greatest number of runs for shrinking.
+        sooner: A quicker world that tests each candidate first, if it shows the violation; it refuses most
+            candidates that do not violate.  None: ``world`` alone.
+        explain: Explains a violation; it is not called for missing answers.
+        on_step: Receives the description of each step.
+
+    Returns:
+        The counterexample; None if ``world`` does not show the complaint.
+
     """
     on_step("confirming")
-    first = world([admit(found)])[0]
+    first = world([admit(scenario)])[0]
     if not complaint.is_in(first):
         return None
     margin = complaint.margin_in(first)
     confirm = Confirm(complaint, world, by=-KEPT * (margin or 0.0))
     confirms, runs = [confirm], count(1)
-    if sooner is not None and not complaint.kind and (quick := replace(confirm, world=sooner))(found):
-        confirms = [quick, confirm]  # an avoider that hangs would be waited for twice
+    if sooner is not None and not complaint.kind and (quick := replace(confirm, world=sooner))(scenario):
+        confirms = [quick, confirm]  # otherwise the search would wait twice for an avoider that hangs
 
     def violates(simpler: Scenario) -> bool:
         on_step(f"shrinking, run {next(runs)} of at most {budget}")
         return all(shows(simpler) for shows in confirms)
 
-    shrunk = shrink(found, violates, budget=budget)
+    shrunk = shrink(scenario, violates, budget=budget)
     on_step("asking whose fault it is")
     last = in_one_world(world, admit(shrunk.scenario))
     whole = not shrunk.interrupted
@@ -207,25 +231,32 @@ def counterexample_of(
     )
 
 
-def text_of(one: Counterexample, origin: Sequence[str], trace_file: Path | None) -> str:
-    """The file: the scenario below what is known of it, as comments."""
-    head = [f"A counterexample to: {one.complaint.sentence}", *origin]
-    if one.complaint.words != one.complaint.sentence:
-        head.insert(1, one.complaint.kind)
-    head.append(f"Shrunk in {one.shrunk.used} runs{'' if one.shrunk.settled else ', not to the end'}.")
-    for evaluation in one.evaluations:
+def text_of(case: Counterexample, origin: Sequence[str], trace_file: Path | None) -> str:
+    """Return the text of the file: comments with the evidence, then the scenario.
+
+    Args:
+        case: The counterexample.
+        origin: Lines on the search that found it.
+        trace_file: The file of the confirming run; None if there is no trace.
+
+    """
+    head = [f"A counterexample to: {case.complaint.sentence}", *origin]
+    if case.complaint.words != case.complaint.sentence:
+        head.insert(1, case.complaint.kind)
+    head.append(f"Shrunk in {case.shrunk.used} runs{'' if case.shrunk.settled else ', not to the end'}.")
+    for evaluation in case.evaluations:
         head += _margins(evaluation, "")
-    if isinstance(one.run, Trace):
-        head += _evidence(one.run)
+    if isinstance(case.run, Trace):
+        head += _evidence(case.run)
     if trace_file is not None:
         head.append(f"confirming run: {trace_file.name} (safety-harness replay)")
-    head += ["", *one.explanation]
+    head += ["", *case.explanation]
     comments = "".join(f"# {line}".rstrip() + "\n" for line in head)
-    return comments + "\n" + write_scenario(one.scenario)
+    return comments + "\n" + write_scenario(case.scenario)
 
 
 def _margins(evaluation: Evaluation, indent: str) -> list[str]:
-    """The verdict, the margin as it is shown and exactly, and those of the parts."""
+    """Return the verdict and the margin, rounded and exact, with a line for each part."""
     exact = "" if evaluation.margin is None else f" ({evaluation.margin!r} in SI)"
     when = "" if evaluation.worst_time_s is None else f" at {evaluation.worst_time_s:.3f} s"
     verdict = "VIOLATED" if evaluation.verdict is Verdict.VIOLATED else evaluation.verdict.value
@@ -234,6 +265,7 @@ def _margins(evaluation: Evaluation, indent: str) -> list[str]:
 
 
 def _evidence(trace: Trace) -> list[str]:
+    """Return lines on versions, hashes and seeds of a run."""
     made, scenario = trace.provenance, trace.scenario
     claims = "\n".join(claim.sentence for claim in scenario.claims)
     libraries = ", ".join(f"{name} {version}" for name, version in made.libraries)
@@ -250,7 +282,14 @@ def _evidence(trace: Trace) -> list[str]:
 
 
 def origin_of(trials: Trials, tried: TriedPoint, searcher: str) -> list[str]:
-    """How it was found: the search, and every value of the space, exactly."""
+    """Return lines on the search, and the exact value of every parameter of the space.
+
+    Args:
+        trials: The trials of the search.
+        tried: The point.
+        searcher: The searcher's name.
+
+    """
     space = trials.space
     search = f"point {tried.number} of searcher {searcher}, seed {trials.seed}"
     search += f", against {trials.reference.name}" if trials.reference is not None else ""

@@ -1,4 +1,4 @@
-"""The unit cube as a searcher sees it: how long, where it jumps, and which points are the same scenario."""
+"""The unit cube in which a searcher works: its dimension, its jumps, and points of the same scenario."""
 
 from __future__ import annotations
 
@@ -18,35 +18,36 @@ Scores = NDArray[np.float64]  # (n, k): one a claim, NaN where nothing was learn
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One coordinate.  Between its ``edges`` (from 0 to 1) the map to scenarios does not jump.
+    """One coordinate of the cube; between two ``edges`` (from 0 to 1) the map to scenarios does not jump.
 
-    A coordinate that is ``flat`` gives the same between two edges: it numbers alternatives.
+    A ``flat`` coordinate numbers alternatives: it gives the same scenario everywhere between two edges.
     """
 
     edges: tuple[float, ...] = (0.0, 1.0)
     flat: bool = False
 
     def interval_of(self, u: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Coordinates ``u`` (n,) -> (n,) in which interval each is."""
+        """Return the number (n,) of the interval of each coordinate ``u`` (n,)."""
         return np.searchsorted(np.array(self.edges[1:-1]), u, side="right")
 
     def middle_of(self, interval: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(n,) intervals -> (n,) their middles."""
+        """Return the middles (n,) of the intervals with the numbers ``interval`` (n,)."""
         edges = np.array(self.edges)
         middle: NDArray[np.float64] = (edges[interval] + edges[interval + 1]) / 2.0
         return middle
 
 
 def _all_used(points: Points) -> NDArray[np.bool_]:
+    """Return that every coordinate of ``points`` (n, d) matters."""
     return np.ones(points.shape, bool)
 
 
 @dataclass(frozen=True, eq=False)
 class Cube:
-    """The cube of a space.
+    """The unit cube of a space.
 
-    ``same`` maps points (n, d) to ones that give the same scenarios, the same for the same scenario (None:
-    by the columns alone).  ``used`` says which coordinates (n, d) matter.
+    ``same`` maps points (n, d) to a canonical point of each scenario; None: the columns alone decide.
+    ``used`` tells which coordinates (n, d) matter.
     """
 
     columns: tuple[Column, ...]
@@ -55,12 +56,12 @@ class Cube:
 
     @property
     def dimension(self) -> int:
-        """How many coordinates."""
+        """The number of coordinates."""
         return len(self.columns)
 
     @classmethod
     def of(cls, space: ScenarioSpace) -> Cube:
-        """The cube of a scenario space."""
+        """Return the cube of a scenario ``space``."""
         columns = [Column() for _ in range(space.dimension)]
         for parameter in space.parameters:
             distribution = parameter.distribution
@@ -82,27 +83,35 @@ class Cube:
 
     @property
     def flat_columns(self) -> NDArray[np.int64]:
-        """Which coordinates number alternatives."""
+        """The numbers of the coordinates that number alternatives."""
         return np.flatnonzero([column.flat for column in self.columns])
 
     def canonical(self, points: Points) -> Points:
-        """(n, d) -> (n, d): the middle of an alternative, 0.5 for what is not used, else as it is."""
+        """Return canonical ``points`` (n, d): the middle of each alternative, 0.5 for unused coordinates.
+
+        All other coordinates stay the same.
+        """
         if self.same is not None:
             return self.same(points)
-        found = points.copy()
+        middles = points.copy()
         for number in self.flat_columns:
             column = self.columns[number]
-            found[:, number] = column.middle_of(column.interval_of(points[:, number]))
-        return found
+            middles[:, number] = column.middle_of(column.interval_of(points[:, number]))
+        return middles
 
     def distances(self, points: Points, to: Point) -> NDArray[np.float64]:
-        """(n, d) and (d,), both canonical -> (n,): the root mean square over the coordinates.
+        """Return the distances (n,) of points from a point, the root mean square over the coordinates.
 
-        A different alternative counts as 1.  Two random points of a cube of many coordinates are about
-        0.41 apart.
+        A different alternative counts as 1.  Two random points of a cube with many coordinates are about 0.41
+        apart.
+
+        Args:
+            points: (n, d) canonical points.
+            to: (d,) a canonical point.
+
         """
         difference = points - to
         flat = self.flat_columns
         difference[:, flat] = difference[:, flat] != 0.0
-        apart: NDArray[np.float64] = np.sqrt(np.mean(difference**2, axis=1))
-        return apart
+        rms: NDArray[np.float64] = np.sqrt(np.mean(difference**2, axis=1))
+        return rms

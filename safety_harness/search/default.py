@@ -1,10 +1,11 @@
-"""The default search: explore, and go down from the worst places that are not one another's neighbours.
+"""The default search: explore, and descend from the worst known places that are far apart.
 
-A third of the points explore (``Explorer``); the others are shared among the claims, whose descents
-(CMA-ES) begin at the worst point known of a claim, keep its alternatives, and end when they find a
-violation or nothing better.  The next begins elsewhere.  Where all scores of a claim are the same there is
-nowhere to go: its share explores, and that of the other claims too, the more of their last descents found
-nothing worse than was known.
+A third of the points explore (``Explorer``).  The claims share the rest for descents (CMA-ES).  A descent
+begins at the worst known point of a claim, and keeps its alternatives.  It ends with a violation or without
+improvement, and the next descent begins far from it.
+
+The margin of a claim may be the same everywhere.  Then no direction leads down, and the share of that claim
+explores.  While there is such a claim, the share of every other claim shrinks with each descent in vain.
 """
 
 from __future__ import annotations
@@ -20,18 +21,23 @@ from safety_harness.search.cma_es import Descent
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.sampling import Explorer
 
-_KEPT = 256  # a claim
+_KEPT = 256  # points for each claim
 
 
 class Archive:
-    """The points with the least scores of one claim, and which of them are far from every place taken.
+    """The points with the least scores of one claim, and whether each is far from every occupied place.
 
-    Of each claim so many are remembered, however long the search.
-    Places are taken by descents that began or ended there; ``apart`` is how far others have to be.
+    A descent occupies the places where it began and ended.  The archive keeps at most 256 points, in a search
+    of any length.
+
+    Args:
+        cube: The cube of the space.
+        least_apart: The least distance from an occupied place, as ``Cube.distances`` measures it.
+
     """
 
-    def __init__(self, cube: Cube, apart: float) -> None:
-        self._cube, self._apart = cube, apart
+    def __init__(self, cube: Cube, least_apart: float) -> None:
+        self._cube, self._apart = cube, least_apart
         self.points = np.empty((0, cube.dimension))  # canonical, by their scores
         self.scores = np.empty(0)
         self.greatest = -np.inf
@@ -39,45 +45,45 @@ class Archive:
         self._taken = np.empty((0, cube.dimension))
 
     def add(self, points: Points, scores: NDArray[np.float64]) -> None:
-        """Canonical points and their ``scores`` (n,), of which those that are NaN are left out."""
+        """Add canonical ``points`` (n, d) with finite ``scores`` (n,); leave all other points out."""
         known = np.isfinite(scores)
         if not known.any():
             return
         self.greatest = max(self.greatest, float(scores[known].max()))
-        before = len(self.scores)
+        old_count = len(self.scores)
         scores = np.concatenate([self.scores, scores[known]])
         points = np.concatenate([self.points, points[known]])
-        free = np.concatenate([self._free, np.ones(len(scores) - before, bool)])
+        free = np.concatenate([self._free, np.ones(len(scores) - old_count, bool)])
         order = np.argsort(scores, kind="stable")[:_KEPT]
         self.points, self.scores, self._free = points[order], scores[order], free[order]
-        for new in np.flatnonzero(order >= before):
+        for new in np.flatnonzero(order >= old_count):
             self._free[new] = np.all(self._cube.distances(self._taken, self.points[new]) > self._apart)
 
     def take(self, place: Point) -> None:
-        """A descent began or ended at this canonical point."""
+        """Occupy the canonical point ``place`` (d,), where a descent began or ended."""
         self._taken = np.vstack([self._taken, place])
         self._free &= self._cube.distances(self.points, place) > self._apart
 
     @property
     def worst_free(self) -> Point | None:
-        """(d,) the point with the least score that is far from every place taken."""
+        """The point (d,) with the least score far from every occupied place; None if no point is."""
         return self.points[int(np.argmax(self._free))].copy() if self._free.any() else None
 
     @property
     def flat(self) -> bool:
-        """Whether no score differs from another, so that none leads anywhere."""
+        """Whether all scores are equal, so that no direction leads down."""
         return len(self.scores) == 0 or bool(self.greatest - self.scores[0] < 1e-9)
 
 
 _EXPLORING = 1.0 / 3.0
-_APART = 0.15  # root mean square: beginnings and ends of descents on the same claim are farther apart
+_LEAST_APART = 0.15  # root mean square over the cube, between the places of descents on one claim
 _STEP = 0.15
-_BETTER = 0.01  # of a score
+_BETTER = 0.01  # the least improvement of a score that counts
 
 
 @dataclass(eq=False)
 class _Island:
-    """One descent: on which claim, and where it began and stands."""
+    """One descent, with its claim, its beginning and its best place."""
 
     claim: int
     descent: Descent
@@ -87,52 +93,59 @@ class _Island:
 
 
 class Default:
-    """See the module."""
+    """The default searcher; the module describes it.
+
+    Args:
+        cube: The cube of the space.
+        claims: The number of claims.
+        seed: The root of all random numbers.
+
+    """
 
     name = "default"
 
     def __init__(self, cube: Cube, *, claims: int, seed: int) -> None:
         self._cube, self._seed, self._claims = cube, seed, claims
         self._explorer = Explorer(cube, seed=seed)
-        self._archives = [Archive(cube, _APART) for _ in range(claims)]
+        self._archives = [Archive(cube, _LEAST_APART) for _ in range(claims)]
         self._islands: list[_Island] = []
         self._begun = self._explored = self._proposed = self._next_claim = 0
-        self._in_vain = [0] * claims  # descents since the last that found a violation or a lesser score
-        self._due = 0.0  # points of exploration
+        self._in_vain = [0] * claims  # descents since the last with a violation or a lesser score
+        self._due = 0.0  # points of exploration still to propose
         self._parts: list[tuple[_Island | None, int]] = []
 
     @property
     def _first(self) -> int:
-        """How many points are explored before the first descent."""
+        """The number of points that explore before the first descent."""
         return max(32, 4 * self._cube.dimension)
 
     def propose(self, count: int) -> Points:
-        """Some of each: exploration, and as many descents as there is room for."""
+        """Return ``count`` points (count, d): exploration, and as many descents as fit."""
         self._parts = []
         exploring = min(max(self._first - self._explored, 0), count)
         if exploring < count and self._proposed >= self._first:
             self._due += self._exploring * count
             exploring = min(int(self._due), count)
-        found = self._descending(count - exploring)
-        exploring = count - sum(map(len, found))
+        proposed = self._descending(count - exploring)
+        exploring = count - sum(map(len, proposed))
         if exploring:
-            found.append(self._explorer.points(exploring))
+            proposed.append(self._explorer.points(exploring))
             self._parts.append((None, exploring))
             self._explored += exploring
         self._due -= min(exploring, self._due)
         self._proposed += count
-        return np.concatenate(found)
+        return np.concatenate(proposed)
 
     @property
     def _exploring(self) -> float:
-        """The part of the points that explore."""
+        """The share of points that explore."""
         flat = [archive.flat for archive in self._archives]
         shares = [0.0 if f else 0.5**vain for f, vain in zip(flat, self._in_vain, strict=True)]
         descending = sum(shares) if any(flat) else self._claims
         return 1.0 - (1.0 - _EXPLORING) * descending / self._claims
 
     def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
-        """Remember, and let each descent have its own."""
+        """Remember all points, and give each descent its own scores."""
         canonical = self._cube.canonical(points)
         for claim, archive in enumerate(self._archives):
             archive.add(canonical, scores[:, claim])
@@ -144,32 +157,33 @@ class Default:
                 self._advance(island, canonical[part], scores[part, island.claim])
 
     def _advance(self, island: _Island, canonical: Points, scores: Scores) -> None:
-        told = np.where(np.isnan(scores), np.inf, scores)
-        island.descent.learn(told)
-        if told.min() < island.score:
-            island.score, island.end = float(told.min()), canonical[int(told.argmin())]
-        if island.score < 0.0 or island.descent.over:
+        """Give scores to a descent, and end it after a violation or without improvement."""
+        known = np.where(np.isnan(scores), np.inf, scores)
+        island.descent.learn(known)
+        if known.min() < island.score:
+            island.score, island.end = float(known.min()), canonical[int(known.argmin())]
+        if island.score < 0.0 or island.descent.ended:
             worth_it = island.score < 0.0 or island.score < island.known - _BETTER
             self._in_vain[island.claim] = 0 if worth_it else self._in_vain[island.claim] + 1
             self._archives[island.claim].take(island.end)
             self._islands.remove(island)
 
-    def _descending(self, room: int) -> list[Point]:
-        """Points of the descents under way, then of new ones while there is room."""
-        found: list[Point] = []
+    def _descending(self, left: int) -> list[Point]:
+        """Return at most ``left`` points, of running descents first, then of new descents."""
+        proposed: list[Point] = []
         if self._explored < self._first:
-            return found
+            return proposed
         under_way = iter(list(self._islands))
-        while room > 0 and (island := next(under_way, None) or self._begin()) is not None:
-            points = island.descent.propose(room)
+        while left > 0 and (island := next(under_way, None) or self._begin()) is not None:
+            points = island.descent.propose(left)
             if len(points):
-                found.append(points)
+                proposed.append(points)
                 self._parts.append((island, len(points)))
-                room -= len(points)
-        return found
+                left -= len(points)
+        return proposed
 
     def _begin(self) -> _Island | None:
-        """A descent on the next claim that has a place to begin at; None if no claim has one."""
+        """Return a descent on the next claim that has a free place; None if no claim has one."""
         for _ in range(self._claims):
             claim = self._next_claim
             self._next_claim = (claim + 1) % self._claims
@@ -188,7 +202,7 @@ class Default:
         return None
 
     def _bounds(self, start: Point) -> tuple[Point, Point]:
-        """Where a descent from ``start`` may go: its alternatives stay, what is not used is fixed."""
+        """Return the bounds of a descent from ``start``; alternatives and unused coordinates stay fixed."""
         low, high = np.zeros_like(start), np.ones_like(start)
         for number, column in enumerate(self._cube.columns):
             interval = int(column.interval_of(start[[number]])[0])

@@ -1,7 +1,7 @@
-"""A searcher that fills holes: MAP-Elites (Mouret and Clune, 2015) over the cells that runs fall into.
+"""A searcher that fills holes: MAP-Elites (Mouret and Clune, 2015) over the cells of the coverage.
 
-Each cell keeps the run that came nearest to violating anything.  New points vary an elite, those of
-cells that were seldom visited more often, along the line to another one (Vassiliades and Mouret, 2018).
+Each cell keeps the run that came nearest to a violation.  New points vary such an elite along the line to
+another elite (Vassiliades and Mouret, 2018).  Elites of seldom visited cells have a higher chance.
 """
 
 from __future__ import annotations
@@ -29,7 +29,14 @@ class _Elite:
 
 
 class Diverse:
-    """See the module; where runs have no cells, their alternatives and the nearest claim make one."""
+    """The searcher that fills holes; without cells, the alternatives and the nearest claim define a cell.
+
+    Args:
+        cube: The cube of the space.
+        claims: The number of claims.
+        seed: The root of all random numbers.
+
+    """
 
     name = "diverse"
 
@@ -41,7 +48,7 @@ class Diverse:
         self._proposed = 0
 
     def propose(self, count: int) -> Points:
-        """A third explores, the others vary elites."""
+        """Return ``count`` points; on average a third explore, and the rest vary elites."""
         exploring = count
         if self._proposed >= _FIRST and self._elites:
             exploring = int(self._rng.binomial(count, _EXPLORING))
@@ -50,6 +57,7 @@ class Diverse:
         return np.concatenate([points, self._varied(count - exploring)])
 
     def _varied(self, count: int) -> Points:
+        """Return variations (count, d) of elites."""
         elites = list(self._elites.values())
         if count == 0:
             return np.empty((0, self._cube.dimension))
@@ -63,7 +71,7 @@ class Diverse:
         return varied
 
     def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
-        """Keep what is nearer to a violation than the cell's elite."""
+        """Keep each point that is nearer to a violation than its cell's elite."""
         lowest = least(scores)
         alternatives = self._cube.canonical(points)[:, self._cube.flat_columns]
         nearest = np.where(np.isnan(scores), np.inf, scores).argmin(axis=1)

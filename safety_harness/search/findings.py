@@ -1,7 +1,7 @@
-"""What a search needs of the world, and what it found.
+"""The interface between a search and a world, and the findings of a search.
 
-The claims are goals, and a batch of points has outcomes.  Kept as it goes are distinct violations, nearest
-misses, and what could not be tried.
+Claims are goals, and a batch of points has outcomes.  The findings keep distinct violations, nearest misses
+and refused points.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from safety_harness.claims.properties.against import SCALES
 from safety_harness.claims.properties.base import Property, Unit
 from safety_harness.search.cube import Cube, Point, Points, Scores
 
-RUN_FAILED = "the run failed: "  # how the mishap of a world that broke begins
+RUN_FAILED = "the run failed: "  # the beginning of a run error's text, if the world failed
 
 
 @dataclass(frozen=True)
 class Goal:
-    """A claim that a search tries to refute; margins are divided by ``scale`` (SI).
+    """A claim that a search tries to refute; a score is the margin divided by ``scale`` (SI).
 
-    With a reference, whose name is ``against``, margins are differences as of ``search.against``, which are
-    for people only where they are negative.
+    With a reference, named ``against``, margins are differences of ``search.against``.  Only negative
+    differences mean something to people.
     """
 
     sentence: str
@@ -36,23 +36,29 @@ class Goal:
 
     @classmethod
     def of(cls, prop: Property, against: str = "") -> Goal:
-        """The goal of a property, with the scale of its unit."""
+        """Return the goal of a property, with the scale of its unit.
+
+        Args:
+            prop: The property.
+            against: The reference's name; empty without one.
+
+        """
         return cls(prop.sentence, SCALES[prop.unit], prop.unit, against)
 
     def margin_text(self, margin: float) -> str:
-        """A margin [SI] in the unit that people read."""
+        """Return a margin [SI] as text in its display unit; a dash for a difference that is no finding."""
         return "-" if self.against and margin >= 0.0 else self.unit.margin_text(margin)
 
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """What came of (n, d) points, row by row.
+    """The outcomes of (n, d) points, row by row.
 
-    ``margins`` (n, k) SI, negative where a claim is violated, NaN where there is none to give;
-    ``conclusive`` (n, k) whether there is a verdict: a margin alone leads somewhere and is no evidence.
-    ``refused`` says why a point was not tried at all (admission), ``mishaps`` what went wrong in a run
-    besides: an avoider that gave no answer, a world that broke; both are empty elsewhere.
-    ``kinds`` tells violations apart that have different causes; ``cells`` is for coverage.
+    ``margins`` (n, k) [SI] are negative where a claim is violated, and NaN where unknown.  ``conclusive`` (n,
+    k) tells whether there is a verdict: a margin alone guides the search and is no evidence.  ``refused`` has
+    the reason why admission refused a point, else an empty text.  ``mishaps`` has run errors, else an empty
+    text: an avoider without an answer, or a failed run.  ``kinds`` distinguishes violations with different
+    causes.  ``cells`` are for the coverage.
     """
 
     margins: Scores
@@ -64,26 +70,32 @@ class Outcomes:
 
     @classmethod
     def of_margins(cls, margins: Scores) -> Outcomes:
-        """Every point was tried, and nothing but margins is known."""
+        """Return outcomes of points that were all tried, and of which only ``margins`` are known."""
         none = ("",) * len(margins)
         return cls(margins, np.isfinite(margins), none, none, none, (None,) * len(margins))
 
 
 class Evaluate(Protocol):
-    """A world: points in, outcomes out."""
+    """A world as a function: points in, outcomes out."""
 
     def __call__(self, points: Points, first: int) -> Outcomes:
-        """(n, d) points of the cube, numbered from ``first`` over the whole search: seeds come from these."""
+        """Return the outcomes of points (n, d) of the cube.
+
+        Args:
+            points: The points.
+            first: The number of the first point in the whole search; numbers determine seeds.
+
+        """
 
 
-APART = 0.25  # root mean square over the cube: violations that are nearer are taken for one
-_MOST_OTHERS = 9  # runs of a mishap: of ten that meet it in a third of all runs one shows it, 98 times in 100
-_MOST_GROUPS = 200  # of one claim; beyond them a violation joins its nearest
+LEAST_APART = 0.25  # root mean square over the cube: nearer violations form one group (random points: 0.41)
+_MOST_OTHERS = 9  # if a run error occurs in a third of runs, one of ten shows it with 98 %
+_MOST_GROUPS = 200  # of one claim; a further violation joins its nearest group
 
 
 @dataclass(frozen=True, eq=False)
 class TriedPoint:
-    """One tried point (d,): ``number`` counts all points of the search, ``margins`` (k,) are SI."""
+    """One tried point (d,); ``number`` counts all points of the search, and ``margins`` (k,) are in SI."""
 
     number: int
     point: Point
@@ -92,31 +104,33 @@ class TriedPoint:
 
 @dataclass(eq=False)
 class Group:
-    """Violations of one claim (or mishaps: ``claim`` is None) that are one thing to a reader.
+    """Similar violations of one claim, or similar run errors (``claim`` is None).
 
-    They have the same kind, the same alternatives, and lie near to ``first`` in the cube.  Mishaps may lie
-    anywhere: ``others`` are a few more of them, to be tried where the world that confirms does not show one.
+    Violations of a group share kind and alternatives, and lie near ``first`` in the cube.  Run errors may lie
+    anywhere.  ``others`` has a few more of them, in case that the confirming world does not show the first.
     """
 
     claim: int | None
     kind: str
     first: TriedPoint
     worst: TriedPoint
-    leader: Point  # canonical point of the first
+    leader: Point  # canonical point of ``first``
     count: int = 1
     others: list[TriedPoint] = field(default_factory=list)
 
     def worst_margin(self) -> float:
-        """SI; NaN for a mishap."""
+        """Return the worst margin [SI]; NaN for a run error."""
         return float("nan") if self.claim is None else float(self.worst.margins[self.claim])
 
 
 @dataclass(eq=False)
 class Findings:
-    """``tried`` counts runs, ``asked`` points; ``evidence`` and ``violated`` (k,) runs for each claim.
+    """The findings of one search, while it runs and afterwards.
 
-    ``nearest`` is each claim's run with the least margin, ``improvements`` each claim's least margins [SI]
-    so far and after how many runs.  ``first_violation`` (k,) is the number of runs that it took, 0 for none.
+    ``tried`` counts runs, and ``asked`` counts points.  ``evidence`` and ``violated`` (k,) count the runs of
+    each claim. ``nearest`` has the run with each claim's least margin.  ``improvements`` lists each claim's
+    least margins [SI] so far, with the number of runs.  ``first_violation`` (k,) is the number of runs up to
+    the first violation, or 0.
     """
 
     goals: tuple[Goal, ...]
@@ -138,24 +152,36 @@ class Findings:
 
     @property
     def found(self) -> bool:
-        """Whether there is anything that should not be."""
+        """Whether there is any violation or run error."""
         return bool(self.groups)
 
     def of_claim(self, claim: int | None) -> list[Group]:
-        """A claim's groups, or the mishaps, the worst first."""
+        """Return the groups of ``claim``, or of run errors (None), worst first."""
         groups = [group for group in self.groups if group.claim == claim]
         return sorted(groups, key=lambda group: (group.worst_margin(), group.first.number))
 
     def sentence_of(self, group: Group) -> str:
-        """What a group is about, for people."""
+        """Return the claim or the run error of a group, in words."""
         return group.kind if group.claim is None else self.goals[group.claim].sentence
 
     def always_violated(self, claim: int, least: int = 20) -> bool:
-        """Whether every run of at least ``least`` violated the claim: then it is no corner that is wrong."""
+        """Return whether every run violated a claim, so that the claim or the space is at fault as a whole.
+
+        Args:
+            claim: The claim's number.
+            least: The least number of runs for such a statement.
+
+        """
         return bool(self.tried >= least and self.violated[claim] == self.tried)
 
     def add(self, points: Points, outcomes: Outcomes) -> None:
-        """Take in (n, d) points and what came of them."""
+        """Take in points and their outcomes.
+
+        Args:
+            points: (n, d) points of the cube.
+            outcomes: Their outcomes, row by row.
+
+        """
         canonical: Points | None = None
         for k, point in enumerate(points):
             number = self.asked
@@ -169,12 +195,12 @@ class Findings:
             self.evidence += known & outcomes.conclusive[k]
             episode = TriedPoint(number, point.copy(), margins.copy())
             self._keep_nearest(episode)
-            wrong = np.flatnonzero(known & (margins < 0.0)).tolist()
-            if not wrong and not outcomes.mishaps[k]:
+            violated = np.flatnonzero(known & (margins < 0.0)).tolist()
+            if not violated and not outcomes.mishaps[k]:
                 continue
             if canonical is None:
                 canonical = self.cube.canonical(points)
-            for claim in wrong:
+            for claim in violated:
                 self.violated[claim] += 1
                 self.first_violation[claim] = self.first_violation[claim] or self.tried
                 self._join(claim, outcomes.kinds[k], episode, canonical[k])
@@ -183,21 +209,25 @@ class Findings:
                 self._join(None, outcomes.mishaps[k], episode, canonical[k])
 
     def _keep_nearest(self, episode: TriedPoint) -> None:
+        """Keep a run that comes nearer to a violation than all runs before it."""
         for claim, margin in enumerate(episode.margins):
-            before = self.nearest[claim]
-            if np.isfinite(margin) and (before is None or margin < before.margins[claim]):
+            best = self.nearest[claim]
+            if np.isfinite(margin) and (best is None or margin < best.margins[claim]):
                 self.nearest[claim] = episode
                 self.improvements[claim].append((self.tried, float(margin)))
 
     def _join(self, claim: int | None, kind: str, episode: TriedPoint, canonical: Point) -> None:
-        """Mishaps are told apart by their words alone."""
+        """Add a violation to the nearest group of its kind, or begin a group.
+
+        For run errors the text alone decides.
+        """
         rivals = [group for group in self.groups if group.claim == claim and group.kind == kind]
         if rivals:
             leaders = np.array([group.leader for group in rivals])
-            apart = self.cube.distances(leaders, canonical)
-            nearest = rivals[int(apart.argmin())]
+            distances = self.cube.distances(leaders, canonical)
+            nearest = rivals[int(distances.argmin())]
             full = sum(group.claim == claim for group in self.groups) >= _MOST_GROUPS
-            if claim is None or apart.min() <= APART or full:
+            if claim is None or distances.min() <= LEAST_APART or full:
                 nearest.count += 1
                 if claim is None and len(nearest.others) < _MOST_OTHERS:
                     nearest.others.append(episode)

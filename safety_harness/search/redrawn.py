@@ -1,7 +1,7 @@
-"""Differences from a reference, drawn again: which are the avoider's doing, and which flip near a limit.
+"""Differences from a reference, drawn again: which are due to the avoider, and which flip near a limit.
 
-A search chooses its runs, so that of two avoiders that are equally good it finds the runs in which chance was
-against the one on trial.  Every run that it found is made again with seeds that nobody chose.
+A search chooses its runs.  Of two equally good avoiders, it finds the runs in which chance was against the
+avoider under test.  So every difference is run again with seeds that no search chose.
 """
 
 from __future__ import annotations
@@ -24,34 +24,45 @@ from safety_harness.search.findings import Findings, Group
 from safety_harness.search.trials import Trials
 from safety_harness.trace.trace import Trace
 
-CHANCE = 0.05  # of all claims together that an avoider as good as the reference is found worse
-SELDOM = 0.01  # the chance of the test on overruling: at 0.05 it named int8 weights, which are harmless
+CHANCE = 0.05  # for all claims together, of a finding on an avoider as good as the reference
+SELDOM = 0.01  # of the test on overruling: at 0.05 it found int8 weights, which are harmless
 OFTEN = 0.03  # of all runs: int8 weights or another training alone violate a claim in 2 % of them
 PAIRS = 72  # of runs for each claim, shared evenly among its groups
 MOST_GROUPS = 6
 _FIRST = 1_000_000_000  # above the number of every point that is searched
-_OF_DECISIONS = (Unit.FRACTION, Unit.COUNT)  # few that fall the other way are much of a run
+_OF_DECISIONS = (Unit.FRACTION, Unit.COUNT)  # a few decisions are a large part of a run: never "by much"
 _Pairs = NDArray[np.float64]  # (n, 2) by how much the avoider alone, and the reference alone, violates [SI]
 
 
 def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Trials]) -> list[str]:
-    """Take the groups that are no differences out of ``findings``; what they are comes back in words.
+    """Remove groups that are no real differences from ``findings``, and return lines on them.
 
-    Two avoiders that merely differ are each worse than the other somewhere, and a search finds where.  So a
-    claim's groups count if of pairs that no search chose significantly more differ to the avoider's harm than
-    to the reference's (exact sign test), by much or often.  By much: of those alone that differ by more than
-    the scale of the unit, drawn again at the groups' worst points or run by ``draw`` anywhere in the space; a
-    share or a count of decisions has no such pairs.  Often: of all that are run anywhere, and in more than
-    ``OFTEN`` of them, the others subtracted.  A group counts only if its own pairs are worse, or no group's.
+    Two merely different avoiders are each worse than the other somewhere, and a search finds where.  So a
+    claim counts only if, in pairs that no search chose, the avoider is significantly worse than the reference
+    (exact sign test).  There are two ways:
+
+    - By much: only pairs count that differ by more than the scale of the unit.  They come from the groups'
+      worst points, drawn again, and from ``draw``, anywhere in the space.  Shares and counts of decisions
+      have no such pairs.
+    - Often: only pairs from anywhere count.  The avoider must be worse in more than ``OFTEN`` of them, less
+      the share in which it is better.
+
+    Of such a claim, the groups count whose own pairs are worse; if there is no such group, all groups count.
+
+    Args:
+        trials: The trials of the search, with a reference; without it nothing happens.
+        findings: The findings; the function removes groups from them.
+        draw: Runs trials anywhere in the space; called only if there is a group.
+
     """
     if trials.reference is None:
         return []
     admitter, lines, drawn = Admitter(), list[str](), None
-    chance = CHANCE / len(findings.goals)  # two tests, of either of which one side counts
+    chance = CHANCE / len(findings.goals)  # two tests for each claim, of which one side counts
     for claim, goal in enumerate(findings.goals):
-        near = sum(_is_near(run.claims[claim]) for run in trials.differences)
-        if near:
-            lines.append(f"{goal.sentence}: {near} runs, in which {goal.against} hardly keeps it")
+        near_count = sum(_is_near(run.claims[claim]) for run in trials.differences)
+        if near_count:
+            lines.append(f"{goal.sentence}: {near_count} runs, in which {goal.against} hardly keeps it")
         groups = findings.of_claim(claim)
         if not groups:
             continue
@@ -60,8 +71,8 @@ def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Tria
         draws = PAIRS // len(groups[:MOST_GROUPS])
         own = [_redrawn(trials, admitter, one, claim, draws) for one in groups[:MOST_GROUPS]]
         again = np.concatenate(own)
-        by = np.inf if goal.unit in _OF_DECISIONS else goal.scale
-        often, much = _alone(anywhere), _alone(np.concatenate([again, anywhere]), by)
+        much_by = np.inf if goal.unit in _OF_DECISIONS else goal.scale
+        often, much = _alone(anywhere), _alone(np.concatenate([again, anywhere]), much_by)
         certain = sign_test(*much) < chance and much[0] > much[1]
         certain |= sign_test(*often) < chance and often[0] - often[1] > OFTEN * len(anywhere)
         mere = [one for one, pairs in zip(groups, own, strict=False) if not np.subtract(*_alone(pairs)) > 0]
@@ -78,9 +89,15 @@ def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Tria
 
 
 def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
-    """Say that the gate overrules the avoider in more runs than the reference; empty if it does not.
+    """Return a sentence if the gate overrules the avoider in more runs than the reference, or "".
 
-    Runs anywhere decide, by ``SELDOM`` and ``OFTEN``; where those of the search give no hint, none are drawn.
+    Runs anywhere in the space decide, by ``SELDOM`` and ``OFTEN``.  They are drawn only if the runs of the
+    search give a hint.
+
+    Args:
+        trials: The trials of the search.
+        draw: Runs trials anywhere in the space.
+
     """
     if trials.reference is None or not np.greater(*_overruled(trials.differences)):
         return ""
@@ -95,25 +112,26 @@ def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
 
 
 def _overruled(runs: Sequence[RunDifference]) -> tuple[int, int]:
-    """In how many runs is a greater share overruled, and in how many a lesser?"""
+    """Return the number of runs with a greater overruled share, and with a lesser share."""
     shares = np.array([run.more_overruled for run in runs])
     return int((shares > 0.0).sum()), int((shares < 0.0).sum())
 
 
 def _lost(pairs: Iterable[tuple[Evaluation, Evaluation]]) -> _Pairs:
-    return -np.array([(difference_of(*one), difference_of(*one[::-1])) for one in pairs]).reshape(-1, 2)
+    """Return by how much the avoider alone, and the reference alone, violates in each pair."""
+    return -np.array([(difference_of(*pair), difference_of(*pair[::-1])) for pair in pairs]).reshape(-1, 2)
 
 
-def _alone(pairs: _Pairs, by: float = 0.0) -> tuple[int, int]:
-    """In how many pairs does the avoider alone violate by more than that, and in how many the reference?"""
-    worse, better = (pairs > by).sum(axis=0).tolist()
+def _alone(pairs: _Pairs, least: float = 0.0) -> tuple[int, int]:
+    """Return in how many pairs the avoider alone violates by more than ``least``, and the reference alone."""
+    worse, better = (pairs > least).sum(axis=0).tolist()
     return worse, better
 
 
-def _is_near(one: ClaimDifference) -> bool:
-    """Is the claim violated by the avoider alone, and kept by less than the tolerance by the reference?"""
-    differs = difference_of(one.mine, one.reference) < 0.0
-    return one.change is VerdictChange.NEW and one.reference.verdict is Verdict.HOLDS and not differs
+def _is_near(claim: ClaimDifference) -> bool:
+    """Return whether the avoider alone violates, and the reference keeps by less than the tolerance."""
+    differs = difference_of(claim.mine, claim.reference) < 0.0
+    return claim.change is VerdictChange.NEW and claim.reference.verdict is Verdict.HOLDS and not differs
 
 
 def _redrawn(trials: Trials, admitter: Admitter, group: Group, claim: int, draws: int) -> _Pairs:
@@ -123,14 +141,14 @@ def _redrawn(trials: Trials, admitter: Admitter, group: Group, claim: int, draws
     for draw in range(draws):
         try:
             scenario = trials.scenario(group.worst.point, _FIRST + group.worst.number * PAIRS + draw)
-            both = [admitter.admit(one) for one in (scenario, trials.reference.in_place(scenario))]
-        except InputError:  # the seed decides whether a run can begin
+            both = [admitter.admit(pair) for pair in (scenario, trials.reference.in_place(scenario))]
+        except InputError:  # a run may not be able to begin with this seed
             continue
-        admitted += [replace(one, avoider=OtherDraws(one.avoider, draw)) for one in both]
+        admitted += [replace(pair, avoider=OtherDraws(pair.avoider, draw)) for pair in both]
     runs: Sequence[Trace | Exception] = trials.world(admitted)
     prop = trials.properties[claim]
     return _lost(
-        (prop.evaluate(mine), prop.evaluate(other))
-        for mine, other in zip(runs[::2], runs[1::2], strict=True)
-        if isinstance(mine, Trace) and isinstance(other, Trace)
+        (prop.evaluate(mine), prop.evaluate(reference))
+        for mine, reference in zip(runs[::2], runs[1::2], strict=True)
+        if isinstance(mine, Trace) and isinstance(reference, Trace)
     )

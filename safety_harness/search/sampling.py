@@ -1,4 +1,4 @@
-"""Points that do not hang on scores: the baseline, quasi-random sequences, and exploration."""
+"""Points that do not depend on scores: the baseline, quasi-random sequences, and exploration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from safety_harness.search.cube import Cube, Points, Scores
 
 
 class UniformSampling:
-    """Independent points, as the space's own distribution has them: what every search is compared to."""
+    """Independent points of the space's own distribution: the baseline of every search."""
 
     name = "uniform"
 
@@ -23,15 +23,15 @@ class UniformSampling:
         self._rng = generator(seed, Branch.SEARCH)
 
     def propose(self, count: int) -> Points:
-        """Independent points."""
+        """Return ``count`` independent points (count, d)."""
         return self._rng.random((count, self._dimension))
 
     def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
-        """Nothing."""
+        """Ignore the scores."""
 
 
 class QuasiRandom:
-    """A scrambled Sobol sequence: evener than chance, in every few coordinates of many."""
+    """A scrambled Sobol sequence: more even than chance in every few of many coordinates."""
 
     name = "quasi-random"
 
@@ -41,29 +41,35 @@ class QuasiRandom:
         )
 
     def propose(self, count: int) -> Points:
-        """The next points of the sequence."""
+        """Return the next ``count`` points of the sequence (count, d)."""
         with warnings.catch_warnings():
-            # It is balanced after powers of two only, which a search that may end any time cannot keep.
+            # The sequence is balanced only after powers of two, and a search may end at any time.
             warnings.filterwarnings("ignore", message="The balance properties of Sobol", category=UserWarning)
             points: Points = self._sequence.random(count)
         return points
 
     def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
-        """Nothing."""
+        """Ignore the scores."""
 
 
-_AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # this part of so many points, then as one over how many there were
+_AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # this share of the first 400 points; then the share falls as 1 / number
 
 
 class Explorer:
-    """An endless sequence of points that assume little: where a mistake sits that margins do not lead to.
+    """An endless sequence of points with few assumptions, for faults to which no margin leads.
 
-    Three kinds.  As the space has them.  *Even*: alternatives all alike, however improbable, and repetitions
-    too.  *At the ends*: even, and any number of coordinates, from none to all, at the end of their interval,
-    where ranges, masks and comparisons go wrong.
+    There are three kinds of points.  The first kind follows the space's distribution.  The second kind is
+    *even*: all alternatives and repetitions have the same chance, however improbable they are.  The third
+    kind is *at the ends*: even, with a random share of coordinates at an end of their interval, where ranges,
+    masks and comparisons go wrong.
 
-    There are not many ends: what sits at one is found soon.  So a third of the first points are at the ends,
-    and ever fewer of the later ones; the others are of the first two kinds in turn.
+    The ends are few, so a search soon finds a fault at one.  A third of the first points are at the ends, and
+    ever fewer later.  The rest alternates between the first two kinds.
+
+    Args:
+        cube: The cube of the space.
+        seed: The root of all random numbers.
+
     """
 
     def __init__(self, cube: Cube, *, seed: int) -> None:
@@ -72,8 +78,8 @@ class Explorer:
         self._made = 0
 
     def points(self, count: int) -> Points:
-        """(count, d)."""
-        # Not from a Sobol sequence: of three of many coordinates it may leave a place out for long.
+        """Return the next ``count`` points (count, d)."""
+        # Random, because a Sobol sequence left a place in three coordinates out for more than 13,000 points.
         points = self._rng.random((count, self._cube.dimension))
         number = self._made + np.arange(count + 1)
         self._made += count
@@ -84,7 +90,7 @@ class Explorer:
         return points
 
     def _evened(self, points: Points) -> Points:
-        """A coordinate with k intervals is cut into k equal ones, whatever their chances are."""
+        """Give each interval of a coordinate the same share of the cube, for any chance."""
         for number, column in enumerate(self._cube.columns):
             edges = np.array(column.edges)
             count = len(edges) - 1
@@ -95,7 +101,8 @@ class Explorer:
         return np.clip(points, 0.0, 1.0)
 
     def _at_ends(self, points: Points) -> Points:
-        share = self._rng.random(len(points))  # of the coordinates, another for each point
+        """Move a random share of each point's coordinates to an end of their interval."""
+        share = self._rng.random(len(points))  # of the coordinates, drawn for each point
         for number, column in enumerate(self._cube.columns):
             if column.flat:
                 continue
@@ -110,7 +117,7 @@ class Explorer:
 
 
 def _points_at_ends(number: NDArray[np.int64]) -> Points:
-    """(n,) how many of so many points are at the ends."""
+    """Return how many (n,) of the first ``number`` (n,) points are at the ends."""
     first = np.minimum(number, _UNTIL)
-    found: Points = _AT_ENDS * (first + _UNTIL * np.log(np.maximum(number, _UNTIL) / _UNTIL))
-    return found
+    at_ends: Points = _AT_ENDS * (first + _UNTIL * np.log(np.maximum(number, _UNTIL) / _UNTIL))
+    return at_ends

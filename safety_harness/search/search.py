@@ -1,6 +1,6 @@
-"""The search itself, on one page: ask, evaluate, tell, keep.
+"""The loop of a search: ask, evaluate, tell, keep.
 
-Ask and tell is the one way in which every searcher is used, with its order enforced.
+Every searcher is used by ask and tell, in an enforced order.
 """
 
 from __future__ import annotations
@@ -19,27 +19,40 @@ from safety_harness.search.findings import Evaluate, Findings, Goal
 class Searcher(Protocol):
     """Proposes points of the unit cube and learns from their scores.
 
-    A score is a margin over a scale: negative where a claim is violated, NaN where nothing was learnt
-    of it.  ``learn`` is called with the points that were proposed last, all of them.  The same seed and
-    the same scores give the same points.
+    A score is a margin over a scale: negative where a claim is violated, NaN where unknown.  ``learn``
+    receives all points of the last proposal.  The same seed and the same scores give the same points.
     """
 
     @property
     def name(self) -> str:
-        """How the command line and reports call it."""
+        """The searcher's name on the command line and in reports."""
 
     def propose(self, count: int) -> Points:
-        """(m, d) points of the unit cube, at least one and at most ``count``."""
+        """Return points (m, d) of the unit cube, 1 <= m <= ``count``."""
 
     def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
-        """(m, d) points, (m, k) scores, and in which cell of the coverage each run was (None: in none)."""
+        """Learn the scores of the points proposed last.
+
+        Args:
+            points: (m, d) the points.
+            scores: (m, k) their scores.
+            cells: Their cells of the coverage; None for a run without a cell.
+
+        """
 
 
 class AskTell:
-    """A searcher in use: ``ask``, then ``tell``, in turns.
+    """A searcher in use: ``ask`` and ``tell`` in turns.
 
-    SearchOrderError for the wrong turn, for scores that do not belong to what was asked, and for a
-    searcher that proposes what is no point of the cube.
+    Args:
+        searcher: The searcher.
+        dimension: The number of coordinates d.
+        claims: The number of claims k.
+
+    Raises:
+        SearchOrderError: The calls do not alternate, scores have another shape, or a proposal is no point of
+            the cube.
+
     """
 
     def __init__(self, searcher: Searcher, dimension: int, claims: int) -> None:
@@ -48,7 +61,12 @@ class AskTell:
         self._asked: Points | None = None
 
     def ask(self, count: int) -> Points:
-        """(m, d) points to try, 1 <= m <= ``count``; read-only."""
+        """Return points (m, d) to try, 1 <= m <= ``count``; the array is read-only.
+
+        Raises:
+            SearchOrderError: It is not the turn of ``ask``, or the proposal is wrong.
+
+        """
         if self._asked is not None:
             raise SearchOrderError(f"{self.name}: ask() before the last {len(self._asked)} points were told")
         if count < 1:
@@ -64,7 +82,16 @@ class AskTell:
         return points
 
     def tell(self, scores: Scores, cells: Sequence[Hashable] | None = None) -> None:
-        """What came of the points that were asked for last: (m, k) scores, NaN where nothing did."""
+        """Give the searcher the scores of the points that ``ask`` returned last.
+
+        Args:
+            scores: (m, k) scores, NaN where unknown.
+            cells: The cells of the coverage; None: no cells.
+
+        Raises:
+            SearchOrderError: It is not the turn of ``tell``, or a shape is wrong.
+
+        """
         if self._asked is None:
             raise SearchOrderError(f"{self.name}: tell() before ask()")
         wanted = (len(self._asked), self._claims)
@@ -73,19 +100,19 @@ class AskTell:
             raise SearchOrderError(
                 f"{self.name}: tell() expects scores of shape {wanted}; got {scores.shape}"
             )
-        told = scores.astype(np.float64)
-        told[np.isinf(told)] = np.nan  # an infinite margin comes from nothing that can have happened
+        finite = scores.astype(np.float64)
+        finite[np.isinf(finite)] = np.nan  # an infinite margin cannot guide a search
         points, self._asked = self._asked, None
-        self._searcher.learn(points, told, cells)
+        self._searcher.learn(points, finite, cells)
 
 
 def least(scores: Scores) -> NDArray[np.float64]:
-    """(n, k) scores -> (n,) the least of each row, +inf for rows without any."""
+    """Return the least score (n,) of each row of ``scores`` (n, k); +inf for a row without a score."""
     lowest: NDArray[np.float64] = np.where(np.isnan(scores), np.inf, scores).min(axis=1)
     return lowest
 
 
-# Points of which not one could be tried; later, of which less than one in as many could.
+# A search ends if so many points give no run, or later if less than one point in so many does.
 MAX_REJECTION_RATIO = 200
 
 
@@ -100,22 +127,38 @@ def find_violations(
     on_progress: Callable[[Findings], None] | None = None,
     enough: Callable[[Findings], bool] | None = None,
 ) -> Findings:
-    """Try ``budget`` points (those that admission refuses do not count), ``batch`` at a time.
+    """Search a cube for violations of the goals.
 
-    Ctrl-C ends it early, and what was found is kept.  InadmissibleError when next to no point can be
-    tried.  ``on_progress`` sees the findings after each batch; ``enough`` may end the search.
-    ValueError without goals, or for a budget or batch below 1.
+    Ctrl-C ends the search early, and keeps all findings.
+
+    Args:
+        cube: The unit cube of the space.
+        goals: The claims to refute.
+        evaluate: Runs points and returns their outcomes.
+        searcher: Proposes the points.
+        budget: The number of points to try; points that admission refuses do not count.
+        batch: The greatest number of points that run together.
+        on_progress: Receives the findings after each batch.
+        enough: Ends the search early when it returns True.
+
+    Returns:
+        The findings.
+
+    Raises:
+        InadmissibleError: Admission refuses almost every point.
+        ValueError: There is no goal, or ``budget`` or ``batch`` is below 1.
+
     """
     if not goals or budget < 1 or batch < 1:
         raise ValueError("expected at least one goal, and a budget and a batch of at least 1")
-    asking = AskTell(searcher, cube.dimension, len(goals))
+    ask_tell = AskTell(searcher, cube.dimension, len(goals))
     findings = Findings(tuple(goals), cube, searcher.name)
     scales = np.array([goal.scale for goal in goals])
     try:
         while findings.tried < budget and not (enough is not None and enough(findings)):
-            points = asking.ask(min(batch, budget - findings.tried))
+            points = ask_tell.ask(min(batch, budget - findings.tried))
             outcomes = evaluate(points, findings.asked)
-            asking.tell(outcomes.margins / scales, outcomes.cells)
+            ask_tell.tell(outcomes.margins / scales, outcomes.cells)
             findings.add(points, outcomes)
             if on_progress is not None:
                 on_progress(findings)
@@ -126,6 +169,7 @@ def find_violations(
 
 
 def _refuse_hopeless(findings: Findings) -> None:
+    """Raise an InadmissibleError if admission refuses almost every point."""
     if findings.asked < MAX_REJECTION_RATIO * (findings.tried + 1):
         return
     reason, count = findings.refused.most_common(1)[0]

@@ -1,4 +1,4 @@
-"""Every searcher by the name that the command line knows it by."""
+"""The searchers, by their names on the command line."""
 
 from __future__ import annotations
 
@@ -14,12 +14,19 @@ from safety_harness.search.search import Searcher
 
 
 class MakesSearcher(Protocol):
-    """How all of them are made: for a cube and a number of claims, from a seed."""
+    """A factory of searchers."""
 
     name: str
 
     def __call__(self, cube: Cube, *, claims: int, seed: int) -> Searcher:
-        """A searcher that has not begun."""
+        """Return a new searcher.
+
+        Args:
+            cube: The cube of the space.
+            claims: The number of claims.
+            seed: The root of all random numbers.
+
+        """
 
 
 SEARCHERS: tuple[MakesSearcher, ...] = (
@@ -32,7 +39,7 @@ SEARCHERS: tuple[MakesSearcher, ...] = (
 
 
 def searcher_named(name: str) -> MakesSearcher:
-    """One of SEARCHERS, by its name; ScenarioError for any other."""
+    """Return the searcher's factory with ``name``; ScenarioError with all names for an unknown name."""
     for make in SEARCHERS:
         if make.name == name:
             return make

@@ -1,7 +1,7 @@
-"""A whole search of a space: find violations, shrink, confirm and explain them, write each one down.
+"""A whole search of a space: find violations, shrink, confirm and explain them, and write each one.
 
-As findings come they are saved as found; at the end the worst of each kind is shrunk, until there are
-three structures, or six groups were shrunk.  Nothing that happens later loses what was found.
+The session writes each finding as it comes, unshrunk.  At the end it shrinks the worst of each kind, until
+there are three structures or six groups were shrunk.  A later failure loses no finding.
 """
 
 from __future__ import annotations
@@ -55,29 +55,36 @@ FINDINGS, AS_FOUND = "findings.json", "as-found"
 AS_EXPECTED = " (as the space expects)"
 NOT_CONFIRMED = f"not confirmed in {PYBULLET.label}"
 NO_REFERENCE = f"nothing is confirmed in {PYBULLET.label}, which is not installed: this is {KINEMATIC} alone"
-MOST_SHRUNK = 3  # counterexamples of one claim, and of mishaps
-SHRINKING_RUNS = 200  # for each
-MOST_RUN_TWICE = 8  # disagreements of the worlds of which both runs are made, to be shown
+MOST_SHRUNK = 3  # counterexamples of each claim, and of run errors
+SHRINKING_RUNS = 200  # for each counterexample
+MOST_RUN_TWICE = 8  # disagreements of the worlds with both runs, for the page
 _MOST_AS_FOUND = 1_000  # files
-LEAST_DRAWN = 300  # pairs of runs anywhere in the space: fewer tell no 3 % from chance
-_BATCH = 64  # runs that go to their decisions together
+LEAST_DRAWN = 300  # pairs of runs anywhere in the space: with fewer, 3 % may be chance
+_BATCH = 64  # runs that are simulated together
 
 
 def basis_of_search(findings: Findings, confirmed: int) -> str:
-    """Say what a search's findings rest on; ``confirmed`` is how many PyBullet shows too."""
+    """Return a sentence on the basis of a search's findings.
+
+    Args:
+        findings: The findings.
+        confirmed: The number of findings that PyBullet confirms.
+
+    """
     counts = [(int(runs), findings.tried) for runs in findings.evidence]
     return basis([str(KINEMATIC), *[str(PYBULLET)] * bool(confirmed)], counts)
 
 
-def _tell(tell: Callable[[str], None], where: str, what: str) -> None:
-    tell(f"{where}: {what}")
+def _say_at(say: Callable[[str], None], place: str, step: str) -> None:
+    say(f"{place}: {step}")
 
 
 @dataclass(frozen=True, eq=False)
 class WrittenCounterexample:
-    """A counterexample, the groups of runs that shrank to it, the searcher of its first, and its files.
+    """A counterexample with its groups of runs, its searcher and its files.
 
-    ``expected``: the space says that the claim is violated somewhere.
+    The groups shrank to the same structure, and ``searcher`` found the first.  ``expected`` marks a claim
+    that the space expects to be violated.
     """
 
     one: Counterexample
@@ -90,28 +97,28 @@ class WrittenCounterexample:
 
     @property
     def lines(self) -> list[str]:
-        """What was found, once: however many groups of runs shrank to it."""
-        one, runs = self.one, sum(group.count for group in self.groups)
-        margin = "-" if one.evaluation is None else one.evaluation.margin_text()
-        apart = f" in {len(self.groups)} groups that lie apart" if len(self.groups) > 1 else ""
+        """The lines for a terminal, once for all groups that shrank to it."""
+        case, runs = self.one, sum(group.count for group in self.groups)
+        margin = "-" if case.evaluation is None else case.evaluation.margin_text()
+        groups = f" in {len(self.groups)} groups that lie apart" if len(self.groups) > 1 else ""
         return [
-            f"violated {margin:>13}  {one.complaint.words}{AS_EXPECTED if self.expected else ''}",
-            f"  {self.path}: {runs} runs led to it{apart}; shrunk in {one.shrunk.used} runs",
-            *(f"  {line}" for line in one.explanation),
+            f"violated {margin:>13}  {case.complaint.words}{AS_EXPECTED if self.expected else ''}",
+            f"  {self.path}: {runs} runs led to it{groups}; shrunk in {case.shrunk.used} runs",
+            *(f"  {line}" for line in case.explanation),
         ]
 
 
 @dataclass(eq=False)
 class SearchSession:
-    """One search and what becomes of its findings.  What cannot be written is printed instead.
+    """One search and its findings; a finding that cannot be written is printed instead.
 
-    ``baseline`` is uniform sampling with the same budget, ``confirmed`` counts the findings that the world
-    ``confirming`` shows as well.  Without a ``reference`` that is the world that was searched, and they are
-    none.  ``unwritable`` is why no more is written.  ``explain`` says of each why it violates.  ``repeated``
-    is what a second avoider answered to questions of the search; None if it was not asked.  ``flips`` are
-    differences from a reference that are none when they are drawn again, ``overruled`` says that more of the
-    avoider's proposals are than of the reference's.  ``keeps``: findings are written to
-    ``out`` as they come.
+    ``baseline`` has the findings of uniform sampling with the same budget.  ``confirmed`` counts the findings
+    that the world ``confirming`` shows too.  Without a ``reference`` world that is the searched world, and
+    ``confirmed`` stays 0.  ``unwritable`` is the reason why the session stopped writing.  ``explain``
+    explains each violation.  ``repeated`` compares answers with a second instance of the avoider; None if it
+    was not run.  ``flips`` lists differences from a reference that a redraw did not show.  ``overruled``
+    reports that the gate overrules the avoider more often than the reference.  ``keeps`` tells whether
+    findings are written to ``out`` as they come.
     """
 
     trials: Trials
@@ -134,27 +141,34 @@ class SearchSession:
 
     @property
     def interrupted(self) -> bool:
-        """Was it ended by Ctrl-C?"""
+        """Whether Ctrl-C ended the search."""
         return self.findings.interrupted
 
     @property
     def not_found(self) -> list[str]:
-        """Claims that the space expects to be violated, and no confirmed counterexample violates."""
-        missing = self.trials.to_be_found - {one.one.complaint.sentence for one in self.written}
+        """The claims that the space expects to be violated, and that no confirmed counterexample violates."""
+        missing = self.trials.to_be_found - {written.one.complaint.sentence for written in self.written}
         goals = zip(self.trials.goals, self.trials.of_others, strict=True)
         return [goal.sentence for goal, of_others in goals if goal.sentence in missing and not of_others]
 
     @property
     def differs(self) -> bool:
-        """Was anything found that the space does not expect, not found what it does, or nothing known?"""
-        applicable = ~self.trials.of_others  # of the other claims nothing can be known
+        """Whether the result differs from the space's expectations, or is unknown."""
+        applicable = ~self.trials.of_others  # all other claims cannot be judged
         unknown = bool(self.findings.tried) and not applicable.any()
-        unknown |= not self.findings.evidence[applicable].all()  # of a claim that no run put to the test
+        unknown |= not self.findings.evidence[applicable].all()  # a claim that no run exercised
         unknown |= bool(self.overruled or self.not_found)
-        return unknown or not all(one.expected for one in self.written)
+        return unknown or not all(written.expected for written in self.written)
 
     def search(self, make: MakesSearcher, trials: Trials, folder: str | None = "") -> Findings:
-        """Until the budget is spent, Ctrl-C, or a disk that takes no more; without a folder none is saved."""
+        """Search until the budget is spent, Ctrl-C comes, or the disk refuses a file.
+
+        Args:
+            make: The searcher's factory.
+            trials: The trials of the space.
+            folder: The folder below ``as-found`` for unshrunk findings; None saves no finding.
+
+        """
         cube = Cube.of(trials.space)
         saved = _MOST_AS_FOUND if folder is None else 0
         budget = max(self.budget, LEAST_DRAWN) if folder is None else self.budget
@@ -179,7 +193,7 @@ class SearchSession:
             )
 
     def conclude(self) -> None:
-        """Shrink, unless the search was interrupted, and say what was found."""
+        """Shrink the findings, unless the search was interrupted, and report them."""
         findings, say = self.findings, self.output.say
         fallback = fallback_words(self.trials.unanswered, self.trials.decisions)
         self._draw_again()
@@ -212,10 +226,10 @@ class SearchSession:
             say(f"{len(self.unconfirmed)} findings were {NOT_CONFIRMED}; they are in {FINDINGS}")
 
     def last_lines(self, unwritable: OutputError | None) -> list[str]:
-        """Return how to run the counterexamples again, and what could not be written."""
+        """Return lines on how to run the counterexamples again, and on a failed write."""
         lines = []
         if self.written:
-            again = ["safety-harness", "run", *(str(one.path) for one in self.written)]
+            again = ["safety-harness", "run", *(str(written.path) for written in self.written)]
             reference = self.trials.reference
             again += [] if reference is None else ["--against", reference.name]
             again += [] if self.reference else ["--world", KINEMATIC.label]
@@ -223,7 +237,7 @@ class SearchSession:
         return lines + ([] if unwritable is None else [f"error: {explanation(unwritable)}"])
 
     def moved_to(self, folder: Path) -> SearchSession:
-        """Return the session with its findings in a folder, and write there what it does not keep there."""
+        """Return the session with its findings in ``folder``, and write those that are not there yet."""
         if self.keeps and folder == self.out:
             return self
         moved = replace(self, out=folder, keeps=True, written=[], unwritable=None)
@@ -235,17 +249,17 @@ class SearchSession:
                 moved._save_as_found(group, folder / AS_FOUND / name, number, findings)
         for old in self.written:
             file = folder / old.path.name
-            one, run = old.one, old.one.run
+            case, run = old.one, old.one.run
             if isinstance(run, Trace):
                 run = replace(run, scenario=replace(as_seen_from(folder, run.scenario), file=file))
-            scenario = replace(as_seen_from(folder, one.shrunk.scenario), file=file)
-            one = replace(one, run=run, shrunk=replace(one.shrunk, scenario=scenario))
-            moved._save(one, old.groups, old.searcher)
+            scenario = replace(as_seen_from(folder, case.shrunk.scenario), file=file)
+            case = replace(case, run=run, shrunk=replace(case.shrunk, scenario=scenario))
+            moved._save(case, old.groups, old.searcher)
         return moved
 
     @cached_property
     def _drawn(self) -> Trials:
-        """Run at least as many pairs of the space as the search, which nobody chose."""
+        """Trials anywhere in the space that no search chose, at least as many pairs as the search has."""
         self.output.say("runs anywhere in the space with both, to hold what was found against")
         own = leaf(self.trials.seed, Branch.SEARCH, 6)
         drawn = replace(self.trials, seed=own, coverage=Coverage(), violations=Coverage())
@@ -254,10 +268,10 @@ class SearchSession:
         return drawn
 
     def _draw_again(self) -> None:
-        """Which differences from a reference are none?  Not after an interruption."""
+        """Draw the differences from a reference again; skipped after an interruption."""
         try:
-            for one in filter(None, [self.findings, self.baseline] if not self.interrupted else []):
-                self.flips += keep_differences(self.trials, one, lambda: self._drawn)
+            for findings in filter(None, [self.findings, self.baseline] if not self.interrupted else []):
+                self.flips += keep_differences(self.trials, findings, lambda: self._drawn)
             if not self.interrupted:
                 self.overruled = more_overruled(self.trials, lambda: self._drawn)
         except KeyboardInterrupt:
@@ -268,41 +282,41 @@ class SearchSession:
             self.output.result(f"OVERRULED  {self.overruled}")
 
     def _ask_again(self) -> None:
-        """Does the avoider answer alike when it is asked again?  Not after an interruption."""
+        """Compare the avoider's answers with those of a second instance; skipped after an interruption."""
         if not self.interrupted:
             self.repeated = self.trials.repeatability.reported(self.output)
             self.findings.interrupted = self.repeated is None
 
     def _origin(self, group: Group, searcher: str) -> list[str]:
-        """Where the counterexample of a group comes from, and that its avoider does not answer alike."""
+        """Return lines on the origin of a group's counterexample, with doubts about its avoider."""
         doubt = [self.repeated.line] if self.repeated is not None and self.repeated.words else []
         doubt += [] if self.reference else [NO_REFERENCE]
         return [*doubt, *origin_of(self.trials, group.worst, searcher)]
 
     def _shrink_groups(self, claim: int | None) -> None:
-        """Of the search; what only the baseline met is worth as much."""
+        """Shrink the groups of a claim; a claim that only the baseline violates counts as much."""
         searches = [self.findings] if self.baseline is None else [self.findings, self.baseline]
-        findings = next((one for one in searches if one.of_claim(claim)), self.findings)
+        findings = next((case for case in searches if case.of_claim(claim)), self.findings)
         groups = _one_of_each_kind_first(findings.of_claim(claim))
-        told: list[WrittenCounterexample] = []
+        written: list[WrittenCounterexample] = []
         tried = shrunk = 0
-        with self.output.words() as tell:
+        with self.output.words() as say:
             for group in groups:
-                if len(told) == MOST_SHRUNK or shrunk == 2 * MOST_SHRUNK or self.findings.interrupted:
+                if len(written) == MOST_SHRUNK or shrunk == 2 * MOST_SHRUNK or self.findings.interrupted:
                     break
                 at = f"violation {tried + 1} of {len(groups)} that lie apart, {findings.sentence_of(group)}"
-                one = self._counterexample(group, len(told) + 1, partial(_tell, tell, at))
-                tried, shrunk = tried + 1, shrunk + (one is not None)
-                if one is None:
+                case = self._counterexample(group, len(written) + 1, partial(_say_at, say, at))
+                tried, shrunk = tried + 1, shrunk + (case is not None)
+                if case is None:
                     continue
-                for same in told:
-                    if one.is_same_as(same.one):
+                for same in written:
+                    if case.is_same_as(same.one):
                         same.groups.append(group)
                         break
                 else:
-                    told.append(self._save(one, [group], findings.searcher))
-        for written in told:
-            for line in written.lines:
+                    written.append(self._save(case, [group], findings.searcher))
+        for entry in written:
+            for line in entry.lines:
                 self.output.result(line)
         left = groups[tried:]
         if left and not self.findings.interrupted:
@@ -315,14 +329,15 @@ class SearchSession:
     def _counterexample(
         self, group: Group, number: int, on_step: Callable[[str], None]
     ) -> Counterexample | None:
+        """Return the shrunk counterexample of a group; None if no run of it is confirmed."""
         complaint = complaint_of(self.trials, group)
         path = self._file(self.out, complaint, number)
-        one = None
+        case = None
         for episode in (group.worst, *group.others):
-            found = replace(self._found(self.out, episode), file=path, name=path.stem)
+            scenario = replace(self._scenario_of(self.out, episode), file=path, name=path.stem)
             try:
-                one = counterexample_of(
-                    found,
+                case = counterexample_of(
+                    scenario,
                     complaint,
                     self.confirming,
                     budget=SHRINKING_RUNS,
@@ -333,58 +348,62 @@ class SearchSession:
             except KeyboardInterrupt:
                 self.findings.interrupted = True
                 return None
-            if one is not None:
+            if case is not None:
                 group.worst = episode
                 break
-        if one is None:
+        if case is None:
             self.unconfirmed.append(
-                disagreement_of(group, complaint, found, self.trials.world, self.confirming)
+                disagreement_of(group, complaint, scenario, self.trials.world, self.confirming)
                 if len(self.unconfirmed) < MOST_RUN_TWICE
                 else Disagreement(group, complaint)
             )
             self.output.say(f"{NOT_CONFIRMED}: {complaint.sentence}, point {group.worst.number}")
             return None
         self.confirmed += self.reference
-        self.findings.interrupted |= one.shrunk.interrupted
-        return one
+        self.findings.interrupted |= case.shrunk.interrupted
+        return case
 
     def _file(self, folder: Path, complaint: Complaint, number: int) -> Path:
-        words = re.sub(r"[^a-z0-9]+", "-", complaint.sentence.lower()).strip("-")[:60].rstrip("-")
-        return folder / f"{self.trials.space.name}-{words}-{number}.yaml"
+        """Return the path of a counterexample."""
+        stem = re.sub(r"[^a-z0-9]+", "-", complaint.sentence.lower()).strip("-")[:60].rstrip("-")
+        return folder / f"{self.trials.space.name}-{stem}-{number}.yaml"
 
-    def _found(self, folder: Path, episode: TriedPoint) -> Scenario:
+    def _scenario_of(self, folder: Path, episode: TriedPoint) -> Scenario:
+        """Return the scenario of a tried point, with paths as seen from ``folder``."""
         return as_seen_from(folder, self.trials.scenario(episode.point, episode.number))
 
-    def _save(self, one: Counterexample, groups: list[Group], searcher: str) -> WrittenCounterexample:
-        path = one.shrunk.scenario.file
+    def _save(self, case: Counterexample, groups: list[Group], searcher: str) -> WrittenCounterexample:
+        """Write a counterexample with its trace, and add it to ``written``."""
+        path = case.shrunk.scenario.file
         assert path is not None
-        trace_file = path.with_suffix(".trace") if isinstance(one.run, Trace) else None
-        text = text_of(one, self._origin(groups[0], searcher), trace_file)
-        if self._write(path, text) and self.keeps and isinstance(one.run, Trace) and trace_file is not None:
+        trace_file = path.with_suffix(".trace") if isinstance(case.run, Trace) else None
+        text = text_of(case, self._origin(groups[0], searcher), trace_file)
+        if self._write(path, text) and self.keeps and isinstance(case.run, Trace) and trace_file is not None:
             try:
                 with writing(trace_file):
-                    save_trace(one.run, trace_file)
+                    save_trace(case.run, trace_file)
             except OutputError as error:
                 self.unwritable = error
-        expected = one.complaint.claim is not None and one.complaint.sentence in self.trials.to_be_found
-        self.written.append(WrittenCounterexample(one, groups, searcher, path, trace_file, text, expected))
+        expected = case.complaint.claim is not None and case.complaint.sentence in self.trials.to_be_found
+        self.written.append(WrittenCounterexample(case, groups, searcher, path, trace_file, text, expected))
         return self.written[-1]
 
     def _save_as_found(self, group: Group, folder: Path, number: int, findings: Findings) -> None:
-        """At once, so that nothing that happens later loses it."""
+        """Write a group's first run at once, unshrunk, so that no later failure loses it."""
         complaint = complaint_of(self.trials, group)
-        found = self._found(folder, group.first)
+        scenario = self._scenario_of(folder, group.first)
         claims = (
             replace(claim, expected=Verdict.VIOLATED) if claim == complaint.claim else claim
-            for claim in found.claims
+            for claim in scenario.claims
         )
         origin = origin_of(self.trials, group.first, findings.searcher)
         head = [f"As found, not shrunk: {complaint.sentence}", *origin]
         comments = "".join(f"# {line}\n" for line in head)
-        text = comments + "\n" + write_scenario(replace(found, claims=tuple(claims)))
+        text = comments + "\n" + write_scenario(replace(scenario, claims=tuple(claims)))
         self._write(self._file(folder, complaint, number + 1), text)
 
     def _write(self, path: Path, text: str) -> bool:
+        """Write a file, or print it if that fails; return whether the session keeps it."""
         if not self.keeps:
             return True
         try:
@@ -407,11 +426,26 @@ def search_space(
     baseline: bool = False,
     explain: Explain = unexplained,
 ) -> SearchSession:
-    """Search, shrink, confirm, explain, and write findings to ``out``, if there is one, as they come.
+    """Search a space, then shrink, confirm, explain and write the findings.
 
-    ``baseline`` samples the space uniformly as well, with the same budget, to compare with.  Raises
-    InadmissibleError for a space of which next to no point can be tried.  Where PyBullet is not installed,
-    findings are shrunk in the kinematic world, and all that is written says that nothing was confirmed.
+    Without PyBullet, findings are shrunk in the kinematic world, and all output states that they are
+    unconfirmed.
+
+    Args:
+        trials: The trials of the space.
+        make: The searcher's factory.
+        out: The folder for findings, as they come; None writes no file.
+        budget: The number of runs.
+        output: Receives lines and progress.
+        baseline: Also sample the space uniformly, with the same budget, for comparison.
+        explain: Explains a violation.
+
+    Returns:
+        The session.
+
+    Raises:
+        InadmissibleError: Admission refuses almost every point of the space.
+
     """
     there = PYBULLET.is_installed
     confirming = in_pybullet if there else in_kinematic
@@ -435,7 +469,13 @@ def search_space(
 
 @contextmanager
 def watching_search(budget: int, output: Output) -> Iterator[Callable[[Findings], None]]:
-    """Yield what takes the findings after every batch, and shows how far the search is."""
+    """Yield a function that shows the progress, from the findings after each batch.
+
+    Args:
+        budget: The number of runs.
+        output: Receives the progress.
+
+    """
     begun_s = time.monotonic()
     with output.block() as show:
         show([f"tried 0/{budget}"])
@@ -445,7 +485,7 @@ def watching_search(budget: int, output: Output) -> Iterator[Callable[[Findings]
 
 
 def complaint_of(trials: Trials, group: Group) -> Complaint:
-    """What a group of violations or mishaps is about: a claim, what the avoider did, or why a run failed."""
+    """Return the complaint of a group: a claim, the avoider's fault, or the reason of a failed run."""
     if group.claim is not None:
         return Complaint(trials.claims[group.claim], reference=trials.reference)
     claim = None if group.kind.startswith(RUN_FAILED) else trials.answered
@@ -453,7 +493,7 @@ def complaint_of(trials: Trials, group: Group) -> Complaint:
 
 
 def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:
-    """The worst of each kind, then the others."""
+    """Return the groups with the worst of each kind first."""
     firsts: dict[str, Group] = {}
     for group in groups:
         firsts.setdefault(group.kind, group)
@@ -461,19 +501,19 @@ def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:
 
 
 def nearest_lines(findings: Findings) -> list[str]:
-    """For each claim how near it came, and how often it was put to the test and violated."""
+    """Return a line for each claim: its nearest margin, and how often it was exercised and violated."""
     lines = []
     for claim, goal in enumerate(findings.goals):
         nearest = findings.nearest[claim]
-        near = "no margin yet" if nearest is None else goal.margin_text(float(nearest.margins[claim]))
+        margin = "no margin yet" if nearest is None else goal.margin_text(float(nearest.margins[claim]))
         kept = f", and kept by {goal.against}," if goal.against else ""
         counts = f"violated{kept} {findings.violated[claim]} of {findings.evidence[claim]} with a verdict"
-        lines.append(f"  {near:>14}  {goal.sentence}: {counts}")
+        lines.append(f"  {margin:>14}  {goal.sentence}: {counts}")
     return lines
 
 
 def not_found_words(findings: Findings) -> str:
-    """That what a space expects to be violated was not, and what that may come from."""
+    """Return why an expected violation may be missing."""
     return (
         f"the space expects it to be violated, and of {findings.tried} runs none is known to do so; the "
         "system does better than the space says, or the budget is too small"
@@ -481,7 +521,13 @@ def not_found_words(findings: Findings) -> str:
 
 
 def summary(findings: Findings, budget: int) -> str:
-    """Tried, refused, found."""
+    """Return the numbers of tried and refused points and of distinct violations.
+
+    Args:
+        findings: The findings.
+        budget: The number of runs.
+
+    """
     violations = sum(group.claim is not None for group in findings.groups)
     mishaps = len(findings.groups) - violations
     return (
@@ -491,7 +537,15 @@ def summary(findings: Findings, budget: int) -> str:
 
 
 def against_lines(against: Against, findings: Findings, touching: int, overruled: str) -> list[str]:
-    """How the runs differ from the reference's, and what it is worth that none is worse."""
+    """Return lines on the differences from the reference, and on a search without a finding.
+
+    Args:
+        against: The differences.
+        findings: The findings.
+        touching: The number of runs in which a hand touched the arm.
+        overruled: The finding about overruled proposals; may be empty.
+
+    """
     lines = [f"against {against.reference}: {line}" for line in against.lines()]
     if findings.tried and not (findings.found or overruled):
         touch = f"; in {touching} of them a hand touched the arm" if touching else ""
@@ -503,7 +557,14 @@ def against_lines(against: Against, findings: Findings, touching: int, overruled
 
 
 def remarks(trials: Trials, findings: Findings, overruled: str = "") -> list[str]:
-    """What a reader would otherwise get wrong; ``overruled``: that the gate overrules more than before."""
+    """Return lines against misreading, on refused points, untested claims, touching hands and coverage.
+
+    Args:
+        trials: The trials of the search.
+        findings: The findings.
+        overruled: The finding about overruled proposals; may be empty.
+
+    """
     lines = [f"{count} points refused: {reason}" for reason, count in findings.refused.most_common(3)]
     for claim, goal in enumerate(findings.goals):
         if trials.of_others[claim]:
@@ -513,13 +574,13 @@ def remarks(trials: Trials, findings: Findings, overruled: str = "") -> list[str
         elif findings.tried and not findings.evidence[claim]:
             lines.append(f"no run put {goal.sentence!r} to the test: nothing is known of it")
         elif (nearest := findings.nearest[claim]) is not None and trials.reference is None:
-            words = far_words(close_to(trials.properties[claim]), float(nearest.margins[claim]))
-            lines += [f"{goal.sentence}: {words}"] * bool(words)
+            distance = far_words(close_to(trials.properties[claim]), float(nearest.margins[claim]))
+            lines += [f"{goal.sentence}: {distance}"] * bool(distance)
     lines += trials.tried.lines(trials.space)
     touching = trials.coverage.touching
     if np.isfinite(trials.nearest_hand_m):
-        near = Unit.LENGTH.margin_text(trials.nearest_hand_m)
-        lines.append(f"nearest hand: {near}; in {touching} of {findings.tried} runs a hand touched the arm")
+        least = Unit.LENGTH.margin_text(trials.nearest_hand_m)
+        lines.append(f"nearest hand: {least}; in {touching} of {findings.tried} runs a hand touched the arm")
     if trials.against is not None:
         lines += against_lines(trials.against, findings, touching, overruled)
     elif not findings.found and touching:

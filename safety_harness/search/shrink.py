@@ -1,9 +1,9 @@
-"""From a scenario that violates a claim to a simple one that still does.
+"""Shrinking: from a scenario that violates a claim to a simple one that still violates it.
 
-What can be simpler about a scenario: one thing less; slower, shorter, nearer or rounder numbers.  The run is
-halved as often as it can be, for all that follows is then quicker; things are taken away, numbers made
-simpler, and round again until a whole round changes nothing: shrinking what came out gives it again.  Nothing
-is random, and ``budget`` bounds the runs.
+A simpler scenario lacks a part, or has slower, shorter, nearer or rounder numbers.  Shrinking first halves
+the run as often as possible, because shorter runs are quicker.  Then it removes parts and simplifies numbers.
+It repeats this until a whole round changes nothing, so that a second shrinking returns the same scenario. It
+is not random, and ``budget`` limits its runs.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.space.tracing import Path, leaves, value_at, with_value, words
 
-FINER = 3  # how many times a step is divided by ten before a number is left as it is
-LEAST_S, LEAST_MPS = 0.1, 0.1
+FINER = 3  # levels of round numbers, each ten times finer; a finer number stays unchanged
+LEAST_S, LEAST_MPS = 0.1, 0.1  # one step of the grid below: a smaller target would be no round number
 
 _NOWHERE = (0.0, 0.0, 0.0)
 _DEGREE = math.radians(1.0)
 _STEPS = {"_mps2": 1.0, "_mps": 0.1, "_rad": _DEGREE, "_s": 0.1, "_m": 0.01, "_factor": 0.1}
-_AS_IT_IS = {"shift_in_base_m": _NOWHERE, "delay_s": 0.0}
+_UNCHANGED = {"shift_in_base_m": _NOWHERE, "delay_s": 0.0}
 _SPEEDS = {"max_speed_mps": REACHING_MPS, "max_acceleration_mps2": REACHING_MPS2}
-# What a scenario need not have, and what stands there without it.
+# The optional parts of a scenario, and the value that stands for "absent".
 _PLAIN: Mapping[type[Any], Mapping[str, object]] = {
-    MovingHand: {**_AS_IT_IS, "tremor": None, **_SPEEDS},
-    RecordedHand: {**_AS_IT_IS, "turn_rad": 0.0, "speed_factor": 1.0, "max_speed_mps": None},
+    MovingHand: {**_UNCHANGED, "tremor": None, **_SPEEDS},
+    RecordedHand: {**_UNCHANGED, "turn_rad": 0.0, "speed_factor": 1.0, "max_speed_mps": None},
     ReachForTcp: {"hesitation": None},
     ReachForObject: {"hesitation": None},
     OffsetStart: {"offset_in_base_m": _NOWHERE, "tilt_in_tcp_rad": _NOWHERE},
@@ -49,15 +49,15 @@ T = TypeVar("T")
 
 
 def simpler(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
-    """(what is gone, the scenario without it), the greatest simplifications first."""
+    """Yield simpler scenarios with a description of the removed part, greatest simplification first."""
     for k in range(len(scenario.faults)):
         yield f"without fault {k + 1}", replace(scenario, faults=_without(scenario.faults, k))
     if len(scenario.hands) > 0:
         yield "without any hand", replace(scenario, hands=())
     for hand in scenario.hands:
         name = hand.name
-        others = tuple(o for o in scenario.hands if o is not hand and getattr(o, "joined_to", "") != name)
-        yield f"without the {name}", replace(scenario, hands=others)
+        kept = tuple(o for o in scenario.hands if o is not hand and getattr(o, "joined_to", "") != name)
+        yield f"without the {name}", replace(scenario, hands=kept)
     yield from _of_settings(scenario)
     for k, hand in enumerate(scenario.hands):
         if isinstance(hand, MovingHand):
@@ -67,13 +67,13 @@ def simpler(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
         for name, plain in _PLAIN.get(type(part), {}).items():
             if getattr(part, name) != plain:
                 path = (*at, name)
-                yield f"without {_words(scenario, path)}", with_value(scenario, path, plain)
+                yield f"without {_part_name(scenario, path)}", with_value(scenario, path, plain)
     if scenario.seed != 0:
         yield "with seed 0", replace(scenario, seed=0)
 
 
 def _fewer_moves(scenario: Scenario, k: int, hand: MovingHand) -> Iterator[tuple[str, Scenario]]:
-    """The later half gone, then single moves from the last to the first."""
+    """Yield the scenario without the later half of the moves, then without single moves, last to first."""
     path, count = ("hands", k, "moves"), len(hand.moves)
     if count > 2:
         half = hand.moves[: count // 2]
@@ -84,7 +84,7 @@ def _fewer_moves(scenario: Scenario, k: int, hand: MovingHand) -> Iterator[tuple
 
 
 def _of_settings(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
-    """All settings as by default, then group by group, then one by one."""
+    """Yield the scenario with all settings, one group, or one setting at its default."""
     if scenario.settings == DEFAULTS:
         return
     yield "with default settings", replace(scenario, settings=DEFAULTS)
@@ -95,35 +95,38 @@ def _of_settings(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
         path = ("settings", group.name)
         name = group.name.replace("_", " ")
         yield f"with the default {name}", with_value(scenario, path, default)
-        for one in fields(default):
-            value = getattr(default, one.name)
-            if getattr(own, one.name) != value:
-                without = with_value(scenario, (*path, one.name), value)
-                yield f"with the default {name}, {one.name}", without
+        for setting in fields(default):
+            value = getattr(default, setting.name)
+            if getattr(own, setting.name) != value:
+                without = with_value(scenario, (*path, setting.name), value)
+                yield f"with the default {name}, {setting.name}", without
 
 
 def _hands_and_moves(scenario: Scenario) -> Iterator[Path]:
+    """Yield the paths of all hands and their moves."""
     for k, hand in enumerate(scenario.hands):
         yield "hands", k
         yield from (("hands", k, "moves", j) for j in range(len(getattr(hand, "moves", ()))))
 
 
-def _words(scenario: Scenario, path: Path) -> str:
-    what = str(path[-1]).rsplit("_in_", 1)[0]
+def _part_name(scenario: Scenario, path: Path) -> str:
+    """Return the part at ``path`` in words."""
+    part = str(path[-1]).rsplit("_in_", 1)[0]
     for suffix in ("_mps2", "_mps", "_rad", "_s", "_m"):
-        what = what.removesuffix(suffix)
+        part = part.removesuffix(suffix)
     place = path[1] if path[0] == "hands" else None
-    whose = f"the {scenario.hands[place].name}'s " if isinstance(place, int) else ""
-    return whose + ("the start's " if path[0] == "start" else "") + what.replace("_", " ")
+    owner = f"the {scenario.hands[place].name}'s " if isinstance(place, int) else ""
+    return owner + ("the start's " if path[0] == "start" else "") + part.replace("_", " ")
 
 
 def _without(members: tuple[T, ...], k: int) -> tuple[T, ...]:
+    """Return ``members`` without number ``k``."""
     return members[:k] + members[k + 1 :]
 
 
 @dataclass(frozen=True)
 class ShrinkTarget:
-    """One number: where it is, what is simplest, and the distance of round numbers.
+    """One number of a scenario: its path, its simplest value, and the distance of round numbers.
 
     Without a ``target`` the number is only rounded.
     """
@@ -133,7 +136,7 @@ class ShrinkTarget:
     step: float
 
     def on(self, level: int) -> Callable[[int], float]:
-        """The round numbers of a level: k steps, each a tenth of the level's before."""
+        """Return the round numbers of a level as a function of k; its step is a tenth per level."""
         parts = 10**level
         if self.step == _DEGREE:
             return lambda k: math.radians(k / parts)
@@ -141,11 +144,11 @@ class ShrinkTarget:
         return lambda k: k / whole
 
     def place_of(self, value: float, level: int) -> float:
-        """Where among the round numbers of a level ``value`` lies."""
+        """Return the place of ``value`` among the round numbers of ``level``, as a fractional k."""
         return value / self.step * int(10**level)
 
     def level_of(self, value: float) -> int:
-        """The coarsest level on which ``value`` is a round number; FINER for none."""
+        """Return the coarsest level on which ``value`` is a round number; FINER if there is no such level."""
         for level in range(FINER):
             if self.on(level)(round(self.place_of(value, level))) == value:
                 return level
@@ -153,7 +156,7 @@ class ShrinkTarget:
 
 
 def shrink_targets(scenario: Scenario) -> Iterator[ShrinkTarget]:
-    """Every number that is made simpler, those that shorten a run first."""
+    """Yield every number to simplify; numbers that shorten the run come first."""
     cell, avoidance = scenario.settings.cell, scenario.settings.avoidance
     yield from _below(scenario, (), {"duration_s": LEAST_S})
     start = {
@@ -186,7 +189,7 @@ def shrink_targets(scenario: Scenario) -> Iterator[ShrinkTarget]:
 
 
 def _below(scenario: Scenario, at: Path, targets: Mapping[str, Any]) -> Iterator[ShrinkTarget]:
-    """The numbers of what stands at a path, by their names and with their targets."""
+    """Yield the numbers below the path ``at``, by name, with their targets."""
     for name, target in targets.items():
         for path, value in leaves(getattr(value_at(scenario, at), name, None), (*at, name)):
             if isinstance(value, float):
@@ -201,10 +204,10 @@ Violates = Callable[[Scenario], bool]
 
 @dataclass(frozen=True)
 class Shrunk:
-    """``scenario`` violates the claim; ``steps`` say what was made simpler, ``used`` how many runs it took.
+    """A shrunk scenario that violates the claim.
 
-    ``settled``: nothing simpler that was thought of violates it.  It is false where the budget or Ctrl-C
-    came first.
+    ``steps`` describes the simplifications, and ``used`` is the number of runs.  ``settled`` tells that no
+    simpler candidate violates; it is False if the budget or Ctrl-C came first.
     """
 
     scenario: Scenario
@@ -215,13 +218,22 @@ class Shrunk:
 
 
 class _SpentError(Exception):
-    """The budget is."""
+    """The budget is spent."""
 
 
 def shrink(scenario: Scenario, violates: Violates, *, budget: int) -> Shrunk:
-    """Shrink ``scenario``, which violates; ``violates`` runs another one and says whether it does.
+    """Shrink a violating scenario; Ctrl-C ends it early.
 
-    What cannot be written and read back is never run.  Ctrl-C ends it early.
+    A candidate that cannot be written and read back is never run.
+
+    Args:
+        scenario: A scenario that violates the claim.
+        violates: Runs a candidate and returns whether it violates.
+        budget: The greatest number of runs.
+
+    Returns:
+        The simplest violating scenario found.
+
     """
     at_work = _Shrinking(scenario, violates, budget)
     settled = interrupted = False
@@ -238,6 +250,8 @@ def shrink(scenario: Scenario, violates: Violates, *, budget: int) -> Shrunk:
 
 @dataclass(eq=False)
 class _Shrinking:
+    """The state of one shrinking: the simplest scenario so far, and all known verdicts by file text."""
+
     scenario: Scenario
     violates: Violates
     budget: int
@@ -246,18 +260,18 @@ class _Shrinking:
     _known: dict[str, bool] = field(default_factory=dict)
 
     def one_round(self) -> bool:
-        """Whether anything became simpler."""
-        before, number = len(self.steps), 0
+        """Run one round, and return whether the scenario became simpler."""
+        count_before, number = len(self.steps), 0
         self._halve()
         while number < len(candidates := list(simpler(self.scenario))):
             if not self._accept(*candidates[number]):
                 number += 1
         for knob in list(shrink_targets(self.scenario)):
             self._turn(knob)
-        return len(self.steps) > before
+        return len(self.steps) > count_before
 
     def _halve(self) -> None:
-        """The run, down to a whole number of steps."""
+        """Halve the duration as often as possible, in whole steps."""
         (knob,) = _below(self.scenario, (), {"duration_s": LEAST_S})
         while True:
             half = knob.on(0)(math.ceil(knob.place_of(self.scenario.duration_s, 0) / 2.0))
@@ -265,7 +279,7 @@ class _Shrinking:
                 return
 
     def _turn(self, knob: ShrinkTarget) -> None:
-        """To the target if it can be; else to a round number, and as near to the target as violates."""
+        """Set a number to its target; else to a round number as near to the target as violates."""
         value = float(value_at(self.scenario, knob.path))
         if knob.target is not None and (value == knob.target or self._set(knob, knob.target)):
             return
@@ -274,7 +288,7 @@ class _Shrinking:
             self._approach(knob, level)
 
     def _round(self, knob: ShrinkTarget, value: float) -> int:
-        """The level of the number then: the coarsest one that violates next to it, or its own."""
+        """Round a number on the coarsest level that violates, and return its level."""
         own = knob.level_of(value)
         falls = knob.target is not None and knob.target < value
         for level in range(own):
@@ -298,15 +312,16 @@ class _Shrinking:
                 safe = middle
 
     def _set(self, knob: ShrinkTarget, value: float) -> bool:
+        """Try one value of a number."""
         step = f"{words(knob.path)} = {value:.6g}"
         return self._accept(step, with_value(self.scenario, knob.path, value))
 
     def _accept(self, step: str, candidate: Scenario) -> bool:
-        """Take the candidate, as it is read back from its file, if it violates."""
+        """Replace the scenario by ``candidate``, as read back from its file, if it violates."""
         if candidate == self.scenario:
             return False
         text = write_scenario(candidate)
-        if text == write_scenario(self.scenario):  # the stop times of an own arm are no settings in a file
+        if text == write_scenario(self.scenario):  # a file does not contain the stop times of a user's arm
             return False
         read = _read_back(text, candidate) if self._known.get(text, True) else None
         if text not in self._known:
@@ -317,6 +332,7 @@ class _Shrinking:
         return self._known[text]
 
     def _run(self, candidate: Scenario) -> bool:
+        """Run a candidate; _SpentError if the budget is spent."""
         if self.used >= self.budget:
             raise _SpentError
         self.used += 1
@@ -324,7 +340,10 @@ class _Shrinking:
 
 
 def _read_back(text: str, scenario: Scenario) -> Scenario | None:
-    """What a file with this text says, as a recorded motion is anew from it; None if it cannot be one."""
+    """Return the scenario of a file with this text; None if it is no valid file.
+
+    A recorded motion is read again from its own file.
+    """
     try:
         read = parse_scenario(text, scenario.file, name=scenario.name)
     except InputError:

@@ -1,7 +1,7 @@
-"""A space's points tried in a world: scenario, admission, run, margins.
+"""Trials: a space's points in a world, from scenario and admission to run and margins.
 
-The world is a function from admitted scenarios to traces, so that searching in one and confirming in
-another is the same code.
+The world is a function from admitted scenarios to traces, so that search and confirmation share the same
+code.
 """
 
 from __future__ import annotations
@@ -57,15 +57,15 @@ from safety_harness.trace.unmeasured import as_measured
 
 
 class ScenarioRunner(Protocol):
-    """Runs admitted scenarios; an Exception stands for a run that could not be carried on."""
+    """Runs admitted scenarios; an Exception stands for a run that could not be finished."""
 
     def __call__(self, admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
-        """One for each, in their order."""
+        """Return one run for each scenario, in their order."""
 
 
 @dataclass(frozen=True)
 class InWorld:
-    """A ScenarioRunner: in ``world``, but rendered images that it has not in the one that confirms it.
+    """A ScenarioRunner in ``world``; a run with images that it cannot render uses the confirming world.
 
     Ctrl-C raises KeyboardInterrupt.
     """
@@ -73,15 +73,15 @@ class InWorld:
     world: WorldEntry
 
     def __call__(self, admitted: Sequence[Admitted]) -> list[Trace | Exception]:
-        """All together where the world takes many."""
-        found: list[Trace | Exception] = []
-        for one, run in zip(admitted, run_all(admitted, self.world), strict=True):
+        """Run all scenarios, together if the world supports it."""
+        runs: list[Trace | Exception] = []
+        for scenario, run in zip(admitted, run_all(admitted, self.world), strict=True):
             if isinstance(run, InadmissibleError) and self.world.confirmed_by is not None:
-                run = next(run_all([one], self.world.confirmed_by))
+                run = next(run_all([scenario], self.world.confirmed_by))
             if isinstance(run, Trace) and run.ended == INTERRUPTED:
                 raise KeyboardInterrupt
-            found.append(run)
-        return found
+            runs.append(run)
+        return runs
 
 
 in_pybullet = InWorld(PYBULLET)
@@ -92,19 +92,22 @@ in_kinematic = InWorld(KINEMATIC)
 
 @dataclass(eq=False)
 class Trials:
-    """The points of ``space`` in ``world``: an Evaluate for a search.
+    """The points of ``space`` in ``world``: an ``Evaluate`` for a search.
 
-    ``avoider`` takes the place of the one that the space names (a relative file from the working
-    directory), ``sentences`` that of its claims; that the avoider answered is claimed besides, unless they
-    say something of it.  A claim that the space expects to be violated is searched like the others, and
-    ``to_be_found`` names it: of a single scenario it is claimed that it holds.  With a ``reference`` every
-    point is run with that avoider as well, and what leads the search is what the one violates and the
-    reference keeps; ``differences`` has them all.  Of all runs, ``nearest_hand_m`` is the least distance
-    between a hand and the arm, ``decisions`` their number, ``unanswered`` those without an answer,
-    ``overruling`` what the gate did; ``repeatability`` takes their questions in, and ``tried``
-    what of the space they tried, and ``times`` how long answers took.  Each point's scenario has a
-    seed of its own, from ``seed`` and the point's number, unless the file fixes it.  An avoider with a memory
-    of its own keeps it from run to run, as ``Admitter`` says.
+    ``avoider`` replaces the space's avoider; a relative file starts at the working directory.  ``sentences``
+    replace the space's claims.  "the avoider answered" is claimed too, unless a claim covers it.  The search
+    treats claims that the space expects to be violated like all others; ``to_be_found`` names them.
+
+    With a ``reference``, every point also runs with that avoider.  A claim that the avoider violates and the
+    reference keeps then leads the search, and ``differences`` has all pairs.
+
+    The other fields are totals over all runs.  ``nearest_hand_m`` is the least distance between hand and arm,
+    ``decisions`` counts decisions, and ``unanswered`` counts decisions without an answer.  ``overruling``
+    counts proposals that the gate overruled, ``repeatability`` keeps questions, ``tried`` records the
+    exercised parts of the space, and ``times`` has the answer times.
+
+    Each scenario has its own seed, from ``seed`` and the point's number, unless the file fixes it.  An
+    avoider with a memory keeps it from run to run, as ``Admitter`` describes.
     """
 
     space: ScenarioSpace
@@ -114,8 +117,8 @@ class Trials:
     sentences: tuple[str, ...] = ()
     reference: Reference | None = None
     coverage: Coverage = field(default_factory=Coverage)
-    violations: Coverage = field(default_factory=Coverage)  # those runs alone that violated a claim
-    declared_s: float = 0.0  # what a decision costs by the avoider's own words
+    violations: Coverage = field(default_factory=Coverage)  # runs that violated a claim
+    declared_s: float = 0.0  # the decision time that the avoider declares
     nearest_hand_m: float = field(default=np.inf, init=False)
     decisions: int = field(default=0, init=False)
     unanswered: int = field(default=0, init=False)
@@ -134,8 +137,8 @@ class Trials:
         given = self.space.simplest.claims if own else ()
         self.to_be_found = frozenset(c.sentence for c in given if c.expected is Verdict.VIOLATED)
         expected = [claim for claim in simplest.claims if claim.expected is Verdict.HOLDS]
-        others = tuple(claim for claim in expected if not is_claimed([claim]))
-        self.claims = others or tuple(claim for claim in expected if claim is not DEFAULT_CLAIM)
+        claims = tuple(claim for claim in expected if not is_claimed([claim]))
+        self.claims = claims or tuple(claim for claim in expected if claim is not DEFAULT_CLAIM)
         if not self.claims:
             raise ScenarioError(
                 place=Place(file=self.space.file, field="claims"),
@@ -145,25 +148,35 @@ class Trials:
             )
         self.properties: tuple[Property, ...] = tuple(property_of(claim, simplest) for claim in self.claims)
         name = "" if self.reference is None else self.reference.name
-        self.of_others = np.zeros(len(self.properties), bool)  # claims that the controller does not concern
+        self.of_others = np.zeros(len(self.properties), bool)  # claims that do not apply to the controller
         self.goals = tuple(Goal.of(prop, name) for prop in self.properties)
-        # That the avoider answered leads a search only where nothing else is claimed.
+        # "the avoider answered" leads a search only without another claim.
         self.answered = next((claim for claim in expected if claim not in self.claims), None)
 
     @property
     def against(self) -> Against | None:
-        """How the runs differ from the reference's; None without one."""
+        """The differences from the reference; None without one."""
         if self.reference is None:
             return None
         mine = told_avoider(self.avoider or self.space.simplest.under_test)
         return Against(mine=mine, reference=self.reference.name, runs=self.differences, drawn=False)
 
     def scenario(self, point: Point, number: int) -> Scenario:
-        """The scenario of a point; InputError where the reader refuses it."""
+        """Return the scenario of a point.
+
+        Args:
+            point: (d,) the point of the cube.
+            number: The point's number in the search; it determines the seed.
+
+        Raises:
+            InputError: The reader refuses the scenario.
+
+        """
         own = leaf(self.seed, Branch.SEARCH, 4, number)
         return self._completed(self.space.at(point, seed=own, name=f"{self.space.name}-{number}"))
 
     def _completed(self, scenario: Scenario) -> Scenario:
+        """Return the scenario with the avoider and the claims of the trials."""
         claims = each_to_hold(scenario.claims)
         if self.sentences:
             place = Place(field="--claim")
@@ -176,20 +189,26 @@ class Trials:
         return replace(scenario, claims=claims)
 
     def __call__(self, points: Points, first: int) -> Outcomes:
-        """Admit and run; what admission refuses is not run."""
-        refused, admitted, others = [""] * len(points), {}, {}
+        """Admit and run points, and return their outcomes; a refused point has no run.
+
+        Args:
+            points: (n, d) points of the cube.
+            first: The number of the first point.
+
+        """
+        refused, admitted, paired = [""] * len(points), {}, {}
         for k, point in enumerate(points):
             try:
-                one = self._admitter.admit(self.scenario(point, first + k))
+                each = self._admitter.admit(self.scenario(point, first + k))
                 if self.reference is not None:
-                    refuse_same(one.scenario, other := self.reference.in_place(one.scenario))
-                    others[k] = self._admitter.admit(other)
-                admitted[k] = one
+                    refuse_same(each.scenario, replaced := self.reference.in_place(each.scenario))
+                    paired[k] = self._admitter.admit(replaced)
+                admitted[k] = each
                 self.declared_s = decision_time_of(admitted[k].avoider)
             except InputError as error:
                 refused[k] = why_refused(error)
-        traces = self.world([*admitted.values(), *others.values()])
-        references = dict(zip(others, traces[len(admitted) :], strict=True))
+        traces = self.world([*admitted.values(), *paired.values()])
+        references = dict(zip(paired, traces[len(admitted) :], strict=True))
         margins = np.full((len(points), len(self.goals)), np.nan)
         conclusive = np.zeros(margins.shape, bool)
         mishaps, kinds = [""] * len(points), [""] * len(points)
@@ -205,9 +224,9 @@ class Trials:
                 continue
             judged.append(k)
             evaluations = [prop.evaluate(trace) for prop in self.properties]
-            margins[k] = [np.nan if one.margin is None else one.margin for one in evaluations]
-            self.of_others |= [not one.applicable for one in evaluations]
-            conclusive[k] = [one.verdict is not Verdict.INCONCLUSIVE for one in evaluations]
+            margins[k] = [np.nan if each.margin is None else each.margin for each in evaluations]
+            self.of_others |= [not each.applicable for each in evaluations]
+            conclusive[k] = [each.verdict is not Verdict.INCONCLUSIVE for each in evaluations]
             if reference is not None:
                 self._hold_against(reference, trace, evaluations, margins[k], conclusive[k])
             self.system = trace.system if self.system is NOT_NOTED else self.system
@@ -234,17 +253,20 @@ class Trials:
         margins: NDArray[np.float64],  # (k,)
         conclusive: NDArray[np.bool_],  # (k,)
     ) -> None:
-        """Put differences in the place of ``margins``, and verdicts of both in that of ``conclusive``."""
-        others = [prop.evaluate(reference) for prop in self.properties]
-        self.differences.append(RunDifference.of(mine, reference, zip(evaluations, others, strict=True)))
-        for claim, (one, other) in enumerate(zip(evaluations, others, strict=True)):
-            margins[claim] = difference_of(one, other)
-            conclusive[claim] &= other.verdict is not Verdict.INCONCLUSIVE
+        """Replace ``margins`` by differences, and keep ``conclusive`` only where both verdicts are.
+
+        A difference below zero is always conclusive.
+        """
+        theirs = [prop.evaluate(reference) for prop in self.properties]
+        self.differences.append(RunDifference.of(mine, reference, zip(evaluations, theirs, strict=True)))
+        for claim, (my_evaluation, their_evaluation) in enumerate(zip(evaluations, theirs, strict=True)):
+            margins[claim] = difference_of(my_evaluation, their_evaluation)
+            conclusive[claim] &= their_evaluation.verdict is not Verdict.INCONCLUSIVE
         conclusive |= margins < 0.0
 
 
 def least_hand_distance_m(trace: Trace) -> float:
-    """The least distance of a hand that is there from the arm, surface to surface; infinite without one."""
+    """Return the least distance of a present hand from the arm, surface to surface; inf without a hand."""
     ticks = as_measured(trace).ticks
     there = ticks["hand_distance_m"][ticks["hand_present"]]
     return float(np.fmin.reduce(there, initial=np.inf))

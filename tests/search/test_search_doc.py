@@ -9,7 +9,7 @@ import pytest
 
 from safety_harness.search.counterexample import DRAWS
 from safety_harness.search.coverage import Coverage
-from safety_harness.search.findings import APART
+from safety_harness.search.findings import LEAST_APART
 from safety_harness.search.searchers import SEARCHERS
 from safety_harness.search.session import MOST_SHRUNK, SHRINKING_RUNS
 from tests.search.planted import BUGS, BY_LOT, CUBE, FRESH
@@ -36,7 +36,7 @@ def test_every_planted_bug_has_its_row() -> None:
 def test_the_numbers_are_the_programs() -> None:
     assert CUBE.dimension == 17
     assert f"{len(Coverage().holes):,} cells" in TEXT
-    assert f"at most {APART} apart" in " ".join(TEXT.split())
+    assert f"at most {LEAST_APART} apart" in " ".join(TEXT.split())
     assert (SHRINKING_RUNS, MOST_SHRUNK, DRAWS) == (200, 3, 10)
     assert "200 runs at most" in " ".join(TEXT.split())
     assert "until there are three structures, or six groups were shrunk" in " ".join(TEXT.split())

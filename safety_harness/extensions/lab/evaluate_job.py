@@ -1,4 +1,4 @@
-"""Score avoiders without a cell: ``safety_harness.evaluate``, its result, and the result's page."""
+"""Scores of avoiders without a cell: ``safety_harness.evaluate``, its result, and the result's page."""
 
 from __future__ import annotations
 
@@ -40,25 +40,28 @@ def evaluate(
 ) -> EvaluationResult:
     """Ask avoiders questions, before any gate and without a simulation, and score their answers.
 
-    Args:
-        avoiders: One or many: names of shipped ones, ``FILE.py:NAME``, model files.
-        regions: Names of regions to draw questions in; all of them without regions and spaces.
-        spaces: Scenario spaces whose draws lead to questions.
-        against: A reference: a finding is what it does not do.
-        questions: How many in the first region; None: as many as the avoider's pace allows.
-        search: Questions to search with for the worst ones; 0: no search.
-        seed: Root of every random number.
-        out: A folder that keeps the worst questions as soon as they are found.
-        output: What hears of the progress.
+    Ctrl-C ends it, and the result keeps the finished avoiders.
 
-    Ctrl-C ends it, and the result keeps the avoiders that were finished.
+    Args:
+        avoiders: One or many: names of shipped avoiders, ``FILE.py:NAME``, model files.
+        regions: Names of regions to draw questions in; all of them if there are neither regions nor spaces.
+        spaces: Scenario spaces whose draws lead to questions.
+        against: A reference: only findings that it does not have count; None: no reference.
+        questions: The number in the first region; None: as many as the avoider's pace allows.
+        search: The number of questions to search for the worst; 0: no search.
+        seed: The root of every random number.
+        out: A folder that keeps the worst questions as they come; None: no folder.
+        output: Receives the progress.
+
+    Returns:
+        The result.
 
     Raises:
         InputError: An avoider, region or space cannot be used.
 
     """
     given = [avoiders] if isinstance(avoiders, str | Path) else list(avoiders)
-    references, areas, files = [str(one) for one in given], list(regions), [Path(one) for one in spaces]
+    references, areas, files = [str(item) for item in given], list(regions), [Path(item) for item in spaces]
     with output.steps() as on_step:
         scored = ScoringSession(
             references,
@@ -71,24 +74,24 @@ def evaluate(
             against=against,
             on_step=on_step,
         ).run()
-    words = ["safety-harness", "evaluate", *map(told_avoider, references)]
-    words += ["--search", str(search), "--seed", str(seed)]
-    words += [] if questions is None else ["--questions", str(questions)]
-    words += [word for name in areas for word in ("--region", name)]
-    words += [word for path in files for word in ("--space", str(told(path)))]
-    words += [] if against is None else ["--against", told_avoider(against)]
-    output.say(*(f"error: {one}" for one in scored.failed))
-    return EvaluationResult(scored, tuple(words), None if out is None else Path(out))
+    command = ["safety-harness", "evaluate", *map(told_avoider, references)]
+    command += ["--search", str(search), "--seed", str(seed)]
+    command += [] if questions is None else ["--questions", str(questions)]
+    command += [part for name in areas for part in ("--region", name)]
+    command += [part for path in files for part in ("--space", str(told(path)))]
+    command += [] if against is None else ["--against", told_avoider(against)]
+    output.say(*(f"error: {item}" for item in scored.failed))
+    return EvaluationResult(scored, tuple(command), None if out is None else Path(out))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EvaluationResult:
-    """The scores of avoiders, and what was found on them.
+    """The scores of avoiders, and the findings on them.
 
     Args:
         scored: Each avoider's card, findings, and worst questions.
-        command: The command that scores them again, without its folder.
-        folder: Where the worst questions are; None: nowhere.
+        command: The command that repeats the scores, without its folder.
+        folder: The folder of the worst questions; None if there is no folder.
 
     """
 
@@ -108,12 +111,12 @@ class EvaluationResult:
             return INTERRUPTED
         if self.scored.failed or not self.avoiders:
             return BAD_INPUT
-        nothing = any(math.isnan(most_towards(one.card)[0]) for one in self.avoiders)
+        nothing = any(math.isnan(most_towards(avoider.card)[0]) for avoider in self.avoiders)
         return DIFFERS if self.scored.findings or nothing else AS_EXPECTED
 
     def __repr__(self) -> str:
-        of_each = (f"{one.reference}: {len(one.findings)} findings" for one in self.avoiders)
-        failed = (f"not scored: {one}" for one in self.scored.failed)
+        of_each = (f"{entry.reference}: {len(entry.findings)} findings" for entry in self.avoiders)
+        failed = (f"not scored: {entry}" for entry in self.scored.failed)
         return f"<{'; '.join([*of_each, *failed]) or 'nothing was scored'}. {BASIS_OF_ANSWERS}>"
 
     def data(self) -> str:
@@ -121,9 +124,14 @@ class EvaluationResult:
         return document(self.scored)
 
     def write(self, folder: str | Path, output: Output = QUIET) -> EvaluationResult:
-        """Write evaluation.html, evaluation.json, and the worst questions that are not there yet as files.
+        """Write evaluation.html, evaluation.json, and the worst questions that are not in the folder yet.
 
-        The result that is returned names the files of the folder.
+        Args:
+            folder: The folder.
+            output: Receives lines.
+
+        Returns:
+            The result, with the files of the folder.
 
         Raises:
             OutputError: The folder cannot be written.
@@ -149,9 +157,9 @@ class EvaluationResult:
 
 
 def _moved(shown: ShownQuestion, folder: Path) -> ShownQuestion:
-    """Return a worst question whose file is written to a folder."""
+    """Write a worst question's file to another folder, and return the question."""
     old = shown.file.path
-    assert old is not None  # others are left out
+    assert old is not None  # a question without a file is left out
     path = folder / old.name
     text = write_scenario(as_seen_from(folder, parse_scenario(shown.file.text, old)))
     write_text(path, text)

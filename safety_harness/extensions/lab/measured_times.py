@@ -1,4 +1,4 @@
-"""How long an avoider takes to answer on this machine, as a profile for scenarios."""
+"""Answer times of an avoider on this machine, as a profile for scenarios."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from safety_harness.scenario.fields import is_sentence
 from safety_harness.scenario.references import file_and_name
 
 QUANTILES = 101  # from the quickest answer to the slowest
-AROUND_M = 0.15  # the nominal hand and the desired TCP, on each axis
+AROUND_M = 0.15  # half the box about the nominal hand and the desired TCP, on each axis
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredTimes:
-    """(n,) the times of the answers [s], how many were faults, and who answered."""
+    """The times of an avoider's answers (n,) [s], the number of faults, and the avoider."""
 
     avoider_name: str
     times_s: NDArray[np.float64]
@@ -35,20 +35,27 @@ class MeasuredTimes:
 
     @property
     def profile(self) -> DecisionTimes:
-        """What a scenario draws its decision times from."""
+        """The profile from which a scenario draws its decision times."""
         quantiles_s = self.quantiles_s(*np.linspace(0.0, 1.0, QUANTILES))
         return DecisionTimes(quantiles_s=tuple(quantiles_s), measured=self.measured)
 
     def quantiles_s(self, *shares: float) -> list[float]:
-        """The times within which these shares of the answers came [s]."""
+        """Return the times [s] within which ``shares`` of the answers came."""
         return [float(np.quantile(self.times_s, share)) for share in shares]
 
 
 def measured_times(reference: str, questions: int, seed: int) -> MeasuredTimes:
-    """Ask one question after another; a Python file is executed.
+    """Measure answers to one question after another; a Python file is executed.
 
-    InadmissibleError for an avoider that there is not, or of which every answer is a fault; NoAnswerError
-    if its first answer does not come.
+    Args:
+        reference: The avoider.
+        questions: The number of questions.
+        seed: The root of the questions.
+
+    Raises:
+        InadmissibleError: The avoider does not exist, or every answer is a fault.
+        NoAnswerError: The first answer does not come.
+
     """
     scenario, place = scenario_of_avoider(reference), Place(field="AVOIDER")
     avoider = resolve_avoider(scenario, place)
@@ -64,20 +71,29 @@ def measured_times(reference: str, questions: int, seed: int) -> MeasuredTimes:
 
 
 def machine() -> str:
-    """Processor, system and Python, as reports name them."""
+    """Return processor, system and Python in words, for reports."""
     processor = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
-            found = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
-        processor = found[0] if found else processor
+            models = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
+        processor = models[0] if models else processor
     except OSError:
         pass
-    words = f"{processor}, {os.cpu_count()} CPUs, {platform.system()}, Python {platform.python_version()}"
-    return words if is_sentence(words) else platform.machine()
+    text = f"{processor}, {os.cpu_count()} CPUs, {platform.system()}, Python {platform.python_version()}"
+    return text if is_sentence(text) else platform.machine()
 
 
 def answer_times_s(avoider: Avoider, questions: int, seed: int) -> tuple[NDArray[np.float64], int]:
-    """(n,) the times of the answers [s], in the process in which they are made, and how many were faults."""
+    """Return the times (n,) of the answers [s] and the number of faults.
+
+    The process that computes an answer measures its time.
+
+    Args:
+        avoider: The avoider.
+        questions: The number of questions.
+        seed: The root of the questions, which are near the nominal hand and the desired TCP.
+
+    """
     rng = generator(seed, Branch.DECISION_TIME, 0)
     hand = np.array(DEFAULTS.avoidance.nominal_hand_position_in_base_m)
     tcp = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
@@ -92,4 +108,4 @@ def answer_times_s(avoider: Avoider, questions: int, seed: int) -> tuple[NDArray
         )
         for _ in range(questions)
     ]
-    return np.array([answer.latency_s for answer in answers]), sum(bool(one.fault) for one in answers)
+    return np.array([answer.latency_s for answer in answers]), sum(bool(reply.fault) for reply in answers)

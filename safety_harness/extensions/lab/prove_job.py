@@ -1,4 +1,4 @@
-"""Prove claims about every answer of a network: ``safety_harness.prove``, its result and its page."""
+"""Proofs of claims about every answer of a network: ``safety_harness.prove``, its result and its page."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from safety_harness.extensions.lab.proof.certificate import Proof, taken_up, wri
 from safety_harness.extensions.lab.proof.claims import ClaimKind
 from safety_harness.extensions.lab.proof.onnx_file import OnnxFunction
 from safety_harness.extensions.lab.proof.plan import ProofPlan, read_proof_plan
-from safety_harness.extensions.lab.proof.session import Effort, carry_on, fresh
+from safety_harness.extensions.lab.proof.session import Effort, continue_proofs, fresh
 from safety_harness.extensions.lab.proof.together import JointBound, joint_bounds
 from safety_harness.extensions.lab.scoring.question_file import question_file
 from safety_harness.scenario.files import told
@@ -41,33 +41,36 @@ def prove(
     resume: str | Path | None = None,
     output: Output = QUIET,
 ) -> ProofResult:
-    """Prove claims about every answer of a small network in a region, as far as there is time.
+    """Prove claims about every answer of a small network in a region, within a time.
+
+    Ctrl-C ends it, and the result keeps the proofs so far.
 
     Args:
         plan: A plan of proofs, or its file.
-        minutes: For all claims together.
+        minutes: The time for all claims together.
         halvings: How often a box is halved at most.
-        jobs: Processes.
-        resume: A folder whose certificate it goes on with.
-        output: What hears of the progress.
+        jobs: The number of processes.
+        resume: A folder with a certificate to continue; None: begin.
+        output: Receives the progress.
 
-    Ctrl-C ends it, and the result keeps what was proven.
+    Returns:
+        The result.
 
     Raises:
-        InputError: The plan cannot be used, or the certificate is of another plan.
+        InputError: The plan cannot be used, or the certificate belongs to another plan.
 
     """
     read = plan if isinstance(plan, ProofPlan) else read_proof_plan(Path(plan))
-    before = fresh(read) if resume is None else taken_up(Path(resume) / CERTIFICATE, read)
-    proofs = list(before)
+    begun = fresh(read) if resume is None else taken_up(Path(resume) / CERTIFICATE, read)
+    proofs = list(begun)
     with ExitStack() as closing:
         stopped = closing.enter_context(one_more_ctrl_c(output.say, "interrupted: finishing the batch"))
         on_step = closing.enter_context(output.steps())
         over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
         effort = Effort(
-            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, told=on_step
+            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, show=on_step
         )
-        for number, proof in enumerate(carry_on(read, before, effort)):
+        for number, proof in enumerate(continue_proofs(read, begun, effort)):
             proofs[number] = proof
         interrupted = stopped()
     options = ("--minutes", f"{minutes:g}", "--halvings", str(halvings))
@@ -77,15 +80,15 @@ def prove(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ProofResult:
-    """What of each claim is proven, refuted and undecided.
+    """The proven, refuted and undecided part of each claim.
 
     Args:
         plan: The plan.
         proofs: One for each claim and region, with its ``verdict`` and ``least_shares``.
-        interrupted: Ctrl-C ended it.
+        interrupted: Whether Ctrl-C ended it.
         file: The file of the plan.
-        options: The options of the command that proves it again.
-        claims: What the certificate says of each claim, once it is written.
+        options: The options of the command that repeats it.
+        claims: The certificate's entry for each claim, once it is written.
 
     """
 
@@ -98,7 +101,7 @@ class ProofResult:
 
     @cached_property
     def bounds(self) -> tuple[JointBound, ...]:
-        """How often the network is wrong at most, where the plan says how questions are distributed."""
+        """The bounds on wrong answers, if the plan has a distribution of questions."""
         return tuple(joint_bounds(self.plan, list(self.proofs)))
 
     @property
@@ -109,21 +112,28 @@ class ProofResult:
         return AS_EXPECTED if all(proof.verdict == "proven" for proof in self.proofs) else DIFFERS
 
     def __repr__(self) -> str:
-        each = ", ".join(f"{one.planned.sentence}: {one.verdict}" for one in self.proofs)
+        each = ", ".join(f"{proof.planned.sentence}: {proof.verdict}" for proof in self.proofs)
         return f"<{self.plan.avoider}, {each}. {BASIS_OF_ANSWERS}>"
 
     def data(self, folder: Path) -> dict[str, object]:
-        """Return the result for programs, with the files of the folder that it was written to."""
+        """Return the result for programs, with the files in ``folder``."""
         return {
             "page": folder / PAGE,
             "basis": BASIS_OF_ANSWERS,
             "certificate": folder / CERTIFICATE,
-            "claims": [{k: v for k, v in one.items() if k != "tree"} for one in self.claims],
-            "together": [asdict(one) for one in self.bounds],
+            "claims": [{k: v for k, v in entry.items() if k != "tree"} for entry in self.claims],
+            "together": [asdict(entry) for entry in self.bounds],
         }
 
     def write(self, folder: str | Path, output: Output = QUIET) -> ProofResult:
         """Write certificate.json, proof.html, and each refuting question as a scenario.
+
+        Args:
+            folder: The folder.
+            output: Receives lines.
+
+        Returns:
+            The result with the certificate's claims.
 
         Raises:
             OutputError: The folder cannot be written.
@@ -132,27 +142,38 @@ class ProofResult:
         out = Path(folder)
         written = write_certificate(out / CERTIFICATE, self.plan, list(self.proofs))
         files = [
-            write_question(self.plan, one, out / f"refuted-{k}.yaml", output) if one.question else None
-            for k, one in enumerate(self.proofs, 1)
+            write_question(self.plan, proof, out / f"refuted-{k}.yaml", output) if proof.question else None
+            for k, proof in enumerate(self.proofs, 1)
         ]
-        words = ["safety-harness", "prove", str(told(self.file)), "--out", str(told(out)), *self.options]
+        parts = ["safety-harness", "prove", str(told(self.file)), "--out", str(told(out)), *self.options]
         evidence = ProofEvidence(
             plan=self.plan,
             proofs=self.proofs,
             bounds=self.bounds,
             files=tuple(files),
-            command=shlex.join(words),
+            command=shlex.join(parts),
             generated_at=datetime.now(UTC),
             interrupted=self.interrupted,
         )
         write_text(out / PAGE, render(evidence))
         made = replace(self, claims=tuple(written["claims"]))
-        made.__dict__["bounds"] = self.bounds  # which takes long
+        made.__dict__["bounds"] = self.bounds  # computing them again takes long
         return made
 
 
 def write_question(plan: ProofPlan, proof: Proof, path: Path, output: Output) -> str | None:
-    """Write the question that refutes a claim; return the file's name, or None if no run begins with it."""
+    """Write the question that refutes a claim as a scenario.
+
+    Args:
+        plan: The plan.
+        proof: A proof with a question.
+        path: The file.
+        output: Receives a line.
+
+    Returns:
+        The file's name; None if no run can begin with the question.
+
+    """
     assert proof.question is not None
     claim = {
         ClaimKind.AWAY: "proposals lead away to within 10 mm",

@@ -1,1 +1,1 @@
-"""Whose fault a violation is: the same run again with one ingredient changed at a time, then two."""
+"""Attribution: change one ingredient of a run at a time, then two, to find the cause of a violation."""

@@ -1,7 +1,8 @@
-"""Attribution: a violation run again with ingredients changed, one at a time, then two.
+"""Attribution: repeat a violation with ingredients changed, one at a time, then two.
 
-All replays are kinematic and go on together.  What the first one does not reproduce is not attributed; what
-no arm could have kept is unavoidable; of the rest the least sets of ingredients are named that help.
+All replays are kinematic, and run together.  A violation that the unchanged replay does not show is not
+attributed.  A violation that no arm could avoid is unavoidable.  For all others, the result names the
+smallest sets of ingredients that help.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ from safety_harness.search.attribution.ingredients import Altered, Change, Ingre
 from safety_harness.search.attribution.unavoidable import why_unavoidable
 from safety_harness.trace.trace import Trace
 
-ABOUT_PROPOSALS = "propos"  # in the sentence of a claim: it judges proposals, or what was proposed
+ABOUT_PROPOSALS = "propos"  # marks a claim about proposals: its sentence has "proposals" or "proposed"
 
 Changes = tuple[Change, ...]
 
 
 class Outcome(Enum):
-    """What became of the claim in a replay."""
+    """The state of the claim in a replay."""
 
     KEPT = "kept"
     NO_OCCASION = "no longer exercised"
@@ -42,7 +43,7 @@ class Outcome(Enum):
 
     @classmethod
     def of(cls, evaluation: Evaluation) -> Outcome:
-        """By the verdict, and by whether an inconclusive one is for want of an occasion."""
+        """Return the outcome of a verdict; an inconclusive verdict may lack an occasion."""
         if evaluation.verdict is not Verdict.INCONCLUSIVE:
             return cls.KEPT if evaluation.verdict is Verdict.HOLDS else cls.VIOLATED
         idle = evaluation.reason.startswith(("never exercised", NOT_MODELLED))
@@ -51,7 +52,7 @@ class Outcome(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """One replay with ``changes``; the margin [SI] is None where there is none."""
+    """One replay with ``changes``; ``margin`` [SI] is None where the evaluation has no margin."""
 
     changes: tuple[Change, ...]
     outcome: Outcome
@@ -59,23 +60,23 @@ class Replay:
 
     @property
     def helps(self) -> bool:
-        """Is the claim not violated in a run that came to its end?"""
+        """Whether the run ended normally without a violation of the claim."""
         return self.outcome in (Outcome.KEPT, Outcome.NO_OCCASION)
 
     @property
     def ingredients(self) -> tuple[Ingredient, ...]:
-        """Those that are changed, in the order in which they are blamed."""
+        """The changed ingredients, in the order of blame."""
         order = list(Ingredient)
         return tuple(sorted({change.ingredient for change in self.changes}, key=order.index))
 
     @property
     def words(self) -> str:
-        """The changes for people."""
+        """The changes in words."""
         return " and ".join(map(str, self.changes))
 
 
 class AttributionAnswer(Enum):
-    """What can be said of a violation."""
+    """The four answers about a violation."""
 
     NOT_ATTRIBUTED = "not attributed"
     UNAVOIDABLE = "unavoidable"
@@ -85,11 +86,11 @@ class AttributionAnswer(Enum):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Attribution:
-    """Whose fault one violation is.
+    """The cause of one violation.
 
-    ``margin`` is the one of the replay as it was [SI]; ``why`` says why it was unavoidable or why it is not
-    attributed.  ``replays`` are all that were made with something changed, ``helping`` those that name the
-    least sets of ingredients that help, one for each set, the one that is blamed first.
+    ``margin`` [SI] is the margin of the unchanged replay.  ``why`` gives the reason of an unavoidable or
+    unattributed violation.  ``replays`` are all replays with a change.  ``helping`` has one replay for each
+    smallest set of ingredients that helps; the first replay has the blamed set.
     """
 
     scenario: str
@@ -103,55 +104,57 @@ class Attribution:
 
     @property
     def cause(self) -> tuple[Ingredient, ...]:
-        """The least set that is blamed; empty if there is none."""
+        """The blamed set of ingredients; empty if no set helps."""
         return self.helping[0].ingredients if self.helping else ()
 
     @property
     def mending(self) -> tuple[str, ...]:
-        """Every change of the one ingredient that is blamed which helps; none where two are blamed."""
+        """All helpful changes of the blamed ingredient; empty if the cause has two ingredients."""
         alone = len(self.cause) == 1
         return tuple(
-            one.words for one in self.replays if one.helps and one.ingredients == self.cause and alone
+            trial.words for trial in self.replays if trial.helps and trial.ingredients == self.cause and alone
         )
 
     @property
     def group(self) -> str:
-        """What it is counted as."""
-        return " and ".join(one.value for one in self.cause) or self.answer.value
+        """The group in which a tally counts this violation."""
+        return " and ".join(ingredient.value for ingredient in self.cause) or self.answer.value
 
     @property
     def words(self) -> str:
-        """The answer for people, with what else would have helped."""
+        """The answer in words, with the alternatives that help."""
         if not self.helping:
             return self.answer.value + (f": {self.why}" if self.why else "")
-        return "; or ".join(f"{one.words}: {self._after(one)}" for one in self.helping)
+        return "; or ".join(f"{replay.words}: {self._result_of(replay)}" for replay in self.helping)
 
-    def _after(self, replay: Replay) -> str:
+    def _result_of(self, replay: Replay) -> str:
+        """Return the margin after the change, with the outcome if the claim fails."""
         margin: str = self.unit.margin_text(replay.margin)
         if replay.outcome is Outcome.KEPT:
             return margin
-        words: str = replay.outcome.value
-        return words if replay.margin is None else f"{words}, {margin}"
+        text: str = replay.outcome.value
+        return text if replay.margin is None else f"{text}, {margin}"
 
 
 class Runner(Protocol):
-    """Runs altered systems; an Exception stands for a run that could not be carried on."""
+    """Runs altered systems; an Exception stands for a run that could not be finished."""
 
     def __call__(self, systems: Sequence[Altered]) -> Sequence[Trace | Exception]:
-        """One for each, in their order.
+        """Return one run for each system, in their order.
 
-        Who spoils an ingredient beside the scenario leaves it sound where ``changes`` has that ingredient.
+        A runner that spoils an ingredient outside the scenario leaves it sound where ``changes`` has that
+        ingredient.
         """
 
 
 @dataclass(frozen=True)
 class ReplaysInWorld:
-    """A Runner that spoils nothing.  Ctrl-C raises KeyboardInterrupt."""
+    """A Runner that spoils no ingredient; Ctrl-C raises KeyboardInterrupt."""
 
     world: WorldEntry = KINEMATIC
 
     def __call__(self, systems: Sequence[Altered]) -> list[Trace | Exception]:
-        """All together where the world takes many."""
+        """Run all systems, together if the world supports it."""
         runs = list(run_all(systems, self.world))
         if any(isinstance(run, Trace) and run.ended == INTERRUPTED for run in runs):
             raise KeyboardInterrupt
@@ -165,12 +168,24 @@ def attribute(
     run: Runner = ReplaysInWorld(),
     spoilt: Collection[Ingredient] = (),
 ) -> tuple[Attribution, ...]:
-    """Whose fault each violation of ``claims`` is; they have been seen violated, in whichever world.
+    """Return the cause of each violation in a scenario.
 
-    Without them it is every violation of the scenario's own claims, and those that it expects.  One that
-    the kinematic replay does not reproduce is not attributed.  ``spoilt`` are the ingredients that ``run``
-    spoils beside the scenario.  InadmissibleError for a claim that cannot be judged in this scenario; a run
-    that fails where no violation has been seen raises what it raised.
+    A violation that the kinematic replay does not reproduce is not attributed.
+
+    Args:
+        admitted: The admitted scenario.
+        claims: Claims that were violated in some world.  Without them, the function attributes every
+            violation of the scenario's own claims, and the violations that the scenario expects.
+        run: The runner of the replays.
+        spoilt: The ingredients that ``run`` spoils outside the scenario.
+
+    Returns:
+        One attribution for each violation.
+
+    Raises:
+        InadmissibleError: A claim cannot be judged in this scenario.
+        Exception: The exception of a failed run, if no violation was seen before.
+
     """
     given = tuple(claims)
     scenario = replace(admitted.scenario, claims=given or admitted.scenario.claims)
@@ -180,43 +195,53 @@ def attribute(
     seen = [bool(given) or claim.expected is Verdict.VIOLATED for claim in scenario.claims]
     if isinstance(first, Exception) and not any(seen):
         raise first
-    found = []
+    attributions = []
     for number, prop in enumerate(properties):
-        tell, why = _Told(trials, number, prop), ""
+        judge, why = _ClaimTrials(trials, number, prop), ""
         if isinstance(first, Exception):
             margin, why = None, f"the kinematic replay fails: {described(first)}"
         else:
-            evaluation = tell.evaluation(first)
+            evaluation = judge.evaluation(first)
             margin = evaluation.margin
             if evaluation.verdict is Verdict.VIOLATED:
-                found.append(tell.attributed(margin, changes_for(spoilt)))
+                attributions.append(judge.attributed(margin, changes_for(spoilt)))
                 continue
             why = f"the kinematic replay does not reproduce it: {evaluation.verdict.value}"
         if seen[number]:
-            found.append(tell.made(answer=AttributionAnswer.NOT_ATTRIBUTED, margin=margin, why=why))
-    return _jointly(found)
+            attributions.append(judge.made(answer=AttributionAnswer.NOT_ATTRIBUTED, margin=margin, why=why))
+    return _jointly(attributions)
 
 
 def confirmed(
     admitted: Admitted, attribution: Attribution, *, run: Runner = ReplaysInWorld(PYBULLET)
 ) -> tuple[Replay, ...]:
-    """The violation in another world, and there with what is blamed changed: one replay, or two."""
+    """Repeat the violation in another world, unchanged and with the blamed change.
+
+    Args:
+        admitted: The admitted scenario.
+        attribution: The violation and its cause.
+        run: The runner of the other world; the default is PyBullet.
+
+    Returns:
+        One replay, or two if a change is blamed.
+
+    """
     scenario = replace(admitted.scenario, claims=(attribution.claim,))
     trials = _Trials(replace(Altered.of(admitted), scenario=scenario), run)
-    told = _Told(trials, 0, property_of(attribution.claim, scenario))
-    return told.replays([(), *(one.changes for one in attribution.helping[:1])])
+    judge = _ClaimTrials(trials, 0, property_of(attribution.claim, scenario))
+    return judge.replays([(), *(replay.changes for replay in attribution.helping[:1])])
 
 
 class _Trials:
-    """The replays of one system; each is made once, however many claims ask for it."""
+    """The replays of one system; each runs once, for any number of claims."""
 
     def __init__(self, system: Altered, run: Runner) -> None:
         self.system, self._run = system, run
         self._done: dict[Changes, Trace | Exception] = {}
-        self._idle: set[Changes] = set()  # what changes nothing
+        self._idle: set[Changes] = set()  # changes without an effect
 
     def made(self, wanted: Iterable[Changes]) -> dict[Changes, Trace | Exception]:
-        """The run after each of these lists of changes, but for those that change nothing."""
+        """Return the run for each list of changes; lists without an effect are absent."""
         wanted, systems = list(wanted), dict[Changes, Altered]()
         for changes in wanted:
             if changes not in self._done and changes not in self._idle:
@@ -230,6 +255,7 @@ class _Trials:
         return {changes: self._done[changes] for changes in wanted if changes in self._done}
 
     def _altered(self, changes: Changes) -> Altered | None:
+        """Return the system after ``changes``; None if one has no effect."""
         system: Altered | None = self.system
         for change in changes:
             system = None if system is None else change.on(system)
@@ -237,38 +263,39 @@ class _Trials:
 
 
 @dataclass(frozen=True, eq=False)
-class _Told:
-    """What is said of one claim of a system."""
+class _ClaimTrials:
+    """The attribution of one claim of a system."""
 
     trials: _Trials
     number: int
     prop: Property
 
     def evaluation(self, run: Trace) -> Evaluation:
-        """The word on a run, judged in its own scenario."""
+        """Return the claim's evaluation of a run, in the run's own scenario."""
         return property_of(self.trials.system.scenario.claims[self.number], run.scenario).evaluate(run)
 
     def attributed(self, margin: float | None, changes: Sequence[Change]) -> Attribution:
-        """The bound, then single changes, then all pairs: of each ingredient what came nearest to help.
+        """Return the attribution: try the bound, then single changes, then all pairs.
 
-        A claim about proposals judges an answer before gate and fallback rule on it, which make it no better;
-        nor do prediction and distance, which only ask something else: none of them is tried.
+        A pair combines for two ingredients the change that came nearest to help.  A claim about proposals
+        skips chosen changes.  Gate and fallback act after the answer that such a claim judges, and cannot
+        improve it.  Prediction and distance only change the question.
         """
         why = why_unavoidable(self.trials.system, self.prop)
         if why:
             return self.made(answer=AttributionAnswer.UNAVOIDABLE, margin=margin, why=why)
         judged_before = ABOUT_PROPOSALS in self.prop.sentence
-        replays = self.replays((one,) for one in changes if not (judged_before and one.chosen))
+        replays = self.replays((option,) for option in changes if not (judged_before and option.chosen))
         helping = _least(replays, self.prop.sentence)
         if not helping:
-            pairs = combinations(sorted(_best(replays), key=lambda one: _rank(one.ingredients)), 2)
-            paired = self.replays(one.changes + other.changes for one, other in pairs)
+            pairs = combinations(sorted(_best(replays), key=lambda option: _rank(option.ingredients)), 2)
+            paired = self.replays(option.changes + second.changes for option, second in pairs)
             replays, helping = replays + paired, _least(paired, self.prop.sentence)
         answer = AttributionAnswer.ATTRIBUTED if helping else AttributionAnswer.NOTHING_HELPED
         return self.made(answer=answer, margin=margin, replays=replays, helping=helping)
 
     def replays(self, wanted: Iterable[Changes]) -> tuple[Replay, ...]:
-        """What became of the claim after each list of changes, but for those that change nothing."""
+        """Return the claim's replay for each list of changes that has an effect."""
         return tuple(self._replay(changes, run) for changes, run in self.trials.made(wanted).items())
 
     def _replay(self, changes: Changes, run: Trace | Exception) -> Replay:
@@ -277,24 +304,26 @@ class _Told:
         evaluation = self.evaluation(run)
         return Replay(changes, Outcome.of(evaluation), evaluation.margin)
 
-    def made(self, **said: Any) -> Attribution:
-        """What is said of the claim; ``said`` are the other fields of an ``Attribution``."""
+    def made(self, **fields: Any) -> Attribution:
+        """Return an ``Attribution`` of the claim; ``fields`` are its further fields."""
         scenario = self.trials.system.scenario
         claim, unit = scenario.claims[self.number], self.prop.unit
-        return Attribution(scenario=scenario.name, claim=claim, unit=unit, **said)
+        return Attribution(scenario=scenario.name, claim=claim, unit=unit, **fields)
 
 
 def _rank(ingredients: Iterable[Ingredient]) -> list[int]:
+    """Return the places of ingredients in the order of blame."""
     order = list(Ingredient)
-    return [order.index(one) for one in ingredients]
+    return [order.index(ingredient) for ingredient in ingredients]
 
 
 def _gain(replay: Replay) -> float:
-    """How near a change came to help: its margin, least of all where there is none."""
+    """Return how near a change came to help: the replay's margin, or -inf without a margin."""
     return -inf if replay.margin is None or isnan(replay.margin) else replay.margin
 
 
 def _by_ingredients(replays: Iterable[Replay]) -> list[list[Replay]]:
+    """Group replays by their set of ingredients."""
     groups: dict[tuple[Ingredient, ...], list[Replay]] = {}
     for replay in replays:
         groups.setdefault(replay.ingredients, []).append(replay)
@@ -302,45 +331,50 @@ def _by_ingredients(replays: Iterable[Replay]) -> list[list[Replay]]:
 
 
 def _best(replays: Iterable[Replay]) -> list[Replay]:
-    """Of every ingredient the change that came nearest to help."""
+    """Return for each set of ingredients the replay that came nearest to help."""
     return [max(group, key=_gain) for group in _by_ingredients(replays)]
 
 
 def _least(replays: Iterable[Replay], sentence: str) -> tuple[Replay, ...]:
-    """For every set of ingredients that helps, its first change that does; the one that is blamed first.
+    """Return the first helpful replay for each set of ingredients that helps, the blamed set first.
 
-    After ``_last_resort``: what can be broken before what a designer chose; those of which more changes help
-    before others, each setting counting as all; then in the order of ``Ingredient``.
+    The order is ``_last_resort``, then three rules.  Parts that can break come before choices of a designer.
+    Sets with a greater share of helpful changes come first; settings count as if all helped.  The last rule
+    is the order of ``Ingredient``.
     """
-    found = []
+    ranking = []
     for group in _by_ingredients(replays):
         helping = [replay for replay in group if replay.helps]
         if helping:
-            first = min(helping, key=lambda one: one.outcome is not Outcome.KEPT)
+            first = min(helping, key=lambda ranked: ranked.outcome is not Outcome.KEPT)
             chosen = any(change.chosen for change in first.changes)
             often = 1.0 if Ingredient.SETTINGS in first.ingredients else len(helping) / len(group)
-            found.append((*_last_resort(first, sentence), chosen, -often, _rank(first.ingredients), first))
-    return tuple(replay for *_, replay in sorted(found, key=lambda one: one[:-1]))
+            ranking.append((*_last_resort(first, sentence), chosen, -often, _rank(first.ingredients), first))
+    return tuple(replay for *_, replay in sorted(ranking, key=lambda ranked: ranked[:-1]))
 
 
 def _last_resort(replay: Replay, sentence: str, helped: int = 0) -> tuple[bool, bool, int, bool]:
-    """The system is blamed before the hand; what keeps the claim before what takes the occasion away.
+    """Return a sort key: the system before the hand, a kept claim before a removed occasion.
 
-    Gate and settings lead a claim about proposals to other questions: they are blamed after who answered.
+    For a claim about proposals, gate and settings come last of the system, because they lead to other
+    questions. ``helped`` is the number of violations of the run that the same ingredients help.
     """
     own = ABOUT_PROPOSALS in sentence
     led = own and not {Ingredient.GATE, Ingredient.SETTINGS}.isdisjoint(replay.ingredients)
     return Ingredient.HAND in replay.ingredients, led, -helped, replay.outcome is not Outcome.KEPT
 
 
-def _jointly(found: Sequence[Attribution]) -> tuple[Attribution, ...]:
-    """One cause of many effects: what helps most of the violations of a run is blamed first for each."""
-    helped = Counter(replay.ingredients for one in found for replay in one.helping)
+def _jointly(attributions: Sequence[Attribution]) -> tuple[Attribution, ...]:
+    """Reorder ``helping`` of a run's violations: the set that helps most of them comes first.
 
-    def ordered(one: Attribution) -> tuple[Replay, ...]:
-        sentence = one.claim.sentence
+    One cause often has many effects.
+    """
+    helped = Counter(replay.ingredients for answer in attributions for replay in answer.helping)
+
+    def ordered(answer: Attribution) -> tuple[Replay, ...]:
+        sentence = answer.claim.sentence
         return tuple(
-            sorted(one.helping, key=lambda each: _last_resort(each, sentence, helped[each.ingredients]))
+            sorted(answer.helping, key=lambda each: _last_resort(each, sentence, helped[each.ingredients]))
         )
 
-    return tuple(replace(one, helping=ordered(one)) for one in found)
+    return tuple(replace(answer, helping=ordered(answer)) for answer in attributions)

@@ -1,7 +1,7 @@
-"""What a run is made of, and how each ingredient is changed for the same run again.
+"""The ingredients of a run, and the changes of each for a replay.
 
-A change makes another system of an admitted one; the faults of the scenario's file that belong to its
-ingredient are taken out with it.  What changes nothing is not tried.
+A change turns an admitted system into another one.  It also removes the faults of the scenario file that
+belong to its ingredient.  Attribution skips a change without an effect.
 """
 
 from __future__ import annotations
@@ -55,14 +55,11 @@ from safety_harness.scenario.robots import OwnRobot
 from safety_harness.scenario.settings_keys import setting_keys
 from safety_harness.trace.trace import Trace
 
-FARTHEST_M = 3.0  # a critical distance that a scenario may have
+FARTHEST_M = 3.0  # the largest critical distance of a scenario
 
 
 class Ingredient(Enum):
-    """What a run is made of.
-
-    In the order in which they are blamed where everything else is equal; the person comes last.
-    """
+    """An ingredient of a run, in the order of blame among equals; the person comes last."""
 
     AVOIDER = "avoider"
     DEADLINE = "deadline"
@@ -77,45 +74,58 @@ class Ingredient(Enum):
     HAND = "hand"
 
 
+# A user's controller replaces the servo, so that changes of these have no effect.
 OF_THE_SERVO = frozenset({Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GATE, Ingredient.FALLBACK})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Altered(Admitted):
-    """An admitted scenario after some changes.  ``fallback`` None: the gate's own."""
+    """An admitted scenario after some changes.
+
+    ``fallback`` is None where the gate keeps its own.
+    """
 
     fallback: Avoider | None = None
     changes: tuple[Change, ...] = ()
 
     @classmethod
     def of(cls, admitted: Admitted) -> Altered:
-        """Nothing changed yet."""
+        """Return an unchanged copy of ``admitted``."""
         return cls(**{field.name: getattr(admitted, field.name) for field in fields(admitted)})
 
     def servo(self, recorded: Trace | None = None) -> AvoidingServo:
-        """As admitted, with the fallback that it has."""
+        """Return the servo as admitted, with the changed fallback if there is one."""
         pilot = super().servo(recorded)
         if self.fallback is not None:
             pilot.gate = replace(pilot.gate, fallback=self.fallback)
         return pilot
 
     def with_scenario(self, scenario: Scenario) -> Altered:
-        """With another scenario, checked as if it came from a file; InputError if it is refused."""
+        """Return the system with another scenario, checked like a file; InputError if it is refused."""
         return self if scenario == self.scenario else replace(self, **vars(check(scenario)))
 
     def without(self, *kinds: type[Any] | UnionType) -> Altered:
-        """Without the scenario's faults of these kinds."""
+        """Return the system without the scenario's faults of these kinds."""
         kept = tuple(fault for fault in self.scenario.faults if not isinstance(fault, kinds))
         return self.with_scenario(replace(self.scenario, faults=kept))
 
     def with_settings(self, alter: Callable[[Settings], Settings]) -> Altered:
-        """With other settings of controller, hand sensor or brakes: none of those below is refused."""
+        """Return the system with other settings; admission refuses no change of these groups.
+
+        The groups belong to controller, hand sensor and brakes.
+        """
         scenario = replace(self.scenario, settings=alter(self.scenario.settings))
         return self if scenario == self.scenario else replace(self, scenario=scenario)
 
 
 def setting(group: str, values: Callable[[Settings], Mapping[str, Any]]) -> Callable[[Altered], Altered]:
-    """Return a change of some values in one group of the settings."""
+    """Return a change of some values in one group of the settings.
+
+    Args:
+        group: The name of the group in Settings.
+        values: Gives the new values from the present settings.
+
+    """
 
     def alter(settings: Settings) -> Settings:
         return replace(settings, **{group: replace(getattr(settings, group), **values(settings))})
@@ -125,9 +135,9 @@ def setting(group: str, values: Callable[[Settings], Mapping[str, Any]]) -> Call
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """One way of changing an ingredient; ``alter`` gives back what it got if there is nothing to change.
+    """One change of an ingredient; ``alter`` returns its argument if there is no effect.
 
-    ``chosen``: it undoes nothing that can be broken, but what a designer chose.
+    ``chosen`` marks a change of a designer's choice, as opposed to the repair of a part that can break.
     """
 
     ingredient: Ingredient
@@ -139,7 +149,10 @@ class Change:
         return f"{self.ingredient.value} ({self.words})"
 
     def on(self, system: Altered) -> Altered | None:
-        """The system changed; None if that changes nothing, or nobody could try it."""
+        """Return the changed system; None if the change has no effect or is refused.
+
+        A driven scenario has its own controller, so that changes of the servo have no effect there.
+        """
         if system.scenario.driven and self.ingredient in OF_THE_SERVO:
             return None
         try:
@@ -151,7 +164,7 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class ExactOptimum(AvoiderAround):
-    """Proposes the closed form of what the networks learn, in the time that ``avoider`` takes."""
+    """Proposes the closed form of the networks' target, in the time that ``avoider`` takes."""
 
     settings: Settings
     name = "exact optimum"
@@ -161,14 +174,14 @@ class ExactOptimum(AvoiderAround):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Eq. 13, exactly.  ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        """Return eq. 13 exactly, for ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
         hands, tcps = hand_position_in_base_m[None], tcp_position_in_base_m[None]
         return Proposal(optimum_in_base_m(self.settings, hands, tcps)[0])
 
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Positions and no spreads (n, 3) [m] for hands (n, 3) and TCPs (n, 3).  ``seeds`` (n,)."""
+        """Return positions and zero spreads (n, 3) [m] for hands (n, 3) and TCPs (n, 3); ``seeds`` (n,)."""
         return optimum_in_base_m(self.settings, hands_in_base_m, tcps_in_base_m), np.zeros_like(
             tcps_in_base_m
         )
@@ -176,7 +189,7 @@ class ExactOptimum(AvoiderAround):
 
 @dataclass(frozen=True, eq=False)
 class InTheTimeOf(AvoiderAround):
-    """``quick`` in the time that ``avoider`` takes: what is swapped is what it says, not when."""
+    """Proposes ``quick``'s answers in the time that ``avoider`` takes: only the answers change."""
 
     quick: OppositePose
     name = "opposite pose"
@@ -186,7 +199,7 @@ class InTheTimeOf(AvoiderAround):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """As ``quick``.  ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        """Return ``quick``'s answer, for ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
         return self.quick.propose(
             hand_position_in_base_m=hand_position_in_base_m,
             tcp_position_in_base_m=tcp_position_in_base_m,
@@ -196,16 +209,18 @@ class InTheTimeOf(AvoiderAround):
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """As ``quick``.  ``seeds`` (n,)."""
+        """Return the answers of ``quick``; ``seeds`` (n,)."""
         return self.quick.propose_many(hands_in_base_m, tcps_in_base_m, seeds)
 
 
 def _optimum(system: Altered) -> Altered:
+    """Replace the avoider by the exact optimum."""
     sound = system.without(AvoiderSilent, AvoiderNaN)
     return replace(sound, avoider=ExactOptimum(system.avoider, system.scenario.settings))
 
 
 def _opposite(system: Altered) -> Altered:
+    """Replace the avoider by the opposite pose."""
     sound = system.without(AvoiderSilent, AvoiderNaN)
     opposite = OppositePose(system.scenario.settings.avoidance.radius_m)
     if isinstance(system.avoider, OppositePose) and system.avoider == opposite:
@@ -214,7 +229,10 @@ def _opposite(system: Altered) -> Altered:
 
 
 def _in_a_tick(system: Altered) -> Altered:
-    """Answers within one control period where any took longer: no time at all exercises nothing."""
+    """Let every answer take one control period, if any took longer.
+
+    An answer in no time at all would not exercise the claims about answers.
+    """
     on_time, settings = system.without(AvoiderLate), system.scenario.settings
     declared = settings.avoidance.decision_time is DecisionCost.AS_DECLARED
     if on_time is system and declared and decision_time_of(system.avoider) == 0.0:
@@ -224,15 +242,17 @@ def _in_a_tick(system: Altered) -> Altered:
 
 
 def _other_gate(settings: Settings) -> dict[str, GateKind]:
+    """Return the kind of gate that the settings do not have."""
     return {"gate": GateKind.REACH if settings.avoidance.gate is GateKind.FULL else GateKind.FULL}
 
 
 def _stops(system: Altered) -> Altered:
+    """Replace the fallback by a protective stop."""
     return replace(system, fallback=AnswersNaN("protective stop"))
 
 
 def _exact_hands(system: Altered) -> Altered:
-    """The hand sensor sees every hand, exactly and at once, and takes it for as large as it is."""
+    """Let the hand sensor see every hand exactly and at once, and give the filter the hand's true size."""
 
     def alter(settings: Settings) -> Settings:
         place = settings.hand_sensor.overhead_position_in_base_m
@@ -243,7 +263,7 @@ def _exact_hands(system: Altered) -> Altered:
 
 
 def _exact_camera(system: Altered) -> Altered:
-    """The servoing camera sees the object exactly and at once, and is where the controller takes it to be."""
+    """Let the servoing camera see the object exactly and at once, at the place that the servo assumes."""
 
     def alter(settings: Settings) -> Settings:
         zero = Camera()
@@ -266,19 +286,19 @@ def _predicting(horizon_s: Callable[[Settings], float]) -> Callable[[Altered], A
 
 
 def _time_to_stop_s(settings: Settings) -> float:
-    """From the question to standstill, at the arm's full speed."""
+    """Return the time from the question to standstill, at the arm's full speed [s]; at most 2 s."""
     braking, fastest_mps = settings.braking, fastest_tcp_mps(settings)
     stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps
     return min(settings.avoidance.decision_deadline_s + braking.reaction_time_s + stop_s, 2.0)
 
 
 def fastest_tcp_mps(settings: Settings) -> float:
-    """The speed that the controller never lets the TCP exceed."""
+    """Return the greatest TCP speed that the controller allows [m/s]."""
     return max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
 
 
 def _sound_drives(system: Altered) -> Altered:
-    """No joint sticks, the drives do at once what they are told, and the brakes act within one period."""
+    """Free all joints, let drives follow at once, and let brakes stop within one control period."""
 
     def alter(settings: Settings) -> Settings:
         stop_s = settings.clock.control_period_s
@@ -292,7 +312,7 @@ def _sound_drives(system: Altered) -> Altered:
 
 
 def _avoiding_from(distance_m: Callable[[Settings], float]) -> Callable[[Altered], Altered]:
-    """A larger critical distance; one that would be smaller changes nothing."""
+    """Return a change to a larger critical distance; a smaller distance has no effect."""
 
     def larger(settings: Settings) -> dict[str, float]:
         before_m = settings.avoidance.critical_distance_m
@@ -302,15 +322,15 @@ def _avoiding_from(distance_m: Callable[[Settings], float]) -> Callable[[Altered
 
 
 def _at_default(group: str, name: str) -> Callable[[Altered], Altered]:
-    """A setting as it is where no file changes it; an avoider made of settings is made anew."""
+    """Return a change of one setting to its default; an avoider built from settings is built anew."""
     default = getattr(getattr(DEFAULTS, group), name)
 
     def alter(system: Altered) -> Altered:
-        before, avoider = system.scenario.settings, system.avoider
-        own = getattr(before, group)
+        settings_before, avoider = system.scenario.settings, system.avoider
+        own = getattr(settings_before, group)
         if getattr(own, name) == default:
             return system
-        settings = replace(before, **{group: replace(own, **{name: default})})
+        settings = replace(settings_before, **{group: replace(own, **{name: default})})
         if isinstance(avoider, OppositePose):
             avoider = OppositePose(settings.avoidance.radius_m)
         elif isinstance(avoider, NearestCandidate):
@@ -321,11 +341,15 @@ def _at_default(group: str, name: str) -> Callable[[Altered], Altered]:
 
 
 def _without_gate_rule(system: Altered) -> Altered:
+    """Remove the scenario's own rule of the gate."""
     return system.with_scenario(replace(system.scenario, gate=None))
 
 
 def _all_at_default(system: Altered) -> Altered:
-    """Several at once; where only one was changed there is nothing left to try."""
+    """Set all changed settings to their defaults; no effect where only one is changed.
+
+    A single changed setting is already a change of its own.
+    """
     changed = [change for change in AT_DEFAULT if change.on(system) is not None]
     return reduce(lambda done, change: change.alter(done), changed, system) if len(changed) > 1 else system
 
@@ -335,12 +359,12 @@ def _times(factor: float) -> Callable[[Settings], float]:
 
 
 def _separation_m(settings: Settings) -> float:
-    """The protective separation for an arm at its speed limit, from the TCP to the hand's centre."""
+    """Return the protective separation at the arm's speed limit, from TCP to hand centre [m]."""
     return ProtectiveSeparation().largest_m(settings) + settings.hand.radius_m
 
 
 def _half_as_fast(system: Altered) -> Altered:
-    """Hands along the same ways at half their speed, in a run of twice the duration."""
+    """Move hands on the same paths at half their speed, in a run of twice the duration."""
     scenario = system.scenario
     hands = tuple(map(_slower, scenario.hands))
     if hands == scenario.hands:
@@ -349,6 +373,7 @@ def _half_as_fast(system: Altered) -> Altered:
 
 
 def _slower(hand: HandTrajectory) -> HandTrajectory:
+    """Return the hand at half its speed."""
     if isinstance(hand, MovingHand):
         return replace(hand, moves=tuple(map(_slower_move, hand.moves)))
     if isinstance(hand, RecordedHand):
@@ -358,14 +383,14 @@ def _slower(hand: HandTrajectory) -> HandTrajectory:
 
 
 def _slower_move(move: HandMove) -> HandMove:
-    """What is done for a time, or given up after one, has twice as much; a wait stays as long."""
+    """Double the time that a move lasts or waits for its goal; a pause keeps its length."""
     slower = {"speed_mps": 0.5, "at_most_s": 2.0}
     if isinstance(move, FollowTcp | Wander):
         slower["duration_s"] = 2.0
-    return replace(move, **{key: by * getattr(move, key) for key, by in slower.items() if hasattr(move, key)})
+    return replace(move, **{k: factor * getattr(move, k) for k, factor in slower.items() if hasattr(move, k)})
 
 
-# What describes arm, cell, person and sensors is no choice, and some have an ingredient of their own.
+# Settings with ingredients of their own.  Groups that describe arm, cell, person and sensors are no choice.
 ELSEWHERE = ("gate", "critical_distance_m", "decision_time", "decision_deadline_s")
 AT_DEFAULT = (
     *(
@@ -397,6 +422,6 @@ CHANGES: tuple[Change, ...] = (
 
 
 def changes_for(spoilt: Collection[Ingredient]) -> tuple[Change, ...]:
-    """Those to try: first whatever is spoilt beside the scenario, made sound."""
+    """Return the changes to try: first each ingredient of ``spoilt`` made sound, then CHANGES."""
     order = list(Ingredient)
-    return tuple(Change(one, "sound", replace) for one in sorted(spoilt, key=order.index)) + CHANGES
+    return tuple(Change(part, "sound", replace) for part in sorted(spoilt, key=order.index)) + CHANGES

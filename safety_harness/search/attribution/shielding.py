@@ -1,6 +1,7 @@
-"""Was it the shield, or would the rest have kept the hands from a moving arm without it?  The run once more.
+"""Attribution to the shield: was it decisive, or would the rest have kept hands from a moving arm?
 
-Three kinematic runs: as it is, without its shield, and with the shield alone, which is without an avoider.
+Three kinematic runs answer this: unchanged, without the shield, and with the shield alone.  The last run has
+no avoider.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True)
 class ShieldAttribution:
-    """What became of *no moving part touches a hand*, and the run as it is; None: it had none of these."""
+    """The evaluations of *no moving part touches a hand* in three runs, and the unchanged run.
+
+    ``alone`` is None for a scenario whose controller is not ours.
+    """
 
     trace: Trace
     shielded: Evaluation
@@ -26,12 +30,12 @@ class ShieldAttribution:
 
     @property
     def words(self) -> str:
-        """Who was decisive."""
-        found = (self.shielded, self.plain, self.shielded if self.alone is None else self.alone)
-        untold = [one for one in found if Outcome.of(one) is Outcome.UNTOLD]
+        """The decisive part in words."""
+        evaluations = (self.shielded, self.plain, self.shielded if self.alone is None else self.alone)
+        untold = [evaluation for evaluation in evaluations if Outcome.of(evaluation) is Outcome.UNTOLD]
         if untold:
             return f"who was decisive is not known: {untold[0].reason}"
-        kept, plain, alone = (Outcome.of(one) is not Outcome.VIOLATED for one in found)
+        kept, plain, alone = (Outcome.of(evaluation) is not Outcome.VIOLATED for evaluation in evaluations)
         if not kept:
             return f"not even the shield kept hands from what moves: {self.shielded.margin_text()}"
         if not plain:
@@ -44,7 +48,10 @@ class ShieldAttribution:
 
 
 def attribute_shield(admitted: Admitted) -> ShieldAttribution | None:
-    """Of a scenario with a shield; None for one without.  What a run raises is raised."""
+    """Return the attribution of a scenario with a shield; None for a scenario without.
+
+    An exception of a run is raised.
+    """
     if admitted.scenario.shield is None:
         return None
     system = Altered.of(admitted)
@@ -52,9 +59,9 @@ def attribute_shield(admitted: Admitted) -> ShieldAttribution | None:
     if admitted.driver is None:
         systems.append(setting("avoidance", lambda _: {"critical_distance_m": 0.0})(system))
     traces = ReplaysInWorld()(systems)
-    for one in traces:
-        if isinstance(one, Exception):
-            raise one
-    found = [one for one in traces if isinstance(one, Trace)]
-    said = [NO_MOVING_PART_TOUCHES.prop.evaluate(one) for one in found]
-    return ShieldAttribution(found[0], said[0], said[1], said[2] if len(said) > 2 else None)
+    for run in traces:
+        if isinstance(run, Exception):
+            raise run
+    done = [run for run in traces if isinstance(run, Trace)]
+    judged = [NO_MOVING_PART_TOUCHES.prop.evaluate(run) for run in done]
+    return ShieldAttribution(done[0], judged[0], judged[1], judged[2] if len(judged) > 2 else None)

@@ -1,4 +1,4 @@
-"""Many attributions together: for how many each ingredient is blamed, and what would have helped."""
+"""Tallies of attributions: how many violations blame each ingredient, and which changes would have helped."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ class AttributionTally:
 
     @classmethod
     def of(cls, attributions: Iterable[Attribution]) -> AttributionTally:
-        """Those of any number of runs."""
+        """Return the tally of ``attributions``, from any number of runs."""
         return cls(tuple(attributions))
 
     @cached_property
     def groups(self) -> dict[str, int]:
-        """How many are counted as what, the most first; what nothing is said of comes last."""
-        found = Counter(one.group for one in self.attributions)
-        return dict(sorted(found.items(), key=lambda item: (item[0] in LAST, -item[1], item[0])))
+        """The number of violations in each group, largest first; groups without a cause come last."""
+        counts = Counter(attribution.group for attribution in self.attributions)
+        return dict(sorted(counts.items(), key=lambda item: (item[0] in LAST, -item[1], item[0])))
 
     @cached_property
     def would_help(self) -> dict[str, int]:
-        """How many violations every single change would have avoided, the most first."""
-        found: Counter[str] = Counter()
-        for one in self.attributions:
-            for replay in one.replays:
+        """The number of violations that each single change would have avoided, largest first."""
+        counts: Counter[str] = Counter()
+        for attribution in self.attributions:
+            for replay in attribution.replays:
                 if len(replay.changes) == 1:
-                    found[replay.words] += replay.helps
-        return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
+                    counts[replay.words] += replay.helps
+        return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
     @property
     def words(self) -> str:
-        """``of 303: 171 unavoidable, 83 critical distance``."""
+        """The groups in words, as in ``of 303: 171 unavoidable, 83 critical distance``."""
         return group_words(self.groups)
 
     def lines(self) -> Iterator[str]:
-        """The groups and the changes as tables for a terminal; nothing where there is nothing to tell."""
+        """Yield the groups and the helpful changes as a table for a terminal; empty without violations."""
         if not self.attributions:
             return
         yield self.words
@@ -55,36 +55,36 @@ class AttributionTally:
             yield from (f"{count:>7,}  {change}" for change, count in helping.items())
 
     def as_json(self) -> dict[str, object]:
-        """Counts, and every attribution with its replays; margins in SI."""
+        """Return counts, and every attribution with its replays; margins in SI."""
         return {
             "violations": len(self.attributions),
             "groups": self.groups,
             "would_have_helped": self.would_help,
-            "attributions": [as_json_of(one) for one in self.attributions],
+            "attributions": [as_json_of(attribution) for attribution in self.attributions],
         }
 
 
 def group_words(groups: Mapping[str, int]) -> str:
-    """How many violations each group has, of how many."""
+    """Return the number of violations in total and in each group, in words."""
     return f"of {sum(groups.values())}: " + ", ".join(f"{count} {group}" for group, count in groups.items())
 
 
-def as_json_of(one: Attribution) -> dict[str, object]:
-    """One violation with its replays; margins in SI."""
+def as_json_of(answer: Attribution) -> dict[str, object]:
+    """Return one violation with its replays as JSON; margins in SI."""
     return {
-        "scenario": one.scenario,
-        "claim": one.claim.sentence,
-        "answer": one.answer.value,
-        "ingredients": [ingredient.value for ingredient in one.cause],
-        "least_sets": [[ingredient.value for ingredient in replay.ingredients] for replay in one.helping],
-        "why": one.why,
-        "margin_si": one.margin,
+        "scenario": answer.scenario,
+        "claim": answer.claim.sentence,
+        "answer": answer.answer.value,
+        "ingredients": [ingredient.value for ingredient in answer.cause],
+        "least_sets": [[ingredient.value for ingredient in replay.ingredients] for replay in answer.helping],
+        "why": answer.why,
+        "margin_si": answer.margin,
         "replays": [
             {
                 "changes": list(map(str, replay.changes)),
                 "outcome": replay.outcome.value,
                 "margin_si": replay.margin,
             }
-            for replay in one.replays
+            for replay in answer.replays
         ],
     }

@@ -1,9 +1,9 @@
-"""What no arm could have kept: a bound for the distance from hands, derived in docs/attribution.md.
+"""The bound on the distance from hands that no arm can keep; docs/attribution.md derives it.
 
-An arm is free that knows the whole run beforehand and keeps one limit of the system's alone: its TCP starts
-where it starts and is never faster than the controller, or where that does not bound it the joints' limits,
-let it be.  What no free arm keeps, no change of the system could have kept.  Each of the three bounds is a
-necessary condition; what none of them refutes may still be unavoidable.
+A *free arm* knows the whole run beforehand and keeps a single limit of the system.  Its TCP starts where the
+run starts, and is never faster than the controller.  If that does not bound it, the joints' limits do.  A
+claim that no free arm keeps stays violated by every change of the system.  Each of the three bounds is a
+necessary condition. A violation that passes them all may still be unavoidable.
 """
 
 from __future__ import annotations
@@ -33,23 +33,29 @@ from safety_harness.scenario.moves import FollowTcp, ReachForTcp
 from safety_harness.search.attribution.ingredients import fastest_tcp_mps
 
 SeeksTcp = ReachForTcp | FollowTcp
-STEPS = 200  # in which a hand that slows down is followed
-LEAST = 1.05  # times the TCP's speed: no slower does it come nearer
-NOWHERE = np.zeros(3)  # of the TCP, for hands that do not look at it
+STEPS = 200  # of the path of a hand that brakes
+LEAST = 1.05  # times the TCP's speed: a slower hand is not followed any further
+NOWHERE = np.zeros(3)  # a TCP for hands that do not depend on it
 
 
 def why_unavoidable(checked: Checked, prop: Property) -> str:
-    """Why no free arm could have kept ``prop`` in this scenario; empty if no bound says so."""
+    """Return why no free arm could have kept ``prop`` in this scenario; empty if no bound applies.
+
+    Args:
+        checked: The admitted scenario with its arm.
+        prop: The claim's property; only ``HandDistance`` has bounds.
+
+    """
     if not isinstance(prop, HandDistance) or not checked.scenario.hands:
         return ""
     free, radii = FreeArm.of(checked), checked.scenario.settings.hand
     near_m = prop.minimum_m + radii.radius_m
     for number, hand in enumerate(checked.scenario.hands):
-        way = SettledWay.of(checked.scenario, number)
+        path = HandPath.of(checked.scenario, number)
         why = (
-            _at_what_cannot_move(free, way, prop.minimum_m, radii)
-            or _before_it_can_leave(free, way, near_m)
-            or _pursued(free, way, near_m, checked.scenario, hand)
+            _at_what_cannot_move(free, path, prop.minimum_m, radii)
+            or _before_it_can_leave(free, path, near_m)
+            or _pursued(free, path, near_m, checked.scenario, hand)
         )
         if why:
             return f"{hand.name} {why}"
@@ -58,11 +64,11 @@ def why_unavoidable(checked: Checked, prop: Property) -> str:
 
 @dataclass(frozen=True, eq=False)
 class FreeArm:
-    """What is the same of every free arm, in the base frame.
+    """The properties that all free arms of a scenario share, in the base frame.
 
-    ``start_m`` and ``centre_m`` (3,): where the TCP starts, and the point that it is never farther from than
-    ``reach_m``.  ``tip_m``: a ball of this radius about the TCP is within the arm.  ``body`` is what no joint
-    moves, as capsules, with ``ends_m`` (n, 2, 3).
+    ``start_m`` (3,) is the TCP at the start.  ``centre_m`` (3,) is a point from which the TCP is never
+    farther than ``reach_m``.  A ball of radius ``tip_m`` about the TCP lies within the arm.  ``fastest_mps``
+    limits the TCP. ``body`` has the capsules that no joint moves, with end points ``ends_m`` (n, 2, 3).
     """
 
     start_m: Array3
@@ -75,7 +81,7 @@ class FreeArm:
 
     @classmethod
     def of(cls, checked: Checked) -> FreeArm:
-        """Those of the scenario's arm, from where it starts."""
+        """Return the free arm of a scenario, from its start."""
         transforms = links_in_base(checked.arm, checked.joint_position_rad)
         places = transforms[:, :3, 3]
         settings = checked.scenario.settings
@@ -84,8 +90,8 @@ class FreeArm:
         for k, link in enumerate(capsules.link_index):
             if link >= len(places) - 2:  # rigidly at the TCP
                 start, end = (
-                    transforms[link, :3, :3] @ one[k] + places[link]
-                    for one in (capsules.start_in_link, capsules.end_in_link)
+                    transforms[link, :3, :3] @ ends[k] + places[link]
+                    for ends in (capsules.start_in_link, capsules.end_in_link)
                 )
                 tip_m = max(tip_m, float(capsules.radius_m[k]) - _off_segment_m(tcp, start, end))
         body, ends_m = _immovable(capsules, transforms, checked.arm.joint_axes[0])
@@ -100,17 +106,24 @@ class FreeArm:
         )
 
     def farthest_m(self, from_m: ArrayNx3, time_s: NDArray[np.float64]) -> NDArray[np.float64]:  # (n,)
-        """(n,) how far the TCP can be from points (n, 3) at times (n,), at most."""
+        """Return the greatest possible distance (n,) of the TCP from points at given times.
+
+        Args:
+            from_m: The points, in the base frame.
+            time_s: Their times since the start of the run.
+
+        """
         run_m = np.linalg.norm(from_m - self.start_m, axis=1) + self.fastest_mps * time_s
         reached_m = np.linalg.norm(from_m - self.centre_m, axis=1) + self.reach_m
         return np.asarray(np.minimum(run_m, reached_m))
 
 
 def _fastest_mps(checked: Checked, capsules: CapsuleSet) -> float:
-    """What the TCP cannot exceed: by the servo's own limits, where the drives do what it says.
+    """Return a limit of the TCP's speed: the servo's, where the drives follow it.
 
-    Else by those of the joints, sum q'_j l_j with the chain of links l_j behind each: a user's controller may
-    command them, and drives that lag, or a joint that is stuck, may turn them otherwise than the servo says.
+    Otherwise it is the limit of the joints, sum q'_j l_j, with the chain of links l_j behind joint j.  A
+    user's controller may command any joint speed.  Lagging drives or a stuck joint may deviate from the
+    servo's command.
     """
     scenario = checked.scenario
     stuck = any(isinstance(fault, JointStuck) for fault in scenario.faults)
@@ -121,10 +134,11 @@ def _fastest_mps(checked: Checked, capsules: CapsuleSet) -> float:
 
 
 def _off_segment_m(point: Array3, start: Array3, end: Array3) -> float:
-    way = end - start
-    squared = float(way @ way)
-    along = min(max(float((point - start) @ way) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
-    return float(np.linalg.norm(point - start - along * way))
+    """Return the distance of a point from the segment between ``start`` and ``end``."""
+    along_segment = end - start
+    squared = float(along_segment @ along_segment)
+    part = min(max(float((point - start) @ along_segment) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
+    return float(np.linalg.norm(point - start - part * along_segment))
 
 
 def _immovable(
@@ -132,10 +146,10 @@ def _immovable(
     transforms: NDArray[np.float64],  # (n + 2, 4, 4)
     axis_in_link: Array3,
 ) -> tuple[CapsuleSet, NDArray[np.float64]]:
-    """The capsules of the base, and of the first link the balls about the axis that it turns about.
+    """Return the capsules that no joint moves, and their end points (n, 2, 3) in the base frame.
 
-    A ball about a point at the distance r from the axis has within it one about the point's foot on the axis,
-    smaller by r, wherever the joint is.
+    These are the capsules of the base, and balls of the first link about its axis.  A ball at distance r from
+    the axis contains a ball about its foot on the axis, smaller by r, wherever the joint is.
     """
     parts: list[tuple[int, Array3, Array3, float]] = []
     axis = transforms[1, :3, :3] @ axis_in_link
@@ -162,12 +176,12 @@ def _immovable(
 
 
 @dataclass(frozen=True, eq=False)
-class SettledWay:
-    """The way of a hand as far as it does not depend on the arm.
+class HandPath:
+    """The part of a hand's path that does not depend on the arm.
 
-    ``time_s`` (n,), ``hand_m`` and ``elbow_m`` (n, 3) in the base frame.  ``then`` is the move with which it
-    begins to head for the TCP, at the last of the times at the latest and no more than ``period_s`` before
-    it; None if it never does.  ``at_rest``: it begins that at rest.  ``steady_m`` (3,) is where.
+    ``time_s`` (n,), ``hand_m`` and ``elbow_m`` (n, 3) are in the base frame.  ``then`` is the move with which
+    the hand first heads for the TCP; None if it never does.  This move begins at most ``period_s`` before the
+    last time.  ``at_rest`` tells whether the hand rests at that moment, and ``steady_m`` (3,) is its place.
     """
 
     time_s: NDArray[np.float64]
@@ -178,15 +192,15 @@ class SettledWay:
     steady_m: Array3
 
     @classmethod
-    def of(cls, scenario: Scenario, number: int) -> SettledWay:
-        """That of one of the scenario's hands, or of who leads it."""
+    def of(cls, scenario: Scenario, number: int) -> HandPath:
+        """Return the path of hand ``number`` of the scenario, or of its leader."""
         leader, settled = scenario.leader(scenario.hands[number]), scenario
         moves = leader.moves if isinstance(leader, MovingHand) else ()
         seeks = next((k for k, move in enumerate(moves) if isinstance(move, SeeksTcp)), None)
         if isinstance(leader, MovingHand) and seeks is not None:
-            before = replace(leader, moves=moves[:seeks])
+            settled_leader = replace(leader, moves=moves[:seeks])
             settled = replace(
-                scenario, hands=tuple(before if hand is leader else hand for hand in scenario.hands)
+                scenario, hands=tuple(settled_leader if hand is leader else hand for hand in scenario.hands)
             )
         hands, count = hands_at_start(settled), scenario.ticks + 1
         who = scenario.hands.index(leader) if leader is not None else number
@@ -217,9 +231,10 @@ def _follow(
     period_s: float,
     ways_m: NDArray[np.float64],  # (n, 2, 3), written
 ) -> int:
-    """Hand and elbow of hand ``number`` at each tick, until the moves of hand ``ends`` are over; how many.
+    """Write hand and elbow of hand ``number`` at each tick, and return the number of ticks.
 
-    ``ends`` -1: to the end.
+    The path ends when the moves of hand ``ends`` are over; ``ends`` -1 follows the hand to the end of the
+    run.
     """
     for tick in range(ways_m.shape[0]):
         for i in range(3):
@@ -231,36 +246,39 @@ def _follow(
     return len(ways_m)
 
 
-def _at_what_cannot_move(free: FreeArm, way: SettledWay, minimum_m: float, radii: Hand) -> str:
-    """The hand comes too near to a part that no joint moves."""
+def _at_what_cannot_move(free: FreeArm, path: HandPath, minimum_m: float, radii: Hand) -> str:
+    """Return the first time at which the hand is too near to a part that no joint moves; or an empty text."""
     sizes_m = radii.radius_m, radii.forearm_radius_m
     thick_m = max(sizes_m) + float(free.body.radius_m.max())
     thick_m += float(np.linalg.norm(free.ends_m - free.centre_m, axis=2).max())
-    middle_m = (way.hand_m + way.elbow_m) / 2.0
-    half_m = np.linalg.norm(way.hand_m - way.elbow_m, axis=1) / 2.0
-    near = np.linalg.norm(middle_m - free.centre_m, axis=1) - half_m - thick_m < minimum_m
-    for time_s, hand, elbow in zip(way.time_s[near], way.hand_m[near], way.elbow_m[near], strict=True):
-        distance_m, which = hand_distance(free.body.records, free.ends_m, hand, elbow, *sizes_m)
+    middle_m = (path.hand_m + path.elbow_m) / 2.0
+    half_m = np.linalg.norm(path.hand_m - path.elbow_m, axis=1) / 2.0
+    close = np.linalg.norm(middle_m - free.centre_m, axis=1) - half_m - thick_m < minimum_m
+    for time_s, hand, elbow in zip(path.time_s[close], path.hand_m[close], path.elbow_m[close], strict=True):
+        distance_m, index = hand_distance(free.body.records, free.ends_m, hand, elbow, *sizes_m)
         if distance_m < minimum_m:
-            part = free.body.names[which].replace("_", " ")
+            part = free.body.names[index].replace("_", " ")
             return f"is {distance_m * 1e3:.0f} mm from {part} at {time_s:.2f} s, which no joint moves"
     return ""
 
 
-def _before_it_can_leave(free: FreeArm, way: SettledWay, near_m: float) -> str:
-    """The hand is too near to every place where the TCP can be by then; ``near_m`` from its centre."""
-    farthest_m = free.farthest_m(way.hand_m, way.time_s)
+def _before_it_can_leave(free: FreeArm, path: HandPath, near_m: float) -> str:
+    """Return the first time at which all places that the TCP can reach are too near; or an empty text.
+
+    ``near_m`` is the least allowed distance from the hand's centre.
+    """
+    farthest_m = free.farthest_m(path.hand_m, path.time_s)
     late = np.flatnonzero(farthest_m < near_m + free.tip_m)
     if not len(late):
         return ""
     k = int(late[0])
-    return f"is at most {farthest_m[k] * 1e3:.0f} mm from wherever the TCP can be at {way.time_s[k]:.2f} s"
+    return f"is at most {farthest_m[k] * 1e3:.0f} mm from wherever the TCP can be at {path.time_s[k]:.2f} s"
 
 
-def _pursued(free: FreeArm, way: SettledWay, near_m: float, scenario: Scenario, hand: HandTrajectory) -> str:
-    """The hand heads for the TCP, faster than it can leave, until it is too near."""
-    move = way.then
-    if move is None or not way.at_rest or not isinstance(hand, MovingHand):
+def _pursued(free: FreeArm, path: HandPath, near_m: float, scenario: Scenario, hand: HandTrajectory) -> str:
+    """Return how a hand that is faster than the TCP catches it, or an empty text."""
+    move = path.then
+    if move is None or not path.at_rest or not isinstance(hand, MovingHand):
         return ""
     if isinstance(move, ReachForTcp) and move.hesitation is not None:
         return ""
@@ -271,9 +289,9 @@ def _pursued(free: FreeArm, way: SettledWay, near_m: float, scenario: Scenario, 
         fleeing_mps=free.fastest_mps,
         period_s=scenario.settings.clock.control_period_s,
     )
-    begins_s = float(way.time_s[-1])
-    nearest_m = float(np.linalg.norm(way.steady_m - free.start_m)) - free.fastest_mps * begins_s
-    farthest_m = float(free.farthest_m(way.steady_m[None], way.time_s[-1:])[0])
+    begins_s = float(path.time_s[-1])
+    nearest_m = float(np.linalg.norm(path.steady_m - free.start_m)) - free.fastest_mps * begins_s
+    farthest_m = float(free.farthest_m(path.steady_m[None], path.time_s[-1:])[0])
     caught = chase.caught(nearest_m, farthest_m)
     if caught is None:
         return ""
@@ -292,7 +310,11 @@ def _pursued(free: FreeArm, way: SettledWay, near_m: float, scenario: Scenario, 
 
 @dataclass(frozen=True)
 class Chase:
-    """A hand that begins at rest to head for a TCP, as ``pursue`` moves it."""
+    """A hand that heads for a TCP from rest, in the motion of ``pursue``.
+
+    ``speed_mps`` and ``acceleration_mps2`` limit the hand, ``fleeing_mps`` limits the TCP.  The hand stops at
+    the distance ``until_m``.
+    """
 
     speed_mps: float
     acceleration_mps2: float
@@ -301,9 +323,15 @@ class Chase:
     period_s: float
 
     def caught(self, nearest_m: float, farthest_m: float) -> tuple[float, float, float] | None:
-        """How long it heads for the TCP, how much later it is how near, all at most; None for no bound.
+        """Return three upper bounds: the heading time [s], the time after it [s], and the distance then [m].
 
-        At the beginning the TCP is at least ``nearest_m`` and at most ``farthest_m`` away.
+        Args:
+            nearest_m: The least distance of the TCP at the beginning.
+            farthest_m: Its greatest distance then.
+
+        Returns:
+            The three bounds; None if there is no bound.
+
         """
         s, a, v, dt = self.speed_mps, self.acceleration_mps2, self.fleeing_mps, self.period_s
         ending_m = self.until_m + s * s / (2.0 * a) + s * dt + (s + v) * dt
@@ -323,7 +351,7 @@ class Chase:
         return flown if flown[2] <= braked_m else (heading_s + braking_s, 0.0, braked_m)
 
     def _braked(self, ending_m: float) -> tuple[float, float]:
-        """How long it takes, and how near it comes, while it slows down before the TCP, both at most."""
+        """Return upper bounds of the time [s] and the distance [m] while the hand brakes before the TCP."""
         a, v, dt = self.acceleration_mps2, self.fleeing_mps, self.period_s
         distance_m, took_s, turned, near_m = ending_m, 0.0, 0.0, ending_m
         step_m = (ending_m - self.until_m) / STEPS
@@ -343,9 +371,10 @@ class Chase:
         return took_s, near_m
 
     def _turned_s(self, nearest_m: float, ending_m: float) -> float | None:
-        """After which time the hand moves straight at the TCP at its full speed, at most; None for no bound.
+        """Return the longest time until the hand moves at the TCP with full speed; None for no bound.
 
-        The least fixed point of the inequalities in the documents; the TCP is no nearer than ``ending_m``.
+        It is the least fixed point of the inequalities in docs/attribution.md.  The TCP is no nearer than
+        ``ending_m``.
         """
         s, a, v = self.speed_mps, self.acceleration_mps2, self.fleeing_mps
         lateral_mps, least_m = 0.0, nearest_m
@@ -357,12 +386,12 @@ class Chase:
                 return None
             turned_s = s / rate_mps2 + self.period_s
             way_m = s * s / (2.0 * a) + s * (turned_s - s / a)
-            before = lateral_mps, least_m
+            previous = lateral_mps, least_m
             least_m = nearest_m - way_m - v * turned_s
             if least_m < ending_m:
                 return None
             lateral_mps = v * (exp(way_m / least_m) - 1.0)
-            if abs(lateral_mps - before[0]) < 1e-9 and abs(least_m - before[1]) < 1e-9:
+            if abs(lateral_mps - previous[0]) < 1e-9 and abs(least_m - previous[1]) < 1e-9:
                 never_back = (
                     a * s / (s * s + lateral_mps**2) ** 0.5 > lateral_mps * (v + lateral_mps) / least_m
                 )

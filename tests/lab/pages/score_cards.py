@@ -83,8 +83,8 @@ def region_score(name: str = "seen", *, questions: int = 200, shift_m: float = 0
 def scorecard(avoider: str = "mc-dropout", *, shift_m: float = 0.0, measured: bool = True) -> Scorecard:
     """Two regions, the second of which no run can ask about."""
     regions = (region_score(shift_m=shift_m), region_score("far", shift_m=shift_m))
-    question = regions[0].questions.one(0)
-    change = AnswerChange(Moved.HAND, question, regions[0].questions.one(1), 0.081, 1e-5)
+    question = regions[0].questions.single(0)
+    change = AnswerChange(Moved.HAND, question, regions[0].questions.single(1), 0.081, 1e-5)
     share = Proportion.of(np.array([True, False]))
     return Scorecard(
         avoider=avoider,

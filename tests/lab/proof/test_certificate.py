@@ -23,7 +23,7 @@ from safety_harness.cell.avoidance.shipped import shipped_model
 from safety_harness.extensions.lab.proof import check
 from safety_harness.extensions.lab.proof.certificate import taken_up, write_certificate
 from safety_harness.extensions.lab.proof.plan import read_proof_plan
-from safety_harness.extensions.lab.proof.session import Effort, carry_on, fresh
+from safety_harness.extensions.lab.proof.session import Effort, continue_proofs, fresh
 from tests.lab.proof.regions import plan_file
 
 CHECKER = Path(check.__file__)
@@ -59,7 +59,7 @@ claims:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("certificate")
     plan = read_proof_plan(plan_file(folder, TEXT))
-    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=13)))
+    proofs = list(continue_proofs(plan, fresh(plan), Effort(seconds=1e6, halvings=13)))
     write_certificate(folder / "certificate.json", plan, proofs)
     return folder
 
@@ -209,7 +209,7 @@ def test_that_of_an_ensemble_is_confirmed_with_its_spread(tmp_path: Path) -> Non
     text = TEXT.replace("avoider: student", "avoider: student-ensemble")
     text = text.replace("within 4 mm of the optimum", "uncertain or within 4 mm of the optimum")
     plan = read_proof_plan(plan_file(tmp_path, text))
-    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=9)))
+    proofs = list(continue_proofs(plan, fresh(plan), Effort(seconds=1e6, halvings=9)))
     write_certificate(tmp_path / "certificate.json", plan, proofs)
     model, data = shipped_model("student-ensemble").read_bytes(), (tmp_path / "certificate.json").read_bytes()
     lines = check.check(data, model)
@@ -225,15 +225,15 @@ def test_that_of_an_ensemble_is_confirmed_with_its_spread(tmp_path: Path) -> Non
 def test_it_is_taken_up_where_it_ended(made: Path) -> None:
     plan = read_proof_plan(made / "proofs.yaml")
     before = taken_up(made / "certificate.json", plan)
-    after = list(carry_on(plan, before, Effort(seconds=1e6, halvings=15)))
-    straight = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=15)))
+    after = list(continue_proofs(plan, before, Effort(seconds=1e6, halvings=15)))
+    straight = list(continue_proofs(plan, fresh(plan), Effort(seconds=1e6, halvings=15)))
     for one, other in zip(after, straight, strict=True):
         assert all(np.array_equal(a, b) for a, b in zip(one.tree.levels, other.tree.levels, strict=True))
 
 
 def test_nor_is_more_time_than_there_is_taken(made: Path) -> None:
     plan, start_s = read_proof_plan(made / "proofs.yaml"), time.monotonic()
-    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=0.4, halvings=60)))
+    proofs = list(continue_proofs(plan, fresh(plan), Effort(seconds=0.4, halvings=60)))
     assert time.monotonic() - start_s < 10.0
     assert any(proof.tree.shares()["undecided"] for proof in proofs)
 
@@ -249,9 +249,9 @@ def test_what_processes_take_to_start_is_no_time_of_a_claim(
         return map(judge, boxes)
 
     plan = read_proof_plan(made / "proofs.yaml")
-    whole = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=9)))
+    whole = list(continue_proofs(plan, fresh(plan), Effort(seconds=1e6, halvings=9)))
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
-    slow = list(carry_on(plan, fresh(plan), Effort(seconds=10.0, halvings=9, over=over)))
+    slow = list(continue_proofs(plan, fresh(plan), Effort(seconds=10.0, halvings=9, over=over)))
     for one, other in zip(slow, whole, strict=True):
         assert all(np.array_equal(a, b) for a, b in zip(one.tree.levels, other.tree.levels, strict=True))
 
@@ -290,7 +290,7 @@ claims:
 def test_a_region_without_a_pair_proves_nothing(tmp_path: Path) -> None:
     """Its boxes may well be proven; a certificate that calls the claim proven is refused."""
     plan = read_proof_plan(plan_file(tmp_path, NO_PAIR))
-    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=9)))
+    proofs = list(continue_proofs(plan, fresh(plan), Effort(seconds=1e6, halvings=9)))
     assert [proof.verdict for proof in proofs] == ["no pair"]
     written = write_certificate(tmp_path / "certificate.json", plan, proofs)
     (line,) = check.check(json.dumps(written).encode(), MODEL)

@@ -57,7 +57,7 @@ def test_bounds_of_a_residual_network_hold_its_own_answer_and_hardly_more(name: 
     answers, spreads = LearnedAvoider.of(model).propose_many(
         HAND[None], TCP[None], np.array([seed], np.uint64)
     )
-    network, region = network_of(model, seed), ProofRegion.about(TCP, HAND, HAND)
+    network, region = network_of(model, seed), ProofRegion.around(TCP, HAND, HAND)
     step_m, spread_m = float(np.linalg.norm(answers[0] - TCP)), float(spreads.max())
     for kind, value_m in ((ClaimKind.AT_MOST, step_m), (ClaimKind.CERTAIN, spread_m)):
         for limit_m, code in ((value_m - 2e-3, REFUTED), (value_m + 2e-3, PROVEN)):
@@ -73,7 +73,7 @@ def test_the_cheap_bound_decides_nothing_otherwise_than_the_tight_one() -> None:
     tight, decided = network_of(load_model(shipped_model("mc-dropout")), 5), 0
     cheap = tight._replace(gathers=CHEAP)
     for half_m in (0.0, 0.01, 0.03):
-        region = ProofRegion.about(TCP, HAND - half_m, HAND + half_m)
+        region = ProofRegion.around(TCP, HAND - half_m, HAND + half_m)
         for claim in (AWAY, DecisionClaim(ClaimKind.AT_MOST, 0.10), DecisionClaim(ClaimKind.AT_MOST, 0.12)):
             one, other = (
                 examined(network, optimum_constants(), claim, region, region.corners())[0]

@@ -18,7 +18,7 @@ from safety_harness.extensions.lab.proof.check import ANSWER, HAND, TCP, forms_o
 from safety_harness.extensions.lab.proof.claims import ClaimKind, DecisionClaim, optimum_constants
 from safety_harness.extensions.lab.proof.onnx_file import OnnxFunction, read_onnx
 from safety_harness.extensions.lab.proof.plan import read_proof_plan
-from safety_harness.extensions.lab.proof.session import Effort, carry_on, fresh
+from safety_harness.extensions.lab.proof.session import Effort, continue_proofs, fresh
 from safety_harness.extensions.lab.proof.tree import examined
 from tests.lab.proof.regions import SEEN_REGION, plan_file, random_boxes
 
@@ -124,7 +124,7 @@ claims:
   - {claim: steps at least 90 mm, in: corner}
 """
     plan = read_proof_plan(plan_file(tmp_path, text))
-    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=9)))
+    proofs = list(continue_proofs(plan, fresh(plan), Effort(seconds=1e6, halvings=9)))
     found = write_certificate(tmp_path / "certificate.json", plan, proofs)
     model = plan.model_file.read_bytes()
     lines = check.check((tmp_path / "certificate.json").read_bytes(), model)

@@ -12,7 +12,7 @@ from scipy.stats import binom, norm
 from safety_harness.base.exceptions import InputError
 from safety_harness.extensions.lab.proof.box_kernel import PROVEN, REFUTED, UNDECIDED
 from safety_harness.extensions.lab.proof.plan import QuestionLaw, read_proof_plan
-from safety_harness.extensions.lab.proof.session import Effort, carry_on, fresh
+from safety_harness.extensions.lab.proof.session import Effort, continue_proofs, fresh
 from safety_harness.extensions.lab.proof.together import chances, drawn, joint_bound, joint_bounds
 from safety_harness.extensions.lab.proof.tree import BoxTree
 from tests.lab.proof.regions import PLAN, SEEN_REGION, plan_file
@@ -126,7 +126,7 @@ def test_a_plan_says_how_questions_are_distributed(tmp_path: Path) -> None:
     plan = read_proof_plan(with_distribution(tmp_path, more))
     assert plan.questions is not None
     assert plan.questions.normals_m[:4] == ((0.65, 0.05), (-0.45, 0.1), (-0.15, 0.08), None)
-    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=8)))
+    proofs = list(continue_proofs(plan, fresh(plan), Effort(seconds=1e6, halvings=8)))
     steps, near = joint_bounds(plan, proofs)
     assert (steps.samples, near.samples, near.high) == (500, 0, 0.0)  # of which all is proven
     assert steps.confidence == pytest.approx(0.975)

@@ -59,7 +59,7 @@ def test_a_fault_in_a_place_is_found_and_nearer_than_chance_finds_it() -> None:
     assert objective is Objective.TOWARDS
     assert np.linalg.norm(worst.hand_in_base_m - PLACE) < 0.12
     drawn = SEEN.draw(np.random.default_rng(0), 600)
-    rows = [drawn.one(k) for k in range(len(drawn))]
+    rows = [drawn.single(k) for k in range(len(drawn))]
     proposed = np.array(
         [
             WrongNear()

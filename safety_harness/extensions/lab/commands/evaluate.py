@@ -59,22 +59,25 @@ def evaluate(
         "reports/evaluate"
     ),
 ) -> int:
-    """Score avoiders directly: what are their proposals worth, before any gate, without a simulation?
+    """Score the answers of avoiders directly, before any gate.
 
-    Hands and TCPs are drawn in named regions, or as the draws of a space lead to, and put to the avoider and
-    to yardsticks; a search of its own looks for the worst questions, written as scenario files that run
-    takes.  A Python file is executed.
-    A finding is an answer that is wrong whatever the avoider is meant to answer (towards the hand, out of
-    reach, none, late, ...).  How it is unlike the yardsticks is reported beside it, and decides with
-    --against alone.
-    Exit code 0: no finding; 1: findings, or no region with a proposal was asked about; 2: bad input, or an
-    avoider that does not answer; 130: interrupted.
+    The command draws hands and TCPs in named regions, or from the draws of a
+    space, without a simulation.  It asks the avoider and yardsticks.  A search
+    finds the worst questions and writes them as scenario files for run. A Python
+    file is executed.
+
+    A finding is an answer that is wrong for any purpose of the avoider: towards
+    the hand, out of reach, missing, late, ... Differences from the yardsticks
+    appear beside it, and decide only with --against.
+
+    Exit code 0: no finding; 1: findings, or no region with a proposal was asked
+    about; 2: bad input, or an avoider that does not answer; 130: interrupted.
     """
     from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
     from safety_harness.cli.progress import TERMINAL
     from safety_harness.extensions.lab.evaluate_job import evaluate as evaluate_avoiders
 
-    found = evaluate_avoiders(
+    scores = evaluate_avoiders(
         avoiders,
         regions=regions or (),
         spaces=spaces or (),
@@ -85,26 +88,26 @@ def evaluate(
         out=out,
         output=TERMINAL,
     )
-    interrupted = found.scored.interrupted
-    if not found.avoiders:
+    interrupted = scores.scored.interrupted
+    if not scores.avoiders:
         say(f"{'interrupted: ' if interrupted else ''}nothing was scored")
-        return found.exit_code
-    for one in found.avoiders:
-        result(*_lines(one, found.scored.against))
+        return scores.exit_code
+    for avoider in scores.avoiders:
+        result(*_lines(avoider, scores.scored.against))
     result(BASIS_OF_ANSWERS)
-    document(**json.loads(found.data()))
+    document(**json.loads(scores.data()))
     try:
-        found.write(out, TERMINAL)
+        scores.write(out, TERMINAL)
     except OutputError as error:
         explain(error)
         return BAD_INPUT
     if interrupted:
         say("interrupted: what was finished is kept")
-    return found.exit_code
+    return scores.exit_code
 
 
 def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
-    """What the terminal shows of one avoider, scored beside a reference or not."""
+    """Yield the terminal's lines on one avoider; ``against`` names the reference or is empty."""
     from safety_harness.extensions.lab.commands.evaluation_tables import titled
     from safety_harness.extensions.lab.pages.score_tables import (
         COLUMNS,
@@ -123,9 +126,9 @@ def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
     )
     yield ""
     alike = all(repeat.differ == 0 for repeat in one.card.repeats)
-    ways = f"the same bits in all {len(one.card.repeats)} ways of asking"
-    told: Sequence[str] = [f"{one.way.value}: {repeat_words(one)}" for one in one.card.repeats if one.differ]
-    yield "asked again: " + (ways if alike else "; ".join(told))
+    same = f"the same bits in all {len(one.card.repeats)} ways of asking"
+    diff: Sequence[str] = [f"{one.way.value}: {repeat_words(one)}" for one in one.card.repeats if one.differ]
+    yield "asked again: " + (same if alike else "; ".join(diff))
     yield f"time: {times_words(one.card)}"
     for search in one.searches:
         yield f"searched {search.region}: {search.asked:,} questions in a ledger of their own"
@@ -138,5 +141,6 @@ def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
         yield from map(_finding, one.unlike)
 
 
-def _finding(one: ScoreFinding) -> str:
-    return f"  {one.kind.value}{f' ({one.region})' if one.region else ''}: {one.words}"
+def _finding(finding: ScoreFinding) -> str:
+    """Return a finding as a line."""
+    return f"  {finding.kind.value}{f' ({finding.region})' if finding.region else ''}: {finding.words}"

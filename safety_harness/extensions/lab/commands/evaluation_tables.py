@@ -1,4 +1,4 @@
-"""The figures of an evaluation as plain tables: one row a set and model, lengths in millimetres."""
+"""The figures of an evaluation as plain tables: a row for each set and model, lengths in millimetres."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from safety_harness.extensions.lab.learning.evaluation import LEVELS, Figures
 from safety_harness.extensions.lab.learning.metrics import RESIDUALS, Errors, IntervalCoverage
 
 NONE = "-"
-VARIANTS = {  # of the PICP: the name in the figures, and in the table
+VARIANTS = {  # of the PICP, by name in the figures: the name in the table
     "spread": "spread",
     RESIDUALS: "and residuals",
     "spread and 1/tau": "and 1/tau",
@@ -25,9 +25,9 @@ Row = tuple[str, ...]
 
 
 def tables(figures: Sequence[Figures]) -> Iterator[str]:
-    """The lines of four tables: errors, 95 % intervals, doubt, calibration curve."""
-    order = list(dict.fromkeys(one.set.name for one in figures))
-    by_set = sorted(figures, key=lambda one: order.index(one.set.name))
+    """Yield the lines of four tables: errors, 95 % intervals, doubt, calibration curve."""
+    order = list(dict.fromkeys(item.set.name for item in figures))
+    by_set = sorted(figures, key=lambda item: order.index(item.set.name))
     yield from titled(
         "Errors [mm]; noise-free: RMSE against the continuous optimum; floor: what the labels' noise leaves",
         ("set", "model", "RMSE x", "y", "z", "all", "MAE x", "y", "z", "all", "noise-free", "unreachable"),
@@ -37,78 +37,83 @@ def tables(figures: Sequence[Figures]) -> Iterator[str]:
         "95 % intervals: labels within the calibrated ones on all axes at once, [exact 95 % limits], "
         "mean whole width [mm]; PICP (mean of axes) of +- 1.96 times ...",
         ("set", "model", "covered", "", "width x", "y", "z", *VARIANTS.values()),
-        (_interval_row(one) for one in by_set),
+        (_interval_row(item) for item in by_set),
     )
     yield from titled(
         "Doubt: a decision's largest spread [mm], as a detector of the unseen (AUROC), and above the "
         "threshold: false fallbacks if seen, detections if not",
         ("set", "model", "median spread", "AUROC", "above threshold", ""),
-        (_doubt_row(one) for one in by_set),
+        (_doubt_row(item) for item in by_set),
     )
     yield from titled(
         "Calibration curve: share of labels (mean of axes) in the central interval of each level",
         ("set", "model", "scale", *(f"{level:.0%}" for level in LEVELS)),
-        (row for one in by_set for row in _curve_rows(one)),
+        (row for item in by_set for row in _curve_rows(item)),
     )
 
 
 def _error_rows(by_set: Sequence[Figures]) -> Iterator[Row]:
-    """A set's floor stands before its models."""
-    before = None
-    for one in by_set:
-        if one.set.name != before and one.set.floor is not None:
-            yield one.set.name, "(floor)", *_floor(one.set.floor), NONE, NONE
-        before = one.set.name
+    """Yield the rows of errors; a set's floor comes before its models."""
+    last = None
+    for item in by_set:
+        if item.set.name != last and item.set.floor is not None:
+            yield item.set.name, "(floor)", *_floor(item.set.floor), NONE, NONE
+        last = item.set.name
         yield (
-            one.set.name,
-            one.model,
-            *_both(one.errors),
-            _mm(one.noise_free.overall_rmse),
-            _percent(one.unreachable.share),
+            item.set.name,
+            item.model,
+            *_both(item.errors),
+            _mm(item.noise_free.overall_rmse),
+            _percent(item.unreachable.share),
         )
 
 
 def _floor(floor: LabelFloor) -> Row:
+    """Return the cells of a floor."""
     rmse, mae = np.array(floor.rmse_m), np.array(floor.mae_m)
     overall = float(np.sqrt((rmse**2).mean()))
     return *map(_mm, floor.rmse_m), _mm(overall), *map(_mm, floor.mae_m), _mm(float(mae.mean()))
 
 
-def _both(found: Errors) -> Row:
-    rmse, mae = map(_mm, found.rmse.tolist()), map(_mm, found.mae.tolist())
-    return *rmse, _mm(found.overall_rmse), *mae, _mm(found.overall_mae)
+def _both(errors: Errors) -> Row:
+    """Return the cells of RMSE and MAE."""
+    rmse, mae = map(_mm, errors.rmse.tolist()), map(_mm, errors.mae.tolist())
+    return *rmse, _mm(errors.overall_rmse), *mae, _mm(errors.overall_mae)
 
 
-def _interval_row(one: Figures) -> Row:
-    picp = tuple(_mean_picp(one.picp.get(name)) for name in VARIANTS)
-    if one.intervals is None:
-        return one.set.name, one.model, NONE, NONE, NONE, NONE, NONE, *picp
-    widths = map(_mm, one.intervals.coverage.mean_width.tolist())
-    return one.set.name, one.model, *_with_limits(one.intervals.covered), *widths, *picp
+def _interval_row(item: Figures) -> Row:
+    """Return the row of a model's intervals."""
+    picp = tuple(_mean_picp(item.picp.get(name)) for name in VARIANTS)
+    if item.intervals is None:
+        return item.set.name, item.model, NONE, NONE, NONE, NONE, NONE, *picp
+    widths = map(_mm, item.intervals.coverage.mean_width.tolist())
+    return item.set.name, item.model, *_with_limits(item.intervals.covered), *widths, *picp
 
 
-def _doubt_row(one: Figures) -> Row:
-    above = None if one.intervals is None else one.intervals.above_threshold
+def _doubt_row(item: Figures) -> Row:
+    """Return the row of a model's spread."""
+    above = None if item.intervals is None else item.intervals.above_threshold
     return (
-        one.set.name,
-        one.model,
-        _mm(one.median_largest_spread_m),
-        NONE if one.auroc is None else f"{one.auroc:.3f}",
+        item.set.name,
+        item.model,
+        _mm(item.median_largest_spread_m),
+        NONE if item.auroc is None else f"{item.auroc:.3f}",
         *((NONE, NONE) if above is None else _with_limits(above)),
     )
 
 
-def _curve_rows(one: Figures) -> Iterator[Row]:
-    for name, curve in one.curves.items():
-        yield one.set.name, one.model, VARIANTS[name], *map(_percent, curve.mean(axis=1).tolist())
+def _curve_rows(item: Figures) -> Iterator[Row]:
+    """Yield a row for each scale's calibration curve."""
+    for name, curve in item.curves.items():
+        yield item.set.name, item.model, VARIANTS[name], *map(_percent, curve.mean(axis=1).tolist())
 
 
-def _mean_picp(found: IntervalCoverage | None) -> str:
-    return NONE if found is None else _percent(float(found.picp.mean()))
+def _mean_picp(coverage: IntervalCoverage | None) -> str:
+    return NONE if coverage is None else _percent(float(coverage.picp.mean()))
 
 
-def _with_limits(found: Proportion) -> tuple[str, str]:
-    return _percent(found.share), f"[{100 * found.low:.1f}, {100 * found.high:.1f}]"
+def _with_limits(share: Proportion) -> tuple[str, str]:
+    return _percent(share.share), f"[{100 * share.low:.1f}, {100 * share.high:.1f}]"
 
 
 def _percent(share: float) -> str:
@@ -120,5 +125,12 @@ def _mm(length_m: float) -> str:
 
 
 def titled(title: str, header: Row, rows: Iterable[Row]) -> Iterator[str]:
-    """A table below its title."""
+    """Yield a table below its title.
+
+    Args:
+        title: The title.
+        header: The names of the columns.
+        rows: The rows.
+
+    """
     yield from ("", title, *table(header, rows, columns_of(sys.stdout), right=range(2, len(header))))

@@ -1,4 +1,4 @@
-"""Commands about networks: their data, training, evaluation and export, and how fast they answer."""
+"""Commands about networks: their data, training, evaluation and export, and their answer times."""
 
 from __future__ import annotations
 
@@ -43,10 +43,11 @@ def dataset(
     robot: Cell = None,
     seed: Seed = 0,
 ) -> int:
-    """Make the data that an avoider learns from: TCP x hand, with eq. 13's ground truth.
+    """Make a network's data set: TCP x hand, with eq. 13's labels.
 
     The defaults are the paper's 5,000,000 samples, in a few seconds.
-    Exit code 0; 2: bad input; 130: interrupted, nothing was written.
+
+    Exit code 0; 2: bad input; 130: interrupted, no file was written.
     """
     from safety_harness.cli.progress import counting
     from safety_harness.extensions.lab.learning.cell import training_cell
@@ -105,10 +106,12 @@ def train(
     resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint.")] = False,
     device: Annotated[str, Option(help="Where PyTorch computes: cpu, cuda, ...")] = "cpu",
 ) -> int:
-    """Train and calibrate a network, of the UR10's cell or another; "trial-mc-dropout" takes under a minute.
+    """Train and calibrate a network of the UR10's or another cell.
 
-    Ctrl-C costs the epoch that was under way; --resume goes on from there, to the same bits.
-    Needs PyTorch, the extra "learning" of this package.
+    "trial-mc-dropout" takes under a minute.  Ctrl-C costs the present epoch;
+    --resume continues from there, to the same bits.  Training needs PyTorch, the
+    extra "learning" of this package.
+
     Exit code 0; 2: bad input; 130: interrupted.
     """
     import shlex
@@ -143,7 +146,7 @@ def train(
         if resume and not (out / CHECKPOINT).exists():
             say(f"{out} has no checkpoint to go on from: beginning from the start")
         say(f"training on {len(split.train):,} samples of the cell of a {dataset.arm}")
-        with paced_lines() as tell:
+        with paced_lines() as report:
             trained = train_networks(
                 chosen,
                 samples_for(chosen, dataset),
@@ -153,7 +156,7 @@ def train(
                 out=out,
                 resume=resume,
                 device=device,
-                on_epoch=_epoch_lines(chosen, tell),
+                on_epoch=_epoch_lines(chosen, report),
             )
         say("calibrating on seen TCPs and hands that are new")
         model = model_of(trained, dataset, split, shlex.join(again))
@@ -177,10 +180,10 @@ def train(
 
 
 def _epoch_lines(recipe: Recipe, say: Callable[[str], None]) -> Callable[[Epoch], None]:
-    """One line an epoch: the losses, the share that is done, and how long the rest will take."""
+    """Return a function that prints a line for each epoch: losses, progress and remaining time."""
     begun_s, epochs = time.monotonic(), count(1)
 
-    def tell(epoch: Epoch) -> None:
+    def report(epoch: Epoch) -> None:
         whole = recipe.members * recipe.epochs
         left = whole - epoch.member * recipe.epochs - epoch.number - 1
         left_s = left * (time.monotonic() - begun_s) / next(epochs)
@@ -191,7 +194,7 @@ def _epoch_lines(recipe: Recipe, say: Callable[[str], None]) -> Callable[[Epoch]
             f"{' (best)' if epoch.is_best else ''}, {100 * (1 - left / whole):.0f} %, {left_s:.0f} s left"
         )
 
-    return tell
+    return report
 
 
 @command(commands, interrupted="interrupted: no figures were written")
@@ -205,10 +208,12 @@ def metrics(
     seed: Seed = 0,
     out: Annotated[Path | None, Option(help="Also every figure, as JSON, to this file.")] = None,
 ) -> int:
-    """Compare networks on seen and unseen space: errors, intervals, coverage, doubt as a detector.
+    """Compare networks on seen and unseen space.
 
-    Against what they learn, eq. 13's labels; ``evaluate`` scores any avoider.
-    Every model answers the same questions; no sample was used in training or calibration.
+    The tables have errors, intervals, coverage, and doubt as a detector, against
+    eq. 13's labels; ``evaluate`` scores any avoider.  Every model answers the
+    same questions, and no sample was used in training or calibration.
+
     Exit code 0; 2: bad input; 130: interrupted.
     """
     from safety_harness.cell.avoidance.learned import LearnedAvoider
@@ -224,14 +229,14 @@ def metrics(
 
     cell = training_cell(robot)
     loaded = load_models(models, cell.settings)
-    with paced_lines() as tell:
-        figures, remarks = figures_of(loaded, samples, seed, tell, cell)
-    found = evaluation_data(loaded, figures, remarks, samples, seed)
-    document(**found)
+    with paced_lines() as report:
+        figures, remarks = figures_of(loaded, samples, seed, report, cell)
+    data = evaluation_data(loaded, figures, remarks, samples, seed)
+    document(**data)
     if out is not None:
-        write_evaluation(out, found)
-    for one in loaded:
-        result(f"{one.label}: {LearnedAvoider.of(one.model).name}, {one.path}")
+        write_evaluation(out, data)
+    for model in loaded:
+        result(f"{model.label}: {LearnedAvoider.of(model.model).name}, {model.path}")
     result(f"{samples} TCPs and hands a set, drawn from seed {seed}; every TCP is in one row only")
     result(*remarks, *tables(figures))
     if out is not None:
@@ -252,11 +257,14 @@ def time_avoider(
     questions: Annotated[int, Option(help="How many are asked.", min=100, max=1_000_000)] = 1_000,
     seed: Seed = 0,
 ) -> int:
-    """Measure how long an avoider takes to answer on this machine: p50, p99, max.
+    """Measure answer times of an avoider here: p50, p99, max.
 
-    A scenario that names the profile (settings: {avoidance: {decision time: FILE.json}}) draws what each
-    decision costs in simulated time from it.  A Python file is executed.
-    Exit code 0; 2: bad input, or an avoider that does not answer; 130: interrupted.
+    A scenario can name the profile (settings: {avoidance: {decision time:
+    FILE.json}}).  Then it draws the simulated time of each decision from it.  A
+    Python file is executed.
+
+    Exit code 0; 2: bad input, or an avoider that does not answer; 130:
+    interrupted.
     """
     from safety_harness.base.whole_file import write_text
     from safety_harness.extensions.lab.measured_times import measured_times
@@ -266,27 +274,27 @@ def time_avoider(
     if out is not None and out.suffix != ".json":
         raise InadmissibleError.of_option("--out", "a file *.json", out.name)
     try:
-        found = measured_times(avoider, questions, seed)
+        times = measured_times(avoider, questions, seed)
     except NoAnswerError as error:
         say(f"error: {error}; nothing was written")
         return BAD_INPUT
     if out is not None:
-        write_text(out, profile_text(found.profile))
-    quantiles_s = found.quantiles_s(0.5, 0.99, 1.0)
+        write_text(out, profile_text(times.profile))
+    quantiles_s = times.quantiles_s(0.5, 0.99, 1.0)
     p50, p99, most = map(milliseconds_words, quantiles_s)
     document(
-        avoider=found.measured.avoider,
+        avoider=times.measured.avoider,
         **dict(zip(("p50_s", "p99_s", "max_s"), quantiles_s, strict=True)),
         questions=questions,
-        faults=found.faults,
-        machine=found.measured.machine,
+        faults=times.faults,
+        machine=times.measured.machine,
         profile=out,
     )
-    who = f"{found.measured.avoider} ({found.avoider_name})"
+    who = f"{times.measured.avoider} ({times.avoider_name})"
     result(f"{who}: p50 {p50}, p99 {p99}, max {most}, of {questions:,} answers")
-    result(f"on {found.measured.machine}")
-    if found.faults:
-        say(f"note: {found.faults} of them were faults, no usable answers")
+    result(f"on {times.measured.machine}")
+    if times.faults:
+        say(f"note: {times.faults} of them were faults, no usable answers")
     if out is not None:
         say(f"profile: {out}; in a scenario: settings: {{avoidance: {{decision time: {out.name}}}}}")
     return AS_EXPECTED
@@ -304,12 +312,16 @@ def export(
     out: Annotated[Path, Option(help="The file to write; of a trace FILE.mcap.")],
     seed: Seed = 0,
 ) -> int:
-    """Write a model as ONNX, and try the file against the original on random questions; or a run as MCAP.
+    """Write a model as ONNX and compare them, or a run as MCAP.
 
-    A model needs PyTorch, the extra "learning" of this package.
-    With --out FILE.mcap it is a trace, and needs the extra "logs": joints, transforms, hands, decisions and
-    verdicts as ROS 2 messages and in Foxglove's schemas, with a LOG.yaml beside it for "judge".
-    Exit code 0; 2: bad input, or the file answers otherwise (then it is not kept); 130: interrupted.
+    The comparison uses random questions.  A model needs PyTorch, the extra
+    "learning" of this package. With --out FILE.mcap the argument is a trace, and
+    needs the extra "logs".  The file has joints, transforms, hands, decisions and
+    verdicts as ROS 2 messages and in Foxglove's schemas, and a LOG.yaml beside it
+    for "judge".
+
+    Exit code 0; 2: bad input, or the file answers differently (then it is not
+    written); 130: interrupted.
     """
     from safety_harness.cell.avoidance.model_file import load_model
     from safety_harness.cell.avoidance.shipped import model_file
@@ -320,15 +332,15 @@ def export(
 
         write = part_named(ExtensionPoint.RUN_FORMATS, form, FunctionType)
         trace = load_trace(model)
-        written, *others = write(trace, judge(trace, file=Path(model)), out)
-        document(**{form: written} | ({"log": others[0]} if others else {}))
-        result(f"{form}: {written}" + "".join(f", described by {one}" for one in others))
+        written, *logs = write(trace, judge(trace, file=Path(model)), out)
+        document(**{form: written} | ({"log": logs[0]} if logs else {}))
+        result(f"{form}: {written}" + "".join(f", described by {log}" for log in logs))
         return AS_EXPECTED
     path = model_file(str(model))
     if seed < 0:
         raise ModelError.of_option("--seed", "a seed of at least 0", str(seed))
     loaded = load_model(path)
-    with LEARNING.needed("export"), ONNX.needed("export"):  # onnxscript is asked for by PyTorch, and late
+    with LEARNING.needed("export"), ONNX.needed("export"):  # PyTorch imports onnxscript late
         from safety_harness.extensions.lab.learning.export import write_export  # brings PyTorch
 
         difference_m = write_export(loaded, path.read_bytes(), out, seed=seed)

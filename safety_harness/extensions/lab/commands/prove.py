@@ -1,4 +1,4 @@
-"""``safety-harness prove``: what holds for every question of a region, and ``--check`` of its certificate."""
+"""``safety-harness prove``: claims for every question of a region, and ``--check`` of a certificate."""
 
 from __future__ import annotations
 
@@ -47,12 +47,16 @@ def prove(
     ] = None,
     resume: Annotated[bool, Option("--resume", help="Go on with the certificate in the folder.")] = False,
 ) -> int:
-    """Prove claims about every answer of a small ReLU network, with bounds that hold for its own arithmetic.
+    """Prove claims about every answer of a small ReLU network.
 
-    A region is halved until its boxes are proven, or refuted as a whole; what is left is undecided.  A claim
-    is refuted with a question that the network itself answers wrongly, written as a scenario where a run can
-    ask it. Exit code 0: all proven, or all decisions of a trace the same; 1: not so, or a certificate that is
-    not confirmed; 2: bad input; 130: interrupted, with the certificate of what was done.
+    The bounds hold for the network's own arithmetic.  A region is halved until
+    its boxes are proven, or refuted as a whole; the rest is undecided.  A
+    question that the network itself answers wrongly refutes a claim.  It becomes
+    a scenario if a run can ask it.
+
+    Exit code 0: all proven, or all decisions of a trace the same; 1: not so, or a
+    certificate that is not confirmed; 2: bad input; 130: interrupted, with a
+    certificate of the results so far.
     """
     if check:
         return _check(file, model)
@@ -63,7 +67,7 @@ def prove(
     from safety_harness.extensions.lab.prove_job import CERTIFICATE, PAGE
     from safety_harness.extensions.lab.prove_job import prove as prove_plan
 
-    found = prove_plan(
+    proved = prove_plan(
         file,
         minutes=minutes,
         halvings=halvings,
@@ -71,41 +75,41 @@ def prove(
         resume=out if resume else None,
         output=TERMINAL,
     )
-    _tell(found)
-    found = found.write(out, TERMINAL)
-    _tell_bounds(found)
-    document(**found.data(out))
+    _print_shares(proved)
+    proved = proved.write(out, TERMINAL)
+    _print_bounds(proved)
+    document(**proved.data(out))
     result("", BASIS_OF_ANSWERS, str(out / PAGE))
     say(f"certificate: {out / CERTIFICATE} (safety-harness prove --check {out / CERTIFICATE})")
-    if found.interrupted:
+    if proved.interrupted:
         say("interrupted: --resume goes on")
-    return found.exit_code
+    return proved.exit_code
 
 
-def _tell(found: ProofResult) -> None:
-    """Print how much of each claim is proven."""
+def _print_shares(proved: ProofResult) -> None:
+    """Print the shares of each claim."""
     from safety_harness.claims.properties.tally import table
     from safety_harness.extensions.lab.proof.certificate import outward
 
     rows = []
-    for proof in found.proofs:
+    for proof in proved.proofs:
         cells = outward(proof.least_shares)
         rows.append((proof.planned.claim.sentence, proof.planned.region.name, proof.verdict, *cells))
     columns = ("claim", "region", "verdict", "proven", "refuted", "undecided")
-    result(f"{found.plan.avoider}: shares of each region, proven at least and undecided at most", "")
+    result(f"{proved.plan.avoider}: shares of each region, proven at least and undecided at most", "")
     result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(3, 6)))
 
 
-def _tell_bounds(found: ProofResult) -> None:
-    """How often the network is wrong at most, where the plan says how questions are distributed."""
+def _print_bounds(proved: ProofResult) -> None:
+    """Print bounds on wrong answers, if the plan has a distribution of questions."""
     from safety_harness.claims.properties.tally import table
 
-    if found.plan.questions is None:
+    if proved.plan.questions is None:
         return
-    confidence = f"{found.plan.questions.confidence:.7g}"
+    confidence = f"{proved.plan.questions.confidence:.7g}"
     rows = [
         (proof.planned.claim.sentence, proof.planned.region.name, *bound.cells)
-        for proof, bound in zip(found.proofs, found.bounds, strict=True)
+        for proof, bound in zip(proved.proofs, proved.bounds, strict=True)
     ]
     columns = ("claim", "region", "wrong at most", "at least", "undecided", "of it asked", "wrong")
     heading = f"chance that a question as the plan draws them is answered wrongly; all hold with {confidence}"
@@ -114,6 +118,7 @@ def _tell_bounds(found: ProofResult) -> None:
 
 
 def _decisions(file: Path, text: str, out: Path) -> int:
+    """Certify the decisions of a trace, and write a copy with the result."""
     import hashlib
     from dataclasses import replace
 
@@ -138,25 +143,26 @@ def _decisions(file: Path, text: str, out: Path) -> int:
         expected = "a run of a network that ships, or of FILE.safetensors"
         raise InputError(place=Place(file=file), expected=expected, got=trace.scenario.under_test)
     model = load_model(network)
-    found = certified_decisions(trace, model, hashlib.sha256(network.read_bytes()).hexdigest(), half_m)
+    certified = certified_decisions(trace, model, hashlib.sha256(network.read_bytes()).hexdigest(), half_m)
     path = out / file.name
     with writing(path):
-        save_trace(replace(trace, certified=found), path)
+        save_trace(replace(trace, certified=certified), path)
     rows = [
-        (str(number), f"{time_s:.3f} s", one.words)
-        for number, (one, time_s) in enumerate(
-            zip(found.decisions, trace.decisions["time_s"], strict=True), 1
+        (str(number), f"{time_s:.3f} s", decision.words)
+        for number, (decision, time_s) in enumerate(
+            zip(certified.decisions, trace.decisions["time_s"], strict=True), 1
         )
     ]
     result(*table(("decision", "at", "every hand near"), rows, columns_of(sys.stdout), named_by=1))
-    result("", found.words, str(path))
+    result("", certified.words, str(path))
     say(f"safety-harness judge {path} --out {out} shows it in the report")
-    document(trace=path, **plain(found))
-    same = bool(rows) and all(one.whole is Sameness.SAME for one in found.decisions)
+    document(trace=path, **plain(certified))
+    same = bool(rows) and all(decision.whole is Sameness.SAME for decision in certified.decisions)
     return AS_EXPECTED if same else DIFFERS
 
 
 def _check(file: Path, model: Path | None) -> int:
+    """Check a certificate with independent code."""
     from safety_harness.base.exceptions import InputError, Place
     from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
     from safety_harness.extensions.lab.proof.certificate import FORMAT
@@ -164,20 +170,20 @@ def _check(file: Path, model: Path | None) -> int:
     from safety_harness.scenario.files import read_bytes
     from safety_harness.scenario.typed_json import LARGEST_BYTES, of_format, read_json
 
-    found = of_format(read_json(file, "a certificate of prove"), FORMAT, file)
-    name = found.get("avoider")
+    content = of_format(read_json(file, "a certificate of prove"), FORMAT, file)
+    name = content.get("avoider")
     if model is None and name not in SHIPPED:
         raise InputError.of_option(
             "--model", "the file of the network, which does not ship", "nothing", str(name)
         )
     network = model if model is not None else shipped_model(str(name))
     certificate, weights = (
-        read_bytes(one, most=LARGEST_BYTES, place=Place(file=one), error=InputError)
-        for one in (file, network)
+        read_bytes(path, most=LARGEST_BYTES, place=Place(file=path), error=InputError)
+        for path in (file, network)
     )
     try:
         lines = check(certificate, weights)
-    except Exception as error:  # whatever a stranger's certificate makes of the checker, it is not confirmed
+    except Exception as error:  # any exception from a foreign certificate means that it is not confirmed
         say(f"not confirmed: {type(error).__name__}: {error}")
         document(confirmed=False, why=f"{type(error).__name__}: {error}", claims=[])
         return DIFFERS

@@ -1,4 +1,4 @@
-"""The cell that a network is made for: the arm, the object and the settings of a scenario."""
+"""The cell for which a network is trained: the arm, the object and the settings of a scenario."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.robots import AnyRobot, OwnRobot, Robot
 from safety_harness.space.regions import paper_seen
 
-TRIED = 200  # TCPs of the seen box, beside its corners
+TRIED = 200  # random TCPs of the seen box, besides its corners
 
 
 @dataclass(frozen=True)
 class TrainingCell:
-    """An arm and what stands around it; by default the UR10's."""
+    """An arm and its surroundings; the default is the UR10's cell."""
 
     robot: AnyRobot = Robot.UR10
     settings: Settings = DEFAULTS
 
     @property
     def arm(self) -> str:
-        """What cards call the arm: its name here, or that of its URDF."""
+        """The arm's name on cards: its name here, or the name in its URDF."""
         return arm_model(self.robot).name if isinstance(self.robot, OwnRobot) else self.robot.label
 
 
@@ -36,18 +36,25 @@ UR10_CELL = TrainingCell()
 
 
 def training_cell(scenario: str | None) -> TrainingCell:
-    """The cell of a scenario, ``shipped:NAME`` or a file; None: the UR10's.
+    """Return the cell of a scenario.
 
-    DatasetError where the arm does not reach all that the network would be shown: the corners of the box of
-    seen TCPs, and 200 random ones, in the desired orientation.
+    The arm must reach everything that the network learns from: the corners of the box of seen TCPs, and 200
+    random TCPs within it, in the desired orientation.
+
+    Args:
+        scenario: ``shipped:NAME`` or a file; None: the UR10's cell.
+
+    Raises:
+        DatasetError: The arm does not reach one of these TCPs.
+
     """
     if scenario is None:
         return UR10_CELL
-    found = read_scenario(located(scenario))
-    box = paper_seen(found.settings).tcp
+    source = read_scenario(located(scenario))
+    box = paper_seen(source.settings).tcp
     corners = np.stack(np.meshgrid(*zip(box.low_m, box.high_m, strict=True)), axis=-1).reshape(-1, 3)
     tcps = np.vstack([corners, Region(box).draw(np.random.default_rng(0), TRIED)])
-    missed = tcps[~reachable(tcps, found.settings, found.robot)]
+    missed = tcps[~reachable(tcps, source.settings, source.robot)]
     if len(missed):
         raise DatasetError(
             place=Place(field="--robot"),
@@ -55,4 +62,4 @@ def training_cell(scenario: str | None) -> TrainingCell:
             got=f"{len(missed)} of {len(tcps)} out of reach, such as {missed[0].round(3).tolist()}",
             hint="settings: {cell: {desired tcp position: ...}} puts their middle elsewhere",
         )
-    return TrainingCell(found.robot, found.settings)
+    return TrainingCell(source.robot, source.settings)

@@ -1,7 +1,7 @@
-"""The state of a training after an epoch as one file: safetensors with a JSON text, never a pickle.
+"""The state of a training after an epoch, as one file: safetensors with a JSON text, never a pickle.
 
-Numbers come back bit for bit.  No state of a random generator is in it, as there is none: every
-epoch draws from a generator of its own, a leaf of the training's seed.
+Numbers come back bit for bit.  The file needs no state of a random generator: every epoch draws from its own
+generator, a leaf of the training's seed.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from safety_harness.scenario.files import refuse_no_file
 from safety_harness.scenario.typed_json import plain, typed
 
 FORMAT = "safety-harness checkpoint 1"
-KEY = "safety_harness"  # of the metadata
+KEY = "safety_harness"  # the key of the JSON text in the metadata
 
 Tensors = Mapping[str, NDArray[np.float32]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Epoch:
-    """One epoch of one member (both counted from 0): mean losses in the network's unit.
+    """One epoch of one member, both counted from 0, with mean losses in the network's unit.
 
-    ``training_loss`` is the mean over the epoch's batches; ``validation_loss`` is that of the mean of
-    the passes, after the epoch.  ``is_best``: the lowest validation loss of this member yet.
+    ``training_loss`` is the mean over the epoch's batches.  ``validation_loss`` is the loss of the passes'
+    mean, after the epoch.  ``is_best`` marks the member's lowest validation loss so far.
     """
 
     member: int
@@ -48,15 +48,17 @@ class Epoch:
 
 @dataclass(frozen=True)
 class _History:
+    """The epochs of a checkpoint, at least one."""
+
     history: Annotated[tuple[Epoch, ...], Meta(min_length=1)]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Checkpoint:
-    """Where a training stands: ``history`` ends with the epoch after which this was saved.
+    """The state of a training; ``history`` ends with the epoch after which it was saved.
 
-    ``data`` is a hash of what is trained on.  ``best`` holds the best weights of every member so
-    far, ``weights`` and ``optimiser`` the present state of the last one.
+    ``data`` is a hash of the training data.  ``best`` has the best weights of every member so far.
+    ``weights`` and ``optimiser`` are the present state of the last member.
     """
 
     recipe: Recipe
@@ -69,9 +71,19 @@ class Checkpoint:
 
 
 def begin_or_resume(path: Path, recipe: Recipe, seed: int, data: str, *, resume: bool) -> Checkpoint | None:
-    """The checkpoint to go on from, or None to begin; its folder is there afterwards.
+    """Return the checkpoint to continue from, or None to begin; create the folder.
 
-    OutputError if the folder cannot be made, or holds a training that is not to be resumed.
+    Args:
+        path: The checkpoint's file.
+        recipe: The recipe of the training.
+        seed: Its seed.
+        data: The hash of its data.
+        resume: Whether to continue from an existing checkpoint.
+
+    Raises:
+        OutputError: The folder cannot be created, or holds a training that ``resume`` does not ask for.
+        ModelError: The checkpoint belongs to another training, or is damaged.
+
     """
     if resume and path.exists():
         return load_checkpoint(path, recipe, seed, data)
@@ -88,7 +100,7 @@ def begin_or_resume(path: Path, recipe: Recipe, seed: int, data: str, *, resume:
 
 
 def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
-    """Write it, whole or not at all, and onto the disk; OutputError if the place refuses."""
+    """Write the checkpoint to ``path``, whole or not at all; OutputError if that fails."""
     groups = {"weights": checkpoint.weights, "optimiser": checkpoint.optimiser}
     groups |= {f"best {member}": tensors for member, tensors in enumerate(checkpoint.best)}
     text = {
@@ -105,7 +117,18 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
 
 
 def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpoint:
-    """Read the checkpoint of *this* training; ModelError if it is of another one, or damaged."""
+    """Return the checkpoint of this training.
+
+    Args:
+        path: The checkpoint's file.
+        recipe: The recipe of the training.
+        seed: Its seed.
+        data: The hash of its data.
+
+    Raises:
+        ModelError: The checkpoint belongs to another training, or is damaged.
+
+    """
     refuse_no_file(path, "a checkpoint of a training", ModelError)
     try:
         with safe_open(path, framework="np") as file:
@@ -132,12 +155,12 @@ def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpo
 
 
 def _identity(recipe: Recipe, seed: int, data: str) -> dict[str, Any]:
-    """What must be the same for a training to go on, as JSON gives it back."""
+    """Return the values that must agree for a training to continue, as JSON returns them."""
     return {"recipe": plain(recipe), "seed": seed, "data": data}
 
 
 def _difference(expected: object, got: object) -> tuple[str, str]:
-    """What the two say; of two recipes only where they differ."""
+    """Return both values as text; for two recipes, only the fields that differ."""
     if isinstance(expected, dict) and isinstance(got, dict):
         keys = [key for key in expected if expected[key] != got.get(key)]
         return str({key: expected[key] for key in keys}), str({key: got.get(key) for key in keys})
@@ -145,6 +168,7 @@ def _difference(expected: object, got: object) -> tuple[str, str]:
 
 
 def _group(arrays: Tensors, group: str) -> dict[str, NDArray[np.float32]]:
+    """Return the arrays of a group, without its prefix."""
     prefix = group + "/"
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 

@@ -1,16 +1,15 @@
-"""The data that a network learns eq. 13 from (section 4.1 of the paper), in a compact form.
+"""The data set of eq. 13 (section 4.1 of the paper), in a compact form.
 
-10,000 TCPs times 500 hands are 5,000,000 samples, but the selected candidate belongs to the TCP and the
-hand only shifts it, so that 10,000 selections and 500 hands say everything.  Sample k joins TCP k // hands
-with hand k mod hands; rows are made when somebody asks for them.
+10,000 TCPs times 500 hands are 5,000,000 samples.  The selected candidate belongs to the TCP, and the hand
+only shifts it.  So 10,000 selections and 500 hands contain everything.  Sample k joins TCP k // hands with
+hand k mod hands, and the program computes rows on demand.
 
-TCPs and hands lie in the seen space or in one of the three unseen ones (Table 3); the regions themselves are
-those of scenario spaces (``space.regions``, which says why they are so).
+TCPs and hands lie in the seen space or in one of three unseen spaces (Table 3).  ``space.regions`` has the
+regions and their reasons.
 
-0.8, 0.1 and 0.1 of the samples are trained on, validated on and tested on.  The paper splits them at random,
-so that every TCP, and with it the noise of its label, is in all three parts: a network may remember what it
-is then tested on.  Splitting by TCP has no such leak.  (Hands are shared in both; they only shift the
-target, in a known way.)
+Training, validation and test have 0.8, 0.1 and 0.1 of the samples.  The paper splits the samples at random.
+Then every TCP, with the noise of its label, is in all three parts, and a network may remember its test.  A
+split by TCP has no such leak.  Both splits share the hands, which only shift the target in a known way.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ Vectors = NDArray[np.float64]  # (..., 3)
 
 @dataclass(frozen=True)
 class Space:
-    """Where the TCPs and, independently of them, the hands of a data set are."""
+    """The regions of the TCPs and, independently of them, of the hands of a data set."""
 
     name: str
     tcp: Region
@@ -54,7 +53,7 @@ SPACES = {  # by name, the regions of hands and of TCPs
 
 
 def space_named(name: str, settings: Settings) -> Space:
-    """The space that a user names; DatasetError with the four names for any other."""
+    """Return the space with ``name`` in the cell of ``settings``; DatasetError for an unknown name."""
     if name not in SPACES:
         raise DatasetError(
             place=Place(field="space"),
@@ -68,7 +67,7 @@ def space_named(name: str, settings: Settings) -> Space:
 
 
 def seen(settings: Settings) -> Space:
-    """Where training happens: TCPs about the desired one, hands about the nominal one."""
+    """Return the space of training: TCPs about the desired one, hands about the nominal one."""
     return space_named("seen", settings)
 
 
@@ -81,7 +80,7 @@ MOST = {"tcps": 10_000_000, "candidates": 100_000, "hands": 10_000_000}
 
 
 class Stream(IntEnum):
-    """The random streams below a data set's seed.  Numbers are part of the format: never reuse one."""
+    """The random streams below a data set's seed; the numbers are part of the format, so never reuse one."""
 
     TCPS = 1
     HANDS = 2
@@ -91,7 +90,14 @@ class Stream(IntEnum):
 
 
 def stream(seed: int, name: Stream, *path: int) -> np.random.Generator:
-    """A fresh generator for a stream below ``seed``."""
+    """Return a fresh generator for a stream below ``seed``.
+
+    Args:
+        seed: The root.
+        name: The stream.
+        path: Further numbers below the stream.
+
+    """
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(name, *path))))
 
 
@@ -99,10 +105,9 @@ def stream(seed: int, name: Stream, *path: int) -> np.random.Generator:
 class CompactDataset:
     """TCPs with their selected candidates, and hands; positions in the base frame [m], read-only.
 
-    ``selected_in_base`` is t_opt of eq. 13, the candidate with the least image error;
-    ``optimum_in_base`` the point of the whole cap nearest to the desired position, which has no noise.
-    ``candidates_in_view`` counts the candidates of a TCP from which the whole object is in the image.
-    ``arm`` is the one in whose cell that is.
+    ``selected_in_base`` is t_opt of eq. 13, the candidate with the least image error.  ``optimum_in_base`` is
+    the point of the whole cap nearest to the desired position, without noise.  ``candidates_in_view`` counts
+    the candidates of a TCP that see the whole object.  ``arm`` is the arm of the cell.
     """
 
     settings: Settings
@@ -121,45 +126,45 @@ class CompactDataset:
                 value.setflags(write=False)
 
     def __len__(self) -> int:
-        """How many samples there are: TCPs times hands."""
+        """Return the number of samples: TCPs times hands."""
         return self.tcps * self.hands
 
     @property
     def tcps(self) -> int:
-        """How many TCPs there are."""
+        """The number of TCPs."""
         return len(self.tcp_in_base)
 
     @property
     def hands(self) -> int:
-        """How many hands there are."""
+        """The number of hands."""
         return len(self.hand_in_base)
 
     @property
     def candidates(self) -> int:
-        """How many candidates each TCP had."""
+        """The number of candidates for each TCP."""
         return self.settings.avoidance.candidate_count
 
     @property
     def views_without_object(self) -> int:
-        """From how many of all candidates the object was not wholly in the image."""
+        """The number of candidates that do not see the whole object."""
         return self.tcps * self.candidates - int(self.candidates_in_view.sum())
 
     @property
     def tcps_without_view(self) -> int:
-        """For how many TCPs that was so of every candidate."""
+        """The number of TCPs of which no candidate sees the whole object."""
         return int(np.count_nonzero(self.candidates_in_view == 0))
 
     def without_noise(self) -> CompactDataset:
-        """The same samples with the optimum as t_opt: what remains to be learnt when labels are exact."""
+        """Return the same samples with the optimum as t_opt, for learning with exact labels."""
         return replace(self, selected_in_base=self.optimum_in_base)
 
     def inputs(self, index: Index) -> Vectors:
-        """(len, 6): hand, then TCP, of the samples with these numbers."""
+        """Return the inputs (len, 6), hand and then TCP, of the samples with the numbers ``index``."""
         tcp, hand = self._pairs(index)
         return np.concatenate([self.hand_in_base[hand], self.tcp_in_base[tcp]], axis=1)
 
     def targets(self, index: Index) -> Vectors:
-        """(len, 3): gt = 0.05 (t_tcp - t_h) + t_opt (eq. 13) of the samples with these numbers."""
+        """Return gt = 0.05 (t_tcp - t_h) + t_opt (eq. 13), (len, 3), of the samples numbered ``index``."""
         tcp, hand = self._pairs(index)
         pull = self.settings.avoidance.hand_pull
         by_tcp: Vectors = self.selected_in_base + pull * self.tcp_in_base
@@ -167,7 +172,7 @@ class CompactDataset:
         return rows
 
     def _pairs(self, index: Index) -> tuple[Index, Index]:
-        """TCP and hand of each sample; IndexError beyond the last or before the first."""
+        """Return TCP and hand of each sample; IndexError for a number out of range."""
         if len(index) and not (index.min() >= 0 and index.max() < len(self)):
             raise IndexError(f"samples are numbered 0 to {len(self) - 1}")
         tcp, hand = np.divmod(index, self.hands)
@@ -185,12 +190,28 @@ def generate(
     arm: str = Robot.UR10.label,
     on_progress: Callable[[int], object] | None = None,
 ) -> CompactDataset:
-    """Draw TCPs, candidates and hands, and select by least |f - f*|^2 (eq. 15) of the exact image.
+    """Draw TCPs, candidates and hands, and select by the least |f - f*|^2 (eq. 15) of the exact image.
 
-    ``on_progress`` is told how many TCPs are done.  A candidate without the whole object in its image
-    is not selected unless all candidates of its TCP are such; then the image is taken to have no border
-    (moments of what lies beyond it are as well defined), and ``candidates_in_view`` is 0.
-    DatasetError for impossible numbers, or when an object is not even in front of any camera.
+    A candidate that does not see the whole object is not selected, unless no candidate of its TCP sees it.
+    In that case the image has no border, and ``candidates_in_view`` is 0.  The moments beyond the border are
+    as well defined.
+
+    Args:
+        settings: The settings of the cell.
+        space: The space of the TCPs and hands.
+        seed: The root of all random numbers.
+        tcps: The number of TCPs.
+        candidates: The number of candidates for each TCP.
+        hands: The number of hands.
+        arm: The arm's name.
+        on_progress: Receives the number of finished TCPs.
+
+    Returns:
+        The data set.
+
+    Raises:
+        DatasetError: A number is out of range, or an object is not in front of any camera.
+
     """
     for name, number in (("tcps", tcps), ("candidates", candidates), ("hands", hands)):
         if not 1 <= number <= MOST[name]:
@@ -227,20 +248,34 @@ def generate(
 def fresh_pairs(
     settings: Settings, space: Space, *, seed: int, samples: int, candidates: int
 ) -> tuple[CompactDataset, Numbers]:
-    """New data with the numbers of ``samples`` independent rows: every TCP and every hand is in one only."""
+    """Return new data and the numbers of ``samples`` independent rows; each TCP and hand is in one row.
+
+    Args:
+        settings: The settings of the cell.
+        space: The space of the TCPs and hands.
+        seed: The root of all random numbers.
+        samples: The number of rows.
+        candidates: The number of candidates for each TCP.
+
+    """
     drawn = generate(settings, space, seed=seed, tcps=samples, candidates=candidates, hands=samples)
     return drawn, np.arange(samples) * (samples + 1)  # TCP k with hand k
 
 
 def seed_below(seed: int, *path: int) -> int:
-    """A 64-bit seed for a consumer that makes its own generators."""
+    """Return a 64-bit seed below ``seed``, at ``path``, for a consumer with its own generators."""
     return int(np.random.SeedSequence(seed, spawn_key=path).generate_state(1, np.uint64)[0])
 
 
 def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: Index) -> Vectors:
-    """(k, candidates, 3): the candidate positions of the TCPs with these ``numbers`` (k,) [m].
+    """Return the candidate positions (k, candidates, 3) [m] of k TCPs; a candidate is its TCP plus an offset.
 
-    ``tcp_in_base`` (n, 3) are all TCPs; a candidate is its TCP and an offset within the cap.
+    Args:
+        settings: The settings of the cell.
+        tcp_in_base: (n, 3) all TCPs.
+        seed: The seed of the data set.
+        numbers: (k,) the numbers of the TCPs.
+
     """
     generators = [stream(seed, Stream.CANDIDATES, int(number)) for number in numbers]
     positions: Vectors = draw_many(CandidateCap.of(settings), generators)
@@ -250,7 +285,7 @@ def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: 
 
 @dataclass(frozen=True, eq=False)
 class LabelFloor:
-    """What the random candidates leave of any regressor's error on TCPs that it has not seen, by axis [m]."""
+    """The error that random candidates leave to any regressor on TCPs it has not seen, by axis [m]."""
 
     rmse_m: Vector  # (3,)
     mae_m: Vector  # (3,)
@@ -258,18 +293,28 @@ class LabelFloor:
 
 
 def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws: int = 1000) -> LabelFloor:
-    """The least RMSE and MAE against labels selected from fresh candidates, by ``redraws`` for each TCP.
+    """Return the least RMSE and MAE against labels that are selected from fresh candidates.
 
-        RMSE = sqrt(mean_TCP Var(label | TCP)),   MAE = mean_TCP E|label - median(label | TCP)|, by axis,
+        RMSE = sqrt(mean_TCP Var(label | TCP)),   MAE = mean_TCP E|label - median(label | TCP)|, by axis.
 
-    over ``tcp_in_base`` (n, 3).  A regressor knows the TCP and not the draw: its RMSE is least when it
-    predicts the mean label of each TCP and its MAE when it predicts the median, so that the floors are the
-    root mean variance and the mean distance from the median.  (Two floors: one regressor does not reach
-    both.)  A TCP that was trained on is no test of this, for its label may be remembered.  Selection is by
-    nearness to the desired position, which least image error is for upright views; the hand shifts labels and
-    floor alike.
+    A regressor knows the TCP but not the draw.  Its RMSE is least if it predicts the mean label of each TCP,
+    and its MAE if it predicts the median.  So the floors are the root mean variance and the mean distance
+    from the median. One regressor does not reach both.  A TCP from the training is no test of this, because
+    the network may remember its label.
 
-    TCPs share their redraws in groups of 32, which leaves every TCP's own distribution as it is.
+    Labels are the candidates nearest to the desired position, which have the least image error for upright
+    views.  The hand shifts labels and floor alike.  TCPs share redraws in groups of 32, which keeps each
+    TCP's own distribution.
+
+    Args:
+        settings: The settings of the cell.
+        tcp_in_base: (n, 3) the TCPs.
+        seed: The root of all random numbers.
+        redraws: The number of labels for each TCP.
+
+    Raises:
+        DatasetError: There is no TCP, or fewer than 2 redraws.
+
     """
     if redraws < 2 or len(tcp_in_base) == 0:
         raise DatasetError(
@@ -278,13 +323,13 @@ def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws:
             got=f"{redraws} for {len(tcp_in_base)}",
         )
     cap = CandidateCap.of(settings)
-    way = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base
+    wanted = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base
     rng = stream(seed, Stream.REDRAWS)
     variances, deviations = np.empty_like(tcp_in_base), np.empty_like(tcp_in_base)
-    for start in range(0, len(way), TCPS_A_REDRAW):
+    for start in range(0, len(wanted), TCPS_A_REDRAW):
         group = slice(start, start + TCPS_A_REDRAW)
-        labels = np.empty((len(way[group]), redraws, 3))
-        _furthest_along(draw_many(cap, [rng] * redraws), way[group], labels)
+        labels = np.empty((len(wanted[group]), redraws, 3))
+        _furthest_along(draw_many(cap, [rng] * redraws), wanted[group], labels)
         variances[group] = labels.var(axis=1, ddof=1)
         deviations[group] = np.abs(labels - np.median(labels, axis=1, keepdims=True)).mean(axis=1)
     return LabelFloor(np.sqrt(variances.mean(axis=0)), deviations.mean(axis=0), redraws)
@@ -293,16 +338,17 @@ def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws:
 @compiled
 def _furthest_along(
     offsets: NDArray[np.float64],  # (sets, candidates, 3), all of one length
-    way: NDArray[np.float64],  # (n, 3)
+    wanted: NDArray[np.float64],  # (n, 3)
     best_out: NDArray[np.float64],  # (n, sets, 3)
 ) -> None:
-    """Of each set the offset o that leads furthest along each way w: the one that ends nearest to its end.
+    """Fill ``best_out`` with the offset o of each set that leads furthest along each vector w of ``wanted``.
 
-    All o are of one length, so that |o - w|^2 = |o|^2 + |w|^2 - 2 o . w is least there.
+    All o have the same length, and |o - w|^2 = |o|^2 + |w|^2 - 2 o . w.  So this o also ends nearest to the
+    end of w.
     """
     sets, candidates, _ = offsets.shape
-    for k in range(way.shape[0]):
-        x, y, z = way[k, 0], way[k, 1], way[k, 2]
+    for k in range(wanted.shape[0]):
+        x, y, z = wanted[k, 0], wanted[k, 1], wanted[k, 2]
         for s in range(sets):
             best, furthest = 0, -np.inf
             for c in range(candidates):
@@ -313,12 +359,12 @@ def _furthest_along(
                 best_out[k, s, i] = offsets[s, best, i]
 
 
-HELD_OUT = 0.1  # for validation, and as much again for testing
+HELD_OUT = 0.1  # the share for validation, and for testing
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Numbers of the samples in each part, read-only; together they are all samples, each once."""
+    """Numbers of the samples in each part, read-only; every sample is in exactly one part."""
 
     kind: str
     train: Numbers
@@ -331,12 +377,30 @@ class Split:
 
 
 def split_by_sample(dataset: CompactDataset, *, seed: int) -> Split:
-    """The paper's split: samples at random, in random order.  DatasetError with fewer than 10 of them."""
+    """Return the paper's split: samples at random, in random order.
+
+    Args:
+        dataset: The data set.
+        seed: The root of all random numbers.
+
+    Raises:
+        DatasetError: There are fewer than 10 samples.
+
+    """
     return Split("by sample", *_parts(len(dataset), "samples", seed, 0))
 
 
 def split_by_tcp(dataset: CompactDataset, *, seed: int) -> Split:
-    """TCPs at random, each with all of its samples in one part.  DatasetError with fewer than 10 TCPs."""
+    """Return a split by random TCPs; all samples of a TCP are in the same part.
+
+    Args:
+        dataset: The data set.
+        seed: The root of all random numbers.
+
+    Raises:
+        DatasetError: There are fewer than 10 TCPs.
+
+    """
     train, validation, test = (
         (tcps[:, None] * dataset.hands + np.arange(dataset.hands)).ravel()
         for tcps in _parts(dataset.tcps, "TCPs", seed, 1)
@@ -347,14 +411,14 @@ def split_by_tcp(dataset: CompactDataset, *, seed: int) -> Split:
 SPLITS = {"by TCP": split_by_tcp, "by sample": split_by_sample}
 
 
-def _parts(count: int, what: str, seed: int, kind: int) -> tuple[Numbers, Numbers, Numbers]:
-    """A random permutation of 0 ... count - 1, cut into train, validation and test."""
+def _parts(count: int, unit: str, seed: int, kind: int) -> tuple[Numbers, Numbers, Numbers]:
+    """Return a random permutation of 0 ... count - 1, cut into train, validation and test."""
     held_out = round(HELD_OUT * count)
     if count < 10:
         raise DatasetError(
             place=Place(field="split"),
-            expected=f"at least 10 {what} to split into 0.8, 0.1 and 0.1",
-            got=f"{count} {what}",
+            expected=f"at least 10 {unit} to split into 0.8, 0.1 and 0.1",
+            got=f"{count} {unit}",
         )
     order = stream(seed, Stream.SPLIT, kind).permutation(count)
     train = count - 2 * held_out

@@ -1,11 +1,11 @@
-"""What a model is worth: its errors, its intervals and its doubt, on sets of independent decisions.
+"""The quality of a model: its errors, its intervals and its doubt, on sets of independent decisions.
 
-No TCP occurs in two rows of a set, so that rows are independent trials and shares of them have exact
-intervals: two samples of one TCP would share the noise of its label.
+Each TCP occurs in one row of a set.  So rows are independent trials, and their shares have exact intervals.
+Two samples of a TCP would share the noise of its label.
 
-The draws never coincide with those of a training or a calibration.  A data set's streams are leaves of
-its own seed; a training's is the number that its user gave, a calibration's come from that with the spawn
-key (7, k), and those here from the evaluation's own seed with (8, k): 64 bits that no other path gives.
+The draws never coincide with the draws of a training or a calibration.  A data set's streams are leaves of
+its own seed.  A training uses the seed that its user gave, and a calibration derives seeds from it with the
+spawn key (7, k).  An evaluation derives 64-bit seeds from its own seed with (8, k), on a path of its own.
 """
 
 from __future__ import annotations
@@ -59,16 +59,17 @@ BRANCH = 8
 _DECISIONS, _CHOICE = 0, 1  # below the branch and a set's number: seeds of its decisions, its choice of rows
 FLOOR_TCPS = 10_000  # the first ones, at most: 7 s
 SEEN_NAME, TEST_NAME = "seen, new TCPs", "seen, test part"
-MOST_VIEWS = 20_000_000  # of a data set that is made again: TCPs times candidates; the paper's has a million
+MOST_VIEWS = 20_000_000  # TCPs times candidates of a data set to generate again; the paper's has a million
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EvaluationSet:
     """Questions with their labels: rows (n, 3), base frame [m].
 
-    ``labels_in_base`` are eq. 13's, ``noise_free_in_base`` those with the continuous optimum in place of
-    the selected candidate; ``floor`` is what the noise of the labels leaves of any regressor's error on this
-    set, by 1,000 redraws for each TCP; only of seen sets, for elsewhere errors have other reasons.
+    ``labels_in_base`` are the labels of eq. 13.  ``noise_free_in_base`` are labels with the continuous
+    optimum instead of the selected candidate.  ``floor`` is the error that the labels' noise leaves to any
+    regressor on this set, by 1,000 redraws for each TCP.  It is None for unseen sets, where errors have other
+    reasons.
     """
 
     name: str
@@ -82,7 +83,7 @@ class EvaluationSet:
     floor: LabelFloor | None
 
     def __len__(self) -> int:
-        """How many rows there are."""
+        """Return the number of rows."""
         return len(self.hands_in_base)
 
 
@@ -91,7 +92,7 @@ Count = Annotated[int, Meta(ge=0)]
 
 @dataclass(frozen=True)
 class DataCard:
-    """How a model's card says that its training data were made."""
+    """The origin of the training data, by a model's card."""
 
     seed: Count
     tcps: Count
@@ -102,7 +103,7 @@ class DataCard:
 
     @classmethod
     def of(cls, card: Mapping[str, Any]) -> DataCard | None:
-        """From the card of a model file; None if it does not say, or is no card of ours."""
+        """Return the data of a model file's ``card``; None if it has no data in the seen space."""
         data = card.get("data")
         try:
             return (
@@ -113,7 +114,7 @@ class DataCard:
 
 
 def leaf(seed: int, *path: int) -> int:
-    """A 64-bit seed on the evaluation's own branch."""
+    """Return a 64-bit seed below ``seed``, at ``path`` on the evaluation's own branch."""
     return seed_below(seed, BRANCH, *path)
 
 
@@ -125,9 +126,15 @@ def fresh_sets(
     candidates: int,
     on_set: Callable[[str], object] = lambda name: None,
 ) -> list[EvaluationSet]:
-    """New TCPs and hands of the seen space and of the three unseen ones, ``samples`` rows each.
+    """Return sets of new TCPs and hands, in the seen space and in the three unseen spaces.
 
-    ``on_set`` is told the name of each before it is drawn.
+    Args:
+        settings: The settings of the cell.
+        samples: The number of rows of each set.
+        seed: The root of all random numbers.
+        candidates: The number of candidates for each TCP.
+        on_set: Receives the name of each set before it is drawn.
+
     """
     sets = []
     for number, name in enumerate(SPACES, start=1):
@@ -138,18 +145,25 @@ def fresh_sets(
         )
         is_seen = name == "seen"
         called = SEEN_NAME if is_seen else name
-        about = f"{samples} TCPs and as many hands, drawn afresh in the space {name!r}"
-        sets.append(_set(called, about, drawn, pairs, is_seen=is_seen, seed=seed, number=number))
+        description = f"{samples} TCPs and as many hands, drawn afresh in the space {name!r}"
+        sets.append(_set(called, description, drawn, pairs, is_seen=is_seen, seed=seed, number=number))
     return sets
 
 
 def test_part(
     settings: Settings, card: DataCard, *, samples: int, seed: int
 ) -> tuple[EvaluationSet | None, str]:
-    """The part that a model's own training held out for testing, made again; or None, and why.
+    """Return the test part of a model's own training, generated again; or None, and the reason.
 
-    At most one row a TCP.  Of a random split over the samples every TCP was trained on as well: its
-    label's noise may be remembered, and errors look smaller than on new TCPs.
+    It has at most one row for each TCP.  After a random split of samples, the training has seen every TCP.
+    Then the network may remember the noise of a label, and errors look smaller than on new TCPs.
+
+    Args:
+        settings: The settings of the cell.
+        card: The data of the model's card.
+        samples: The greatest number of rows.
+        seed: The root of the choice of rows.
+
     """
     if not (card.tcps >= 10 and 0 < card.tcps * card.candidates <= MOST_VIEWS and card.hands > 0):
         return None, f"its data set has {card.tcps} TCPs with {card.candidates} candidates each"
@@ -163,15 +177,15 @@ def test_part(
     shuffled = rng.permutation(test)
     _, first = np.unique(shuffled // card.hands, return_index=True)
     rows = rng.permutation(shuffled[first])[:samples]
-    about = (
+    text = (
         f"{len(rows)} samples of different TCPs from the test part of the training data, split {card.split}"
     )
-    return _set(f"{TEST_NAME} {card.split}", about, dataset, rows, is_seen=True, seed=seed, number=0), ""
+    return _set(f"{TEST_NAME} {card.split}", text, dataset, rows, is_seen=True, seed=seed, number=0), ""
 
 
 def _set(
     name: str,
-    about: str,
+    description: str,
     dataset: CompactDataset,
     rows: NDArray[np.int64],
     *,
@@ -179,11 +193,12 @@ def _set(
     seed: int,
     number: int,
 ) -> EvaluationSet:
+    """Return the set of some rows of a data set; a seen set has a floor."""
     inputs = dataset.inputs(rows)
     rng = np.random.default_rng(leaf(seed, number, _DECISIONS))
     return EvaluationSet(
         name=name,
-        about=about,
+        about=description,
         seen=is_seen,
         hands_in_base=inputs[:, :3],
         tcps_in_base=inputs[:, 3:],
@@ -202,11 +217,11 @@ PAPER_PRECISION_PER_MM2 = 1e-6
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CalibratedIntervals:
-    """The calibrated intervals, and what the calibration says of a decision's spread.
+    """The calibrated intervals, and the threshold of the spread.
 
-    ``covered``: rows whose label is within its interval on all three axes.  ``above_threshold``: rows whose
-    largest spread is above the threshold, for which the gate falls back: false alarms on a seen set,
-    detections on an unseen one; None for a model without any spread.
+    ``covered`` counts rows whose label lies within its interval on all three axes.  ``above_threshold``
+    counts rows whose largest spread is above the threshold, so that the gate falls back.  On a seen set these
+    are false alarms, on an unseen set detections.  It is None for a model without a spread.
     """
 
     covered: Proportion
@@ -216,12 +231,12 @@ class CalibratedIntervals:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Figures:
-    """One model on one set; lengths in metres.
+    """The figures of one model on one set; lengths in metres.
 
-    ``errors`` are against the labels that the model was trained for, ``noise_free`` against eq. 13 with
-    the continuous optimum.  ``curves``: the share of labels (levels, 3) within the central interval of
-    each level of ``LEVELS``, by scale.  ``auroc`` is that of the largest spread as a detector of this set
-    against the seen one: None on a seen set, or if the model has no spread.
+    ``errors`` compare with the labels of the training's target, and ``noise_free`` with eq. 13 at the
+    continuous optimum.  ``curves`` has, by scale, the share of labels (levels, 3) within the central interval
+    of each level of ``LEVELS``.  ``auroc`` rates the largest spread as a detector of this set against the
+    seen set.  It is None on a seen set, or without a spread.
     """
 
     model: str
@@ -237,12 +252,12 @@ class Figures:
 
 
 def has_spread(model: Model) -> bool:
-    """Whether its spread can be anything but zero."""
+    """Return whether the spread of ``model`` can differ from zero."""
     return model.dropout is not Dropout.NONE or model.members > 1
 
 
 def learns_noise_free(model: Model) -> bool:
-    """Whether its card says that it was trained for the continuous optimum."""
+    """Return whether the card of ``model`` has the continuous optimum as its target."""
     return _recipe(model).get("target") == "continuous"
 
 
@@ -255,39 +270,49 @@ def evaluate_model(
     place: Place,
     robot: AnyRobot = Robot.UR10,
 ) -> list[Figures]:
-    """The figures of ``model`` on each set; the first set is the seen one that others are told from.
+    """Return the figures of a model on each set.
 
-    ModelError with ``place`` if an answer is not finite.
+    Args:
+        label: The model's name in tables.
+        model: The model.
+        sets: The sets; the first is the seen set, from which the AUROC distinguishes the unseen sets.
+        settings: The settings of the cell.
+        place: The place that an error names.
+        robot: The arm.
+
+    Raises:
+        ModelError: An answer is not finite.
+
     """
     avoider = LearnedAvoider.of(model)
     seen_spread: Floats | None = None
     figures = []
-    for one in sets:
-        positions, spreads = avoider.propose_many(one.hands_in_base, one.tcps_in_base, one.decision_seeds)
+    for rows in sets:
+        positions, spreads = avoider.propose_many(rows.hands_in_base, rows.tcps_in_base, rows.decision_seeds)
         bad = np.flatnonzero(~np.isfinite(positions + spreads).all(axis=1))
         if len(bad):
-            hand, tcp = one.hands_in_base[bad[0]].tolist(), one.tcps_in_base[bad[0]].tolist()
+            hand, tcp = rows.hands_in_base[bad[0]].tolist(), rows.tcps_in_base[bad[0]].tolist()
             raise ModelError(
                 place=place,
-                expected=f"finite answers on the set {one.name!r}",
+                expected=f"finite answers on the set {rows.name!r}",
                 got=f"{positions[bad[0]].tolist()} for hand {hand} and TCP {tcp}",
             )
         largest = largest_spread(spreads)
         if seen_spread is None:
             seen_spread = largest
-        told = not one.seen and has_spread(model)
-        labels = one.noise_free_in_base if learns_noise_free(model) else one.labels_in_base
+        is_unseen = not rows.seen and has_spread(model)
+        labels = rows.noise_free_in_base if learns_noise_free(model) else rows.labels_in_base
         figures.append(
             Figures(
                 model=label,
-                set=one,
+                set=rows,
                 errors=errors(positions, labels),
-                noise_free=errors(positions, one.noise_free_in_base),
+                noise_free=errors(positions, rows.noise_free_in_base),
                 picp=_picp(model, positions, labels, spreads),
                 curves=_curves(model, positions, labels, spreads),
                 median_largest_spread_m=float(np.median(largest)),
                 intervals=_intervals(model, positions, labels, spreads),
-                auroc=auroc(seen_spread, largest) if told else None,
+                auroc=auroc(seen_spread, largest) if is_unseen else None,
                 unreachable=Proportion.of(~reachable(positions, settings, robot)),
             )
         )
@@ -295,17 +320,18 @@ def evaluate_model(
 
 
 def _recipe(model: Model) -> Mapping[str, Any]:
-    """What the card says of the training; empty for a card that is not ours."""
+    """Return the recipe of a card; empty for a foreign card."""
     recipe = model.card.get("recipe")
     return recipe if isinstance(recipe, dict) else {}
 
 
 def _residual_std(model: Model) -> Floats | None:
+    """Return the calibration's residuals by axis, (3,) standard deviations [m]; None without one."""
     return None if model.calibration is None else np.array(model.calibration.residual_std_m)
 
 
 def _picp(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> dict[str, IntervalCoverage]:
-    """The readings of the paper's PICP; without a calibration the one with residuals is left out.
+    """Return the readings of the paper's PICP; the reading with residuals needs a calibration.
 
     ``positions``, ``labels`` and ``spreads`` are (n, 3) [m].
     """
@@ -318,7 +344,7 @@ def _picp(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> d
 
 
 def _curves(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> dict[str, Floats]:
-    """By scale, the calibration curve of ``positions``, ``labels`` and ``spreads`` (n, 3) [m]."""
+    """Return a calibration curve for each scale, of ``positions``, ``labels``, ``spreads`` (n, 3) [m]."""
     levels, residual_std = np.array(LEVELS), _residual_std(model)
     curves = {"spread": calibration_curve(positions, labels, spreads, levels)}
     if residual_std is not None:
@@ -330,7 +356,7 @@ def _curves(model: Model, positions: Floats, labels: Floats, spreads: Floats) ->
 def _intervals(
     model: Model, positions: Floats, labels: Floats, spreads: Floats
 ) -> CalibratedIntervals | None:
-    """Of ``positions``, ``labels`` and ``spreads`` (n, 3) [m]; None for a model without a calibration."""
+    """Return the calibrated intervals on (n, 3) [m] arrays; None for a model without a calibration."""
     calibration = model.calibration
     if calibration is None:
         return None

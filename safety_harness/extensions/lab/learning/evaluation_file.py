@@ -1,4 +1,4 @@
-"""Trained models on the same draws, side by side: every figure, and the file that has them."""
+"""The comparison of trained models on the same draws: all figures, and their file."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SAME_PLACE_M = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class LoadedModel:
-    """A model, what the tables call it, and the hash of its file."""
+    """A model with its label in tables and the hash of its file."""
 
     path: Path
     label: str
@@ -51,13 +51,22 @@ class LoadedModel:
 
     @property
     def candidates(self) -> int:
-        """Of each TCP in its training data: the noise of its labels."""
+        """The candidates for each TCP in its training data, which decide the noise of its labels."""
         card = DataCard.of(self.model.card)
         return card.candidates if card and card.candidates else DEFAULTS.avoidance.candidate_count
 
 
 def load_models(models: Sequence[str | Path], settings: Settings = DEFAULTS) -> list[LoadedModel]:
-    """Model files, or shipped models by name; ModelError for none, or one of another seen space."""
+    """Return model files, or shipped models by name.
+
+    Args:
+        models: The files or names.
+        settings: The settings of the cell.
+
+    Raises:
+        ModelError: There is no model, or the seen space of one differs from the cell's.
+
+    """
     if not models:
         raise ModelError(place=Place(field="MODEL"), expected="at least one model", got="none")
     loaded: list[LoadedModel] = []
@@ -66,14 +75,14 @@ def load_models(models: Sequence[str | Path], settings: Settings = DEFAULTS) -> 
         model = load_model(path)
         _refuse_another_space(model, path, settings)
         name = path.parent.name if path.stem == "model" and path.parent.name else path.stem
-        same = sum(one.label.partition(" #")[0] == name for one in loaded)
+        same = sum(entry.label.partition(" #")[0] == name for entry in loaded)
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
         loaded.append(LoadedModel(path, f"{name} #{same + 1}" if same else name, model, digest))
     return loaded
 
 
 def _refuse_another_space(model: Model, path: Path, settings: Settings) -> None:
-    """What is drawn as seen must be what the model has seen."""
+    """Raise a ModelError unless the seen space of the cell is the seen space of the model."""
     space = seen(settings)
     for name, ours in (("hand", space.hand.outer), ("tcp", space.tcp.outer)):
         corners, theirs = np.array([ours.low_m, ours.high_m]), model.seen.boxes[name]
@@ -93,9 +102,18 @@ def figures_of(
     say: Callable[[str], None],
     cell: TrainingCell = UR10_CELL,
 ) -> tuple[list[Figures], list[str]]:
-    """The figures of every model on every set, in the order of the models, and what could not be had.
+    """Return the figures of every model on every set, and remarks on missing figures.
 
-    DatasetError for too few or too many ``samples`` of a set, or a negative seed.
+    Args:
+        loaded: The models.
+        samples: The number of rows of each set.
+        seed: The root of all random numbers.
+        say: Receives lines on the progress.
+        cell: The cell of the models.
+
+    Raises:
+        DatasetError: ``samples`` is out of range, or ``seed`` is negative.
+
     """
     if not FEWEST <= samples <= MOST:
         raise DatasetError(
@@ -107,38 +125,47 @@ def figures_of(
     parts: dict[DataCard, tuple[EvaluationSet | None, str]] = {}
     figures: list[Figures] = []
     remarks: list[str] = []
-    for one in loaded:
-        if one.candidates not in fresh:
-            fresh[one.candidates] = fresh_sets(
+    for net in loaded:
+        if net.candidates not in fresh:
+            fresh[net.candidates] = fresh_sets(
                 cell.settings,
                 samples=samples,
                 seed=seed,
-                candidates=one.candidates,
+                candidates=net.candidates,
                 on_set=lambda name: say(f"drawing {samples} TCPs and hands: {name}"),
             )
-        card = DataCard.of(one.model.card)
+        card = DataCard.of(net.model.card)
         if card is not None and card not in parts:
-            say(f"{one.label}: making its training data again")
+            say(f"{net.label}: making its training data again")
             parts[card] = test_part(cell.settings, card, samples=samples, seed=seed)
         part, why = (None, "its card does not say how its data were made") if card is None else parts[card]
         if part is None:
-            remarks.append(f"{one.label}: no test part of the training data: {why}")
-        if one.model.calibration is None:
-            remarks.append(f"{one.label}: not calibrated: no intervals, no spread threshold, no residuals")
-        if learns_noise_free(one.model):
-            remarks.append(f"{one.label}: trained for labels without noise, and measured on such")
-        say(f"{one.label}: evaluating")
-        seen_set, *unseen = fresh[one.candidates]
+            remarks.append(f"{net.label}: no test part of the training data: {why}")
+        if net.model.calibration is None:
+            remarks.append(f"{net.label}: not calibrated: no intervals, no spread threshold, no residuals")
+        if learns_noise_free(net.model):
+            remarks.append(f"{net.label}: trained for labels without noise, and measured on such")
+        say(f"{net.label}: evaluating")
+        seen_set, *unseen = fresh[net.candidates]
         sets = [seen_set, *([part] if part is not None else []), *unseen]
-        place = Place(file=one.path)
-        figures += evaluate_model(one.label, one.model, sets, cell.settings, place=place, robot=cell.robot)
+        place = Place(file=net.path)
+        figures += evaluate_model(net.label, net.model, sets, cell.settings, place=place, robot=cell.robot)
     return figures, remarks
 
 
 def evaluation_data(
     loaded: list[LoadedModel], figures: list[Figures], remarks: list[str], samples: int, seed: int
 ) -> dict[str, Any]:
-    """Everything, in metres, for JSON."""
+    """Return all figures, in metres, for JSON.
+
+    Args:
+        loaded: The models.
+        figures: The figures of ``figures_of``.
+        remarks: The remarks of ``figures_of``.
+        samples: The number of rows of each set.
+        seed: The root of all random numbers.
+
+    """
     return {
         "schema": SCHEMA,
         "package_version": installed_version(),
@@ -149,32 +176,33 @@ def evaluation_data(
         "remarks": remarks,
         "models": [
             {
-                "label": one.label,
-                "file": str(one.path),
-                "sha256": one.sha256,
-                "name": LearnedAvoider.of(one.model).name,
-                "calibration": plain(one.model.calibration),
-                "sets": [_json_of(f) for f in figures if f.model == one.label],
+                "label": entry.label,
+                "file": str(entry.path),
+                "sha256": entry.sha256,
+                "name": LearnedAvoider.of(entry.model).name,
+                "calibration": plain(entry.model.calibration),
+                "sets": [_json_of(f) for f in figures if f.model == entry.label],
             }
-            for one in loaded
+            for entry in loaded
         ],
     }
 
 
-def write_evaluation(out: Path, found: dict[str, Any]) -> None:
-    """Write what ``evaluation_data`` gave; OutputError if it cannot be written."""
+def write_evaluation(out: Path, data: dict[str, Any]) -> None:
+    """Write the data of ``evaluation_data`` to the file ``out``; OutputError if that fails."""
     with writing_to(out):
-        write_whole(out, json.dumps(found, indent=1, allow_nan=False, default=np.ndarray.tolist) + "\n")
+        write_whole(out, json.dumps(data, indent=1, allow_nan=False, default=np.ndarray.tolist) + "\n")
 
 
 def _json_of(figures: Figures) -> dict[str, Any]:
-    one, intervals = figures.set, figures.intervals
+    """Return the figures of one set as JSON."""
+    rows, intervals = figures.set, figures.intervals
     return {
-        "set": one.name,
-        "about": one.about,
-        "seen": one.seen,
-        "rows": len(one),
-        "label_floor_m": None if one.floor is None else asdict(one.floor),
+        "set": rows.name,
+        "about": rows.about,
+        "seen": rows.seen,
+        "rows": len(rows),
+        "label_floor_m": None if rows.floor is None else asdict(rows.floor),
         "errors_m": asdict(figures.errors),
         "errors_without_noise_m": asdict(figures.noise_free),
         "picp_95": {name: _coverage(value) for name, value in figures.picp.items()},
@@ -191,9 +219,11 @@ def _json_of(figures: Figures) -> dict[str, Any]:
     }
 
 
-def _coverage(found: IntervalCoverage) -> dict[str, Any]:
-    return {"picp": found.picp, "joint": found.joint, "mean_width_m": found.mean_width}
+def _coverage(coverage: IntervalCoverage) -> dict[str, Any]:
+    """Return a coverage as JSON."""
+    return {"picp": coverage.picp, "joint": coverage.joint, "mean_width_m": coverage.mean_width}
 
 
-def _proportion(found: Proportion) -> dict[str, Any]:
-    return asdict(found) | {"share": found.share}
+def _proportion(proportion: Proportion) -> dict[str, Any]:
+    """Return a proportion as JSON, with its share."""
+    return asdict(proportion) | {"share": proportion.share}

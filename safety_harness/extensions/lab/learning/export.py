@@ -1,8 +1,8 @@
 """A trained model as one function from metres to metres, for other programs: an ONNX file.
 
-Normalisation, all passes or members, their mean and their standard deviation are inside.  Inputs are
-float64 (n, 3), as are the outputs; the network between them computes in float32, as ours does.  With
-dropout the masks are an input, so that whoever calls decides on them, and can have ours.
+The file contains normalisation, all passes or members, their mean and their standard deviation.  Inputs are
+float64 (n, 3), and so are outputs; the network between them computes in float32, like ours.  If there is
+dropout, the masks are an input.  So the caller decides on them, and can use ours.
 """
 
 from __future__ import annotations
@@ -30,18 +30,19 @@ from safety_harness.cell.avoidance.onnx_names import HAND, MASKS, POSITION, SPRE
 from safety_harness.extensions.lab.learning.networks import Network, load_tensors, network_of
 from safety_harness.scenario.references import ONNX_SUFFIX
 
-ROWS = 256  # that an exported file is tried with, in the seen space and as many outside
+ROWS = 256  # of the comparison, in the seen space, and as many outside
 MOST_DIFFERENT_M = 1e-6  # float32 in another order of sums: 1e-7 m, or 4e-7 m in raw millimetres; measured
-FARTHER = 1.5  # how much larger than the seen boxes those are that the unseen half is drawn from
+FARTHER = 1.5  # times the seen boxes: the boxes of the unseen half
 
 Arrays = tuple[NDArray[np.float64], ...]
 Function = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_] | None], Arrays]
 
 
 class WholeFunction(nn.Module):
-    """Hand and TCP (n, 3) [m], and masks (n, passes, places, width) with dropout: position and spread (n, 3).
+    """The function from hand and TCP (n, 3) [m] to position and spread (n, 3) [m].
 
-    The mean over the passes or members and their standard deviation (n in the denominator), both [m].
+    A network with dropout also takes masks (n, passes, places, width).  The results are the mean over the
+    passes or members, and their standard deviation (n in the denominator).
     """
 
     def __init__(self, model: Model) -> None:
@@ -53,7 +54,7 @@ class WholeFunction(nn.Module):
         self.eval()
 
     def forward(self, hand: Tensor, tcp: Tensor, masks: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Metres to metres, float64 to float64."""
+        """Return position and spread (n, 3) [m], float64, for ``hand``, ``tcp`` and ``masks``."""
         inputs = torch.cat([hand, tcp], dim=1)
         x = (inputs - self.get_buffer("input_mean")) / self.get_buffer("input_std")
         x = torch.cat([x, torch.ones_like(x[:, :1])], dim=1).float()  # (n, 7)
@@ -66,13 +67,14 @@ class WholeFunction(nn.Module):
         answers = answers.double()
         std = self.get_buffer("target_std")
         mean = answers.mean(dim=1)
-        # A ReLU may make a NaN a 0 elsewhere: what is not finite stays so.
+        # A ReLU of a runtime may turn NaN into 0: this sum keeps an input that is not finite.
         doubt = 0.0 * inputs.sum(dim=1, keepdim=True)
         spread = std * ((answers - mean[:, None]) ** 2).mean(dim=1).sqrt()
         return self.get_buffer("target_mean") + std * mean + doubt, spread + doubt
 
 
 def _network(model: Model, member: int) -> Network:
+    """Return one member of the model, in evaluation mode."""
     network = network_of(model.kind, model.dropout, model.dropout_probability)
     prefix = f"{member}/"
     tensors = {n.removeprefix(prefix): t for n, t in model.tensors.items() if n.startswith(prefix)}
@@ -81,11 +83,21 @@ def _network(model: Model, member: int) -> Network:
 
 
 def write_export(model: Model, source: bytes, out: Path, *, seed: int) -> float:
-    """Write ``model`` (of a file with the bytes ``source``) to ``out``; what is written is tried first.
+    """Write a model as ONNX, after a comparison with the original; on failure the old file stays.
 
-    Returns the greatest difference [m] that ``difference`` found between the loaded file and
-    ``LearnedAvoider``; ModelError, and the file as it was before, if that is above 1e-6 m.
-    OutputError if ``out`` cannot be written or does not end in .onnx.
+    Args:
+        model: The model.
+        source: The bytes of the model's file.
+        out: The file to write.
+        seed: The root of the comparison's questions.
+
+    Returns:
+        The greatest difference [m] from ``LearnedAvoider``, as ``difference`` found it.
+
+    Raises:
+        ModelError: The difference is above 1e-6 m.
+        OutputError: ``out`` cannot be written or does not end in .onnx.
+
     """
     if out.suffix != ONNX_SUFFIX:
         raise OutputError(
@@ -109,10 +121,17 @@ def write_export(model: Model, source: bytes, out: Path, *, seed: int) -> float:
 
 
 def difference(model: Model, function: Function, *, seed: int) -> float:
-    """The greatest difference [m] of any coordinate of any position or spread from ``LearnedAvoider``.
+    """Return the greatest difference [m] of any coordinate of a position or spread from ``LearnedAvoider``.
 
-    On random hands and TCPs in the model's seen boxes, as many in boxes 1.5 times as large, each with the
-    masks of its own seed, and one hand that is not a number, which must give none: else infinity.
+    The questions are random hands and TCPs in the model's seen boxes, and as many in boxes 1.5 times as
+    large.  Each has the masks of its own seed.  A further hand is NaN and must give no answer, or the
+    difference is infinite.
+
+    Args:
+        model: The model.
+        function: The function to compare.
+        seed: The root of the questions.
+
     """
     rng = np.random.default_rng(seed)
     hands, tcps = (
@@ -133,13 +152,13 @@ def difference(model: Model, function: Function, *, seed: int) -> float:
 
 
 def _boxes(model: Model) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Centre and half size of the seen hands' box, then of the TCPs'."""
+    """Yield centre and half size of the seen hands' box, then of the TCPs' box."""
     for low, high in map(np.array, model.seen.boxes.values()):
         yield (low + high) / 2, (high - low) / 2
 
 
 def _onnx_bytes(model: Model, metadata: str) -> bytes:
-    """One self-contained ONNX file, without the paths of this machine that PyTorch leaves in it."""
+    """Return one self-contained ONNX file, without the paths of this machine that PyTorch adds."""
     point = torch.zeros((2, 3), dtype=torch.float64)
     question = {HAND: point, TCP: point.clone()}
     if model.dropout is not Dropout.NONE:
@@ -156,7 +175,7 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
             external_data=False,
             verbose=False,
         )
-    assert program is not None  # of an export with dynamo
+    assert program is not None  # always, for an export with dynamo
     proto = program.model_proto
     proto.graph.ClearField("value_info")  # PyTorch's shapes of transposed weights contradict inferred ones
     for part in (*proto.graph.node, *proto.graph.input, *proto.graph.output):
@@ -170,8 +189,8 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
 
 
 def load_onnx(path: Path) -> Function:
-    """What an exported ONNX file computes, in onnxruntime."""
-    session = open_session(path, path.read_bytes())  # just written
+    """Return the function of an exported ONNX file, in onnxruntime."""
+    session = open_session(path, path.read_bytes())  # the file that was just written
 
     def function(
         hands: NDArray[np.float64], tcps: NDArray[np.float64], masks: NDArray[np.bool_] | None
@@ -184,12 +203,12 @@ def load_onnx(path: Path) -> Function:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the remarks of PyTorch's exporter about itself; whether the outcome is right is tried."""
+    """Silence PyTorch's exporter; ``difference`` tests its result."""
     logger = logging.getLogger("torch.onnx")
-    before = logger.level
+    old_level = logger.level
     logger.setLevel(logging.ERROR)
     try:
         with warnings.catch_warnings(action="ignore"):
             yield
     finally:
-        logger.setLevel(before)
+        logger.setLevel(old_level)

@@ -1,4 +1,4 @@
-"""What the camera would make of a candidate: |f - f*|^2 (eq. 15) of many poses in one compiled call."""
+"""The image error of candidates: |f - f*|^2 (eq. 15) of many poses in one compiled call."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from safety_harness.cell.servoing.features import feature_error, features
 
 
 class ImageErrors(NamedTuple):
-    """Image errors of TCP positions with the desired orientation kept, and the selection by them.
+    """Image errors of TCP positions in the desired orientation, and the selection by them.
 
-    ``features`` are f*, ``area`` and ``depth_m`` the a* and Z* of the view at the desired pose, of a
-    ``dense`` object or a discrete one.
+    ``features`` are f*; ``area`` and ``depth_m`` are a* and Z* of the view at the desired pose.  The object
+    is ``dense`` or discrete.
     """
 
     polygon_m: NDArray[np.float64]  # (corners, 2)
@@ -38,7 +38,7 @@ class ImageErrors(NamedTuple):
 
     @classmethod
     def of(cls, settings: Settings) -> ImageErrors:
-        """For the settings' cell, with the camera's true mount."""
+        """Return the errors for the cell of ``settings``, with the camera's true mount."""
         camera_to_base, object_to_camera = desired_camera(settings)
         view, camera = view_of(settings), settings.camera
         return cls(
@@ -58,14 +58,19 @@ class ImageErrors(NamedTuple):
     def at(
         self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """TCP ``positions_in_base_m`` (..., 3) -> errors (...) and is the whole object in the image (...)?
+        """Return errors (...) of ``positions_in_base_m`` (..., 3), and whether they see all the object (...).
 
-        The error of a position is |f - f*|^2 (eq. 15, in metres and radians) of the features f of the
-        image from there.
+        The error is |f - f*|^2 (eq. 15, in metres and radians) of the features f of the image from there.  It
+        is +inf without an image of the object.  The exact image has no border: beyond it, the error belongs
+        to a larger sensor.
 
-        The exact image has no border: beyond it the error is what a larger sensor would see.
-        ``raster`` samples at pixel centres as the camera does (dense objects only) and crops.
-        +inf where there is no image of the object at all.
+        Args:
+            positions_in_base_m: TCP positions in the base frame.
+            raster: Sample at pixel centres like the camera, and crop; for dense objects only.
+
+        Raises:
+            DatasetError: ``raster`` for a discrete object.
+
         """
         if raster and not self.dense:
             raise DatasetError(
@@ -82,12 +87,18 @@ class ImageErrors(NamedTuple):
     def select(
         self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Candidates, ``positions_in_base_m`` (n, c, 3) -> the selected ones' numbers (n,), and in view (n,).
+        """Return the selected numbers (n,) of ``positions_in_base_m`` (n, c, 3), and how many see (n,).
 
-        The second says how many of the candidates had the whole object in view.
+        The selected candidate has the least error among the candidates in view, or among all if no candidate
+        is in view. The second array counts the candidates that see the whole object.
 
-        Selected is the least error among those with the whole object in view, or among all where
-        none has.  DatasetError where there is no error at all.
+        Args:
+            positions_in_base_m: C candidates for each TCP, in the base frame.
+            raster: As in ``at``.
+
+        Raises:
+            DatasetError: A TCP has no candidate with an image of the object.
+
         """
         errors, in_view = self.at(positions_in_base_m, raster=raster)
         counts = np.count_nonzero(in_view, axis=1)
@@ -112,11 +123,12 @@ def _image_errors(
     errors_out: NDArray[np.float64],  # (n,)
     in_view_out: NDArray[np.bool_],  # (n,)
 ) -> None:
-    """Errors by ``ImageErrors.at``; a shift of the camera moves the object the other way in its frame.
+    """Fill the errors of ``ImageErrors.at``; a shift of the camera moves the object against it.
 
         t(p) = t* - R_camera_to_base^T (p - p*)
 
-    with t the object's position in the camera frame, p that of the TCP, * at the desired pose, R kept.
+    Here t is the object's position in the camera frame and p is the position of the TCP.  The * marks the
+    desired pose, and R stays the same.
     """
     corners = sight.polygon_m.shape[0]
     pose = sight.transform_object_to_camera.copy()

@@ -1,8 +1,7 @@
-"""Data sets on disk: a folder with plain arrays and a manifest that says how they came about.
+"""Data sets on disk: a folder with plain arrays, and a manifest of their origin.
 
-``arrays.npz`` holds the compact arrays (never a pickle); ``manifest.json`` every parameter, the seed, the
-versions, a sha256 of each array's bytes and one of the manifest itself, so that a data set that was
-changed, on purpose or not, is refused.
+``arrays.npz`` has the compact arrays (never a pickle).  ``manifest.json`` has every parameter, the seed, the
+versions, a sha256 of each array's bytes and of the manifest itself.  So a changed data set is refused.
 """
 
 from __future__ import annotations
@@ -44,12 +43,14 @@ DTYPES = {
 
 @dataclass(frozen=True)
 class _StoredArray:
+    """The stored hash of an array."""
+
     sha256: str
 
 
 @dataclass(frozen=True)
 class _Read:
-    """What of a manifest is used again; the settings in full."""
+    """The fields of a manifest that loading needs, with the complete settings."""
 
     seed: int
     tcps: int
@@ -62,7 +63,7 @@ class _Read:
 
 
 def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
-    """What the manifest of ``dataset`` says; ``sha256`` identifies parameters, software and data together."""
+    """Return the manifest of ``dataset``; its ``sha256`` covers parameters, software and data."""
     manifest = {
         "format": FORMAT,
         "package_version": installed_version(),
@@ -88,7 +89,7 @@ def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
 
 
 def data_hash(dataset: CompactDataset) -> str:
-    """One sha256 over the arrays alone: the same data, whichever version made it."""
+    """Return one sha256 over the arrays of ``dataset`` alone, the same for every version of the program."""
     digest = hashlib.sha256()
     for name, array in sorted(_arrays(dataset).items()):
         digest.update(f"{name} {_sha256(array)}\n".encode())
@@ -96,10 +97,18 @@ def data_hash(dataset: CompactDataset) -> str:
 
 
 def save_dataset(dataset: CompactDataset, folder: Path) -> None:
-    """Write ``arrays.npz`` and ``manifest.json`` into ``folder``; OutputError if that is impossible.
+    """Write ``arrays.npz`` and ``manifest.json``.
 
-    The folder is made if need be, and each file replaced whole.  An interruption between the two leaves
-    a folder that does not load.
+    It creates the folder if necessary, and replaces each file as a whole.  An interruption between the two
+    files leaves a folder that does not load.
+
+    Args:
+        dataset: The data set.
+        folder: The folder.
+
+    Raises:
+        OutputError: The folder cannot be written.
+
     """
     try:
         with replacing(folder / ARRAYS) as unfinished, unfinished.open("wb") as file:
@@ -112,7 +121,7 @@ def save_dataset(dataset: CompactDataset, folder: Path) -> None:
 
 
 def load_dataset(folder: Path) -> CompactDataset:
-    """Read what ``save_dataset`` wrote; DatasetError says what is wrong with anything else."""
+    """Return the data set of a folder of ``save_dataset``; DatasetError with the reason if it is none."""
     refuse_other_kind(folder, FileKind.DATASET, error=DatasetError)
     file = folder / MANIFEST
     manifest = _read_manifest(file)
@@ -124,23 +133,25 @@ def load_dataset(folder: Path) -> CompactDataset:
     arrays = _read_arrays(folder / ARRAYS, read.arrays)
     dataset = CompactDataset(settings=settings, space=read.space, seed=read.seed, arm=read.arm, **arrays)
     for name in ("tcps", "hands", "candidates"):
-        number, said = getattr(dataset, name), getattr(read, name)
-        if number != said:
-            raise _error(file, f"{number}, as the arrays have", str(said), name)
+        number, stated = getattr(dataset, name), getattr(read, name)
+        if number != stated:
+            raise _error(file, f"{number}, as the arrays have", str(stated), name)
     return dataset
 
 
 def _arrays(dataset: CompactDataset) -> dict[str, NDArray[Any]]:
+    """Return the arrays by name."""
     return {name: getattr(dataset, name) for name in DTYPES}
 
 
 def _sha256(array: NDArray[Any]) -> str:
+    """Return the sha256 of an array's bytes, in little-endian order."""
     little_endian = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
     return hashlib.sha256(little_endian.tobytes()).hexdigest()
 
 
 def _manifest_hash(manifest: dict[str, Any]) -> str:
-    """Over everything but the hash itself, whatever the spacing."""
+    """Return a hash of everything except the hash itself, independent of the spacing."""
     rest = {name: value for name, value in manifest.items() if name != "sha256"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
@@ -150,17 +161,17 @@ def _error(file: Path, expected: str, got: str, field: str | None = None) -> Dat
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
-    """The manifest as an object of this format that has not been changed."""
+    """Return the unchanged manifest of this format."""
     refuse_no_file(path, "the manifest of a data set", DatasetError)
-    found = read_json(path, "the manifest of a data set", most=LARGEST_MANIFEST_BYTES, error=DatasetError)
-    manifest = of_format(found, FORMAT, path, DatasetError)
+    content = read_json(path, "the manifest of a data set", most=LARGEST_MANIFEST_BYTES, error=DatasetError)
+    manifest = of_format(content, FORMAT, path, DatasetError)
     if manifest.get("sha256") != _manifest_hash(manifest):
         raise _error(path, "a manifest as it was written", "one that was changed since", "sha256")
     return manifest
 
 
 def _read_arrays(path: Path, described: dict[str, _StoredArray]) -> dict[str, Any]:
-    """The arrays, each with the bytes that the manifest promises."""
+    """Return the arrays, after a check of their bytes against the manifest."""
     arrays: dict[str, NDArray[Any]] = {}
     refuse_no_file(path, "the arrays of a data set", DatasetError)
     try:
@@ -175,7 +186,7 @@ def _read_arrays(path: Path, described: dict[str, _StoredArray]) -> dict[str, An
         raise
     except KeyError as error:
         raise _error(path, f"the arrays {', '.join(DTYPES)}", f"{error}") from error
-    except Exception as error:  # zlib.error, struct.error: whatever damaged bytes provoke
+    except Exception as error:  # zlib.error, struct.error or any other exception from damaged bytes
         raise _error(path, "arrays in a .npz file, whole", f"{type(error).__name__}: {error}") from error
     for name, dtype in DTYPES.items():
         array, counted = arrays[name], arrays["hand_in_base" if name == "hand_in_base" else "tcp_in_base"]

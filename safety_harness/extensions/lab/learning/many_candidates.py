@@ -1,4 +1,4 @@
-"""Candidates of many questions at once, as data sets need them."""
+"""Candidates of many questions at once, for data sets."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from safety_harness.cell.avoidance.candidates import CandidateCap
 
 
 def draw_many(cap: CandidateCap, generators: Sequence[np.random.Generator]) -> NDArray[np.float64]:
-    """(n, count, 3) offsets, set k from generator k: what ``cap.draw`` gives, to rounding, but much faster.
+    """Return offsets (n, count, 3) [m] like ``cap.draw``, to rounding, but much faster.
 
-    One generator may stand more than once; it is then drawn from in turn.
+    Args:
+        cap: The cap of the candidates.
+        generators: One generator for each set; a repeated generator serves its sets in turn.
+
     """
     frame = cap.frame()
     offsets = np.empty((len(generators), cap.count, 3))
@@ -27,8 +30,8 @@ def draw_many(cap: CandidateCap, generators: Sequence[np.random.Generator]) -> N
         short = np.flatnonzero(kept < cap.count)
         if not len(short):
             return offsets
-        for one in short.tolist():
-            generators[one].standard_normal(out=angles[one])
+        for row in short.tolist():
+            generators[row].standard_normal(out=angles[row])
 
 
 @compiled
@@ -38,9 +41,9 @@ def _keep(
     least_cosine: float,
     radius_m: float,
     offsets_out: NDArray[np.float64],  # (n, count, 3)
-    kept: NDArray[np.int64],  # (n,) how many there are already; counted on
+    kept: NDArray[np.int64],  # (n,) the counts so far, updated
 ) -> None:
-    """Append to every set that is not full the directions that lie within the cone."""
+    """Append the directions within the cone to every set that is not full."""
     sets, _, proposals = angles_rad.shape
     count = offsets_out.shape[1]
     for k in range(sets):

@@ -1,7 +1,8 @@
-"""What tells good predictions, and honest uncertainties, from bad ones: numpy only.
+"""Metrics of predictions and of their uncertainties, with numpy only.
 
-Arrays are (n, 3), one row a decision, one column an axis; any one unit of length throughout.  Every
-function raises ValueError for numbers that are not finite: none of them may be silently left out.
+Arrays are (n, 3), a row for each decision and a column for each axis, in any common unit of length.  Every
+function except the half widths raises ValueError for numbers that are not finite, so that it ignores no
+number silently.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ NORMAL_95 = 1.96  # the paper's intervals: mean +- 1.96 standard deviations
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Root mean square and mean absolute error by axis (3,), and over all axes' errors together."""
+    """Root mean square and mean absolute error by axis (3,), and over the errors of all axes."""
 
     rmse: Floats
     mae: Floats
@@ -31,7 +32,7 @@ class Errors:
 
 
 def errors(predictions: Floats, targets: Floats) -> Errors:
-    """RMSE sqrt(mean e^2) and MAE mean |e| of e = ``predictions`` - ``targets`` (n, 3)."""
+    """Return RMSE sqrt(mean e^2) and MAE mean |e| of e = ``predictions`` - ``targets`` (n, 3)."""
     difference = _finite(predictions - targets)
     squares, sizes = difference**2, np.abs(difference)
     return Errors(
@@ -43,23 +44,23 @@ def errors(predictions: Floats, targets: Floats) -> Errors:
 
 
 def half_width_of_spread(spreads: Floats) -> Floats:
-    """1.96 s with s = ``spreads`` (n, 3), standard deviations of the passes.
+    """Return 1.96 s for s = ``spreads`` (n, 3), standard deviations of the passes.
 
-    It is what the paper's figures can be reached with.
+    The paper's figures are reachable with these half widths.
     """
     return NORMAL_95 * spreads
 
 
 def half_width_with(spreads: Floats, added_variance: Floats | float) -> Floats:
-    """1.96 sqrt(s^2 + v): s is ``spreads`` (n, 3), v ``added_variance`` (n, 3), (3,) or a number."""
+    """Return 1.96 sqrt(s^2 + v); s = ``spreads`` (n, 3), v = ``added_variance`` (n, 3), (3,) or a number."""
     return NORMAL_95 * np.sqrt(spreads**2 + added_variance)
 
 
 @dataclass(frozen=True, eq=False)
 class IntervalCoverage:
-    """Share of targets within their intervals by axis (3,) (PICP, eq. 14), and on all three at once.
+    """The share of targets within their intervals by axis (3,) (PICP, eq. 14), and on all axes at once.
 
-    ``mean_width`` (3,) is that of the whole interval, upper minus lower end.
+    ``mean_width`` (3,) is the mean of upper minus lower end.
     """
 
     picp: Floats
@@ -68,7 +69,7 @@ class IntervalCoverage:
 
 
 def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> IntervalCoverage:
-    """PICP (eq. 14) and width of the intervals prediction +- half width, ends included.
+    """Return PICP (eq. 14) and width of the intervals prediction +- half width, ends included.
 
     ``predictions``, ``targets`` and ``half_widths`` are (n, 3).
     """
@@ -83,16 +84,24 @@ def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> Inter
 def picp_variants(
     predictions: Floats, targets: Floats, spreads: Floats, *, precision: float, residual_std: Floats | None
 ) -> dict[str, IntervalCoverage]:
-    """The readings of the paper's PICP side by side, by name.
+    """Return the readings of the paper's PICP side by side, by name.
 
-    ``predictions`` and ``targets`` are (n, 3), ``spreads`` (n, 3) standard deviations over the passes;
-    ``precision`` is tau and ``residual_std`` (3,) that of validation residuals, in the unit of the
-    predictions.  Half the width of an interval is 1.96 times s, or with
+    ``predictions`` y, ``targets`` and ``spreads`` s are (n, 3), and ``residual_std`` r is (3,).  Half the
+    width of an interval is 1.96 times s, or 1.96 times one of these:
 
-    * the inverse model precision added to the variance, sqrt(s^2 + 1/tau) (Gal and Ghahramani 2016); at the
-      paper's tau of 1e-6 per mm^2, 1/tau is a variance of one square metre;
-    * eq. 11 as it is printed, the mean of the squares, the squared mean not taken off, sqrt(s^2 + y^2);
-    * the variance of validation residuals, the labels' own noise, sqrt(s^2 + r^2); without them left out.
+    * sqrt(s^2 + 1/tau), with the inverse model precision (Gal and Ghahramani 2016); at the paper's tau of
+      1e-6 per mm^2, 1/tau is a variance of one square metre;
+    * sqrt(s^2 + y^2), eq. 11 in its printed form: the mean of the squares, without the squared mean taken
+      off;
+    * sqrt(s^2 + r^2), with the variance of validation residuals, which is the labels' own noise.
+
+    Args:
+        predictions: The predictions.
+        targets: The labels.
+        spreads: The standard deviations over the passes.
+        precision: Tau, in the unit of the predictions.
+        residual_std: The standard deviation of validation residuals; None leaves the last reading out.
+
     """
     half_widths = {
         "spread": half_width_of_spread(spreads),
@@ -105,10 +114,18 @@ def picp_variants(
 
 
 def calibration_curve(predictions: Floats, targets: Floats, spreads: Floats, levels: Floats) -> Floats:
-    """(k, 3): the share of targets within the central normal interval of each level, by axis.
+    """Return the share (k, 3) of targets within the central normal interval of each level, by axis.
 
-    The interval of level p is prediction +- Phi^-1((1 + p)/2) s; ``predictions``, ``targets`` and ``spreads``
-    (n, 3), ``levels`` (k,) in (0, 1).  For calibrated normal predictions the shares equal the levels.
+    ``predictions``, ``targets`` and ``spreads`` s are (n, 3), and ``levels`` p in (0, 1) are (k,).  The
+    interval of level p is prediction +- Phi^-1((1 + p)/2) s.  For calibrated normal predictions the shares
+    equal the levels.
+
+    Args:
+        predictions: The predictions.
+        targets: The labels.
+        spreads: The standard deviations.
+        levels: The levels.
+
     """
     distances, stds = _finite(np.abs(predictions - targets)), _finite(spreads)
     quantiles = [NormalDist().inv_cdf((1.0 + level) / 2.0) for level in levels]
@@ -116,10 +133,18 @@ def calibration_curve(predictions: Floats, targets: Floats, spreads: Floats, lev
 
 
 def auroc(scores_without: Floats, scores_with: Floats) -> float:
-    """Area under the ROC curve of a score that should be higher *with* (unseen, say) than *without*.
+    """Return the area under the ROC curve of a score that should be higher in the second group.
 
-    P(with > without) + P(with = without)/2 over all pairs (Mann and Whitney, 1947): exact.
-    ``scores_without`` (n,) and ``scores_with`` (m,).
+    It is P(with > without) + P(with = without)/2 over all pairs of ``scores_without`` (n,) and
+    ``scores_with`` (m,), exactly (Mann and Whitney, 1947).
+
+    Args:
+        scores_without: The scores of the first group, for example of seen questions.
+        scores_with: The scores of the second group, for example of unseen questions.
+
+    Raises:
+        ValueError: A group is empty, or a score is not finite.
+
     """
     without, having = np.sort(_finite(scores_without)), _finite(scores_with)
     if not len(without) or not len(having):
@@ -130,10 +155,13 @@ def auroc(scores_without: Floats, scores_with: Floats) -> float:
 
 
 def conformal_quantile(scores: Floats, level: float) -> float:
-    """The ceil((n + 1) level)-th smallest of ``scores`` (n,) (Vovk, Gammerman and Shafer, 2005).
+    """Return the ceil((n + 1) level)-th smallest of ``scores`` (n,) (Vovk, Gammerman and Shafer, 2005).
 
-    A further score, exchangeable with these, is at most as large with probability ``level`` at
-    least.  ValueError if there are too few scores to say so: level / (1 - level) are needed.
+    A further score, exchangeable with these, is at most as large with probability ``level`` at least.
+
+    Raises:
+        ValueError: There are fewer than level / (1 - level) scores, or ``level`` is not between 0 and 1.
+
     """
     if not 0.0 < level < 1.0:
         raise ValueError(f"a level lies between 0 and 1: {level}")
@@ -144,10 +172,20 @@ def conformal_quantile(scores: Floats, level: float) -> float:
 
 
 def conformal_multiplier(predictions: Floats, targets: Floats, scales: Floats, level: float = 0.95) -> float:
-    """Split-conformal: m so that prediction +- m scale covers *all three* axes at ``level``.
+    """Return the split-conformal m, so that prediction +- m scale covers *all three* axes at ``level``.
 
-    ``predictions`` and ``targets`` (n, 3) are held out; ``scales`` (n, 3), or (3,) for every row, are
-    positive.  The score of a row is max_axis |prediction - target|/scale, m their ``conformal_quantile``.
+    ``predictions`` and ``targets`` are (n, 3), and ``scales`` (n, 3), or (3,) for every row.  The score of a
+    row is max_axis |prediction - target|/scale, and m is the ``conformal_quantile`` of the scores.
+
+    Args:
+        predictions: Predictions for held-out questions.
+        targets: Their labels.
+        scales: Positive scales.
+        level: The coverage.
+
+    Raises:
+        ValueError: A scale is not positive, or there are too few rows.
+
     """
     if not np.all(_finite(scales) > 0.0):
         raise ValueError("a scale must be positive")
@@ -155,21 +193,21 @@ def conformal_multiplier(predictions: Floats, targets: Floats, scales: Floats, l
 
 
 def largest_spread(spreads: Floats) -> Floats:
-    """(n,): what a decision's spread is judged by, that of its worst axis, of ``spreads`` (n, 3)."""
+    """Return the spread (n,) of the worst axis of each decision, from ``spreads`` (n, 3)."""
     largest: Floats = _finite(spreads).max(axis=1)
     return largest
 
 
 def spread_threshold(spreads: Floats, level: float = 0.99) -> float:
-    """The threshold that the spread of a further decision like these exceeds with 1 - ``level`` at most.
+    """Return the threshold that the spread of a further such decision exceeds with at most 1 - ``level``.
 
-    The ``conformal_quantile`` of the largest of each row of ``spreads`` (n, 3).
+    It is the ``conformal_quantile`` of the largest of each row of ``spreads`` (n, 3).
     """
     return conformal_quantile(largest_spread(spreads), level)
 
 
 def _finite(array: Floats) -> Floats:
-    """``array`` (...), if all of it is finite; ValueError otherwise."""
+    """Return ``array`` (...) if all of it is finite; ValueError otherwise."""
     if not np.all(np.isfinite(array)):
         raise ValueError("expected finite numbers")
     return array

@@ -1,8 +1,8 @@
 """The regression ResNet of figures 3 and 4 in PyTorch: Chen et al. (2020), with dropout after Gal.
 
-Dropout is never a hidden state of the module: a forward pass is given its masks, or there is no
-dropout.  So a network in evaluation mode (batch normalisation with its running statistics) with
-masks is one Monte Carlo pass, and another implementation can be given the same masks.
+Dropout is never a hidden state of the module: a forward pass takes its masks, or has no dropout.  So a
+network in evaluation mode (batch normalisation with running statistics) with masks is one Monte Carlo pass.
+Another implementation can use the same masks.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from safety_harness.cell.avoidance.model_file import (
 )
 from safety_harness.extensions.lab.learning.recipes import Recipe
 
-UNTRACKED = "num_batches_tracked"  # PyTorch's counter, of no use to a network that is done
+UNTRACKED = "num_batches_tracked"  # PyTorch's counter, without use in a trained network
 
 Masks = Sequence[Tensor] | Tensor
 Drop = Callable[[Tensor], Tensor]
 
 
 def _keep(x: Tensor) -> Tensor:
-    """No dropout here."""
+    """Return ``x`` unchanged: no dropout here."""
     return x
 
 
 def _next_masks(masks: Masks, probability: float) -> Drop:
-    """Inverted dropout: each call applies the next mask and divides by the kept share."""
+    """Return inverted dropout: each call applies the next mask and divides by the share that remains."""
     left, scale = iter(masks), 1.0 / (1.0 - probability)
     return lambda x: x * (next(left)[..., : x.shape[-1]] * scale)
 
 
 class Block(nn.Module):
-    """Three fully connected layers beside a shortcut (figure 4): dense, or identity."""
+    """Three fully connected layers beside a shortcut (figure 4), which is dense or the identity."""
 
     def __init__(self, inputs: int, *, dense: bool) -> None:
         super().__init__()
@@ -57,9 +57,14 @@ class Block(nn.Module):
             self.fcs, self.bns = nn.Linear(inputs, WIDTH), nn.BatchNorm1d(WIDTH)
 
     def forward(self, x: Tensor, drop: Drop) -> Tensor:
-        """(n, inputs) to (n, WIDTH); ``drop`` acts before fc1, fc2, fc3, fcs, in this order.
+        """Return relu(bn3 fc3 relu(bn2 fc2 relu(bn1 fc1 x)) + shortcut(x)), (n, WIDTH).
 
-        relu(bn3 fc3 relu(bn2 fc2 relu(bn1 fc1 x)) + shortcut(x)), the shortcut bns fcs x or x itself.
+        The shortcut is bns fcs x, or x itself.
+
+        Args:
+            x: (n, inputs) the input.
+            drop: The dropout before fc1, fc2, fc3 and fcs, in this order.
+
         """
         h = torch.relu(self.bn1(self.fc1(drop(x))))
         h = torch.relu(self.bn2(self.fc2(drop(h))))
@@ -69,11 +74,17 @@ class Block(nn.Module):
 
 
 class RegressionResNet(nn.Module):
-    """Stages of one dense and some identity blocks, then BN and FC; outputs a position.
+    """Stages of one dense and some identity blocks, then batch norm and a fully connected layer.
 
-    ``dropout``: nowhere; INTER, on the output of each stage; FULL, before every FC.
-    ``probability`` is that of dropping a unit.  Inputs (n, 7) and outputs (n, 3) are normalised
-    (or raw millimetres), float32.
+    Inputs (n, 7) and outputs (n, 3), a position, are normalised (or raw millimetres), float32.
+
+    Args:
+        dropout: The places of dropout: nowhere; INTER, at the output of each stage; FULL, before every layer.
+        probability: The probability of dropping a unit.
+
+    Raises:
+        ValueError: ``probability`` is not in [0, 1).
+
     """
 
     def __init__(
@@ -95,36 +106,47 @@ class RegressionResNet(nn.Module):
 
     @property
     def places(self) -> int:
-        """At how many dropout acts, in the order of the masks: a stage (its output), or an FC (its input)."""
+        """The number of dropout places, in the order of the masks: a stage's output, or a layer's input."""
         return PLACES[self.dropout]
 
     def draw_masks(self, rows: int, generator: torch.Generator) -> Tensor:
-        """(places, rows, WIDTH) of 1 (keep) and 0 (drop), on the generator's device."""
+        """Return masks (places, rows, WIDTH) of 1 (keep) and 0 (drop), on the generator's device.
+
+        Args:
+            rows: The number of rows.
+            generator: The generator of the draws.
+
+        """
         masks = torch.empty((self.places, rows, WIDTH), device=generator.device)
         return masks.bernoulli_(1.0 - self.probability, generator=generator)
 
     def forward(self, x: Tensor, masks: Masks | None = None) -> Tensor:
-        """(n, 7) to (n, 3); without ``masks`` there is no dropout.
+        """Return the outputs (n, 3).
 
-        ``masks``: for each of ``places`` what to keep (1 or true) of the units, of shape
-        (n, WIDTH), or (WIDTH,) for all rows alike.  At a place with fewer units than ``WIDTH``
-        (the first layers' seven inputs) the first ones count.  A network without places takes none,
-        or an empty set of them.
+        Args:
+            x: (n, 7) the inputs.
+            masks: For each of ``places`` a mask, 1 or true for a unit to keep, of shape (n, WIDTH), or
+                (WIDTH,) for all rows alike.  At a place with fewer than ``WIDTH`` units (the first layers'
+                seven inputs) the first ones count.  None: no dropout.
+
+        Raises:
+            ValueError: The number of masks is wrong.
+
         """
         if masks is not None and len(masks) != self.places:
             raise ValueError(f"expected {self.places} dropout masks, got {len(masks)}")
         drop: Drop = _next_masks(masks, self.probability) if masks is not None and self.places else _keep
-        inside, after = (drop, _keep) if self.dropout is Dropout.FULL else (_keep, drop)
+        inside, at_stage = (drop, _keep) if self.dropout is Dropout.FULL else (_keep, drop)
         for stage in self.stages:
             for block in stage:  # type: ignore[attr-defined]
                 x = block(x, inside)
-            x = after(x)
+            x = at_stage(x)
         y: Tensor = self.fc_out(inside(self.bn_out(x)))
         return y
 
 
 class ReluPerceptron(nn.Module):
-    """Two hidden layers with ReLU; takes what a ResNet takes, without masks, and ignores the constant."""
+    """Two hidden layers with ReLU; its interface is the ResNet's, but it ignores masks and the constant."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -132,7 +154,7 @@ class ReluPerceptron(nn.Module):
         self.fc_out = nn.Linear(WIDTH, OUTPUTS)
 
     def forward(self, x: Tensor, masks: Masks | None = None) -> Tensor:
-        """(n, 7) to (n, 3)."""
+        """Return the outputs (n, 3) for the inputs ``x`` (n, 7); ``masks`` have no effect."""
         h = torch.relu(self.fc1(x[:, :PERCEPTRON_INPUTS]))
         y: Tensor = self.fc_out(torch.relu(self.fc2(h)))
         return y
@@ -142,21 +164,28 @@ Network = RegressionResNet | ReluPerceptron
 
 
 def network_of(kind: str, dropout: Dropout, probability: float) -> Network:
-    """A network of one of the two kinds that a model file may have."""
+    """Return a network of one of the two kinds in a model file.
+
+    Args:
+        kind: The kind.
+        dropout: The places of dropout.
+        probability: The probability of dropping a unit.
+
+    """
     return (
         ReluPerceptron() if kind == PERCEPTRON else RegressionResNet(dropout=dropout, probability=probability)
     )
 
 
 def fresh_network(recipe: Recipe, seed: int) -> Network:
-    """A network with PyTorch's usual initial weights, drawn from ``seed`` alone."""
+    """Return a network of ``recipe`` with PyTorch's usual initial weights, drawn from ``seed`` alone."""
     with torch.random.fork_rng(devices=[]):  # layers draw from the global generator, left as it was
         torch.default_generator.manual_seed(seed)
         return network_of(recipe.kind, recipe.dropout, recipe.dropout_probability)
 
 
 def to_tensors(network: Network) -> dict[str, NDArray[np.float32]]:
-    """Weights and running statistics by state-dict name: copies, float32."""
+    """Return copies of the weights and running statistics of ``network``, float32, by state-dict name."""
     return {
         name: tensor.detach().cpu().numpy().copy()
         for name, tensor in network.state_dict().items()
@@ -165,7 +194,7 @@ def to_tensors(network: Network) -> dict[str, NDArray[np.float32]]:
 
 
 def load_tensors(network: Network, tensors: Mapping[str, NDArray[np.float32]]) -> None:
-    """The reverse of ``to_tensors``; RuntimeError on a missing or unknown name or a wrong shape."""
+    """Load the tensors of ``to_tensors`` into ``network``; RuntimeError for a wrong name or shape."""
     state = {name: torch.from_numpy(np.array(array)) for name, array in tensors.items()}
     counters = {name: t for name, t in network.state_dict().items() if name.endswith(UNTRACKED)}
     network.load_state_dict(state | counters)

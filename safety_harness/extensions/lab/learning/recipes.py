@@ -1,8 +1,8 @@
-"""How a network is trained: the paper's recipes, ours, and a trial of a few seconds each.
+"""Recipes of trainings: the paper's, ours, and quick trials.
 
-The paper's recipes take its hyper-parameters (section 4.1, table 2) in its unit, raw millimetres.
-Ours differ where that is known to go wrong: inputs and targets are normalised, the step size
-falls to zero, each epoch sees a fresh random part of the combinations, and validation is on new TCPs.
+The paper's recipes have its hyper-parameters (section 4.1, table 2) in its unit, raw millimetres.  Ours
+differ in known weak points.  Inputs and targets are normalised, and the step size falls to zero.  Each epoch
+sees a fresh random part of the combinations, and validation uses new TCPs.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ SplitKind = Literal["by TCP", "by sample"]
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """Everything that decides a training besides data and seed.
+    """Everything that decides a training, except data and seed.
 
-    ``training_samples`` are drawn afresh for each epoch, ``validation_samples`` once; ``None``
-    takes all of them.  ``precision_per_mm2`` is tau and ``length_scale`` l of eq. 12.  With
-    ``normalise`` the network sees variables of mean 0 and variance 1, without it millimetres.
-    ``annealed``: the learning rate falls from its value to zero over the epochs, as a cosine.
-    ``target``: eq. 13's ground truth, or the one with the continuous optimum in place of the
-    selected candidate, which has no noise.  ``split``: at random over the samples, as the paper has
-    it, which leaves every TCP (and its label's noise) in all three parts, or over the TCPs.
+    ``training_samples`` are drawn afresh for each epoch, ``validation_samples`` once; None: all samples.
+    ``precision_per_mm2`` is tau, and ``length_scale`` is l, of eq. 12.  If ``normalise`` is set, the network
+    sees variables of mean 0 and variance 1, otherwise millimetres.  If ``annealed`` is set, the learning rate
+    falls to zero over the epochs, as a cosine.  ``target`` is eq. 13's ground truth, or the version without
+    noise, with the continuous optimum in place of the selected candidate.  ``split`` is at random over the
+    samples, as in the paper, or over the TCPs.  The first leaves every TCP, with its label's noise, in all
+    three parts.
     """
 
     name: str
@@ -51,12 +51,16 @@ class Recipe:
     passes: int = 10
 
     def weight_decay(self, samples: int, target_variance_mm2: float) -> float:
-        """The lambda = (1 - p) l^2 / (2 N tau) of Gal and Ghahramani (2016), in the network's unit.
+        """Return lambda = (1 - p) l^2 / (2 N tau) of Gal and Ghahramani (2016), in the network's unit.
 
-        ``samples`` is N, the size of the training set.  p is the probability to *drop* a unit
-        (eq. 9 has 1 - p; eq. 12 leaves out the "1 -" and prints the square of l as an exponent of
-        p); it is 0 without dropout.  tau is a precision in 1/mm^2: a target divided by its
-        standard deviation has tau times ``target_variance_mm2`` (the mean over the axes).
+        p is the probability to *drop* a unit, and 0 without dropout.  Eq. 9 has 1 - p.  Eq. 12 omits the "1
+        -" and prints the square of l as an exponent of p.  tau is a precision in 1/mm^2.  A target divided by
+        its standard deviation has the precision tau times ``target_variance_mm2``.
+
+        Args:
+            samples: N, the size of the training set.
+            target_variance_mm2: The variance of the targets, mean over the axes.
+
         """
         drop = 0.0 if self.dropout is Dropout.NONE else self.dropout_probability
         precision = self.precision_per_mm2 * (target_variance_mm2 if self.normalise else 1.0)
@@ -64,7 +68,7 @@ class Recipe:
 
 
 def _family(base: Recipe, *, full_epochs: int) -> tuple[Recipe, Recipe, Recipe, Recipe]:
-    """The paper's networks: deterministic, dropout after each stage, before every layer, an ensemble."""
+    """Return the paper's networks: deterministic, two with dropout, and an ensemble."""
     return (
         replace(base, name=f"{base.name}deterministic"),
         replace(base, name=f"{base.name}mc-dropout", dropout=Dropout.INTER),
@@ -90,7 +94,7 @@ OURS = _family(_BASE, full_epochs=20)
 OURS_DETERMINISTIC, OURS_MC_DROPOUT, OURS_MC_DROPOUT_FULL, OURS_ENSEMBLE = OURS
 OURS_OPTIMUM = replace(_BASE, name="optimum", target="continuous", epochs=40)
 
-# Its bounds matter, so its largest errors do: l2, and more steps than the others take.
+# Proofs bound the student's largest errors: l2, and more steps than the other recipes.
 STUDENT = replace(
     _BASE,
     name="student",
@@ -113,7 +117,7 @@ RECIPES = (*PAPER, *OURS, OURS_OPTIMUM, STUDENT, STUDENT_ENSEMBLE, *TRIAL)
 
 
 def recipe_named(name: str) -> Recipe:
-    """The recipe of that name; ModelError lists them all if there is none."""
+    """Return the recipe with ``name``; ModelError with all names for an unknown name."""
     for recipe in RECIPES:
         if recipe.name == name:
             return recipe

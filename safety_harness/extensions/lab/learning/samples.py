@@ -1,4 +1,4 @@
-"""Samples as a network takes them: float32, in normalised variables or in millimetres."""
+"""Samples in the form of a network's input: float32, in normalised variables or in millimetres."""
 
 from __future__ import annotations
 
@@ -17,41 +17,41 @@ CHUNK = 200_000  # samples that are held as float64 at a time
 
 
 class Samples(Protocol):
-    """Numbered samples, made when they are asked for."""
+    """Numbered samples, computed on demand."""
 
     def inputs(self, index: Index, /) -> NDArray[np.float64]:
-        """Hand and TCP position in the base frame [m], (n, 6)."""
+        """Return hand and TCP position in the base frame [m], (n, 6)."""
         ...
 
     def targets(self, index: Index, /) -> NDArray[np.float64]:
-        """Repulsive position in the base frame [m], (n, 3)."""
+        """Return the repulsive position in the base frame [m], (n, 3)."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class ArraySamples:
-    """Samples that lie in arrays: (n, 6) and (n, 3), metres, base frame."""
+    """Samples in arrays (n, 6) and (n, 3), metres, base frame."""
 
     all_inputs: NDArray[np.float64]
     all_targets: NDArray[np.float64]
 
     def inputs(self, index: Index) -> NDArray[np.float64]:
-        """See ``Samples``."""
+        """Return the inputs (len, 6) of the samples ``index``."""
         return self.all_inputs[index]
 
     def targets(self, index: Index) -> NDArray[np.float64]:
-        """See ``Samples``."""
+        """Return the targets (len, 3) of the samples ``index``."""
         return self.all_targets[index]
 
 
 def samples_for(recipe: Recipe, dataset: CompactDataset) -> Samples:
-    """The samples of a data set with the target that the recipe names."""
+    """Return the samples of ``dataset`` with the target of ``recipe``."""
     return dataset.without_noise() if recipe.target == "continuous" else dataset
 
 
 @dataclass(frozen=True, eq=False)
 class Normalisation:
-    """network variable = (value [m] - mean) / std; means and stds in metres, float64."""
+    """The map network variable = (value [m] - mean) / std; means and stds in metres, float64."""
 
     input_mean: NDArray[np.float64]  # (6,)
     input_std: NDArray[np.float64]  # (6,)
@@ -60,16 +60,29 @@ class Normalisation:
 
     @classmethod
     def of(cls, recipe: Recipe, mean: NDArray[np.float64], std: NDArray[np.float64]) -> Normalisation:
-        """By ``mean`` and ``std`` (9,), or plain millimetres if the recipe does not normalise."""
+        """Return a recipe's normalisation by ``mean`` and ``std`` (9,), or plain millimetres without one.
+
+        Args:
+            recipe: The recipe.
+            mean: Means of inputs and targets [m].
+            std: Their standard deviations [m].
+
+        """
         if recipe.normalise:
             return cls(mean[:6], std[:6], mean[6:], std[6:])
         return cls(np.zeros(6), np.full(6, 1e-3), np.zeros(3), np.full(3, 1e-3))
 
 
 def moments(samples: Samples, index: Index) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and standard deviation [m] of the six inputs and three targets, (9,) each, over ``index`` (n,).
+    """Return mean and standard deviation [m], (9,) each, of six inputs and three targets.
 
-    ModelError if one of the nine columns does not vary.
+    Args:
+        samples: The samples.
+        index: (n,) the numbers of the samples that count.
+
+    Raises:
+        ModelError: One of the nine columns does not vary by more than 1 um.
+
     """
     origin = _columns(samples, index[:1])[0]  # near the mean: no cancellation in the squares
     total, squares = np.zeros(9), np.zeros(9)
@@ -90,11 +103,12 @@ def moments(samples: Samples, index: Index) -> tuple[NDArray[np.float64], NDArra
 
 
 def _columns(samples: Samples, index: Index) -> NDArray[np.float64]:
+    """Return inputs and targets side by side (n, 9)."""
     return np.concatenate([samples.inputs(index), samples.targets(index)], axis=1)  # (n, 9)
 
 
 def network_inputs(inputs: NDArray[np.float64], normalisation: Normalisation) -> NDArray[np.float32]:
-    """``inputs`` (n, 6) in metres to the network's (n, 7): (x - mean)/std, and the constant 1 at the end."""
+    """Return the network's inputs (n, 7): (x - mean)/std of ``inputs`` (n, 6) [m], and the constant 1."""
     x = np.ones((len(inputs), 7), dtype=np.float32)
     x[:, :6] = (inputs - normalisation.input_mean) / normalisation.input_std
     return x
@@ -103,7 +117,7 @@ def network_inputs(inputs: NDArray[np.float64], normalisation: Normalisation) ->
 def network_samples(
     samples: Samples, index: Index, normalisation: Normalisation
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Inputs (n, 7) and targets (n, 3) of the samples of ``index``, as the network takes them."""
+    """Return the network's inputs (n, 7) and targets (n, 3) of the samples ``index``."""
     x = np.empty((len(index), 7), dtype=np.float32)
     y = np.empty((len(index), 3), dtype=np.float32)
     for start in range(0, len(index), CHUNK):

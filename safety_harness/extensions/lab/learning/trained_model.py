@@ -1,9 +1,9 @@
-"""A training made into a model file's contents: networks, normalisation, seen space, card, calibration.
+"""The contents of a model file from a training: networks, normalisation, seen space, card, calibration.
 
-The calibration says how wide an interval must be, and which spread is too large, by held-out *seen* TCPs.
-Both numbers are quantiles with the finite-sample correction of split-conformal prediction, over
-decisions that are exchangeable with a new one of the seen space: every TCP and every hand is drawn
-afresh and used once, as two samples of one TCP would share the noise of its label.
+The calibration uses held-out *seen* TCPs.  It determines the width of intervals, and the spread above which
+an answer is in doubt.  Both numbers are quantiles with the finite-sample correction of split-conformal
+prediction.  They use decisions that are exchangeable with a new decision in the seen space.  Each TCP and
+each hand is drawn afresh and used once, because two samples of a TCP would share the noise of its label.
 """
 
 from __future__ import annotations
@@ -44,12 +44,20 @@ LIMITS = (
 
 
 def split_for(recipe: Recipe, dataset: CompactDataset) -> Split:
-    """The data set's split of the kind that the recipe names, from the data set's own seed."""
+    """Return the split of ``dataset`` that ``recipe`` names, from the data set's own seed."""
     return SPLITS[recipe.split](dataset, seed=dataset.seed)
 
 
 def model_of(trained: Trained, dataset: CompactDataset, split: Split, command: str) -> Model:
-    """The trained networks with their normalisation, seen space and card, to be calibrated."""
+    """Return the trained networks with normalisation, seen space and card, before the calibration.
+
+    Args:
+        trained: The training's result.
+        dataset: The data set.
+        split: The split of the training.
+        command: The command of the training, for the card.
+
+    """
     recipe = trained.recipe
     drops = recipe.dropout is not Dropout.NONE
     hand, tcp = dataset.space.hand.outer, dataset.space.tcp.outer
@@ -78,7 +86,7 @@ def model_of(trained: Trained, dataset: CompactDataset, split: Split, command: s
 
 
 def _card(trained: Trained, dataset: CompactDataset, split: Split, command: str) -> dict[str, Any]:
-    """How the model came about, and what it was seen to do."""
+    """Return the card: the model's origin and its figures in validation."""
     best = [
         [epoch for epoch in trained.history if epoch.member == member and epoch.is_best][-1]
         for member in range(trained.recipe.members)
@@ -122,11 +130,19 @@ BRANCH = 7
 def calibrate(
     model: Model, recipe: Recipe, dataset: CompactDataset, *, seed: int, samples: int = SAMPLES
 ) -> Model:
-    """``model`` with its calibration, from fresh draws of the space that ``dataset`` was drawn from.
+    """Return ``model`` with its calibration, from fresh draws of the data set's space.
 
-    Residuals say how wide the scale sqrt(spread^2 + residual_std^2) of an interval is, by axis; a
-    second, independent set says by what multiple of it 95 % of the labels are covered on all axes
-    at once, and which spread one decision in a hundred exceeds.  (Angelopoulos and Bates, 2023.)
+    Residuals give the scale sqrt(spread^2 + residual_std^2) of an interval, by axis.  A second, independent
+    set gives the multiple of it that covers 95 % of the labels on all axes at once.  It also gives the spread
+    that one decision in a hundred exceeds (Angelopoulos and Bates, 2023).
+
+    Args:
+        model: The model.
+        recipe: The recipe of its training.
+        dataset: The data set of its training.
+        seed: The root of the draws.
+        samples: The number of decisions in each set.
+
     """
     avoider = LearnedAvoider.of(model)
     predictions, targets, _ = _decisions(avoider, recipe, dataset, seed, _RESIDUALS, samples)
@@ -147,10 +163,14 @@ def calibrate(
 
 
 def interval_scale(spreads: Floats, residual_std: Floats) -> Floats:
-    """(n, 3): sqrt(s^2 + r^2), what the interval multiplier multiplies [m].
+    """Return the scale sqrt(s^2 + r^2) (n, 3) [m] that the interval multiplier multiplies.
 
-    s is ``spreads`` (n, 3), the passes' standard deviation, r ``residual_std`` (3,), the residuals' root mean
-    square on held-out labels.
+    Here s is ``spreads`` (n, 3), and r is ``residual_std`` (3,).
+
+    Args:
+        spreads: The passes' standard deviation.
+        residual_std: The residuals' root mean square on held-out labels.
+
     """
     scale: Floats = np.sqrt(spreads**2 + residual_std**2)
     return scale
@@ -159,7 +179,7 @@ def interval_scale(spreads: Floats, residual_std: Floats) -> Floats:
 def _decisions(
     avoider: LearnedAvoider, recipe: Recipe, dataset: CompactDataset, seed: int, purpose: int, samples: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Predictions, labels and spreads (n, 3) [m] on ``samples`` fresh pairs of a TCP and a hand."""
+    """Return predictions, labels and spreads (n, 3) [m] on ``samples`` fresh pairs of a TCP and a hand."""
     leaf = seed_below(seed, BRANCH, purpose)
     fresh, pairs = fresh_pairs(
         dataset.settings, dataset.space, seed=leaf, samples=samples, candidates=dataset.candidates

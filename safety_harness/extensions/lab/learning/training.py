@@ -1,8 +1,8 @@
-"""Training: Adam on the L1 loss (a recipe may have L2), the best validation epoch is kept (section 4.1).
+"""Training: Adam on the L1 loss (a recipe may have L2); the best validation epoch counts (section 4.1).
 
-Same recipe, samples, seed and machine: the same bits, whether or not the training was interrupted.
-To that end there is one thread (sums depend on their number), and each epoch of each member draws
-its samples and dropout masks from generators of its own, leaves of the one seed.
+The same recipe, samples, seed and machine give the same bits, with or without an interruption.  So there is
+one thread, because sums depend on the number of threads.  Each epoch of each member draws its samples and
+dropout masks from its own generators, leaves of the one seed.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _WEIGHTS, _EPOCH, _VALIDATION = 1, 2, 3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Trained:
-    """What a training leaves: the best weights of each member, and how they came about."""
+    """The result of a training: the best weights of each member, and their history."""
 
     recipe: Recipe
     seed: int
@@ -76,15 +76,26 @@ def train(
     device: str = "cpu",
     on_epoch: Callable[[Epoch], None] = lambda epoch: None,
 ) -> Trained:
-    """Train all members of ``recipe`` on the samples numbered ``training``.
+    """Train all members of a recipe, and write the state after each epoch to checkpoint.safetensors.
 
-    After each epoch the state is written to ``out``/checkpoint.safetensors, then ``on_epoch`` is
-    called.  An interruption at any time (KeyboardInterrupt passes through) costs the epoch that
-    was under way; ``resume`` goes on from the checkpoint, from the start if there is none.
+    An interruption at any time (KeyboardInterrupt passes through) costs the present epoch.
 
-    OutputError if ``out`` cannot be written or holds a checkpoint that ``resume`` does not ask
-    for; ModelError for a checkpoint of another training, too few samples, no such device, or a
-    loss that is no longer finite.
+    Args:
+        recipe: The recipe.
+        samples: The samples.
+        training: The numbers of the samples to train on.
+        validation: The numbers of the samples to validate with.
+        seed: The root of all random numbers.
+        out: The folder of the checkpoint.
+        resume: Continue from the checkpoint, or from the start if there is none.
+        device: The device of PyTorch.
+        on_epoch: Receives each epoch, after its checkpoint.
+
+    Raises:
+        OutputError: ``out`` cannot be written, or holds a checkpoint that ``resume`` does not ask for.
+        ModelError: The checkpoint belongs to another training, there are too few samples, the device does not
+            exist, or a loss is not finite.
+
     """
     if len(training) < 2 or len(validation) < 1:
         raise ModelError(
@@ -121,7 +132,7 @@ def train(
 
 
 def _device(name: str) -> torch.device:
-    """The device, tried; ModelError if this machine has none of that name."""
+    """Return the device, after a test; ModelError if this machine has no such device."""
     try:
         device = torch.device(name)
         torch.ones(1, device=device)
@@ -135,16 +146,17 @@ def _device(name: str) -> torch.device:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
+    """Compute with one thread, then restore the number of threads."""
+    old_count = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        torch.set_num_threads(old_count)
 
 
 class _Run:
-    """What stays the same during a training, and the network and optimiser of the present member."""
+    """The constants of a training, and the network and optimiser of the present member."""
 
     network: Network
     optimiser: torch.optim.Adam
@@ -173,12 +185,12 @@ class _Run:
         self.data = digest.hexdigest()
 
     def begin(self, member: int) -> int:
-        """A fresh member; returns its first epoch."""
+        """Begin a fresh member, and return its first epoch."""
         self._use(fresh_network(self.recipe, seed_below(self.seed, _WEIGHTS, member)))
         return 0
 
     def restore(self, state: Checkpoint) -> int:
-        """The member that a checkpoint was saved of; returns its next epoch."""
+        """Restore the member of a checkpoint, and return its next epoch."""
         network = fresh_network(self.recipe, 0)
         load_tensors(network, state.weights)
         self._use(network)
@@ -190,7 +202,7 @@ class _Run:
         return state.history[-1].number + 1
 
     def checkpoint(self, history: list[Epoch], best: list[Tensors]) -> Checkpoint:
-        """The present state."""
+        """Return the present state."""
         adam = {
             f"{index}/{key}": tensor.detach().cpu().numpy().copy()
             for index, entry in self.optimiser.state_dict()["state"].items()
@@ -206,8 +218,8 @@ class _Run:
             optimiser=adam,
         )
 
-    def epoch(self, member: int, number: int, before: list[Epoch]) -> Epoch:
-        """Train for one epoch, then validate."""
+    def epoch(self, member: int, number: int, earlier: list[Epoch]) -> Epoch:
+        """Train for one epoch, then validate; ``earlier`` are the member's epochs so far."""
         training_loss = self._train(member, number)
         validation_loss, rmse_m = self._validate()
         if not math.isfinite(training_loss + validation_loss):
@@ -222,10 +234,11 @@ class _Run:
             training_loss=training_loss,
             validation_loss=validation_loss,
             validation_rmse_m=rmse_m,
-            is_best=all(validation_loss < epoch.validation_loss for epoch in before),
+            is_best=all(validation_loss < epoch.validation_loss for epoch in earlier),
         )
 
     def _use(self, network: Network) -> None:
+        """Move a network to the device, with a fresh optimiser."""
         self.network = network.to(self.device)
         self.optimiser = torch.optim.Adam(
             self.network.parameters(),
@@ -235,9 +248,9 @@ class _Run:
         )
 
     def _train(self, member: int, number: int) -> float:
-        """One pass over the epoch's samples; the mean loss of its batches.
+        """Pass over the epoch's samples once, and return the mean loss of its batches.
 
-        An incomplete last batch is left out: its batch statistics would be the noisiest.
+        An incomplete last batch is left out, because its batch statistics would be the noisiest.
         """
         recipe, network = self.recipe, self.network
         chosen = self._chosen(self._training, recipe.training_samples, _EPOCH, member, number)
@@ -262,27 +275,27 @@ class _Run:
 
     @property
     def _masks(self) -> Callable[[int, torch.Generator], Masks] | None:
-        """What draws masks, of a network that drops units."""
+        """The function that draws masks; None for a network without dropout."""
         if self.recipe.dropout is Dropout.NONE or not isinstance(self.network, RegressionResNet):
             return None
         return self.network.draw_masks
 
     def _loss(self, error: torch.Tensor) -> torch.Tensor:
-        """The recipe's loss: the mean over samples and axes."""
+        """Return the recipe's loss, the mean over samples and axes."""
         return error.abs().mean() if self.recipe.loss == "l1" else error.square().mean()
 
     def _set_rate(self, progress: float) -> None:
-        """The learning rate at ``progress`` from 0 to 1 of the whole training."""
+        """Set the learning rate at ``progress``, from 0 to 1 of the whole training."""
         fall = (1.0 + math.cos(math.pi * progress)) / 2.0 if self.recipe.annealed else 1.0
         for group in self.optimiser.param_groups:
             group["lr"] = self.recipe.learning_rate * fall
 
     @torch.no_grad()
     def _validate(self) -> tuple[float, float]:
-        """Loss in the network's unit, and RMSE over all axes [m], of the mean of the passes.
+        """Return the loss in the network's unit, and the RMSE over all axes [m], of the passes' mean.
 
-        A dropout network is judged as it will be used: its running statistics are those of layers
-        with dropout, and a pass without fits them worse.  The masks are the same after every epoch.
+        A dropout network is judged in its later use.  Its running statistics belong to layers with dropout,
+        and a pass without dropout fits them worse.  The masks are the same after every epoch.
         """
         network, draw = self.network.eval(), self._masks
         x, y = self._validation
@@ -299,10 +312,11 @@ class _Run:
         return float(self._loss(error)), math.sqrt(float(((error * scale) ** 2).mean()))
 
     def _mask_generator(self, *leaf: int) -> torch.Generator:
+        """Return the generator of masks at a leaf of the seed."""
         return torch.Generator(self.device).manual_seed(seed_below(self.seed, *leaf))
 
     def _chosen(self, index: Index, count: int | None, *leaf: int) -> Index:
-        """``count`` of ``index`` (all, if ``None`` or more than there are), none twice, in random order."""
+        """Return ``count`` distinct members of ``index`` in random order; all, if None or too few."""
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=leaf)))
         size = len(index) if count is None else min(count, len(index))
         return index[rng.choice(len(index), size, replace=False)]

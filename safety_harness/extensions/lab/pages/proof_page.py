@@ -1,4 +1,4 @@
-"""One self-contained HTML page about proofs: what is proven, with maps, and apart from that estimates."""
+"""A self-contained HTML page about proofs: the proven parts with maps, and separately the estimates."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ STATES = {"proven": "holds", "refuted": "violated", "undecided": "inconclusive",
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProofEvidence:
-    """Everything that the page shows; ``command`` makes it again, ``files`` are of wrong questions."""
+    """Everything on the page; ``command`` repeats it, and ``files`` are the refuting questions."""
 
     plan: ProofPlan
     proofs: tuple[Proof, ...]
@@ -39,7 +39,7 @@ class ProofEvidence:
 
 
 def render(evidence: ProofEvidence) -> str:
-    """The page as text; the same evidence gives the same bytes."""
+    """Return the page as text; the same evidence gives the same bytes."""
     proofs = evidence.proofs
     proven = sum(proof.verdict == "proven" for proof in proofs)
     return render_page(
@@ -59,21 +59,27 @@ def render(evidence: ProofEvidence) -> str:
 
 
 def drawn_maps(maps: tuple[BoxMap, ...], prefix: str) -> Iterator[tuple[str, Markup]]:
-    """Captions and drawings; no map of what is refuted where nothing is."""
-    for number, one in enumerate(maps):
-        classes = one.classes
-        if one.what == "refuted" and not (classes > 0).any():
+    """Yield captions and drawings; a map of the refuted part only if there is one.
+
+    Args:
+        maps: The maps.
+        prefix: The prefix of the drawings' identifiers.
+
+    """
+    for number, box in enumerate(maps):
+        classes = box.classes
+        if box.what == "refuted" and not (classes > 0).any():
             continue
-        caption = f"{one.what}, by the {one.who} {one.seen}"
-        ends = ((one.low_m[0], one.high_m[0]), (one.low_m[1], one.high_m[1]))
+        caption = f"{box.what}, by the {box.who} {box.seen}"
+        ends = ((box.low_m[0], box.high_m[0]), (box.low_m[1], box.high_m[1]))
         drawing = class_map(
-            classes, SCALE, ends, one.axes, f"seen {one.seen}", prefix=f"{prefix}{number}-", title=caption
+            classes, SCALE, ends, box.axes, f"seen {box.seen}", prefix=f"{prefix}{number}-", title=caption
         )
         yield caption, Markup(drawing)
 
 
 def _section(evidence: ProofEvidence, number: int) -> dict[str, object]:
-    """What the page shows of one claim."""
+    """Return the page's content about one claim."""
     proof, bound = evidence.proofs[number], None
     if evidence.bounds:
         bound = evidence.bounds[number]

@@ -1,7 +1,7 @@
-"""Where answers are bad, as pictures: questions seen from above or from the side, in squares of a grid.
+"""Maps of bad answers: questions from above or from the side, in squares of a grid.
 
-A square is the larger the worse its worst question is, and the worst have another colour: nothing is told
-by colour alone.  All squares of one class are one path, so that a map costs a few kilobytes.
+A square is larger the worse its worst question is, and the worst class also has another colour.  So colour
+never carries the information alone.  All squares of a class are one path, and a map costs a few kilobytes.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))  # across, up
 
 @dataclass(frozen=True)
 class Scale:
-    """Classes of a quantity: ``edges`` rise, and what is not below the last is bad (n + 1 ``words``).
+    """Classes of a quantity: ``edges`` rise, and a value not below the last is bad (n + 1 ``words``).
 
-    Of a cell the largest value counts, or with ``shares`` the mean.
+    The largest value of a cell counts, or with ``shares`` the mean.
     """
 
     edges: tuple[float, ...]
@@ -34,12 +34,12 @@ class Scale:
     shares: bool = False
 
     def classes(self, values: NDArray[np.float64]) -> NDArray[np.int64]:  # (n,)
-        """(n,) which class each value is in; what is no number is in the worst."""
-        found = np.searchsorted(np.array(self.edges), values, side="right")
-        return np.where(np.isnan(values), len(self.edges), found)
+        """Return the class (n,) of each of ``values``; NaN is in the worst."""
+        numbers = np.searchsorted(np.array(self.edges), values, side="right")
+        return np.where(np.isnan(values), len(self.edges), numbers)
 
     def size_px(self, level: int) -> int:
-        """Of a square of a class, within its cell."""
+        """Return the size of a square of class ``level``, within its cell."""
         return 4 + round((CELL_PX - 5) * level / len(self.edges))
 
 
@@ -52,16 +52,26 @@ def question_map(
     prefix: str,
     title: str,
 ) -> str:
-    """An ``<svg>``: positions (n, 3) in base [m], each cell by the class of its ``values`` (n,)."""
+    """Return an ``<svg>`` with each cell's class.
+
+    Args:
+        positions: (n, 3) the positions in base [m].
+        values: (n,) their values.
+        scale: The classes.
+        view: The axes across and up, and the view in words.
+        prefix: The prefix of identifiers.
+        title: The title.
+
+    """
     across, up, seen = view
     low, high = positions.min(axis=0), positions.max(axis=0)
     size = np.maximum(high - low, 1e-6)
     cell = np.minimum(((positions - low) / size * CELLS).astype(np.int64), CELLS - 1)
     place = cell[:, across], cell[:, up]
-    count, found = np.zeros((CELLS, CELLS)), np.full((CELLS, CELLS), 0.0 if scale.shares else -np.inf)
+    count, sums = np.zeros((CELLS, CELLS)), np.full((CELLS, CELLS), 0.0 if scale.shares else -np.inf)
     np.add.at(count, place, 1.0)
-    (np.add if scale.shares else np.maximum).at(found, place, values)
-    worst = np.where(count > 0, scale.classes(found / np.maximum(count, 1.0) if scale.shares else found), -1)
+    (np.add if scale.shares else np.maximum).at(sums, place, values)
+    worst = np.where(count > 0, scale.classes(sums / np.maximum(count, 1.0) if scale.shares else sums), -1)
     ends = ((low[across], high[across]), (low[up], high[up]))
     return class_map(worst, scale, ends, AXES[across] + AXES[up], f"seen {seen}", prefix=prefix, title=title)
 
@@ -76,17 +86,25 @@ def class_map(
     prefix: str,
     title: str,
 ) -> str:
-    """An ``<svg>`` of cells' classes, ``worst`` (CELLS, CELLS) by across and up, -1 for an empty one.
+    """Return an ``<svg>`` of cells' classes.
 
-    ``ends_m`` are those of the axes across and up, ``axes`` their two letters.
+    Args:
+        worst: (CELLS, CELLS) the classes by across and up, -1 for an empty cell.
+        scale: The classes.
+        ends_m: The ends of the axes across and up.
+        axes: The letters of the two axes.
+        seen: The view in words.
+        prefix: The prefix of identifiers.
+        title: The title.
+
     """
     side = CELLS * CELL_PX
     width, height = LEFT_PX + side + RIGHT_PX, TOP_PX + side + BELOW_PX
     root = Element("svg", {"viewBox": f"0 0 {width} {height}", "width": str(width), "height": str(height)})
-    told = ", ".join(
-        f"{np.count_nonzero(worst == level)} of {words}" for level, words in enumerate(scale.words)
+    counts = ", ".join(
+        f"{np.count_nonzero(worst == level)} of {label}" for level, label in enumerate(scale.words)
     )
-    cells = f"{np.count_nonzero(worst >= 0)} cells with questions, {seen}: {told}."
+    cells = f"{np.count_nonzero(worst >= 0)} cells with questions, {seen}: {counts}."
     describe(root, prefix=prefix, title=title, description=cells)
     box = {"x": str(LEFT_PX), "y": str(TOP_PX), "width": str(side), "height": str(side), "fill": "none"}
     SubElement(root, "rect", {**box, "stroke": f"var({Ink.GRID.variable})"})
@@ -97,7 +115,7 @@ def class_map(
 
 
 def _draw_class(root: Element, cells: NDArray[np.int64], scale: Scale, level: int) -> None:
-    """All squares of a class (n, 2), as one path."""
+    """Draw all squares ``cells`` (n, 2) of a class as one path."""
     size_px = scale.size_px(level)
     inset = (CELL_PX - size_px) / 2.0
     bad = level == len(scale.edges)
@@ -114,7 +132,7 @@ def _draw_class(root: Element, cells: NDArray[np.int64], scale: Scale, level: in
 def _label_axes(
     root: Element, side: int, across_m: tuple[float, float], up_m: tuple[float, float], names: str
 ) -> None:
-    """The ends of both axes in millimetres, and their names."""
+    """Draw the ends of both axes in millimetres, and their names."""
     bottom = TOP_PX + side
     marks: Sequence[tuple[float, float, str, str]] = (
         (LEFT_PX, bottom + 15, _mm(across_m[0]), "start"),
@@ -124,22 +142,23 @@ def _label_axes(
         (LEFT_PX - 6, TOP_PX + 10, _mm(up_m[1]), "end"),
         (LEFT_PX - 6, TOP_PX + side / 2, f"{names[1]}, mm", "end"),
     )
-    for x, y, words, anchor in marks:
+    for x, y, label, anchor in marks:
         place = {"x": f"{x:g}", "y": f"{y:g}", "text-anchor": anchor, "font-size": "11"}
-        SubElement(root, "text", {**place, "fill": f"var({Ink.MUTED.variable})"}).text = words
+        SubElement(root, "text", {**place, "fill": f"var({Ink.MUTED.variable})"}).text = label
 
 
 def _mm(value_m: float) -> str:
+    """Return millimetres with a true minus sign."""
     return f"{1e3 * value_m:.0f}".replace("-", "\u2212")
 
 
 def key_of(scale: Scale) -> str:
-    """An ``<svg>`` of the classes, for below the maps."""
-    width = sum(40 + 7 * len(words) for words in scale.words)
+    """Return an ``<svg>`` of the classes, the key below the maps."""
+    width = sum(40 + 7 * len(label) for label in scale.words)
     root = Element("svg", {"viewBox": f"0 0 {width} 18", "width": str(width), "height": "18"})
     root.set("aria-hidden", "true")
     left = 0
-    for level, words in enumerate(scale.words):
+    for level, label in enumerate(scale.words):
         size = scale.size_px(level)
         ink = Ink.LIMIT if level == len(scale.edges) else Ink.TCP
         place = {"x": f"{left + 9 - size / 2:g}", "y": f"{9 - size / 2:g}"}
@@ -147,6 +166,6 @@ def key_of(scale: Scale) -> str:
             root, "rect", {**place, "width": str(size), "height": str(size), "fill": f"var({ink.variable})"}
         )
         text = {"x": str(left + 22), "y": "13", "font-size": "11", "fill": f"var({Ink.TEXT.variable})"}
-        SubElement(root, "text", text).text = words
-        left += 40 + 7 * len(words)
+        SubElement(root, "text", text).text = label
+        left += 40 + 7 * len(label)
     return ElementTree.tostring(root, encoding="unicode")

@@ -20,7 +20,7 @@ from safety_harness.extensions.lab.scoring.scorecard import Scorecard
 from safety_harness.report.words import count_words
 
 SCHEMA = "safety-harness scores 1"
-NAMES = {  # of figures that stand beside each other in a scorecard
+NAMES = {  # of the figures in a scorecard's tuples
     "gained_m": ("p50", "p5"),
     "angle_rad": ("p50", "p95"),
     "off_m": ("p50", "p95", "p99"),
@@ -30,7 +30,7 @@ NAMES = {  # of figures that stand beside each other in a scorecard
 
 
 def document(scored: Scored) -> str:
-    """The text of the file.  What the clock measured is under ``times`` alone: the rest repeats."""
+    """Return the text of the file; measured times are under ``times`` alone, so that the rest repeats."""
     whole = {
         "schema": SCHEMA,
         "package_version": installed_version(),
@@ -41,40 +41,40 @@ def document(scored: Scored) -> str:
         "interrupted": scored.interrupted,
         "failed": scored.failed,
         "finding_count": scored.findings,
-        "avoiders": [_of_avoider(one) for one in scored.avoiders],
-        "times": {one.card.avoider: _plain(one.card.times) for one in scored.avoiders},
+        "avoiders": [_of_avoider(avoider) for avoider in scored.avoiders],
+        "times": {avoider.card.avoider: _plain(avoider.card.times) for avoider in scored.avoiders},
     }
     return json.dumps(whole, indent=1, allow_nan=False) + "\n"
 
 
 def sentence(scored: Scored) -> str:
-    """The answer in one sentence."""
-    asked = sum(len(region.questions) for one in scored.avoiders for region in one.card.regions)
-    names = ", ".join(one.card.avoider for one in scored.avoiders)
-    of = f"{asked:,} questions" + f" beside {scored.against}" * bool(scored.against)
+    """Return the answer in one sentence."""
+    count = sum(len(region.questions) for entry in scored.avoiders for region in entry.card.regions)
+    names = ", ".join(entry.card.avoider for entry in scored.avoiders)
+    text = f"{count:,} questions" + f" beside {scored.against}" * bool(scored.against)
     if not scored.avoiders:
         return "Nothing was scored."
-    often = [one.card for one in scored.avoiders if not is_green(one.card)]
+    often = [entry.card for entry in scored.avoiders if not is_green(entry.card)]
     if not scored.findings and often:
-        share, region = max(map(most_towards, often), key=lambda one: (one[1] != "", one[0]))
+        share, region = max(map(most_towards, often), key=lambda entry: (entry[1] != "", entry[0]))
         towards = f"{100 * share:.3g} % of proposals lead towards the hand in {region}"
         if not region:
             towards = "no region with a proposal was asked about"
-        return f"No finding beyond the yardsticks on {names} in {of}, but {towards}."
+        return f"No finding beyond the yardsticks on {names} in {text}, but {towards}."
     if not scored.findings:
-        return f"No finding on {names} in {of}: no figure is beyond its limit, which is no proof of safety."
-    return f"{count_words(scored.findings, 'finding', 'findings')} on {names} in {of}."
+        return f"No finding on {names} in {text}: no figure is beyond its limit, which is no proof of safety."
+    return f"{count_words(scored.findings, 'finding', 'findings')} on {names} in {text}."
 
 
-def _of_avoider(one: ScoredAvoider) -> dict[str, Any]:
-    """A card, and apart from it what was searched."""
+def _of_avoider(scored: ScoredAvoider) -> dict[str, Any]:
+    """Return a card, and separately the searches."""
     return {
-        "reference": one.reference,
-        "sha256": one.sha256 or None,
-        **_of_card(one.card),
-        "findings": _plain(one.findings),
-        "unlike_the_reference": _plain(one.unlike),
-        "yardsticks": [_of_card(card) for card in one.yardsticks],
+        "reference": scored.reference,
+        "sha256": scored.sha256 or None,
+        **_of_card(scored.card),
+        "findings": _plain(scored.findings),
+        "unlike_the_reference": _plain(scored.unlike),
+        "yardsticks": [_of_card(card) for card in scored.yardsticks],
         "search": {
             "about": "a ledger of its own: a search chooses its questions, so these enter no figure above",
             "regions": [
@@ -85,21 +85,23 @@ def _of_avoider(one: ScoredAvoider) -> dict[str, Any]:
                     "unanswered": search.unanswered,
                     "interrupted": search.interrupted,
                 }
-                for search in one.searches
+                for search in scored.searches
             ],
-            "worst": [_of_worst(shown) for shown in one.worst],
-            "left_out": one.left_out,
+            "worst": [_of_worst(shown) for shown in scored.worst],
+            "left_out": scored.left_out,
         },
     }
 
 
 def _of_card(card: Scorecard) -> dict[str, Any]:
-    found: dict[str, Any] = _plain(card)
-    found.pop("times")
-    return found
+    """Return a card without its times."""
+    content: dict[str, Any] = _plain(card)
+    content.pop("times")
+    return content
 
 
 def _of_worst(shown: ShownQuestion) -> dict[str, Any]:
+    """Return a worst question with its claims."""
     file = shown.file
     return {
         "objective": shown.objective.value,
@@ -110,11 +112,11 @@ def _of_worst(shown: ShownQuestion) -> dict[str, Any]:
 
 
 def _plain(value: Any, name: str = "") -> Any:
-    """A value as JSON has it: null for what is no number, none of the arrays of questions and answers."""
+    """Return a value for JSON: null for NaN and infinity, without the arrays of questions and answers."""
     if isinstance(value, Question):
         value = {key: part for key, part in value._asdict().items() if key != "limit_s"}
     if is_dataclass(value) and not isinstance(value, type):
-        parts = {one.name: getattr(value, one.name) for one in fields(value)}
+        parts = {part_field.name: getattr(value, part_field.name) for part_field in fields(value)}
         kept = {key: part for key, part in parts.items() if not isinstance(part, Questions | Answers)}
         counts = {"asked": len(parts["questions"])} if isinstance(parts.get("questions"), Questions) else {}
         return counts | {key: _plain(part, key) for key, part in kept.items()}

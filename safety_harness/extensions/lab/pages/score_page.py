@@ -1,4 +1,4 @@
-"""One self-contained HTML page about scored avoiders, in the style of the reports."""
+"""A self-contained HTML page about scored avoiders, in the style of the reports."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.words import point_words
 from safety_harness.scenario.files import told
 
-OFF = Scale(
+FAR = Scale(
     (0.01, 0.02, 0.04, 0.06),
     ("under 10 mm off", "10 to 20 mm", "20 to 40 mm", "40 to 60 mm", "60 mm and more"),
 )
@@ -50,7 +50,7 @@ TOWARDS = Scale(
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreEvidence:
-    """Everything that the page shows; ``command`` makes it again."""
+    """Everything on the page; ``command`` repeats it."""
 
     scored: Scored
     command: str
@@ -58,7 +58,7 @@ class ScoreEvidence:
 
 
 def render(evidence: ScoreEvidence) -> str:
-    """The page as text; the same evidence gives the same bytes."""
+    """Return the page as text; the same evidence gives the same bytes."""
     scored = evidence.scored
     return render_page(
         "score.html.j2",
@@ -71,26 +71,26 @@ def render(evidence: ScoreEvidence) -> str:
         most_open=MOST_OPEN,
         columns=COLUMNS,
         details_columns=DETAILS,
-        sections=[_section(one, number) for number, one in enumerate(scored.avoiders, start=1)],
-        keys=[Markup(key_of(scale)) for scale in (OFF, TOWARDS)],
+        sections=[_section(avoider, number) for number, avoider in enumerate(scored.avoiders, start=1)],
+        keys=[Markup(key_of(scale)) for scale in (FAR, TOWARDS)],
         version=installed_version(),
         source=source_hash(),
     )
 
 
-def _section(one: ScoredAvoider, number: int) -> dict[str, object]:
-    """What the page shows of one avoider."""
-    card, cards = one.card, [one.card, *one.yardsticks]
+def _section(scored: ScoredAvoider, number: int) -> dict[str, object]:
+    """Return the page's content about one avoider."""
+    card, cards = scored.card, [scored.card, *scored.yardsticks]
     return {
         "id": f"avoider-{number}",
-        "one": one,
-        "towards": towards_words(one.card),
-        "green": is_green(one.card),
+        "one": scored,
+        "towards": towards_words(scored.card),
+        "green": is_green(scored.card),
         "rows": list(rows_of(cards, figures)),
         "details": list(rows_of(cards, details)),
         "regions": [
-            (score, _about(score), list(_maps(score, settings, f"m{number}-{k}-")))
-            for k, (score, settings) in enumerate(zip(card.regions, one.settings, strict=False))
+            (score, _description(score), list(_maps(score, settings, f"m{number}-{k}-")))
+            for k, (score, settings) in enumerate(zip(card.regions, scored.settings, strict=False))
         ],
         "jumps": [
             (jumps.region, jumps.moved.value, [change_words(c) for c in (jumps.largest, jumps.steepest) if c])
@@ -98,14 +98,14 @@ def _section(one: ScoredAvoider, number: int) -> dict[str, object]:
         ],
         "repeats": [(repeat.way.value, repeat_words(repeat), repeat.differ > 0) for repeat in card.repeats],
         "times": times_words(card),
-        "worst": [_worst_row(k, shown) for k, shown in enumerate(one.worst, start=1)],
-        "searched": sum(search.asked for search in one.searches),
-        "run_command": _run_command(one),
+        "worst": [_worst_row(k, shown) for k, shown in enumerate(scored.worst, start=1)],
+        "searched": sum(search.asked for search in scored.searches),
+        "run_command": _run_command(scored),
     }
 
 
-def _about(score: RegionScore) -> str:
-    """The region's own words, with its median distance to the optimum and the interval."""
+def _description(score: RegionScore) -> str:
+    """Return the region's description, with the median and rms distance to the optimum."""
     if score.off_m is None or score.off_rms_m is None:
         return score.about
     median, rms = interval(score.off_m[0]), interval(score.off_rms_m)
@@ -113,16 +113,16 @@ def _about(score: RegionScore) -> str:
 
 
 def _maps(score: RegionScore, settings: Settings, prefix: str) -> Iterator[tuple[str, str, Markup]]:
-    """Captions, what is shown, drawings: hands and TCPs from above and from the side, by either scale."""
-    asked = score.questions
-    hands, tcps, answers = asked.hands_in_base_m, asked.tcps_in_base_m, score.answers.positions_in_base_m
-    if len(asked) == 0:
+    """Yield captions, quantities and drawings: hands and TCPs, from two sides, by two scales."""
+    posed = score.questions
+    hands, tcps, answers = posed.hands_in_base_m, posed.tcps_in_base_m, score.answers.positions_in_base_m
+    if len(posed) == 0:
         return
     error_m = off_m(answers, optimum_in_base_m(settings, hands, tcps))
     gained = gained_m(hands, tcps, answers)
     towards = np.where(np.isnan(gained), 1.0, gained < 0.0)
-    what: tuple[tuple[str, np.ndarray, Scale], ...] = (("off", error_m, OFF), ("towards", towards, TOWARDS))
-    for name, values, scale in what:
+    maps: tuple[tuple[str, np.ndarray, Scale], ...] = (("off", error_m, FAR), ("towards", towards, TOWARDS))
+    for name, values, scale in maps:
         for who, positions in (("hand", hands), ("TCP", tcps)):
             for view in VIEWS:
                 yield _map(
@@ -139,13 +139,15 @@ def _map(
     who: str,
     region: str,
 ) -> tuple[str, str, Markup]:
+    """Return caption, quantity and drawing of one map."""
     caption = f"{who}, {view[2]}"
-    what = "towards the hand" if scale.shares else "off the optimum"
-    title = f"{region}: {what}, by the position of the {who}, {view[2]}"
-    return caption, what, Markup(question_map(positions, values, scale, view, prefix=prefix, title=title))
+    quantity = "towards the hand" if scale.shares else "off the optimum"
+    title = f"{region}: {quantity}, by the position of the {who}, {view[2]}"
+    return caption, quantity, Markup(question_map(positions, values, scale, view, prefix=prefix, title=title))
 
 
 def _worst_row(number: int, shown: ShownQuestion) -> dict[str, object]:
+    """Return the row of a worst question."""
     tried, file = shown.tried, shown.file
     return {
         "number": number,
@@ -162,7 +164,7 @@ def _worst_row(number: int, shown: ShownQuestion) -> dict[str, object]:
     }
 
 
-def _run_command(one: ScoredAvoider) -> str:
-    """The command that runs all files of the worst questions."""
-    paths: list[Path] = [shown.file.path for shown in one.worst if shown.file.path is not None]
+def _run_command(scored: ScoredAvoider) -> str:
+    """Return the command that runs all files of the worst questions."""
+    paths: list[Path] = [shown.file.path for shown in scored.worst if shown.file.path is not None]
     return shlex.join(["safety-harness", "run", *(str(told(path)) for path in paths)]) if paths else ""

@@ -1,4 +1,4 @@
-"""Scorecards as rows of words, for the terminal and for the page: millimetres, per cent, degrees."""
+"""Scorecards as rows of text, for the terminal and the page: millimetres, per cent, degrees."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ DETAILS = (
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """One avoider in one region; ``yardstick``: it is what others are compared to."""
+    """One avoider in one region; ``yardstick`` marks a row for comparison."""
 
     region: str
     avoider: str
@@ -55,45 +55,54 @@ class ScoreRow:
 def rows_of(
     cards: Sequence[Scorecard], cells: Callable[[RegionScore, Sequence[Jumps]], tuple[str, ...]]
 ) -> Iterator[ScoreRow]:
-    """Region by region, the first card's regions in their order: it, then the others as yardsticks."""
+    """Yield rows region by region, in the first card's order: the first card, then the yardsticks.
+
+    Args:
+        cards: The cards; the first is the avoider's.
+        cells: Returns the cells of a row.
+
+    """
     for region in cards[0].regions if cards else ():
         for number, card in enumerate(cards):
             for score in card.regions:
                 if score.region == region.region and (number == 0 or card.avoider != cards[0].avoider):
-                    jumps = [one for one in card.jumps if one.region == region.region]
+                    jumps = [moved for moved in card.jumps if moved.region == region.region]
                     name = score.region + ("" if score.asked_in_runs else " (no run asks)")
                     yield ScoreRow(name, card.avoider, number > 0, cells(score, jumps))
 
 
-OFTEN_TOWARDS = 0.20  # of a region's proposals: twice the optimum's share of all near hands, and never green
+OFTEN_TOWARDS = 0.20  # of a region's proposals: twice the optimum's share for near hands; more is not green
 
 
 def most_towards(card: Scorecard) -> tuple[float, str]:
     """Return the largest share of proposals that lead towards the hand, and its region; NaN without any."""
     known = [
-        (1.0 - one.leads_away.share, one.region)
-        for one in card.regions
-        if one.asked_in_runs and one.leads_away
+        (1.0 - score.leads_away.share, score.region)
+        for score in card.regions
+        if score.asked_in_runs and score.leads_away
     ]
     return max(known, default=(math.nan, ""))
 
 
 def towards_words(card: Scorecard) -> str:
-    """Return where most proposals lead towards the hand, and how many, whatever the yardsticks do."""
+    """Return the region where most proposals lead towards the hand, with their share, in words.
+
+    The yardsticks do not matter here.
+    """
     share, region = most_towards(card)
     if math.isnan(share):
         return "No region with a proposal was asked about."
-    words = f"Towards the hand, most: {100 * share:.3g} % of its proposals in {region}"
-    return words + (f", and {100 * OFTEN_TOWARDS:g} % are too many for green." if not is_green(card) else ".")
+    text = f"Towards the hand, most: {100 * share:.3g} % of its proposals in {region}"
+    return text + (f", and {100 * OFTEN_TOWARDS:g} % are too many for green." if not is_green(card) else ".")
 
 
 def is_green(card: Scorecard) -> bool:
-    """Return whether proposals lead towards the hand seldom enough, in every region, to be shown in green."""
-    return most_towards(card)[0] <= OFTEN_TOWARDS  # NaN is not
+    """Return whether few enough proposals lead towards the hand, in every region, for green."""
+    return most_towards(card)[0] <= OFTEN_TOWARDS  # False for NaN
 
 
 def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
-    """The cells of COLUMNS."""
+    """Return the cells of COLUMNS for one region's ``score`` and ``jumps``."""
     return (
         percent(score.answered),
         percent(score.leads_away),
@@ -108,9 +117,9 @@ def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
 
 
 def details(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
-    """The cells of DETAILS."""
+    """Return the cells of DETAILS for one region's ``score``; ``jumps`` do not matter."""
     spreads = score.spreads
-    within = (
+    shares = (
         NONE
         if spreads is None
         else ", ".join(_percent(min(axis.share for axis in axes)) for axes in spreads.within)
@@ -119,7 +128,7 @@ def details(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
         NONE if score.bias_in_base_m is None else " ".join(mm(axis.value) for axis in score.bias_in_base_m),
         _diagonal(score.pull),
         _diagonal(score.scale),
-        within,
+        shares,
         NONE if spreads is None else f"{spreads.error_to_spread.value:.2f}",
         NONE if spreads is None or spreads.rank is None else with_minus(f"{spreads.rank.value:.2f}"),
         percent(score.above_threshold),
@@ -127,19 +136,20 @@ def details(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
 
 
 def _diagonal(matrix: tuple[tuple[float, ...], ...] | None) -> str:
+    """Return the diagonal of a matrix as text."""
     return NONE if matrix is None else with_minus(" ".join(f"{matrix[k][k]:.2f}" for k in range(3)))
 
 
 def jump_words(jumps: Sequence[Jumps]) -> str:
-    """The largest jump of a region; a dash where none was looked for."""
+    """Return the largest of a region's ``jumps``; a dash if no segment was followed."""
     if not jumps:
         return NONE
-    changes = [one.largest.change_m for one in jumps if one.largest is not None]
+    changes = [moved.largest.change_m for moved in jumps if moved.largest is not None]
     return mm(max(changes)) if changes else "none"
 
 
 def change_words(change: AnswerChange) -> str:
-    """Where a change is, and how large."""
+    """Return the place and the size of a change in words."""
     hand, tcp = change.before.hand_position_in_base_m, change.before.tcp_position_in_base_m
     return (
         f"{mm(change.change_m)} mm where {change.moved.value} moves {1e3 * change.apart_m:.3g} mm, at the "
@@ -148,15 +158,15 @@ def change_words(change: AnswerChange) -> str:
 
 
 def repeat_words(repeat: AskedAgain) -> str:
-    """Whether the answers were the same."""
+    """Return whether the answers repeated, in words."""
     if repeat.differ == 0:
         return f"the same bits, {repeat.questions:,} questions"
-    by = f" by {mm(repeat.largest_m)} mm at most" if np.isfinite(repeat.largest_m) else ", answers and none"
-    return f"{repeat.differ:,} of {repeat.questions:,} differ{by}"
+    size = f" by {mm(repeat.largest_m)} mm at most" if np.isfinite(repeat.largest_m) else ", answers and none"
+    return f"{repeat.differ:,} of {repeat.questions:,} differ{size}"
 
 
 def times_words(card: Scorecard) -> str:
-    """How long answers took on this machine, beside what is declared and allowed."""
+    """Return the answer times on this machine, with the declared time and the deadline."""
     if card.times is None:
         return ""
     times = card.times
@@ -170,7 +180,7 @@ def times_words(card: Scorecard) -> str:
 
 
 def interval(figure: Figure, per_si: float = 1e3) -> str:
-    """A figure with its interval."""
+    """Return a figure with its interval, times ``per_si``."""
     shown = f"{per_si * figure.value:.1f}"
     if np.isfinite(figure.low) and np.isfinite(figure.high):
         shown += f" [{per_si * figure.low:.1f}, {per_si * figure.high:.1f}]"
@@ -178,17 +188,18 @@ def interval(figure: Figure, per_si: float = 1e3) -> str:
 
 
 def mm(length_m: float | None) -> str:
-    """Millimetres, with a decimal where there are few; a dash for none."""
+    """Return millimetres, with a decimal below 99.5; a dash for None or infinity."""
     if length_m is None or not np.isfinite(length_m):
         return NONE
     shown = 1e3 * length_m
     return with_minus(f"{shown:.0f}" if abs(shown) >= 99.5 else f"{shown:.1f}")
 
 
-def percent(found: Proportion | None) -> str:
-    """Never 0 % of something nor 100 % of less than all; a dash for none."""
-    return NONE if found is None else share_words(found.count, found.trials)
+def percent(part: Proportion | None) -> str:
+    """Return a share, never 0 % of something nor 100 % of less than all; a dash for None."""
+    return NONE if part is None else share_words(part.count, part.trials)
 
 
 def _percent(share: float) -> str:
+    """Return a share in whole per cent."""
     return f"{100 * share:.0f} %"

@@ -1,1 +1,1 @@
-"""Proofs about networks: what holds for every question of a region, of the program as it computes."""
+"""Proofs about networks: claims for every question of a region, and the program's own arithmetic."""

@@ -1,8 +1,8 @@
-"""What holds for every question of a box, compiled: each claim's bounds, of the answer's form.
+"""Compiled bounds for every question of a box: for each claim, from the affine form of the answer.
 
-After the network (``form_kernel``) come some 500 operations on numbers below ``FARTHEST_M`` (or the box is
-not decided), with vectors of length 1: at most 500 x 100 m x 100 m x u = 6e-10, u = 2^-53.  A bound counts as
-kept only if it keeps ``MARGIN`` = 2e-9 (m, or m2) more than the claim says.
+After the network (``form_kernel``) come some 500 operations on numbers below ``FARTHEST_M`` (else the box
+stays undecided), with vectors of length 1.  Their rounding is at most 500 x 100 m x 100 m x u = 6e-10, with u
+= 2^-53. A bound keeps a claim only if it keeps ``MARGIN`` = 2e-9 (m, or m2) more than the claim's limit.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ Codes = NDArray[np.uint8]
 PROVEN, REFUTED, UNDECIDED, OUTSIDE = 6, 7, 8, 9  # codes of a leaf; below: the axis along which it was halved
 FARTHEST_M = 100.0
 MARGIN = 2e-9
-NEAREST_M = 1e-6  # of a direction's length: nearer to 0 it has none
+NEAREST_M = 1e-6  # the least length of a vector with a direction
 AT_MOST, AT_LEAST, OPTIMUM, AWAY, UNSURE, CERTAIN = range(6)
-OF_AXES, OF_CURVES = 0.4, 3.0  # tried: how much each counts where to halve
+OF_AXES, OF_CURVES = 0.4, 3.0  # weights in the choice of the axis to halve; found by trial
 
 
 @njit_no_nrt
 def _lengths(c: Floats, g: Floats, slack: Floats, out: Floats) -> None:
     """Fill ``out`` (2,) with bounds of |c + d|, d = sum e_k g_k + slack.
 
-    |c + d| is at least its part along c; its square is |c|^2 + 2 c . d + |d|^2, with |d| bounded by axis.
+    The length is at least its part along c.  Its square is |c|^2 + 2 c . d + |d|^2, with |d| bounded by axis.
 
     ``c`` (3,), ``g`` (k, 3), ``slack`` (3,).
     """
@@ -59,39 +59,41 @@ def _off_optimum(
     count: int,
     slack: Floats,
     scratch: Floats,
-    found: Floats,
+    bounds_out: Floats,
     weight: Floats,
 ) -> bool:
-    """Fill ``found`` (2,) with bounds of |p - o(h, t)| in a box; False where the optimum has no direction.
+    """Fill ``bounds_out`` (2,) with bounds of |p - o(h, t)| in a box; False if the optimum has no direction.
 
-    t_opt = t + R u, where u is the direction of d = desired - t within the cone, else cos a + sin b with b
-    that of d without its part along the axis a.  The direction f of a vector v has the derivative (1 - f f^T)
-    / |v|, and a second one of at most 2 / (sqrt(3) |v|^2): u is its tangent at the centre +- 2 / sqrt(3)
-    (-ln(1 - s) - s), the integral of (1 - x) / (1 - s x)^2 from 0 to 1 times that, s = rho / |v| and rho half
-    the diagonal of the TCP's box.  Where the box may be on either side of the cone, both have to keep the
+    t_opt = t + R u.  Within the cone, u is the direction of d = desired - t.  Elsewhere u = cos a + sin b,
+    with b the direction of d without its part along the axis a.
+
+    The direction f of a vector v has the derivative (1 - f f^T) / |v|.  Its second derivative is at most 2 /
+    (sqrt(3) |v|^2).  So u is its tangent at the centre +- 2 / sqrt(3) (-ln(1 - s) - s).  This is 2 s^2 /
+    sqrt(3) times the integral of (1 - x) / (1 - s x)^2 from 0 to 1.  Here s = rho / |v|, and rho is half the
+    diagonal of the TCP's box.  If the box may be on either side of the cone, both sides have to keep the
     claim.
 
-    ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (n, 3), ``slack`` (3,),
-    ``scratch`` (4, 3), ``weight`` (6,).
+    ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (n, 3), ``slack`` (3,), ``scratch``
+    (4, 3), ``weight`` (6,).
     """
     axis, radius, cos, sin, pull = optimum[3:6], optimum[6], optimum[7], optimum[8], optimum[9]
-    way, vector, c, bounds = scratch[0], scratch[1], scratch[2], scratch[3]
+    wanted, vector, c, bounds = scratch[0], scratch[1], scratch[2], scratch[3]
     rho, along, length = 0.0, 0.0, 0.0
     for o in range(3):
-        way[o] = optimum[o] - centre[3 + o]
+        wanted[o] = optimum[o] - centre[3 + o]
         rho += half[3 + o] * half[3 + o]
-        along += way[o] * axis[o]
-        length += way[o] * way[o]
+        along += wanted[o] * axis[o]
+        length += wanted[o] * wanted[o]
     rho, length = sqrt(rho) * UP, sqrt(length)
-    beyond = along - cos * length  # changes by at most 1 + cos a metre
-    found[0], found[1] = np.inf, 0.0
+    cone_side = along - cos * length  # changes by at most 1 + cos for each metre
+    bounds_out[0], bounds_out[1] = np.inf, 0.0
     spread = 0.0
     for rim in range(2):
-        if (beyond if rim == 0 else -beyond) + (1.0 + abs(cos)) * rho < -MARGIN:
+        if (cone_side if rim == 0 else -cone_side) + (1.0 + abs(cos)) * rho < -MARGIN:
             continue
         norm = 0.0
         for o in range(3):
-            vector[o] = way[o] - along * axis[o] if rim else way[o]
+            vector[o] = wanted[o] - along * axis[o] if rim else wanted[o]
             norm += vector[o] * vector[o]
         norm = sqrt(norm)
         if norm - rho <= NEAREST_M:
@@ -104,16 +106,16 @@ def _off_optimum(
         for o in range(3):
             to = centre[3 + o] + scale * vector[o] / norm + (radius * cos * axis[o] if rim else 0.0)
             c[o] = p[o] - to - pull * (centre[3 + o] - centre[o])
-        before = g[count : count + PERCEPTRON_INPUTS]  # beyond the symbols: as they are, for the other side
+        saved = g[count : count + PERCEPTRON_INPUTS]  # rows after the symbols: a copy, for the second side
         for i in range(PERCEPTRON_INPUTS):
             for o in range(3):
-                before[i, o] = g[i, o]
+                saved[i, o] = g[i, o]
         for o in range(3):
             g[o, o] += pull * half[o]
             g[3 + o, o] -= (1.0 + pull) * half[3 + o]
         for i in range(3):
             for o in range(3):
-                # d changes by -half e; what is along the axis does not count on the rim
+                # d changes by -half e; its part along the axis does not count on the rim
                 change = 1.0 if i == o else 0.0
                 if rim:
                     change -= axis[i] * axis[o]
@@ -123,9 +125,9 @@ def _off_optimum(
         for i in range(PERCEPTRON_INPUTS):
             for o in range(3):
                 weight[i] += OF_AXES * abs(g[i, o])
-                g[i, o] = before[i, o]
-        found[0] = min(found[0], bounds[0] - rest)  # which is a ball about the form
-        found[1] = max(found[1], (bounds[1] + rest) * UP)
+                g[i, o] = saved[i, o]
+        bounds_out[0] = min(bounds_out[0], bounds[0] - rest)  # the rest is a ball about the form
+        bounds_out[1] = max(bounds_out[1], (bounds[1] + rest) * UP)
     for i in range(3):
         weight[3 + i] += OF_CURVES * spread * half[3 + i] * half[3 + i] / max(rho * rho, 1e-30)
     return True
@@ -139,10 +141,12 @@ def _away(
     g: Floats,
     count: int,
     slack: Floats,
-    found: Floats,
+    bounds_out: Floats,
     weight: Floats,
 ) -> None:
-    """Fill ``found`` (2,) with bounds of (p - t) . (t - h) [m2], and add to ``weight`` (6,) what axes do [m].
+    """Fill ``bounds_out`` (2,) with bounds of (p - t) . (t - h) [m2], and add to ``weight`` (6,) [m].
+
+    ``weight`` grows by the effect of each axis.
 
     Both factors are forms of the same six symbols: q = c + sum g_i e_i + ..., w = w0 + sum h_i e_i.  A square
     e_i^2 is in [0, 1], any other product in [-1, 1].
@@ -151,10 +155,10 @@ def _away(
     """
     middle, radius, norm = 0.0, 0.0, 0.0
     for o in range(3):
-        apart = centre[3 + o] - centre[o]
-        norm += apart * apart
-        middle += (p[o] - centre[3 + o]) * apart
-        radius += slack[o] * (abs(apart) + half[o] + half[3 + o])
+        gap = centre[3 + o] - centre[o]
+        norm += gap * gap
+        middle += (p[o] - centre[3 + o]) * gap
+        radius += slack[o] * (abs(gap) + half[o] + half[3 + o])
         g[3 + o, o] -= half[3 + o]
     norm = max(sqrt(norm), NEAREST_M)
     for k in range(count):
@@ -173,15 +177,15 @@ def _away(
             radius += abs(square) / 2.0
             for m in range(k):
                 b = m % 3
-                other = -1.0 if m < 3 else 1.0
-                both = abs(sign * half[k] * g[m, o] + other * half[m] * g[k, b])
+                second = -1.0 if m < 3 else 1.0
+                both = abs(sign * half[k] * g[m, o] + second * half[m] * g[k, b])
                 radius += both
                 weight[k] += both / norm
                 weight[m] += both / norm
         radius += abs(linear)
     for o in range(3):
         g[3 + o, o] += half[3 + o]
-    found[0], found[1] = middle - radius * UP, middle + radius * UP
+    bounds_out[0], bounds_out[1] = middle - radius * UP, middle + radius * UP
 
 
 @compiled
@@ -198,12 +202,12 @@ def examine(
     codes: Codes,
     spreads_m: Floats,
 ) -> None:
-    """Fill ``codes`` (n,): PROVEN, REFUTED (all of it), OUTSIDE, or the axis along which to halve a box.
+    """Fill ``codes`` (n,): PROVEN, REFUTED (the whole box), OUTSIDE, or the axis along which to halve a box.
 
-    ``low``, ``high`` (n, 6) are boxes of hands and TCPs in the base frame [m]; OUTSIDE are those in which
-    every hand is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) is of
-    ``optimum_constants``; with UNSURE a spread above ``doubt_m`` will do as well.  ``spreads_m`` (n, 2) is
-    filled with bounds of the spread, NaN for none.
+    ``low``, ``high`` (n, 6) are boxes of hands and TCPs in the base frame [m].  A box is OUTSIDE if every
+    hand in it is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) comes from
+    ``optimum_constants``. For the kind UNSURE, a spread above ``doubt_m`` also keeps the claim.
+    ``spreads_m`` (n, 2) receives bounds of the spread, NaN if unknown.
     """
     members, columns = network.weight.shape[0], PERCEPTRON_INPUTS + network.bias.shape[1]
     most = columns - OUTPUTS  # symbols of a member: the axes, and one a ReLU
@@ -214,7 +218,7 @@ def examine(
     each_g, each_r = np.empty((members, PERCEPTRON_INPUTS, 3)), np.empty((members, 3))
     centre, half, weight, own_weight = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     g = np.empty((symbols + PERCEPTRON_INPUTS, 3))
-    p, slack, scratch, found, spread = np.empty(3), np.empty(3), np.empty((4, 3)), np.empty(2), np.empty(2)
+    p, slack, scratch, bounds, spread = np.empty(3), np.empty(3), np.empty((4, 3)), np.empty(2), np.empty(2)
     for n in range(low.shape[0]):
         nearest, farthest = 0.0, 0.0
         for i in range(6):
@@ -245,22 +249,22 @@ def examine(
         spreads_m[n, 1] = spread[1] if decided else np.nan
         if kind in (OPTIMUM, UNSURE):
             decided = (
-                _off_optimum(optimum, centre, half, p, g, count, slack, scratch, found, weight) and decided
+                _off_optimum(optimum, centre, half, p, g, count, slack, scratch, bounds, weight) and decided
             )
         elif kind == AWAY:
-            _away(centre, half, p, g, count, slack, found, weight)
+            _away(centre, half, p, g, count, slack, bounds, weight)
         elif kind == CERTAIN:
-            found[:] = spread
+            bounds[:] = spread
         else:
             for o in range(3):
                 scratch[0, o] = p[o] - centre[3 + o]
                 g[3 + o, o] -= half[3 + o]
-            _lengths(scratch[0], g[:count], slack, found)
+            _lengths(scratch[0], g[:count], slack, bounds)
             for i in range(6):
                 weight[i] += abs(g[i, 0]) + abs(g[i, 1]) + abs(g[i, 2])
         at_least = kind in (AT_LEAST, AWAY)
-        proven = found[0] >= limit_m + MARGIN if at_least else found[1] <= limit_m - MARGIN
-        refuted = found[1] <= limit_m - MARGIN if at_least else found[0] >= limit_m + MARGIN
+        proven = bounds[0] >= limit_m + MARGIN if at_least else bounds[1] <= limit_m - MARGIN
+        refuted = bounds[1] <= limit_m - MARGIN if at_least else bounds[0] >= limit_m + MARGIN
         if kind == UNSURE:
             proven = proven or spread[0] >= doubt_m + MARGIN
             refuted = refuted and spread[1] <= doubt_m - MARGIN
@@ -271,7 +275,7 @@ def examine(
         else:
             axis = 0
             for i in range(6):
-                if not whole:  # smaller boxes are so, or outside
+                if not whole:  # smaller boxes are wholly inside or outside
                     weight[i] += half[i] * (1.0 if decided and refuted else 0.4)
                 if weight[i] > weight[axis]:
                     axis = i

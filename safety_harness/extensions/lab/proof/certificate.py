@@ -1,7 +1,7 @@
-"""The certificate of a proof: JSON with what is claimed of which network, and the tree that shows it.
+"""The certificate of a proof: JSON with the claims, the network, and the tree that shows each claim.
 
 A tree is its codes, level by level, a byte each, compressed, in base64.  ``check.py`` reads the same file
-with code of its own.
+with independent code.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ NO_PAIR = "no pair"
 
 @dataclass(frozen=True)
 class WrongQuestion:
-    """A question in the base frame [m] that the network answers against the claim."""
+    """A question in the base frame [m] whose answer by the network violates the claim."""
 
     hand_in_base_m: Vector3
     tcp_in_base_m: Vector3
@@ -59,7 +59,7 @@ class WrongQuestion:
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """How far a claim is: its tree, and a question that the network answers wrongly, if one was found."""
+    """The state of a claim: its tree, and a question that the network answers wrongly, if there is one."""
 
     planned: PlannedProof
     tree: BoxTree
@@ -67,9 +67,9 @@ class Proof:
 
     @property
     def least_shares(self) -> tuple[float, float, float]:
-        """Proven, refuted and undecided, of what the claim is about: the first at least, the last at most.
+        """The shares of the claimed region: proven at least, refuted and undecided at most.
 
-        A box is proven, or undecided, whole, also where some of its pairs are not ``apart_m`` apart.
+        A box counts as proven or undecided as a whole, even if some of its pairs are not ``apart_m`` apart.
         """
         shares, whole = self.tree.shares(), self.planned.region.counted_share
         if not whole > 0.0:
@@ -80,14 +80,14 @@ class Proof:
 
     @property
     def is_open(self) -> bool:
-        """Is there a question of the region that is refuted or undecided?"""
+        """Whether a question of the region is refuted or undecided."""
         return self.verdict not in ("proven", NO_PAIR)
 
     @property
     def verdict(self) -> str:
-        """``refuted`` with a question; ``proven`` where no box is undecided; else ``undecided``.
+        """``refuted`` with a question; ``proven`` if no box is undecided; else ``undecided``.
 
-        ``no pair``: the region has no question, so that nothing is claimed.
+        ``no pair``: the region has no question, so that the claim is empty.
         """
         if not self.planned.region.has_pair:
             return NO_PAIR
@@ -99,12 +99,25 @@ class Proof:
 
 
 def model_hash(plan: ProofPlan) -> str:
-    """SHA-256 of the network's file."""
+    """Return the SHA-256 of the network's file."""
     return hashlib.sha256(plan.model_file.read_bytes()).hexdigest()
 
 
 def write_certificate(path: Path, plan: ProofPlan, proofs: list[Proof]) -> dict[str, Any]:
-    """Write it whole or not at all, and return what was written; OutputError where it cannot be."""
+    """Write a certificate, whole or not at all.
+
+    Args:
+        path: The file.
+        plan: The plan.
+        proofs: The proofs of its claims.
+
+    Returns:
+        The certificate as JSON.
+
+    Raises:
+        OutputError: The file cannot be written.
+
+    """
     claims = [
         _identity(proof.planned)
         | {
@@ -115,18 +128,19 @@ def write_certificate(path: Path, plan: ProofPlan, proofs: list[Proof]) -> dict[
         }
         for proof in proofs
     ]
-    found = {
+    content = {
         "format": FORMAT,
         "proof": plan.title,
         "avoider": plan.avoider,
         "model_sha256": model_hash(plan),
         "claims": claims,
     }
-    write_text(path, json.dumps(found, indent=1) + "\n")
-    return found
+    write_text(path, json.dumps(content, indent=1) + "\n")
+    return content
 
 
 def _identity(planned: PlannedProof) -> dict[str, Any]:
+    """Return the fields that identify a claim in a certificate."""
     region = asdict(planned.region)
     return {
         "claim": planned.claim.sentence,
@@ -137,44 +151,64 @@ def _identity(planned: PlannedProof) -> dict[str, Any]:
 
 
 def taken_up(path: Path, plan: ProofPlan) -> list[Proof]:
-    """The proofs of a certificate, to go on with; InputError if it is of another plan or network."""
-    found = of_format(read_json(path, "a certificate of prove"), FORMAT, path)
-    claims = found.get("claims")
+    """Return the proofs of a certificate, to continue.
+
+    Args:
+        path: The certificate's file.
+        plan: The plan that it has to belong to.
+
+    Raises:
+        InputError: The certificate belongs to another plan or network, or is invalid.
+
+    """
+    content = of_format(read_json(path, "a certificate of prove"), FORMAT, path)
+    claims = content.get("claims")
     same = (
-        found.get("model_sha256") == model_hash(plan)
+        content.get("model_sha256") == model_hash(plan)
         and isinstance(claims, list)
         and len(claims) == len(plan.proofs)
         and all(
-            isinstance(one, dict) and _identity(planned).items() <= one.items()
-            for one, planned in zip(claims, plan.proofs, strict=True)
+            isinstance(entry, dict) and _identity(planned).items() <= entry.items()
+            for entry, planned in zip(claims, plan.proofs, strict=True)
         )
     )
     if not same or not isinstance(claims, list):
         raise InputError.of_file(path, "a certificate of this plan and network", "one of others")
-    return [_proof(one, planned, path) for one, planned in zip(claims, plan.proofs, strict=True)]
+    return [_proof(entry, planned, path) for entry, planned in zip(claims, plan.proofs, strict=True)]
 
 
-def read_proofs(found: Mapping[str, Any], path: Path) -> list[Proof]:
-    """All proofs of a certificate that was confirmed; InputError for a field that is none."""
+def read_proofs(content: Mapping[str, Any], path: Path) -> list[Proof]:
+    """Return all proofs of a confirmed certificate.
+
+    Args:
+        content: The certificate as JSON.
+        path: Its file, for errors.
+
+    Raises:
+        InputError: A field is invalid.
+
+    """
     try:
-        return [_proof(one, _planned(one), path) for one in found["claims"]]
+        return [_proof(entry, _planned(entry), path) for entry in content["claims"]]
     except (KeyError, IndexError, TypeError, ValueError):
         raise InputError.of_file(path, "a certificate of prove", "fields that are none") from None
 
 
-def _planned(one: Mapping[str, Any]) -> PlannedProof:
+def _planned(entry: Mapping[str, Any]) -> PlannedProof:
+    """Return the claim and region of a certificate's entry."""
     kinds = {name: kind for kind, name in KINDS.items()}
     region: dict[str, Any] = {
-        key: tuple(map(float, value)) for key, value in one["region"].items() if key != "name"
+        key: tuple(map(float, value)) for key, value in entry["region"].items() if key != "name"
     }
-    claim = DecisionClaim(kinds[one["kind"]], float(one["limit_m"]))
-    return PlannedProof(claim, ProofRegion(name=str(one["region"]["name"]), **region))
+    claim = DecisionClaim(kinds[entry["kind"]], float(entry["limit_m"]))
+    return PlannedProof(claim, ProofRegion(name=str(entry["region"]["name"]), **region))
 
 
-def _proof(one: Mapping[str, Any], planned: PlannedProof, path: Path) -> Proof:
+def _proof(entry: Mapping[str, Any], planned: PlannedProof, path: Path) -> Proof:
+    """Return the proof of a certificate's entry; InputError if its tree is invalid."""
     levels, count = [], 1
     try:
-        packed = base64.b64decode(one["tree"], validate=True)
+        packed = base64.b64decode(entry["tree"], validate=True)
         codes = np.frombuffer(zlib.decompressobj().decompress(packed, MOST_NODES), np.uint8).copy()
         while count:
             level, codes = codes[:count], codes[count:]
@@ -182,10 +216,10 @@ def _proof(one: Mapping[str, Any], planned: PlannedProof, path: Path) -> Proof:
                 raise ValueError("cut")
             levels.append(level)
             count = 2 * int((level < PROVEN).sum())
-        asked = one["question"]
+        stored = entry["question"]
         question = None
-        if asked is not None:
-            hand, tcp = (tuple(map(float, asked[key])) for key in ("hand_in_base_m", "tcp_in_base_m"))
+        if stored is not None:
+            hand, tcp = (tuple(map(float, stored[key])) for key in ("hand_in_base_m", "tcp_in_base_m"))
             question = WrongQuestion((hand[0], hand[1], hand[2]), (tcp[0], tcp[1], tcp[2]))
     except (KeyError, IndexError, TypeError, ValueError, zlib.error, binascii.Error):
         place = Place(file=path, field=f"claims: {planned.sentence}")

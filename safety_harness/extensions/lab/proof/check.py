@@ -1,10 +1,10 @@
 """An independent check of a certificate of ``prove``, by numpy alone; of ONNX files by ONNX's own reference.
 
-Run: python check.py CERTIFICATE MODEL.  It bounds the answers p to hands h and TCPs t in each box called
-proven or refuted, and refuses the rest.  A network is steps (name, of which, weight, bias, size of the bias's
-terms), or (name, of which) for a ReLU.  Bounds are forms (centre, symbols, slack); a ReLU of l < 0 < u is s z
-+ b +- b, s = u / (u - l), b = -s l / 2.  A sum of n terms is off by (n + 17) u of their sizes, u above 2^-24
-for ONNX files, 2^-53 for others; a claim has to be kept by MARGIN more.  The optimum is t + 0.1 d + 0.05 (t -
+Run: python check.py CERTIFICATE MODEL.  It bounds answers p to hands h and TCPs t in each box called proven
+or refuted, and refuses the rest.  A network is steps (name, inputs, weight, bias, size of the bias's terms),
+or (name, inputs) for a ReLU.  Bounds are forms (centre, symbols, slack).  A ReLU of l < 0 < u is s z + b +-
+b, s = u / (u - l), b = -s l / 2.  A sum of n terms is off by (n + 17) u of their sizes; u is above 2^-24 for
+ONNX files, 2^-53 for others.  A claim has to be kept by MARGIN more.  The optimum is t + 0.1 d + 0.05 (t -
 h), d the direction of DESIRED - t or the nearest on the rim of the cone CONE about AXIS.  Its derivative is
 (1 - d d^T) / |v| by v, and a second one at most 2 / (sqrt(3) |v|^2).
 """
@@ -30,22 +30,22 @@ SUMS, AFFINE = ("Add", "Sub", "Concat"), ("Gemm", "MatMul", "Mul", "Div", "Ident
 NORM, LEGAL = "BatchNormalization", {"training_mode": (0,), "to": (1, 11)}  # no batch's statistics; floats
 
 
-def need(held: bool | np.bool_, what: str) -> None:
-    """Refuse unless it holds."""
+def need(held: bool | np.bool_, message: str) -> None:
+    """Raise ValueError with ``message`` unless ``held``."""
     if not held:
-        raise ValueError(what)
+        raise ValueError(message)
 
 
 def network_of(data: bytes) -> tuple[list[Any], float, float]:
-    """Steps, u and the threshold of the spread; of perceptrons their mean, and how far each is off it."""
+    """Return steps, u and the spread's threshold; steps of perceptrons end with their mean and deviations."""
     if data[8:9] != b"{":
         return onnx_steps(data), SINGLE, np.nan
     tensors = json.loads(data[8 : (start := 8 + int.from_bytes(data[:8], "little"))])
-    about = json.loads(tensors.pop("__metadata__")["safety_harness"])
-    need(about["kind"] == "relu perceptron" and (m := about["members"]) >= 1, "the network is no perceptron")
-    mean, std, to, by = (np.array(about[k]) for k in ("input_mean", "input_std", "target_mean", "target_std"))
-    for name, one in tensors.items():
-        tensors[name] = np.frombuffer(data[start:][slice(*one["data_offsets"])], "<f4").reshape(one["shape"])
+    card = json.loads(tensors.pop("__metadata__")["safety_harness"])
+    need(card["kind"] == "relu perceptron" and (m := card["members"]) >= 1, "the network is no perceptron")
+    mean, std, to, by = (np.array(card[k]) for k in ("input_mean", "input_std", "target_mean", "target_std"))
+    for name, raw in tensors.items():
+        tensors[name] = np.frombuffer(data[start:][slice(*raw["data_offsets"])], "<f4").reshape(raw["shape"])
     steps, each = list[Any](), [f"{k}" for k in range(m)]
     for k in each:
         w, b = ([tensors[f"{k}/fc{n}.{part}"] for n in ("1", "2", "_out")] for part in ("weight", "bias"))
@@ -55,23 +55,23 @@ def network_of(data: bytes) -> tuple[list[Any], float, float]:
         steps += [("x", [HAND, TCP], *x), ("x", ["x"]), ("y", ["x"], *y), ("y", ["y"]), (k, ["y"], *z)]
     mean = np.tile(EYE, (m, 1)) / m
     steps += [(ANSWER, each, mean, 0.0, 0.0), ("off", each, np.eye(3 * m) - np.tile(mean, m), 0.0, 0.0)]
-    return steps, DOUBLE, (about["calibration"] or {}).get("spread_threshold_m", np.nan)
+    return steps, DOUBLE, (card["calibration"] or {}).get("spread_threshold_m", np.nan)
 
 
 def onnx_steps(data: bytes) -> list[Any]:
-    """Affine maps are what it makes of 0 and of unit vectors, row by row; others are left out."""
+    """Return steps; affine maps are the reference's output for 0 and unit vectors, row by row."""
     import onnx.reference
 
     evaluator: Any = onnx.reference.ReferenceEvaluator
     model: Any = onnx.load_from_string(data)
     need(model.opset_import[0].version >= 9, "operators of an old version")
-    need(not any(one.external_data for one in model.graph.initializer), "weights in another file")
+    need(not any(arg.external_data for arg in model.graph.initializer), "weights in another file")
     known = {x.name: onnx.numpy_helper.to_array(x).astype(float) for x in model.graph.initializer}
     steps, widths = list[Any](), dict[Any, int]({HAND: 3, TCP: 3})
     for node in model.graph.node:
         op, out, shown = node.op_type, node.output[0], [name in widths for name in node.input]
         own = [name for name in dict.fromkeys(node.input) if name in widths]
-        legal = not node.domain and all(one.i in LEGAL.get(one.name, (one.i,)) for one in node.attribute)
+        legal = not node.domain and all(arg.i in LEGAL.get(arg.name, (arg.i,)) for arg in node.attribute)
         alone = sum(shown) == 1 and (shown[0] or op == "Mul") and op in (*AFFINE, NORM)
         if op == "Constant":
             known[out] = np.asarray(evaluator(node).run(None, {})[0], float)
@@ -81,16 +81,16 @@ def onnx_steps(data: bytes) -> list[Any]:
         elif legal and (alone or (own and op in SUMS)) and {*node.input} <= known.keys() | widths.keys():
             ends = np.cumsum([widths[name] for name in own])
             rows = np.split(np.eye(ends[-1] + 1, ends[-1], k=-1), ends[:-1], axis=1)
-            found = np.asarray(evaluator(node).run(None, known | dict(zip(own, rows, strict=True)))[0])
-            need(found.ndim == 2 and len(found) == ends[-1] + 1, f"{op} is not of rows")
-            widths[out], weight, bias = found.shape[1], found[1:] - found[0], found[0]
+            image = np.asarray(evaluator(node).run(None, known | dict(zip(own, rows, strict=True)))[0])
+            need(image.ndim == 2 and len(image) == ends[-1] + 1, f"{op} is not of rows")
+            widths[out], weight, bias = image.shape[1], image[1:] - image[0], image[0]
             more = 2.0 * np.abs(known[node.input[3]]) @ np.abs(weight) if op == NORM else 0.0  # the mean's
             steps.append((out, own, weight, bias, np.abs(bias) + more))
     return steps
 
 
 def forms_of(steps: list[Any], u: float, centre: Array, half: Array) -> Any:
-    """Forms (n, w), (n, k, w), (n, w) of all steps by name, in boxes ``centre`` +- ``half`` (n, 6)."""
+    """Return forms (n, w), (n, k, w), (n, w) of all steps by name, in boxes ``centre`` +- ``half`` (n, 6)."""
     whole = centre, half[:, :, None] * np.eye(6), u * (u > DOUBLE) * (np.abs(centre) + half)  # float32's
     forms: Any = {name: [x[..., p] for x in whole] for name, p in ((HAND, slice(3)), (TCP, slice(3, 6)))}
     for out, own, *affine in steps:
@@ -114,21 +114,21 @@ def forms_of(steps: list[Any], u: float, centre: Array, half: Array) -> Any:
 
 
 def lengths(c: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Bounds (n,) of |c + d|, d the symbols and slack: its part along c, and |c|^2 + 2 c . d + |d|^2."""
+    """Return bounds (n,) of |c + d|, d the symbols and slack, from its part along c and its square."""
     norm, wide = np.linalg.norm(c, axis=1), np.linalg.norm(np.abs(g).sum(axis=1) + r, axis=1)
     dot = np.abs(np.einsum("nki,ni->nk", g, c)).sum(axis=1) + (r * np.abs(c)).sum(axis=1)
     return norm - dot / np.maximum(norm, 1e-30), np.sqrt(norm**2 + 2.0 * dot + wide**2)
 
 
 def off_optimum(centre: Array, half: Array, q: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Bounds (n,) of |p - o|, of the form ``q``, ``g``, ``r`` of p - t, in boxes ``centre`` +- ``half``."""
-    way, cos, rho = DESIRED - centre[:, 3:], np.cos(CONE), np.linalg.norm(half[:, 3:], axis=1)
+    """Return bounds (n,) of |p - o|, from the form ``q``, ``g``, ``r`` of p - t in ``centre`` +- ``half``."""
+    gap, cos, rho = DESIRED - centre[:, 3:], np.cos(CONE), np.linalg.norm(half[:, 3:], axis=1)
     least, most = np.full(len(q), np.inf), np.zeros(len(q))
     rim = -1.0, EYE - np.outer(AXIS, AXIS), RADIUS * np.sin(CONE), RADIUS * cos
     for sign, flat, scale, up in ((1.0, EYE, RADIUS, 0.0), rim):
-        norm = np.linalg.norm(way @ flat, axis=1)
+        norm = np.linalg.norm(gap @ flat, axis=1)
         part = np.where(norm - rho > 1e-6, rho / norm, np.nan)  # NaN: no direction, and nothing is confirmed
-        to = way @ flat / norm[:, None]
+        to = gap @ flat / norm[:, None]
         slope = (flat - to[:, :, None] * to[:, None, :]) * (scale / norm)[:, None, None]
         own = np.concatenate(
             [PULL * half[:, :3, None] * EYE, half[:, 3:, None] * (slope - PULL * EYE)], axis=1
@@ -136,14 +136,14 @@ def off_optimum(centre: Array, half: Array, q: Array, g: Array, r: Array) -> tup
         own = np.concatenate([g[:, :6] + own, g[:, 6:]], axis=1)
         low, high = lengths(q - scale * to - up * AXIS - PULL * (centre[:, 3:] - centre[:, :3]), own, r)
         rest = scale * 2.0 / np.sqrt(3.0) * (-np.log1p(-part) - part)
-        applies = sign * (way @ AXIS - cos * np.linalg.norm(way, axis=1)) + (1.0 + cos) * rho >= -MARGIN
+        applies = sign * (gap @ AXIS - cos * np.linalg.norm(gap, axis=1)) + (1.0 + cos) * rho >= -MARGIN
         least = np.where(applies, np.minimum(least, low - rest), least)
         most = np.where(applies, np.maximum(most, high + rest), most)
     return least, most
 
 
 def products(q: Array, w: Array, half: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Bounds (n,) of (p - t) . (t - h), at centres ``q`` . ``w`` (n, 3); ``g`` and ``r`` are of p - t."""
+    """Return bounds (n,) of (p - t) . (t - h), at centres ``q`` . ``w`` (n, 3); ``g``, ``r`` are of p - t."""
     h = np.concatenate([-half[:, :3, None] * EYE, half[:, 3:, None] * EYE], axis=1)
     linear, both = np.einsum("nki,ni->nk", g, w), np.einsum("nki,nmi->nkm", g[:, :6], h)
     linear[:, :6] += np.einsum("nki,ni->nk", h, q)
@@ -156,11 +156,11 @@ def products(q: Array, w: Array, half: Array, g: Array, r: Array) -> tuple[Array
 
 
 def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: float, doubt: float) -> Any:
-    """Which boxes (n,) from ``low`` to ``high`` (n, 6) are what ``code`` says of them."""
+    """Return whether ``code`` is right for each box (n,) from ``low`` to ``high`` (n, 6)."""
     kind, limit, (near, far) = claim["kind"], claim["limit_m"], claim["region"]["apart_m"]
     half = np.maximum(high - (centre := (low + high) / 2.0), centre - low) * (1.0 + 1e-12)
-    way, wide = centre[:, 3:] - centre[:, :3], half[:, 3:] + half[:, :3]
-    nearest, farthest = np.linalg.norm([np.maximum(np.abs(way) - wide, 0.0), np.abs(way) + wide], axis=2)
+    gap, wide = centre[:, 3:] - centre[:, :3], half[:, 3:] + half[:, :3]
+    nearest, farthest = np.linalg.norm([np.maximum(np.abs(gap) - wide, 0.0), np.abs(gap) + wide], axis=2)
     if code == OUTSIDE:
         return (farthest < near - MARGIN) | (nearest > far + MARGIN)
     forms = forms_of(steps, u, centre, half)
@@ -168,7 +168,7 @@ def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: flo
     need((np.abs(z) + np.abs(g).sum(axis=1) + r < FARTHEST).all(), "an answer may be out of all bounds")
     g[:, 3:6] -= half[:, 3:, None] * EYE  # of the step p - t
     step = z - centre[:, 3:]
-    least, most = products(step, way, half, g, r) if kind == "away" else lengths(step, g, r)
+    least, most = products(step, gap, half, g, r) if kind == "away" else lengths(step, g, r)
     if kind in ("optimum", "unsure"):
         least, most = off_optimum(centre, half, step, g, r)
     kept, broken = (limit - most, least - limit) if kind in BELOW else (least - limit, limit - most)
@@ -182,7 +182,7 @@ def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: flo
 
 @np.errstate(all="ignore")
 def check_claim(network: Any, claim: dict[str, Any]) -> str:
-    """What the tree of one claim shows, in words of this file; refused if that is not what it says."""
+    """Return a sentence on the tree of a claim; ValueError if the tree does not show the claim."""
     kind, region, limit = claim["kind"], claim["region"], claim["limit_m"]
     corners = np.array([[[*region[f"hand_{c}_m"], *region[f"tcp_{c}_m"]]] for c in ("low", "high")])
     (low, high), shares, part = corners, dict.fromkeys(NAMES.values(), 0.0), 1.0
@@ -217,10 +217,10 @@ def check_claim(network: Any, claim: dict[str, Any]) -> str:
 
 
 def check(certificate: bytes, model: bytes) -> list[str]:
-    """What is confirmed, a line a claim; ValueError, or another exception, if anything is not."""
-    need((found := json.loads(certificate))["format"] == FORMAT and found["claims"] != [], "no certificate")
-    need(found["model_sha256"] == hashlib.sha256(model).hexdigest(), "it is of another network")
-    return [check_claim(network_of(model), claim) for claim in found["claims"]]
+    """Return a line for each confirmed claim; ValueError, or another exception, for any failure."""
+    need((doc := json.loads(certificate))["format"] == FORMAT and doc["claims"] != [], "no certificate")
+    need(doc["model_sha256"] == hashlib.sha256(model).hexdigest(), "it is of another network")
+    return [check_claim(network_of(model), claim) for claim in doc["claims"]]
 
 
 if __name__ == "__main__":

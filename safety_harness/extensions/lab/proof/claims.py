@@ -1,14 +1,14 @@
-"""What can be proven about answers: each claim a quantity of one question, and the limit that it must keep.
+"""Claims about answers that can be proven: a quantity of one question, and its limit.
 
-A question is a hand h and a TCP t, the answer p; all in the base frame [m].
+A question is a hand h and a TCP t, the answer is p, all in the base frame [m].
 
 * steps at most / at least D: |p - t| <= D, or >= D.
-* within E of the optimum: |p - o(h, t)| <= E, where o = t_opt + pull (t - h) with the continuous optimum of
-  ``cell.avoidance.candidates``, for the settings' defaults.
-* uncertain or within E of the optimum: so it is, or the spread over the members is above the network's own
+* within E of the optimum: |p - o(h, t)| <= E.  Here o = t_opt + pull (t - h), with the continuous optimum of
+  ``cell.avoidance.candidates`` for the default settings.
+* uncertain or within E of the optimum: as before, or the spread over the members is above the network's own
   threshold on an axis, so that the gate refuses the answer.
-* leads away: (p - t) . (t - h) >= 0.  Then no point of the straight way from t to p is nearer to h than t is,
-  since the squared distance along the way is convex and does not fall at its beginning.
+* leads away: (p - t) . (t - h) >= 0.  Then no point of the straight path from t to p is nearer to h than t.
+  The squared distance along the path is convex, and does not fall at its beginning.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ Floats = NDArray[np.float64]
 
 
 class ClaimKind(IntEnum):
-    """Numbers are part of the compiled kernel."""
+    """The kinds of claims; their numbers are part of the compiled kernel."""
 
     AT_MOST = 0
     AT_LEAST = 1
     OPTIMUM = 2
     AWAY = 3
     UNSURE = 4
-    CERTAIN = 5  # a spread of at most the limit on each axis: of single decisions alone
+    CERTAIN = 5  # a spread of at most the limit on each axis; for single decisions alone
 
 
 _PATTERNS = {
@@ -60,15 +60,21 @@ class DecisionClaim:
 
     @property
     def sentence(self) -> str:
-        """As a plan has it."""
+        """The claim's sentence in a plan."""
         return _PATTERNS[self.kind].format(nice(self.limit_m, LENGTH))
 
     def margins(
         self, hands: ArrayNx3, tcps: ArrayNx3, answers: ArrayNx3, doubt_m: Floats | None = None
     ) -> Floats:
-        """(n,) by how much answers (n, 3) to hands and TCPs (n, 3) keep it, in m (AWAY: m2); below 0: not.
+        """Return the margins (n,) of answers, in m (AWAY: m2); negative for a violation.
 
-        ``doubt_m`` (n,) is by how much the largest axis's spread is above the network's threshold.
+        Args:
+            hands: (n, 3) the hands [m].
+            tcps: (n, 3) the TCPs [m].
+            answers: (n, 3) the answers [m].
+            doubt_m: ``doubt_m`` (n,) is the largest spread over the axes, less the network's threshold; None:
+                no spread.
+
         """
         steps = answers - tcps
         if self.kind is ClaimKind.AWAY:
@@ -84,47 +90,54 @@ class DecisionClaim:
 
 
 class Answering(Protocol):
-    """What can be asked many questions; ``model`` is None for a function without a file of our own."""
+    """An avoider that takes many questions; ``model`` is None for a function without our own file."""
 
     @property
     def model(self) -> Model | None:
-        """What its file holds."""
+        """The contents of its file."""
 
     def propose_many(
         self, hands_in_base_m: ArrayNx3, tcps_in_base_m: ArrayNx3, seeds: NDArray[np.uint64]
     ) -> tuple[ArrayNx3, ArrayNx3]:
-        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,)."""
+        """Return positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,)."""
 
 
 def margins_of(avoider: Answering, claim: DecisionClaim, questions: Floats) -> Floats:
-    """(n,) margins of what the network itself answers to ``questions`` (n, 6), hands and TCPs."""
+    """Return the margins (n,) of the network's own answers to ``questions`` (n, 6), hands and TCPs.
+
+    Args:
+        avoider: The network.
+        claim: The claim.
+        questions: Hands and TCPs in the base frame [m].
+
+    """
     hands, tcps = questions[:, :3], questions[:, 3:]
     answers, spreads = avoider.propose_many(hands, tcps, np.zeros(len(questions), np.uint64))
     return claim.margins(hands, tcps, answers, spreads.max(axis=1) - threshold_m(avoider.model))
 
 
 def threshold_m(model: Model | None) -> float:
-    """The largest spread with which the gate takes an answer; NaN for a network without one."""
+    """Return the largest spread of an answer that the gate accepts; NaN for a network without a threshold."""
     threshold = None if model is None or model.members == 1 else model.spread_threshold_m
     return np.nan if threshold is None else threshold
 
 
 def read_claim(field: Field) -> DecisionClaim:
-    """The claim that a sentence makes; ScenarioError with the four sentences for any other."""
+    """Return the claim of a sentence; ScenarioError with all sentences for an unknown one."""
     expected = ", ".join(pattern.format("80 mm") for pattern in _PATTERNS.values())
     text = " ".join(field.sentence(f"one of the claims: {expected}").split())
     for kind, pattern in _PATTERNS.items():
-        found = re.fullmatch(re.escape(pattern).replace(r"\{\}", "(.+?)"), text)
-        if found:
-            limit_m = parse_quantity(found[1], LENGTH, field.place) if found.groups() else 0.0
-            if found.groups() and not 0.0 < limit_m <= LENGTH.most:
+        match = re.fullmatch(re.escape(pattern).replace(r"\{\}", "(.+?)"), text)
+        if match:
+            limit_m = parse_quantity(match[1], LENGTH, field.place) if match.groups() else 0.0
+            if match.groups() and not 0.0 < limit_m <= LENGTH.most:
                 raise field.error(f"a length above 0 and at most {LENGTH.most:g} m")
             return DecisionClaim(kind, limit_m)
     raise field.error(f"one of the claims: {expected}")
 
 
 def optimum_constants() -> Floats:
-    """(10,) what the kernel needs of the optimum: desired position, axis, radius, cosine and sine, pull."""
+    """Return the optimum's constants (10,): desired position, axis, radius, cosine, sine, pull."""
     cap = CandidateCap.of(DEFAULTS)
     desired = DEFAULTS.cell.desired_tcp_position_in_base_m
     rest = (cap.radius_m, np.cos(cap.cone_rad), np.sin(cap.cone_rad), DEFAULTS.avoidance.hand_pull)

@@ -1,19 +1,19 @@
-"""Affine forms through a ReLU network, compiled: what its members answer in a box, their mean and spread.
+"""Compiled affine forms through a ReLU network: answers of its members in a box, their mean and spread.
 
-A unit's value is c + sum_k g_k e_k + r e', every e in [-1, 1]: the first six e are the place in the box
-(hand, then TCP), the others what ReLUs may add; r is its slack.  An affine map keeps the form.  For l <= z <=
-u with l < 0 < u and any s in [0, 1], relu(z) - s z lies in [0, 2 m], 2 m = max(-s l, (1 - s) u): with s = u /
-(u - l) this is the least such band (Singh et al. 2018, DeepZ).  In a deep network slack, which each layer
-multiplies by |W|, would grow beyond all bounds: there the ReLUs of every layer, or of every
-``network.gathers`` of them, make it symbols too.
+A unit's value is c + sum_k g_k e_k + r e', with every e in [-1, 1].  The first six e are the place in the box
+(hand, then TCP).  The further e are additions of ReLUs, and r is the slack.  An affine map keeps the form.
+For l <= z <= u with l < 0 < u and any s in [0, 1], relu(z) - s z lies in [0, 2 m], where 2 m = max(-s l, (1 -
+s) u).  With s = u / (u - l) this is the least such band (Singh et al. 2018, DeepZ).
 
-**Rounding.**  The bounds are of what the *program* computes: what that rounds is ``network.error``, or in
-float64 (``cell.avoidance.perceptron_kernel``) as little as here.  A sum of n products is off by gamma (|b| +
-sum
-|w| |x|) at most in any order, with or without fused operations, gamma = n u / (1 - n u), u = 2^-53 (Higham
-2002, 3.1).  The same holds of the centre computed here, and of the symbols and slacks, whose magnitudes are
-part of |x| <= size.  ``network.rounding`` is four times the sum of these, and goes into the slack; ``UP`` is
-above the rounding of every sum of magnitudes, of up to 30,000 terms.
+Each layer multiplies slack by |W|, so that it would grow beyond all bounds in a deep network.  There the
+ReLUs of every layer, or of every ``network.gathers`` layers, turn it into symbols too.
+
+**Rounding.**  The bounds hold for the values that the *program* computes.  ``network.error`` bounds its
+rounding; in float64 (``cell.avoidance.perceptron_kernel``) it is as small as here.  A sum of n products is
+off by at most gamma (|b| + sum |w| |x|) in any order, with or without fused operations, where gamma = n u /
+(1 - n u) and u = 2^-53 (Higham 2002, 3.1).  The same holds for the centre computed here, and for symbols and
+slacks, whose magnitudes are part of |x| <= size.  ``network.rounding`` is four times the sum of these, and
+goes into the slack.  ``UP`` is above the rounding of every sum of up to 30,000 magnitudes.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from safety_harness.extensions.lab.proof.network import ReluNetwork
 Floats = NDArray[np.float64]
 
 UP = 1.0 + 4e-12
-MOST = 1e8  # of a unit: beyond it nothing is decided
-OF_RELUS = 2.5  # tried: how much what ReLUs add counts where to halve
+MOST = 1e8  # the largest unit: beyond it, a box stays undecided
+OF_RELUS = 2.5  # weight of the ReLUs' additions in the choice of the axis to halve; found by trial
 Z, SLACK, SIZE, SLOPE = range(4)  # rows of ``units``
 
 
@@ -47,17 +47,18 @@ def _rectify(
     last: int,
     gathers: bool,
 ) -> int:
-    """ReLU of the units from ``first`` to before ``last``, in place; returns the count of symbols after it.
+    """Apply ReLU to the units from ``first`` to before ``last``, in place; return the new count of symbols.
 
-    Of a deep network a unit that has a symbol has its slack in it; if it ``gathers``, each has one.
+    In a deep network, the slack of a unit with a symbol goes into the symbol; with ``gathers``, each unit
+    gets one.
 
-    ``units`` (4, n), ``g`` (k, n), ``share`` (6, n), ``of_symbol`` (k,); ``share`` is filled with how much of
-    a unit's width each axis causes.
+    ``units`` (4, n), ``g`` (k, n), ``share`` (6, n), ``of_symbol`` (k,).  ``share`` receives the part of a
+    unit's width that each axis causes.
     """
-    rounding, before = network.rounding, count
+    rounding, old_count = network.rounding, count
     width, sizes = last - first, units[SIZE, first:last]
     sizes[:] = 0.0
-    for k in range(before):
+    for k in range(old_count):
         row = g[k, first:last]
         for q in range(width):
             sizes[q] += abs(row[q])
@@ -66,7 +67,7 @@ def _rectify(
         low, high = z - r, z + r
         slope, half = 1.0, 0.0
         units[SIZE, j] = abs(z) + r
-        if low < 0.0 and high == high:  # NaN stays NaN, and decides nothing
+        if low < 0.0 and high == high:  # NaN stays NaN, so that the box stays undecided
             slope = high / (high - low) if high > 0.0 else 0.0
             half = max(-slope * low, (1.0 - slope) * high) / 2.0 if high > 0.0 else 0.0
             z = slope * z + half
@@ -74,7 +75,7 @@ def _rectify(
             units[Z, j], units[SIZE, j] = z, size
             units[SLACK, j] = (slope * units[SLACK, j] + rounding * size) * UP if high > 0.0 else 0.0
         units[SLOPE, j] = slope
-        for i in range(PERCEPTRON_INPUTS):  # only a hint
+        for i in range(PERCEPTRON_INPUTS):  # only a hint for halving, never part of a bound
             share[i, j] = (
                 abs(g[i, j]) / r * (1.0 if first == PERCEPTRON_INPUTS else slope) if half > 0.0 else 0.0
             )
@@ -86,7 +87,7 @@ def _rectify(
             of_symbol[count] = j
             count += 1
     slopes = units[SLOPE, first:last]
-    for k in range(before):
+    for k in range(old_count):
         row = g[k, first:last]
         for q in range(width):
             row[q] *= slopes[q]
@@ -105,10 +106,10 @@ def _answer(
     share: Floats,
     weight: Floats,
 ) -> int:
-    """Fill ``units`` (4, n) and ``g`` (k, n) of a member in a box; returns the count of symbols.
+    """Fill ``units`` (4, n) and ``g`` (k, n) for a member in a box; return the count of symbols.
 
-    Columns are the question's six, those of all ReLUs, then the answer's.  ``centre``, ``half`` (6,) are the
-    box.  ``weight`` (6,) is filled with how much of what ReLUs add each of its axes causes [m].  Scratch:
+    Columns are the question's six, then all ReLUs, then the answer.  ``centre``, ``half`` (6,) are the box.
+    ``weight`` (6,) receives the part of the ReLUs' additions that each axis causes [m].  Scratch:
     ``of_symbol`` (k,), ``share`` (6, n).
     """
     widths, blocks, rounding = network.widths, network.blocks, network.rounding
@@ -133,8 +134,8 @@ def _answer(
             column, inputs = 0, PERCEPTRON_INPUTS
             if source > 0:
                 column, inputs = PERCEPTRON_INPUTS, widths[source - 1]
-                for before in range(source - 1):
-                    column += widths[before]
+                for earlier in range(source - 1):
+                    column += widths[earlier]
             w = weights[start : start + inputs * width].reshape((inputs, width))
             for j in range(inputs):
                 x, size = units[Z, column + j], units[SIZE, column + j]
@@ -200,11 +201,11 @@ def mean_answer(
     slack: Floats,
     weight: Floats,
 ) -> int:
-    """Fill ``p`` (3,), ``g`` (n, 3), ``slack`` (3,) of the mean over m members; returns the count of symbols.
+    """Fill ``p`` (3,), ``g`` (n, 3), ``slack`` (3,) for the mean over m members; return the count of symbols.
 
-    The six axes' symbols are theirs in common.  ``each_p`` (m, 3), ``each_g`` (m, 6, 3) and ``each_r`` (m, 3)
-    are filled with the members' forms, all other symbols and the slack in the last.  ``centre``, ``half``,
-    ``weight`` (6,).  Scratch: ``own_weight`` (6,), and as ``_answer``: ``units`` (4, n), ``own`` (k, n),
+    The members share the symbols of the six axes.  ``each_p`` (m, 3), ``each_g`` (m, 6, 3) and ``each_r`` (m,
+    3) receive the members' forms, with all other symbols and the slack in the last.  ``centre``, ``half``,
+    ``weight`` (6,). Scratch: ``own_weight`` (6,), and as in ``_answer``: ``units`` (4, n), ``own`` (k, n),
     ``share`` (6, n).
     """
     members, count = each_p.shape[0], PERCEPTRON_INPUTS
@@ -235,16 +236,16 @@ def mean_answer(
 
 
 @njit_no_nrt
-def spreads(each_p: Floats, each_g: Floats, each_r: Floats, p: Floats, g: Floats, found: Floats) -> None:
-    """Fill ``found`` (2,) with bounds of the largest axis's spread over the members, of ``mean_answer``.
+def spreads(each_p: Floats, each_g: Floats, each_r: Floats, p: Floats, g: Floats, bounds_out: Floats) -> None:
+    """Fill ``bounds_out`` (2,) with bounds of the largest axis's spread over the members of ``mean_answer``.
 
-    A member's difference from the mean has the symbols of the six axes in common with it; for all others
-    its own and the mean of everybody's count.
+    A member's difference from the mean shares the symbols of the six axes with it.  For all other symbols,
+    the member's and the mean's both count.
 
     ``each_p`` (m, 3), ``each_g`` (m, 6, 3), ``each_r`` (m, 3), ``p`` (3,), ``g`` (n, 3).
     """
     members = each_p.shape[0]
-    found[0], found[1] = 0.0, 0.0
+    bounds_out[0], bounds_out[1] = 0.0, 0.0
     for o in range(OUTPUTS):
         rest, low, high = 0.0, 0.0, 0.0
         for member in range(members):
@@ -256,5 +257,5 @@ def spreads(each_p: Floats, each_g: Floats, each_r: Floats, p: Floats, g: Floats
             radius *= UP
             low += max(0.0, middle - radius) ** 2
             high += (middle + radius) ** 2
-        found[0] = max(found[0], sqrt(low / members) / UP)
-        found[1] = max(found[1], sqrt(high / members) * UP)
+        bounds_out[0] = max(bounds_out[0], sqrt(low / members) / UP)
+        bounds_out[1] = max(bounds_out[1], sqrt(high / members) * UP)

@@ -1,7 +1,7 @@
-"""Where a region is proven, refuted and undecided: its boxes seen from above and from the side, in cells.
+"""Maps of the undecided and refuted parts of a region: its boxes from above and from the side, in cells.
 
-A cell holds all pairs whose hand (or TCP) is in it, whatever the other four coordinates are.  The shares of
-its volume that are undecided and refuted, of what the claim is about, are told by classes, a digit a cell.
+A cell holds all pairs whose hand (or TCP) is in it, for any values of the other four coordinates.  A digit
+for each cell is the class of a share of its volume: undecided, or refuted, of the claimed part.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ Floats = NDArray[np.float64]
 CELLS, AT_ONCE = 20, 100_000
 VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))  # across, up
 EDGES = (1e-9, 0.01, 0.1, 0.5)  # of a share, below the classes 1 to 4
-NOTHING = "-"  # in a cell that the claim is not about
+NOTHING = "-"  # in a cell outside the claim
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoxMap:
-    """``rows`` from the lowest of ``up`` on, a digit a cell from the left: the class of the share ``what``.
+    """A map; ``rows`` begin at the lowest ``up``, with a digit for each cell from the left.
 
-    ``low_m`` and ``high_m`` are the map's corners, across and up, in the base frame.
+    A digit is the class of the share ``what``.  ``low_m`` and ``high_m`` are the map's corners, across and
+    up, in the base frame.
     """
 
     who: str
@@ -39,28 +40,28 @@ class BoxMap:
 
     @property
     def classes(self) -> NDArray[np.int64]:
-        """(CELLS, CELLS) by across and up; -1 where there is nothing."""
-        digits = [[-1 if one == NOTHING else int(one) for one in row] for row in self.rows]
+        """The classes (CELLS, CELLS) by across and up; -1 for a cell outside the claim."""
+        digits = [[-1 if digit == NOTHING else int(digit) for digit in row] for row in self.rows]
         return np.array(digits, np.int64).T
 
 
 def maps_of(proof: Proof) -> Iterator[BoxMap]:
-    """The hand's and the TCP's, from above and from the side, for what is undecided and what is refuted."""
+    """Yield the maps of hand and TCP, from above and from the side, for undecided and refuted parts."""
     low, high = (side[0] for side in proof.planned.region.corners())
     for who, first in (("hand", 0), ("TCP", 3)):
-        for across, up, seen in VIEWS:
-            axes = first + across, first + up
+        for across, upward, seen in VIEWS:
+            axes = first + across, first + upward
             volumes = {code: _volumes(proof, code, axes) for code in (PROVEN, REFUTED, UNDECIDED)}
             whole = sum(volumes.values())
-            for what, code in (("undecided", UNDECIDED), ("refuted", REFUTED)):
+            for part, code in (("undecided", UNDECIDED), ("refuted", REFUTED)):
                 shares = np.round(volumes[code] / np.where(whole > 0.0, whole, 1.0), 12)
-                found = np.searchsorted(EDGES, shares, side="right")
-                texts = np.where(whole > 0.0, found.astype(str), NOTHING)
+                classes = np.searchsorted(EDGES, shares, side="right")
+                texts = np.where(whole > 0.0, classes.astype(str), NOTHING)
                 yield BoxMap(
                     who=who,
                     seen=seen,
-                    axes="xyz"[across] + "xyz"[up],
-                    what=what,
+                    axes="xyz"[across] + "xyz"[upward],
+                    what=part,
                     low_m=(float(low[axes[0]]), float(low[axes[1]])),
                     high_m=(float(high[axes[0]]), float(high[axes[1]])),
                     rows=tuple("".join(row) for row in texts.T),
@@ -68,9 +69,9 @@ def maps_of(proof: Proof) -> Iterator[BoxMap]:
 
 
 def _volumes(proof: Proof, code: int, axes: tuple[int, int]) -> Floats:
-    """(CELLS, CELLS) of the leaves with this code, each as a share of the region."""
+    """Return the volume in each cell (CELLS, CELLS) of the leaves with ``code``, as shares of the region."""
     region = proof.planned.region
-    whole, found = region.corners(), np.zeros((CELLS, CELLS))
+    whole, volumes = region.corners(), np.zeros((CELLS, CELLS))
     for level, (low, high) in enumerate(proof.tree.leaves(region, code)):
         for start in range(0, len(low), AT_ONCE):
             part = slice(start, start + AT_ONCE)
@@ -78,13 +79,13 @@ def _volumes(proof: Proof, code: int, axes: tuple[int, int]) -> Floats:
                 _overlaps(low[part, axis], high[part, axis], whole[0][0, axis], whole[1][0, axis])
                 for axis in axes
             )
-            found += 2.0**-level * (first.T @ second)
-    return found
+            volumes += 2.0**-level * (first.T @ second)
+    return volumes
 
 
 def _overlaps(low: Floats, high: Floats, start: float, end: float) -> Floats:
-    """(n, CELLS) which share of each interval (n,) is in each cell of start to end."""
+    """Return the share (n, CELLS) of each interval (n,) in each cell from ``start`` to ``end``."""
     edges = np.linspace(start, end, CELLS + 1)
     inside = np.minimum(high[:, None], edges[1:]) - np.maximum(low[:, None], edges[:-1])
-    found: Floats = np.maximum(inside, 0.0) / (high - low)[:, None]
-    return found
+    shares: Floats = np.maximum(inside, 0.0) / (high - low)[:, None]
+    return shares

@@ -1,8 +1,8 @@
 """An ONNX file as layers of ReLUs: perceptrons and residual networks; other operators are refused by name.
 
-The program is onnxruntime's, in float32 or better: each operation is taken to round as float32 does, whatever
-the order of its sums, and whatever of them the runtime fuses or folds beforehand.  What the answer does not
-depend on (a spread, say) is not looked at.
+The program is onnxruntime, in float32 or better.  The proof assumes that each operation rounds like float32,
+in any order of its sums, and after any fusing or folding by the runtime.  Nodes that the answer does not
+depend on (for example a spread) are ignored.
 """
 
 from __future__ import annotations
@@ -43,49 +43,50 @@ FLOAT_TYPES = (1, 11)  # TensorProto's float and double
 
 @dataclass(frozen=True, eq=False)
 class OnnxFunction:
-    """What onnxruntime answers, in a process of its own, one question at a time as in a run."""
+    """The answers of onnxruntime, in its own process, one question at a time as in a run."""
 
     avoider: IsolatedAvoider
-    model = None  # and so no threshold of a spread
+    model = None  # so that there is no threshold of the spread
 
     def propose_many(
         self, hands_in_base_m: Floats, tcps_in_base_m: Floats, seeds: NDArray[np.uint64]
     ) -> tuple[Floats, Floats]:
-        """Positions and spreads (n, 3) [m], NaN for no answer.
+        """Return positions and spreads (n, 3) [m], NaN for a missing answer.
 
-        For ``hands_in_base_m`` (n, 3), ``tcps_in_base_m`` (n, 3) and seeds (n,).
+        ``hands_in_base_m`` and ``tcps_in_base_m`` are (n, 3), and ``seeds`` (n,).
         """
-        asked = [
+        posed = [
             Question(hand, tcp, int(seed))
             for hand, tcp, seed in zip(hands_in_base_m, tcps_in_base_m, seeds, strict=True)
         ]
-        answers = [one.proposal.position_in_base_m for one in self.avoider.answers(asked, together=False)]
+        answers = [reply.proposal.position_in_base_m for reply in self.avoider.answers(posed, together=False)]
         positions = np.array(answers, np.float64).reshape(-1, OUTPUTS)
         return positions, np.zeros_like(positions)
 
 
 def read_onnx(path: Path) -> tuple[ReluNetwork, OnnxFunction]:
-    """The layers of a file, and what answers; ModelError for another operator, with its name and node."""
+    """Return the layers of a file and its function; ModelError with name and node for an unknown operator."""
     with ONNX.needed("proofs about ONNX files", path):
         network = packed(_layers(path, onnx_bytes(path)))
     return network, OnnxFunction(isolated_onnx(path, DEFAULTS))
 
 
 def _layers(path: Path, data: bytes) -> list[AffineForm]:
+    """Return the layers of a file, the last the answer."""
     import onnx
 
     try:
         model = onnx.load_from_string(data)
-    except Exception as error:  # protobuf's own
+    except Exception as error:  # an exception of protobuf
         refuse(path, None, "an ONNX file", type(error).__name__)
-    versions = [one.version for one in model.opset_import if one.domain in ("", "ai.onnx")]
+    versions = [part.version for part in model.opset_import if part.domain in ("", "ai.onnx")]
     if not versions or versions[0] < OLDEST:
         refuse(path, "opset_import", f"operators of version {OLDEST} or newer", str(versions))
     constants: dict[str, Floats] = {}
-    for one in model.graph.initializer:
-        if one.external_data:
-            refuse(path, one.name, "tensors in the file itself", "external data")
-        constants[one.name] = onnx.numpy_helper.to_array(one).astype(np.float64)
+    for part in model.graph.initializer:
+        if part.external_data:
+            refuse(path, part.name, "tensors in the file itself", "external data")
+        constants[part.name] = onnx.numpy_helper.to_array(part).astype(np.float64)
     layers = Layers()
     whole = question(SINGLE)
     forms: dict[str, AffineForm] = {
@@ -98,7 +99,7 @@ def _layers(path: Path, data: bytes) -> list[AffineForm]:
             nodes.append(node)
             wanted.update(node.input)
     for node in reversed(nodes):
-        more = {one.name: onnx.helper.get_attribute_value(one) for one in node.attribute}
+        more = {part.name: onnx.helper.get_attribute_value(part) for part in node.attribute}
         place = f"{node.op_type} {node.name or node.output[0]!r}"
         if node.op_type == "Constant" and "value" in more:
             constants[node.output[0]] = onnx.numpy_helper.to_array(more["value"]).astype(np.float64)
@@ -110,17 +111,17 @@ def _layers(path: Path, data: bytes) -> list[AffineForm]:
             forms[node.output[0]] = _computed(node.op_type, given, more, layers)
         except ValueError as error:
             refuse(path, place, str(error), f"the operator {node.op_type}")
-        if sum(form.width for form in layers.found) > MOST_UNITS:
+        if sum(form.width for form in layers.forms) > MOST_UNITS:
             refuse(path, place, f"at most {MOST_UNITS} ReLU units", "more")
     if POSITION not in forms or forms[POSITION].width != OUTPUTS:
         refuse(path, POSITION, "an output of three coordinates that follows from hand and TCP", "none")
-    return [*layers.found, forms[POSITION]]
+    return [*layers.forms, forms[POSITION]]
 
 
 def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: Layers) -> AffineForm:
-    """What an operator makes of ``given``, forms and constants; ValueError says what was expected."""
-    shown = [isinstance(one, AffineForm) for one in given]
-    if not any(shown[:2]) or any(one is None for one in given):
+    """Return the output of an operator for ``given`` forms and constants; ValueError with the expectation."""
+    shown = [isinstance(operand, AffineForm) for operand in given]
+    if not any(shown[:2]) or any(operand is None for operand in given):
         raise ValueError("operands that follow from hand and TCP, and constants of the file")
     first: AffineForm = given[0] if shown[0] else given[1]
     rest = given[1:] if shown[0] else given[:1]
@@ -152,7 +153,7 @@ def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: 
         shift = -constant if operator == "Sub" and shown[0] else constant
         return first.linear(turned * np.eye(first.width), shift, SINGLE)
     if operator == "BatchNormalization" and alone and not more.get("training_mode", 0):
-        gain, shift, mean, variance = (_row(one, first.width) for one in rest)
+        gain, shift, mean, variance = (_row(operand, first.width) for operand in rest)
         centred = first.linear(np.eye(first.width), -mean, SINGLE)
         scale = gain / np.sqrt(variance + more.get("epsilon", 1e-5))
         return centred.linear(np.diag(scale), shift, SINGLE)
@@ -160,6 +161,6 @@ def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: 
 
 
 def _row(constant: Any, width: int) -> Floats:
-    """(width,) what is added to, or multiplied with, each row; ValueError."""
+    """Return the constant of each row (width,); ValueError for another shape."""
     row: Floats = np.broadcast_to(np.asarray(constant, np.float64), (1, width))[0]
     return row

@@ -1,4 +1,4 @@
-"""A plan of proofs: of which network, what is claimed, and of which questions (docs/proof.md)."""
+"""A plan of proofs: a network, its claims, and their regions of questions (docs/proof.md)."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ SEEN = "seen"
 MOST_CLAIMS, MOST_REGIONS = 64, 64
 STEPS = 150
 MOST_SAMPLES = 10_000_000
-ANY_APART_M = 0.0, 4.0 * LARGEST_COORDINATE_M  # more than any pair
-LEAST_INSIDE = 1e-3  # of a normal axis, within each region
+ANY_APART_M = 0.0, 4.0 * LARGEST_COORDINATE_M  # 0 to more than the distance of any pair
+LEAST_INSIDE = 1e-3  # the least probability of a normal axis within each region
 
 Asked = LearnedAvoider | OnnxFunction
 Floats = NDArray[np.float64]
@@ -44,7 +44,7 @@ Normal = tuple[float, float]  # mean and standard deviation [m]
 
 @dataclass(frozen=True, kw_only=True)
 class ProofRegion:
-    """Boxes of hands and TCPs in the base frame [m], of which pairs ``apart_m`` from each other count."""
+    """Boxes of hands and TCPs in the base frame [m]; pairs with a distance within ``apart_m`` count."""
 
     name: str
     hand_low_m: Vector3
@@ -54,38 +54,44 @@ class ProofRegion:
     apart_m: tuple[float, float] = ANY_APART_M
 
     @classmethod
-    def about(cls, tcp_m: Floats, low_m: Floats, high_m: Floats) -> ProofRegion:
-        """Of one TCP, ``tcp_m`` (3,), and hands from ``low_m`` (3,) to ``high_m`` (3,)."""
+    def around(cls, tcp_m: Floats, low_m: Floats, high_m: Floats) -> ProofRegion:
+        """Return the region of one TCP, ``tcp_m`` (3,), and hands from ``low_m`` (3,) to ``high_m`` (3,)."""
         tcp, low, high = ((float(x[0]), float(x[1]), float(x[2])) for x in (tcp_m, low_m, high_m))
         return cls(name="a box", hand_low_m=low, hand_high_m=high, tcp_low_m=tcp, tcp_high_m=tcp)
 
     def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(1, 6) twice: the lowest hand and TCP, and the highest."""
+        """Return the lowest hand and TCP (1, 6), and the highest (1, 6)."""
         low, high = (*self.hand_low_m, *self.tcp_low_m), (*self.hand_high_m, *self.tcp_high_m)
         return np.array([low]), np.array([high])
 
     @property
     def has_pair(self) -> bool:
-        """Is any hand ``apart_m`` from any TCP?  Two boxes have all distances between least and largest."""
+        """Whether the region has a pair within ``apart_m``.
+
+        Two boxes have all distances from the least to the largest.
+        """
         (low,), (high,) = self.corners()
-        least, most = low[:3] - high[3:], high[:3] - low[3:]  # of hand less TCP
+        least, most = low[:3] - high[3:], high[:3] - low[3:]  # of hand minus TCP
         nearest = np.linalg.norm(np.maximum(np.maximum(least, -most), 0.0))
         farthest = np.linalg.norm(np.maximum(np.abs(least), np.abs(most)))
         return bool(nearest <= self.apart_m[1] and farthest >= self.apart_m[0])
 
     @property
     def counted_share(self) -> float:
-        """What part of its volume has pairs ``apart_m`` apart: a sum over ``STEPS``^3 ways, good to 1e-3."""
-        ways, chances = [], []
+        """The share of its volume with pairs within ``apart_m``, good to 1e-3.
+
+        It is a sum over ``STEPS``^3 offsets from TCP to hand.
+        """
+        offsets, chances = [], []
         for low, high, from_, to in zip(
             self.hand_low_m, self.hand_high_m, self.tcp_low_m, self.tcp_high_m, strict=True
         ):
             edges = np.linspace(low - to, high - from_, STEPS + 1)
-            way = (edges[1:] + edges[:-1]) / 2.0  # from TCP to hand; how likely: the overlap of two boxes
-            overlap = np.maximum(0.0, np.minimum(high, to + way) - np.maximum(low, from_ + way))
-            ways.append(way)
+            offset = (edges[1:] + edges[:-1]) / 2.0  # from TCP to hand; its chance: the overlap of two boxes
+            overlap = np.maximum(0.0, np.minimum(high, to + offset) - np.maximum(low, from_ + offset))
+            offsets.append(offset)
             chances.append(overlap / overlap.sum())
-        x, y, z = np.meshgrid(*ways, indexing="ij")
+        x, y, z = np.meshgrid(*offsets, indexing="ij")
         apart_m = np.sqrt(x**2 + y**2 + z**2)
         counts = (apart_m >= self.apart_m[0]) & (apart_m <= self.apart_m[1])
         return min(1.0, float(np.einsum("xyz,x,y,z->", counts.astype(float), *chances)))
@@ -100,15 +106,15 @@ class PlannedProof:
 
     @property
     def sentence(self) -> str:
-        """The claim, and of what."""
+        """The claim with its region."""
         return f"{self.claim.sentence} ({self.region.name})"
 
 
 @dataclass(frozen=True, kw_only=True)
 class QuestionLaw:
-    """How questions are distributed: ``normals_m`` (6,) by axis of hand and TCP, None where it is uniform.
+    """The distribution of questions: ``normals_m`` (6,) by axis of hand and TCP, None for a uniform axis.
 
-    ``samples`` of them are drawn for each claim, and all bounds hold together with ``confidence``.
+    Each claim draws ``samples`` questions, and all bounds hold together with ``confidence``.
     """
 
     normals_m: tuple[Normal | None, ...]
@@ -119,7 +125,7 @@ class QuestionLaw:
 
 @dataclass(frozen=True, eq=False)
 class ProofPlan:
-    """Made by ``read_proof_plan``; ``network`` and what is ``asked`` are of the file ``model_file``."""
+    """A plan of ``read_proof_plan``; ``network`` and ``asked`` belong to the file ``model_file``."""
 
     title: str
     avoider: str
@@ -131,12 +137,21 @@ class ProofPlan:
 
     @property
     def doubt_m(self) -> float:
-        """The largest spread with which the gate takes an answer; NaN for a network without one."""
+        """The largest spread of an answer that the gate accepts; NaN for a network without a threshold."""
         return threshold_m(self.asked.model)
 
 
 def read_proof_plan(path: str | Path) -> ProofPlan:
-    """The plan in a file; ScenarioError with its place, or ModelError, where it cannot be used."""
+    """Return the plan in a file.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ScenarioError: The plan cannot be used; the error names the place.
+        ModelError: The network cannot be used.
+
+    """
     path = as_path(path, "read_proof_plan(path)")
     refuse_other_kind(path, FileKind.PROOF)
     given = Field(Library().tree(path), path, path="", line=1).fields(KEYS)
@@ -148,7 +163,7 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
     if name not in SHIPPED and not name.endswith((MODEL_SUFFIX, ONNX_SUFFIX)):
         raise avoider.error(f"a network: one that ships, FILE{MODEL_SUFFIX} or FILE{ONNX_SUFFIX}")
     file = shipped_model(name) if name in SHIPPED else located(path.parent / Path(name).expanduser())
-    network, asked, seen = _network(avoider, name, file)
+    network, function, seen = _network(avoider, name, file)
     regions = {} if seen is None else {SEEN: seen_region(seen)}
     if at := given.optional("regions"):
         for key, item in at.entries("regions by name")[:MOST_REGIONS]:
@@ -163,7 +178,7 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
             raise item.error("a region, since the network's file does not say what it has seen")
         region = where.one_of(regions) if where else regions[SEEN]
         proof = PlannedProof(read_claim(fields.required("claim")), region)
-        if proof.claim.kind is ClaimKind.UNSURE and not threshold_m(asked.model) >= 0.0:
+        if proof.claim.kind is ClaimKind.UNSURE and not threshold_m(function.model) >= 0.0:
             raise item.error("a network with a spread and its threshold for such a claim", got=name)
         if proof in proofs:
             raise item.error("each claim once in a region", got=proof.sentence)
@@ -172,13 +187,13 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
         raise given.required("regions").error("a claim in each region", got=f"none in {sorted(idle)[0]}")
     at = given.optional("distribution")
     questions = None if at is None else _questions(at, [proof.region for proof in proofs])
-    return ProofPlan(title, name, file, network, asked, tuple(proofs), questions)
+    return ProofPlan(title, name, file, network, function, tuple(proofs), questions)
 
 
 def _network(
     at: Field, name: str, file: Path
 ) -> tuple[ReluNetwork, LearnedAvoider | OnnxFunction, SeenSpace | None]:
-    """Its layers, what answers, and what it has seen, if its file says so."""
+    """Return a file's layers, its function, and its seen space, if the file has it."""
     if file.suffix == ONNX_SUFFIX:
         use = exported_use(file)
         return *read_onnx(file), None if use is None else use.seen
@@ -189,7 +204,7 @@ def _network(
 
 
 def seen_region(seen: SeenSpace) -> ProofRegion:
-    """All that a network's file says that it has seen."""
+    """Return the region of everything a network has seen, by its file."""
     return ProofRegion(
         name=SEEN,
         hand_low_m=seen.hand_low_m,
@@ -200,7 +215,7 @@ def seen_region(seen: SeenSpace) -> ProofRegion:
 
 
 def _region(name: str, at: Field, seen: ProofRegion | None) -> ProofRegion:
-    """Boxes and distance of one region; what it does not say is as in ``seen``."""
+    """Return boxes and distance of a region; missing parts come from ``seen``."""
     given = at.fields(("hand", "tcp", "apart"))
     hand, tcp, apart = (given.optional(key) for key in ("hand", "tcp", "apart"))
     hands, tcps = _box(hand) if hand else None, _box(tcp) if tcp else None
@@ -225,12 +240,12 @@ def _region(name: str, at: Field, seen: ProofRegion | None) -> ProofRegion:
 
 
 def _questions(at: Field, regions: list[ProofRegion]) -> QuestionLaw:
-    """A distribution that is known; ScenarioError for one that a loop makes, or that misses a region."""
+    """Return a known distribution; ScenarioError if a loop generates it, or if it misses a region."""
     given = at.fields(("hand", "tcp", "samples", "confidence", "seed"), hints=dict.fromkeys(OF_LOOPS, LOOP))
     normals: list[Normal | None] = []
     for key in ("hand", "tcp"):
-        one = given.optional(key)
-        normals += [None] * 3 if one is None or one.got() == "uniform" else _normals(one)
+        law = given.optional(key)
+        normals += [None] * 3 if law is None or law.got() == "uniform" else _normals(law)
     for region in regions:
         for axis, (low, high) in enumerate(zip(*(side[0] for side in region.corners()), strict=True)):
             normal = normals[axis]
@@ -250,6 +265,7 @@ def _questions(at: Field, regions: list[ProofRegion]) -> QuestionLaw:
 
 
 def _normals(at: Field) -> list[Normal | None]:
+    """Return mean and standard deviation of three axes."""
     given = at.fields(("mean", "std"))
     mean = _corner(given.required("mean"))
     stds = given.required("std").items("three lengths", count=3)
@@ -257,6 +273,7 @@ def _normals(at: Field) -> list[Normal | None]:
 
 
 def _box(at: Field) -> tuple[Vector3, Vector3]:
+    """Return the corners of a box."""
     given = at.fields(("from", "to"))
     low, high = (_corner(given.required(key)) for key in ("from", "to"))
     if not all(a < b for a, b in zip(low, high, strict=True)):
@@ -265,8 +282,9 @@ def _box(at: Field) -> tuple[Vector3, Vector3]:
 
 
 def _corner(at: Field) -> Vector3:
+    """Return a position."""
     x, y, z = (
-        one.quantity(LENGTH, least=-LARGEST_COORDINATE_M, most=LARGEST_COORDINATE_M)
-        for one in at.items("a position: three lengths", count=3)
+        length.quantity(LENGTH, least=-LARGEST_COORDINATE_M, most=LARGEST_COORDINATE_M)
+        for length in at.items("a position: three lengths", count=3)
     )
     return x, y, z

@@ -1,4 +1,4 @@
-"""All claims of a plan of proofs, one after another, for as long as there is time."""
+"""All claims of a plan of proofs, one after another, within a time."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from safety_harness.extensions.lab.proof.tree import BoxTree, Over, examined, wo
 MOST_ASKED = 200_000  # questions at the centres of leaves
 WRONG_BY = 1e-8  # m or m2, beyond all rounding
 
-Told = Callable[[str, float], None]
+OnStep = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How long to work: at most ``seconds`` in all, no box halved more than ``halvings`` times.
+    """The effort of a session: at most ``seconds`` in all, and ``halvings`` of a box.
 
-    Until the processes have started and have their machine code no time is counted.  ``over`` maps, in other
-    processes say, ``at_once`` batches of boxes; ``stopped`` ends the work, and ``told`` hears the claim and
-    the share of all volume that is decided.
+    Time counts once the processes have started and compiled their code.  ``over`` maps ``at_once`` batches of
+    boxes, for example in other processes.  ``stopped`` ends the work.  ``show`` receives the claim, and the
+    decided share of all volume.
     """
 
     seconds: float
@@ -36,11 +36,18 @@ class Effort:
     over: Over = map
     at_once: int = 1
     stopped: Callable[[], bool] = field(default=lambda: False)
-    told: Told = field(default=lambda words, share: None)
+    show: OnStep = field(default=lambda text, share: None)
 
 
-def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[Proof]:
-    """Each of the proofs, gone on with; what time one does not need, those after it have."""
+def continue_proofs(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[Proof]:
+    """Yield each proof after further work; time that a proof does not need goes to later proofs.
+
+    Args:
+        plan: The plan.
+        proofs: The proofs so far.
+        effort: The effort.
+
+    """
     for planned in [proof.planned for proof in proofs[:1]]:
         judge = partial(examined, plan.network, optimum_constants(), planned.claim, planned.region)
         list(effort.over(judge, [planned.region.corners()] * effort.at_once))
@@ -49,9 +56,9 @@ def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[P
         now_s = time.monotonic()
         share_s = (end_s - now_s) / (len(proofs) - number)
 
-        def told(tree: BoxTree, number: int = number, proof: Proof = proof) -> None:
+        def report(tree: BoxTree, number: int = number, proof: Proof = proof) -> None:
             decided = 1.0 - tree.shares()["undecided"]
-            effort.told(f"{proof.planned.sentence}: {decided:.2%} decided", (number + decided) / len(proofs))
+            effort.show(f"{proof.planned.sentence}: {decided:.2%} decided", (number + decided) / len(proofs))
 
         work(
             proof.tree,
@@ -63,39 +70,44 @@ def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[P
             until_s=now_s + share_s,
             over=effort.over,
             at_once=effort.at_once,
-            told=told,
+            on_level=report,
             stopped=effort.stopped,
         )
         yield replace(proof, question=proof.question or wrong_question(plan, proof))
 
 
 def fresh(plan: ProofPlan) -> list[Proof]:
-    """Nothing decided yet."""
+    """Return proofs of a plan without any decided box."""
     return [Proof(planned, BoxTree()) for planned in plan.proofs]
 
 
 def wrong_question(plan: ProofPlan, proof: Proof) -> WrongQuestion | None:
-    """The worst question in the middle of a leaf that is not proven; None if all are answered well.
+    """Return the worst question in the middle of a leaf that is not proven; None if no answer is wrong.
 
-    It is wrong by twice what its bounds are wide, so that a check by other bounds refutes it too.
+    Its violation is twice the width of its bounds, so that a check by other bounds refutes it too.
+
+    Args:
+        plan: The plan.
+        proof: The proof with its tree.
+
     """
     planned, tree = proof.planned, proof.tree
     leaves = chain(*(tree.leaves(planned.region, code) for code in (REFUTED, UNDECIDED)))
     middles = [(low + high) / 2.0 for low, high in leaves if len(low)]
-    asked = np.concatenate([np.empty((0, 6)), *middles])[:MOST_ASKED]
+    points = np.concatenate([np.empty((0, 6)), *middles])[:MOST_ASKED]
     near_m, far_m = planned.region.apart_m
-    apart_m = np.linalg.norm(asked[:, :3] - asked[:, 3:], axis=1)
-    asked = asked[(apart_m > near_m + WRONG_BY) & (apart_m < far_m - WRONG_BY)]
-    if not len(asked):
+    apart_m = np.linalg.norm(points[:, :3] - points[:, 3:], axis=1)
+    points = points[(apart_m > near_m + WRONG_BY) & (apart_m < far_m - WRONG_BY)]
+    if not len(points):
         return None
-    margins = margins_of(plan.asked, planned.claim, asked)
+    margins = margins_of(plan.asked, planned.claim, points)
     if not margins.min() < -WRONG_BY:
         return None
     half_m = (
         margins.min() / 2.0 * (1.0 if planned.claim.kind in (ClaimKind.AT_LEAST, ClaimKind.AWAY) else -1.0)
     )
     harder = replace(planned.claim, limit_m=planned.claim.limit_m + half_m)
-    worst = asked[margins.argmin() :][:1]
+    worst = points[margins.argmin() :][:1]
     point = worst.copy(), worst.copy()
     (code,) = examined(plan.network, optimum_constants(), harder, planned.region, point, plan.doubt_m)
     x = worst[0].tolist()

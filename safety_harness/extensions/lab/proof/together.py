@@ -1,14 +1,14 @@
-"""Proof and sample in one bound, where it is known how questions are distributed.
+"""Proof and sample in one bound, for a known distribution of questions.
 
-A question of the region is drawn at random; P is the chance that the claim is about it (its hand and TCP are
-as far apart as the region says) and the network answers it wrongly.  With R and U the probabilities of the
-refuted and of the undecided boxes, and b an upper bound (Clopper and Pearson 1934) of the share of wrong
-answers among questions drawn from the undecided boxes alone,
+A question of the region is drawn at random.  P is the chance that the claim concerns it (its hand and TCP are
+as far apart as the region requires) and that the network answers it wrongly.  R and U are the probabilities
+of the refuted and undecided boxes.  b is an upper bound (Clopper and Pearson 1934) of the share of wrong
+answers among questions from the undecided boxes alone.  Then
 
-    R <= P <= R + U b        with the confidence of b; what is proven adds nothing.
+    R <= P <= R + U b        with the confidence of b; proven boxes add 0.
 
-Boxes first, questions then: the sample knows nothing of how the boxes came about, so that b holds whatever
-they are.  Axes are independent of each other, each uniform over the region or normal and cut to it.
+The boxes come first, then the questions.  The sample is independent of the origin of the boxes, so b holds
+for any boxes.  Axes are independent, each uniform over the region, or normal and cut to it.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from safety_harness.extensions.lab.proof.plan import Normal, PlannedProof, Proof
 from safety_harness.extensions.lab.proof.tree import BoxTree
 
 Floats = NDArray[np.float64]
-Wrong = Callable[[Floats], NDArray[np.bool_]]
+IsWrong = Callable[[Floats], NDArray[np.bool_]]
 UP = 1.0 + 1e-9  # above the rounding of sums and differences of probabilities
-DOUBTFUL = 1e-8  # m or m2: what keeps a claim by less counts as wrong
+DOUBTFUL = 1e-8  # m or m2: an answer with a smaller margin counts as wrong
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointBound:
-    """P is from ``low`` to ``high`` with ``confidence``; ``wrong`` of ``samples`` were answered so."""
+    """P is from ``low`` to ``high`` with ``confidence``; ``wrong`` of ``samples`` answers were wrong."""
 
     low: float
     high: float
@@ -48,34 +48,50 @@ class JointBound:
 
     @property
     def cells(self) -> tuple[str, str, str, str, str]:
-        """Of a table: wrong at most, at least, undecided, of it asked, wrong."""
-        chances = (f"{one:.2g}" for one in (self.high, self.low, self.undecided))
+        """The cells of a table: wrong at most, at least, undecided, samples, wrong."""
+        chances = (f"{chance:.2g}" for chance in (self.high, self.low, self.undecided))
         high, low, undecided = chances
         return high, low, undecided, f"{self.samples:,}", f"{self.wrong:,}"
 
 
 def chances(questions: QuestionLaw, region: ProofRegion, low: Floats, high: Floats) -> Floats:
-    """(n,) the probabilities of boxes from ``low`` to ``high`` (n, 6) within the region."""
-    whole, found = region.corners(), np.ones(len(low))
+    """Return the probabilities (n,) of boxes from ``low`` to ``high`` (n, 6) within the region.
+
+    Args:
+        questions: The distribution.
+        region: The region.
+        low: (n, 6) the low corners.
+        high: (n, 6) the high corners.
+
+    """
+    whole, products = region.corners(), np.ones(len(low))
     for axis, normal in enumerate(questions.normals_m):
         start, end = (side[:, axis] for side in whole)
-        found *= _chance(normal, low[:, axis], high[:, axis]) / _chance(normal, start, end)
-    return found
+        products *= _chance(normal, low[:, axis], high[:, axis]) / _chance(normal, start, end)
+    return products
 
 
 def drawn(questions: QuestionLaw, low: Floats, high: Floats, rng: np.random.Generator) -> Floats:
-    """(n, 6) one question of each box from ``low`` to ``high`` (n, 6)."""
-    asked = low + rng.random(low.shape) * (high - low)
+    """Return a question (n, 6) from each box ``low`` to ``high`` (n, 6).
+
+    Args:
+        questions: The distribution.
+        low: The low corners.
+        high: The high corners.
+        rng: The generator.
+
+    """
+    points = low + rng.random(low.shape) * (high - low)
     for axis, normal in enumerate(questions.normals_m):
         if normal is not None:
             first, last, above = _ends(normal, low[:, axis], high[:, axis])
             z = ndtri(first + rng.random(len(low)) * (last - first))
-            asked[:, axis] = normal[0] + normal[1] * np.where(above, -z, z)
-    return np.clip(asked, low, high)
+            points[:, axis] = normal[0] + normal[1] * np.where(above, -z, z)
+    return np.clip(points, low, high)
 
 
 def _chance(normal: Normal | None, low: Floats, high: Floats) -> Floats:
-    """(n,) of intervals (n,): of a normal variable, or else proportional to it."""
+    """Return the chance (n,) of intervals (n,): of a normal variable, or proportional to their length."""
     if normal is None:
         return high - low
     first, last, _ = _ends(normal, low, high)
@@ -83,7 +99,10 @@ def _chance(normal: Normal | None, low: Floats, high: Floats) -> Floats:
 
 
 def _ends(normal: Normal, low: Floats, high: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """(n,) the distribution function at both ends of intervals (n,), those above the mean seen from above."""
+    """Return the distribution function (n,) at both ends of intervals (n,), and whether it runs from above.
+
+    Intervals above the mean count from above.
+    """
     start, end = (low - normal[0]) / normal[1], (high - normal[0]) / normal[1]
     above = start + end > 0.0  # where 1 - F would lose digits
     return ndtr(np.where(above, -end, start)), ndtr(np.where(above, -start, end)), above
@@ -93,12 +112,22 @@ def joint_bound(
     tree: BoxTree,
     region: ProofRegion,
     questions: QuestionLaw,
-    wrong: Wrong,
+    is_wrong: IsWrong,
     *,
     confidence: float,
     rng: np.random.Generator,
 ) -> JointBound:
-    """From a tree that is finished and questions (n, 6) asked now; ``wrong`` says which are answered so."""
+    """Return the bound from a finished tree and from questions asked now.
+
+    Args:
+        tree: The tree.
+        region: The region.
+        questions: The distribution.
+        is_wrong: Returns which of questions (n, 6) have a wrong answer.
+        confidence: The confidence of the bound.
+        rng: The generator of the questions.
+
+    """
     refuted = sum(float(chances(questions, region, *box).sum()) for box in tree.leaves(region, REFUTED))
     low, high = (np.concatenate(side) for side in zip(*tree.leaves(region, UNDECIDED), strict=True))
     each = chances(questions, region, low, high)
@@ -107,7 +136,7 @@ def joint_bound(
         ends = np.cumsum(each)
         count = questions.samples
         rows = np.searchsorted(ends, rng.random(count) * ends[-1], side="right").clip(max=len(each) - 1)
-        against = int(np.count_nonzero(wrong(drawn(questions, low[rows], high[rows], rng))))
+        against = int(np.count_nonzero(is_wrong(drawn(questions, low[rows], high[rows], rng))))
         most = upper_bound(against, count, 1.0 - confidence)
     return JointBound(
         low=max(0.0, refuted / UP),
@@ -120,7 +149,10 @@ def joint_bound(
 
 
 def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
-    """One for each claim, all of which hold together with the plan's confidence; none without questions."""
+    """Return a bound for each claim; all hold together with the plan's confidence.
+
+    The list is empty without a distribution of questions.
+    """
     questions, avoider = plan.questions, plan.asked
     if questions is None:
         return []
@@ -137,8 +169,17 @@ def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
     ]
 
 
-def answered_wrongly(avoider: Answering, planned: PlannedProof, asked: Floats) -> NDArray[np.bool_]:
-    """(n,) which of ``asked`` (n, 6) the claim is about and the network answers otherwise, or nearly so."""
-    apart_m, (near_m, far_m) = np.linalg.norm(asked[:, :3] - asked[:, 3:], axis=1), planned.region.apart_m
-    found: NDArray[np.bool_] = (apart_m >= near_m) & (apart_m <= far_m)
-    return found & ~(margins_of(avoider, planned.claim, asked) >= DOUBTFUL)
+def answered_wrongly(avoider: Answering, planned: PlannedProof, points: Floats) -> NDArray[np.bool_]:
+    """Return which (n,) of ``points`` (n, 6) the claim concerns and the network answers wrongly.
+
+    An answer that is nearly wrong counts too.
+
+    Args:
+        avoider: The network.
+        planned: The claim with its region.
+        points: Hands and TCPs.
+
+    """
+    apart_m, (near_m, far_m) = np.linalg.norm(points[:, :3] - points[:, 3:], axis=1), planned.region.apart_m
+    claimed: NDArray[np.bool_] = (apart_m >= near_m) & (apart_m <= far_m)
+    return claimed & ~(margins_of(avoider, planned.claim, points) >= DOUBTFUL)

@@ -1,8 +1,8 @@
-"""A region halved until its parts are decided: one code a node, level by level.
+"""A region, halved until its parts are decided: one code for each node, level by level.
 
-A node is halved along an axis (codes 0 to 5: hand, then TCP) or a leaf (``box_kernel``).  The two halves of a
-level's halved nodes, the lower one first, are the next level.  So the leaves fill the region whatever the
-codes are, each at level k has 2^-k of it, and a leaf that is undecided can be taken up at any time.
+A node is halved along an axis (codes 0 to 5: hand, then TCP) or is a leaf (``box_kernel``).  The next level
+consists of the two halves of each halved node, the lower half first.  So the leaves fill the region for any
+codes.  A leaf at level k has 2^-k of the region.  Work can continue at an undecided leaf at any time.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ LEAVES = {PROVEN: "proven", REFUTED: "refuted", UNDECIDED: "undecided", OUTSIDE:
 
 @dataclass
 class BoxTree:
-    """The codes of each level; a fresh one is one undecided leaf."""
+    """The codes of each level; a fresh tree is one undecided leaf."""
 
     levels: list[Codes] = field(default_factory=lambda: [np.array([UNDECIDED], np.uint8)])
 
     def shares(self) -> dict[str, float]:
-        """What part of the region is proven, refuted, undecided and outside of what is claimed; exact."""
+        """Return the exact shares of the region: proven, refuted, undecided, and outside of the claim."""
         return {
             name: sum(float((codes == code).sum()) * 2.0**-k for k, codes in enumerate(self.levels))
             for code, name in LEAVES.items()
         }
 
     def leaves(self, region: ProofRegion, code: int) -> Iterator[Boxes]:
-        """The boxes of the leaves with this code, level by level, largest first."""
+        """Yield the boxes of the leaves with ``code`` in ``region``, level by level, largest first."""
         low, high = region.corners()
         for codes in self.levels:
             yield low[codes == code], high[codes == code]
@@ -53,7 +53,14 @@ class BoxTree:
 
 
 def halves(low: Floats, high: Floats, codes: Codes) -> Boxes:
-    """The boxes (2 m, 6) of the next level, of ``low`` to ``high`` (n, 6), of which m are halved."""
+    """Return the boxes (2 m, 6) of the next level, from ``low`` to ``high`` (n, 6); m of n are halved.
+
+    Args:
+        low: (n, 6) the low corners.
+        high: (n, 6) the high corners.
+        codes: (n,) the codes.
+
+    """
     rows = np.flatnonzero(codes < PROVEN)
     axes = codes[rows]
     lows, highs = np.repeat(low[rows], 2, axis=0), np.repeat(high[rows], 2, axis=0)
@@ -75,7 +82,19 @@ def examined(
     boxes: Boxes,
     doubt_m: float = np.nan,
 ) -> Codes:
-    """The codes (n,) of boxes, with ``constants`` (10,); of a module, so that other processes can."""
+    """Return the codes (n,) of boxes, with ``constants`` (10,) of the optimum.
+
+    It is a function of a module, so that further processes can call it.
+
+    Args:
+        network: The network.
+        constants: The constants of ``optimum_constants``.
+        claim: The claim.
+        region: The region.
+        boxes: The corners of the boxes.
+        doubt_m: The network's threshold of the spread; NaN: no threshold.
+
+    """
     return examined_with_spreads(network, constants, claim, region, boxes, doubt_m)[0]
 
 
@@ -87,7 +106,10 @@ def examined_with_spreads(
     boxes: Boxes,
     doubt_m: float = np.nan,
 ) -> tuple[Codes, Floats]:
-    """The codes, and bounds (n, 2) of the spread [m], with ``constants`` (10,)."""
+    """Return the codes (n,), and bounds (n, 2) of the spread [m], with ``constants`` (10,).
+
+    The arguments are as for ``examined``.
+    """
     codes, spreads_m = np.empty(len(boxes[0]), np.uint8), np.empty((len(boxes[0]), 2))
     near_m, far_m = region.apart_m
     examine(
@@ -107,15 +129,26 @@ def work(
     doubt_m: float = np.nan,
     over: Over = map,
     at_once: int = 1,
-    told: Callable[[BoxTree], Any] = lambda tree: None,
+    on_level: Callable[[BoxTree], Any] = lambda tree: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Take up what is undecided in ``tree``, largest first, down to ``halvings`` halvings.
+    """Continue the undecided leaves of ``tree``, largest first, down to ``halvings`` halvings.
 
-    ``doubt_m`` is the network's threshold of spread.
+    It ends early at ``until_s`` or when ``stopped``; the tree is complete at any time.
 
-    Ends early at ``until_s`` of ``time.monotonic`` or when ``stopped``; the tree is whole at any time.
-    ``over`` maps, in other processes say, ``at_once`` batches at a time; the result does not depend on it.
+    Args:
+        tree: The tree, changed in place.
+        network: The network.
+        claim: The claim.
+        region: The region.
+        halvings: The greatest depth.
+        until_s: The end, by ``time.monotonic``.
+        doubt_m: The network's threshold of the spread; NaN: no threshold.
+        over: Maps batches of boxes, for example in other processes.
+        at_once: The number of batches at a time; the result does not depend on it.
+        on_level: Receives the tree after each level.
+        stopped: Ends the work when it returns True.
+
     """
     judge = partial(examined, network, optimum_constants(), claim, region, doubt_m=doubt_m)
     low, high = region.corners()
@@ -123,28 +156,29 @@ def work(
     while level < len(tree.levels):
         codes = tree.levels[level]
         waiting = np.flatnonzero(codes == UNDECIDED)
-        before = codes.copy()
+        old_codes = codes.copy()
         last = level >= halvings or 2 * len(waiting) > MOST_BOXES
         batches = ((low[part], high[part]) for part in _parts(waiting))
         rows = _parts(waiting)
         while (group := list(islice(rows, at_once))) and not stopped() and time.monotonic() < until_s:
-            for part, found in zip(group, over(judge, list(islice(batches, at_once))), strict=True):
-                codes[part] = np.where(found < PROVEN, UNDECIDED, found) if last else found
+            for part, judged in zip(group, over(judge, list(islice(batches, at_once))), strict=True):
+                codes[part] = np.where(judged < PROVEN, UNDECIDED, judged) if last else judged
         low, high = halves(low, high, codes)
-        _put_next(tree, level, before, len(low))
-        told(tree)
+        _put_next(tree, level, old_codes, len(low))
+        on_level(tree)
         level += 1
 
 
 def _parts(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    """Return batches of rows."""
     return (rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE))
 
 
-def _put_next(tree: BoxTree, level: int, before: Codes, count: int) -> None:
-    """Fit the next level to one whose codes were ``before`` (n,): its ``count`` nodes, new ones undecided."""
+def _put_next(tree: BoxTree, level: int, old_codes: Codes, count: int) -> None:
+    """Fit the next level to a level with ``old_codes`` (n,): ``count`` nodes, undecided if new."""
     halved = tree.levels[level] < PROVEN
     fresh = np.full(count, UNDECIDED, np.uint8)
-    old = np.repeat(before[halved] < PROVEN, 2)
+    old = np.repeat(old_codes[halved] < PROVEN, 2)
     if level + 1 < len(tree.levels):
         fresh[old] = tree.levels[level + 1]
         tree.levels[level + 1] = fresh

@@ -1,1 +1,1 @@
-"""Asking an avoider directly, without a simulation and before any gate, and what its answers are worth."""
+"""Scores of an avoider's answers to direct questions, without a simulation and before any gate."""

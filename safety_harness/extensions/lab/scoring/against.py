@@ -1,4 +1,4 @@
-"""An avoider beside a reference on the same questions: only what the reference does not do counts."""
+"""An avoider beside a reference on the same questions: only differences from the reference count."""
 
 from __future__ import annotations
 
@@ -14,60 +14,73 @@ from safety_harness.extensions.lab.scoring.figures import WRONG_M
 from safety_harness.extensions.lab.scoring.scorecard import Kind, RegionScore, Scorecard, ScoreFinding
 
 Errors = dict[Kind, NDArray[np.bool_]]
-CHANCE = 0.05  # of all tests together that two avoiders alike in their errors differ in one
-MORE = 0.03  # of the questions: int8 weights and training from another seed lead towards on up to 2 % more
+CHANCE = 0.05  # for all tests together, of a finding on two avoiders with equal errors
+MORE = 0.03  # of the questions: int8 weights or another training seed lead towards on up to 2 % more
 
 
 def findings_against(
     card: Scorecard,
-    found: Sequence[ScoreFinding],
+    own_findings: Sequence[ScoreFinding],
     reference: Scorecard,
     of_reference: Sequence[ScoreFinding],
     settings: Sequence[Settings],
 ) -> tuple[ScoreFinding, ...]:
-    """Findings that the reference has not, then more errors than it has, by the exact paired sign test.
+    """Return findings that the reference does not have, then errors that it makes less often.
 
-    Both were asked the same questions, under the ``settings`` of each region; ValueError if not.  Errors are
-    more if they are on more than ``MORE`` of the questions, or where the two answers are another way
-    altogether.
+    The exact paired sign test compares the errors.
+
+    Errors count if they occur on more than ``MORE`` of the questions, or where the two answers have different
+    directions.
+
+    Args:
+        card: The avoider's card.
+        own_findings: The findings on it.
+        reference: The reference's card, for the same questions.
+        of_reference: The findings on it.
+        settings: The settings of each region.
+
+    Raises:
+        ValueError: The questions differ.
+
     """
-    known = {(one.kind, one.region) for one in of_reference}
-    new = [one for one in found if (one.kind, one.region) not in known]
+    known = {(each.kind, each.region) for each in of_reference}
+    new = [each for each in own_findings if (each.kind, each.region) not in known]
     pairs = zip(card.regions, reference.regions, settings, strict=False)
-    asked = [(mine, theirs, of) for mine, theirs, of in pairs if mine.asked_in_runs and len(mine.questions)]
-    for mine, theirs, of in asked:
+    posed = [(mine, theirs, own) for mine, theirs, own in pairs if mine.asked_in_runs and len(mine.questions)]
+    for mine, theirs, own in posed:
         if not np.array_equal(mine.questions.seeds, theirs.questions.seeds):
             raise ValueError("expected the same questions of both")
-        new += _paired(mine, theirs, of, reference.avoider, CHANCE / (2 * len(WORDS) * len(asked)))
+        new += _paired(mine, theirs, own, reference.avoider, CHANCE / (2 * len(SENTENCES) * len(posed)))
     if card.times and reference.times:
         own_s, other_s = card.times.declared_s, reference.times.declared_s
         if own_s > other_s + settings[0].clock.control_period_s:
-            words = f"declares {1e3 * own_s:g} ms for a decision, over a tick more than {1e3 * other_s:g} ms"
-            new.append(ScoreFinding(Kind.SLOW, "", f"{words} of {reference.avoider}"))
+            text = f"declares {1e3 * own_s:g} ms for a decision, over a tick more than {1e3 * other_s:g} ms"
+            new.append(ScoreFinding(Kind.SLOW, "", f"{text} of {reference.avoider}"))
     return tuple(new)
 
 
 def _paired(
     mine: RegionScore, theirs: RegionScore, settings: Settings, name: str, most: float
 ) -> Iterator[ScoreFinding]:
-    own, other = _errors(mine, settings), _errors(theirs, settings)
-    apart = ~(off_m(mine.answers.positions_in_base_m, theirs.answers.positions_in_base_m) <= WRONG_M)
-    for kind, words in WORDS.items():
-        for among, least, where in ((np.ones_like(apart), MORE, ""), (apart, 0.0, _ELSEWHERE)):
-            worse, better = own[kind] & ~other[kind] & among, other[kind] & ~own[kind] & among
+    """Yield a finding for each kind of error that the avoider makes significantly more often."""
+    own, rival = _errors(mine, settings), _errors(theirs, settings)
+    differ = ~(off_m(mine.answers.positions_in_base_m, theirs.answers.positions_in_base_m) <= WRONG_M)
+    for kind, text in SENTENCES.items():
+        for among, least, where in ((np.ones_like(differ), MORE, ""), (differ, 0.0, _ELSEWHERE)):
+            worse, better = own[kind] & ~rival[kind] & among, rival[kind] & ~own[kind] & among
             more, fewer = int(worse.sum()), int(better.sum())
-            chance = sign_test(more, fewer + round(least * len(apart)))
-            if more > fewer + least * len(apart) and chance < most:
+            chance = sign_test(more, fewer + round(least * len(differ)))
+            if more > fewer + least * len(differ) and chance < most:
                 sentence = (
-                    f"{words} on {more} questions on which {name} does neither{where}, and the other way "
-                    f"round on {fewer}, of {len(apart):,}; of two alike that has a chance of {chance:.2g}"
+                    f"{text} on {more} questions on which {name} does neither{where}, and the other way "
+                    f"round on {fewer}, of {len(differ):,}; of two alike that has a chance of {chance:.2g}"
                 )
-                shown = tuple(map(mine.questions.one, np.flatnonzero(worse)[:3].tolist()))
+                shown = tuple(map(mine.questions.single, np.flatnonzero(worse)[:3].tolist()))
                 yield ScoreFinding(kind, mine.region, sentence, shown)
                 break
 
 
-WORDS = {
+SENTENCES = {
     Kind.LEADS_TOWARDS: "leads towards the hand, or does not answer,",
     Kind.FAR_OFF: f"is more than {1e3 * WRONG_M:g} mm off the optimum, or does not answer,",
     Kind.SPREAD_MISSES: "has no spread above its threshold, or does not answer,",
@@ -76,7 +89,7 @@ _ELSEWHERE = f" and answers more than {1e3 * WRONG_M:g} mm elsewhere"
 
 
 def _errors(score: RegionScore, settings: Settings) -> Errors:
-    """(n,) by kind: which answers are errors; none at all is one."""
+    """Return which answers (n,) are errors, by kind; a missing answer is an error."""
     hands, tcps = score.questions.hands_in_base_m, score.questions.tcps_in_base_m
     proposed = score.answers.positions_in_base_m
     return {

@@ -1,4 +1,4 @@
-"""Asking any avoider many questions: together where it takes many, and one after another where it fails."""
+"""Many questions to any avoider: together if it supports that, and one after another where that fails."""
 
 from __future__ import annotations
 
@@ -17,33 +17,48 @@ from safety_harness.cell.avoidance.avoider import Avoider, spread_threshold_of
 from safety_harness.extensions.lab.scoring.questions import Answers, Questions
 
 CHUNK = 2_048
-FEW = 16  # a chunk that fails is halved until whose fault it is can be asked one by one
+FEW = 16  # a failed chunk is halved down to this size, then asked one by one
 
 
 def asked_together(avoider: Avoider, questions: Questions) -> Answers:
-    """The answers, in order; NoAnswerError for an avoider that hangs.
+    """Return the answers to many questions, in order.
 
-    An avoider that takes many is asked ``CHUNK`` at once; what fails together is asked in smaller parts, and
-    alone in the end.
+    An avoider that takes many questions gets ``CHUNK`` at once.  A failed chunk is asked in smaller parts,
+    and at last question by question.
+
+    Args:
+        avoider: The avoider.
+        questions: The questions.
+
+    Raises:
+        NoAnswerError: The avoider hangs.
+
     """
     starts = range(0, len(questions), CHUNK)
     return Answers.joined([_of_chunk(avoider, questions[start : start + CHUNK]) for start in starts])
 
 
 def asked_alone(avoider: Avoider, questions: Questions) -> tuple[Answers, list[float]]:
-    """The answers to one question at a time, and how long each took [s]."""
-    answers = [ask(avoider, questions.one(row)) for row in range(len(questions))]
+    """Return the answers to one question at a time, and the time of each answer [s].
+
+    Args:
+        avoider: The avoider.
+        questions: The questions.
+
+    """
+    answers = [ask(avoider, questions.single(row)) for row in range(len(questions))]
     return _arrays(answers), [answer.latency_s for answer in answers]
 
 
 def _of_chunk(avoider: Avoider, questions: Questions) -> Answers:
+    """Return the answers to one chunk."""
     if isinstance(avoider, OutOfProcessAvoider):
-        every = [questions.one(row) for row in range(len(questions))]
+        every = [questions.single(row) for row in range(len(questions))]
         return _arrays(avoider.answers(every, together=True))
     if takes_many(avoider):
-        found = _at_once(avoider, questions)
-        if found is not None:
-            return found
+        answers = _at_once(avoider, questions)
+        if answers is not None:
+            return answers
         if len(questions) > FEW:
             half = len(questions) // 2
             return Answers.joined(
@@ -53,10 +68,10 @@ def _of_chunk(avoider: Avoider, questions: Questions) -> Answers:
 
 
 def _at_once(avoider: BatchAvoider, questions: Questions) -> Answers | None:
-    """None where one of the answers is none: which one is shows alone."""
+    """Return the answers to a chunk in one call; None if one is invalid, so that the parts show which."""
     try:
         threshold_m = spread_threshold_of(avoider)
-        every = [questions.one(0)] * len(questions)
+        every = [questions.single(0)] * len(questions)
         with interrupted_after(limit_of(every), avoider.name):
             positions, spreads = avoider.propose_many(
                 questions.hands_in_base_m.copy(), questions.tcps_in_base_m.copy(), questions.seeds.copy()
@@ -66,13 +81,14 @@ def _at_once(avoider: BatchAvoider, questions: Questions) -> Answers | None:
             return None
         sound = np.isfinite(positions).all() and np.isfinite(spreads).all() and np.min(spreads) >= 0.0
         thresholds_m = np.full(len(questions), np.nan if threshold_m is None else threshold_m)
-        found = Answers(np.array(positions, float), np.array(spreads, float), thresholds_m, {})
+        answers = Answers(np.array(positions, float), np.array(spreads, float), thresholds_m, {})
     except Exception:  # a user's code may raise anything
         return None
-    return found if sound else None
+    return answers if sound else None
 
 
 def _arrays(answers: list[Answer]) -> Answers:
+    """Return answers as arrays."""
     return Answers(
         np.array([answer.proposal.position_in_base_m for answer in answers]).reshape(-1, 3),
         np.array([answer.proposal.spread_m for answer in answers]).reshape(-1, 3),

@@ -1,4 +1,4 @@
-"""Figures of one region: what answers are worth, with intervals."""
+"""Figures of one region: the quality of answers, with intervals."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ ArrayN = NDArray[np.float64]  # (n,)
 Matrix = tuple[Vector3, Vector3, Vector3]
 
 WRONG_M = 0.060  # off the optimum: more than half of the repulsion radius, another direction altogether
-COARSEST_M = 0.001  # between the answers of a number format: half precision has it beyond a metre
-WITHIN = (1, 2, 3)  # spreads
+COARSEST_M = 0.001  # the largest step of a number format: half precision reaches it beyond a metre
+SPREAD_COUNTS = (1, 2, 3)  # spreads
 WORST = 10
 TAIL = (1.0 - LEVEL) / 2.0
 NORMAL = 1.959964
 
 
 def quantile(values: ArrayN, share: float) -> Figure:
-    """The ``share`` quantile of (n,) values, with order statistics for its ends: exact for any distribution.
+    """Return the ``share`` quantile of ``values`` (n,), with order statistics as exact ends.
 
-    An end that no value bounds is infinite.
+    The interval holds for any distribution; an end that no value bounds is infinite.
     """
     n, ordered = len(values), np.sort(values)
     below, above = np.nan_to_num(scipy.special.bdtrik([TAIL, 1.0 - TAIL], n, share), nan=-1.0)
@@ -45,29 +45,32 @@ def quantile(values: ArrayN, share: float) -> Figure:
 
 
 def mean(values: ArrayN) -> Figure:
-    """The mean of (n,) values and its interval by the normal distribution."""
+    """Return the mean of ``values`` (n,), with its interval by the normal distribution."""
     centre = float(values.mean())
     half = NORMAL * float(values.std(ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else np.inf
     return Figure(centre, centre - half, centre + half)
 
 
 def root_mean_square(values: ArrayN) -> Figure:
-    """Of (n,) values; its ends are the roots of those of the mean square."""
+    """Return the root mean square of ``values`` (n,); its ends are roots of the mean square's ends."""
     squares = mean(values**2)
     return Figure(*(float(np.sqrt(max(end, 0.0))) for end in (squares.value, squares.low, squares.high)))
 
 
-def rank_correlation(one: ArrayN, other: ArrayN) -> Figure | None:
-    """Spearman's, with Fisher's interval; None where one of them (n,) is constant or n is below 10."""
-    if len(one) < 10 or np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
+def rank_correlation(first: ArrayN, second: ArrayN) -> Figure | None:
+    """Return Spearman's correlation of ``first`` and ``second`` (n,), with Fisher's interval.
+
+    It is None if one array is constant or n is below 10.
+    """
+    if len(first) < 10 or np.ptp(first) == 0.0 or np.ptp(second) == 0.0:
         return None
-    rho = float(np.corrcoef(_ranks(one), _ranks(other))[0, 1])
-    z, half = np.arctanh(np.clip(rho, -1.0 + 1e-12, 1.0 - 1e-12)), NORMAL * 1.06 / np.sqrt(len(one) - 3)
+    rho = float(np.corrcoef(_ranks(first), _ranks(second))[0, 1])
+    z, half = np.arctanh(np.clip(rho, -1.0 + 1e-12, 1.0 - 1e-12)), NORMAL * 1.06 / np.sqrt(len(first) - 3)
     return Figure(rho, float(np.tanh(z - half)), float(np.tanh(z + half)))
 
 
 def _ranks(values: Floats) -> Floats:
-    """(n,) average ranks."""
+    """Return average ranks (n,)."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1))[inverse])
 
@@ -75,11 +78,19 @@ def _ranks(values: Floats) -> Floats:
 def region_score(
     region: QuestionRegion, questions: Questions, answers: Answers, settings: Settings
 ) -> RegionScore:
-    """Everything that is said of the answers to ``questions``; without any question every figure is None."""
+    """Return all figures of one region; without a question every figure is None.
+
+    Args:
+        region: The region.
+        questions: Its questions.
+        answers: Their answers.
+        settings: The settings of the cell.
+
+    """
     given = answers.given
-    asked, said = questions[given], answers[given]
-    step_m = number_step_m(said.positions_in_base_m)
-    figures = _figures(asked, said, settings, region.robot, step_m) if given.any() else dict.fromkeys(_NAMES)
+    posed, kept = questions[given], answers[given]
+    step_m = number_step_m(kept.positions_in_base_m)
+    figures = _figures(posed, kept, settings, region.robot, step_m) if given.any() else dict.fromkeys(_NAMES)
     return RegionScore(
         region=region.name,
         about=region.about
@@ -117,17 +128,17 @@ _NAMES = (
 
 
 def _figures(
-    asked: Questions, said: Answers, settings: Settings, robot: AnyRobot, step_m: float
+    posed: Questions, kept: Answers, settings: Settings, robot: AnyRobot, step_m: float
 ) -> dict[str, object]:
-    """Those of ``_NAMES``, of answers that were given."""
-    hands, tcps, proposed = asked.hands_in_base_m, asked.tcps_in_base_m, said.positions_in_base_m
+    """Return the figures of ``_NAMES``, for existing answers."""
+    hands, tcps, proposed = posed.hands_in_base_m, posed.tcps_in_base_m, kept.positions_in_base_m
     optimum = optimum_in_base_m(settings, hands, tcps)
-    gained, off, error = gained_m(hands, tcps, proposed), off_m(proposed, optimum), proposed - optimum
+    gained, off_by, error = gained_m(hands, tcps, proposed), off_m(proposed, optimum), proposed - optimum
     way_m = np.linalg.norm(proposed - tcps, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         angle = np.where(way_m > 0.0, np.arccos(np.clip(gained / way_m, -1.0, 1.0)), np.pi)
     pull, scale = _slopes(hands, tcps, error)
-    sure, has_threshold = is_sure(said.spreads_m, said.thresholds_m), np.isfinite(said.thresholds_m)
+    sure, has_threshold = is_sure(kept.spreads_m, kept.thresholds_m), np.isfinite(kept.thresholds_m)
     reached = in_reach(proposed, settings, robot)
     values = (
         Proportion.of(gained >= 0.0),
@@ -135,14 +146,14 @@ def _figures(
         (quantile(gained, 0.5), quantile(gained, 0.05)),
         float(gained.min()),
         (quantile(angle, 0.5), quantile(angle, 0.95)),
-        root_mean_square(off),
-        (quantile(off, 0.5), quantile(off, 0.95), quantile(off, 0.99)),
-        float(off.max()),
+        root_mean_square(off_by),
+        (quantile(off_by, 0.5), quantile(off_by, 0.95), quantile(off_by, 0.99)),
+        float(off_by.max()),
         tuple(mean(axis) for axis in error.T),
         _matrix(pull),
         _matrix(scale),
-        _spreads(error, asked, said.spreads_m) if said.spreads_m.any() else None,
-        Proportion.of((off > WRONG_M) & sure),
+        _spreads(error, posed, kept.spreads_m) if kept.spreads_m.any() else None,
+        Proportion.of((off_by > WRONG_M) & sure),
         Proportion.of(~sure) if has_threshold.any() else None,
         _most_alike(proposed, step_m),
         Proportion.of(sure & ~((gained >= 0.0) & reached)),
@@ -151,9 +162,9 @@ def _figures(
 
 
 def number_step_m(positions: ArrayNx3) -> float:
-    """How far apart neighbours in the number format of positions (n, 3) are, the farthest of them [m].
+    """Return the largest step [m] of the number format of ``positions`` (n, 3).
 
-    0 in double precision, or where the steps are longer than ``COARSEST_M``: that is no number format.
+    It is 0 in double precision, or for steps longer than ``COARSEST_M``, which belong to no number format.
     """
     largest = np.abs(positions).max(initial=0.0)
     for kind in (np.float16, np.float32):
@@ -161,7 +172,7 @@ def number_step_m(positions: ArrayNx3) -> float:
             step_m = float(np.spacing(kind(largest)))
             return step_m if step_m <= COARSEST_M else 0.0
     gaps = np.concatenate([np.diff(np.unique(column)) for column in positions.T])
-    gaps = gaps[gaps > 1e-9]  # what is less is the rounding of multiples
+    gaps = gaps[gaps > 1e-9]  # smaller gaps are rounding errors of multiples
     step_m = float(gaps.min(initial=np.inf))
     if not 1e-8 < step_m <= COARSEST_M:
         return 0.0
@@ -169,12 +180,12 @@ def number_step_m(positions: ArrayNx3) -> float:
 
 
 def _most_alike(proposed: ArrayNx3, step_m: float) -> Proportion:
-    """The answers with the most frequent coordinate, less what their number format explains."""
+    """Return the share of answers with the most frequent coordinate, less the number format's share."""
     most = 0
     for column in proposed.T:
         _, counts = np.unique(column, return_counts=True)
         usual = np.zeros_like(counts)
-        if step_m > 0.0:  # twice as many as at the most frequent of the next two on either side
+        if step_m > 0.0:  # twice the most frequent of two neighbours on either side
             around = np.pad(counts, 2)
             usual = 2 * np.max([around[k : k + len(counts)] for k in (0, 1, 3, 4)], axis=0)
         most = max(most, int((counts - usual).max()))
@@ -182,7 +193,14 @@ def _most_alike(proposed: ArrayNx3, step_m: float) -> Proportion:
 
 
 def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot) -> NDArray[np.bool_]:
-    """(n,) has the position inverse kinematics, and is it above the table by the clearance?"""
+    """Return which (n,) positions the arm reaches, above the table by the clearance.
+
+    Args:
+        positions_in_base_m: (n, 3) the positions.
+        settings: The settings of the cell.
+        robot: The arm.
+
+    """
     lowest_m = settings.cell.table_height_m + settings.avoidance.table_clearance_m
     reached: NDArray[np.bool_] = reachable(positions_in_base_m, settings, robot) & (
         positions_in_base_m[:, 2] >= lowest_m
@@ -191,37 +209,40 @@ def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot)
 
 
 def _slopes(hands: ArrayNx3, tcps: ArrayNx3, error: ArrayNx3) -> tuple[Floats, Floats]:
-    """How the error (n, 3) grows with the hand and with the TCP, (3, 3) each; zero for too few rows."""
+    """Return the slopes of the error (n, 3) with hand and TCP, (3, 3) each; 0 for too few rows."""
     inputs = np.hstack([hands - hands.mean(axis=0), tcps - tcps.mean(axis=0)])
-    found = np.linalg.lstsq(inputs, error - error.mean(axis=0), rcond=1e-9)[0].T  # (3, 6)
-    return found[:, :3], found[:, 3:]
+    slopes = np.linalg.lstsq(inputs, error - error.mean(axis=0), rcond=1e-9)[0].T  # (3, 6)
+    return slopes[:, :3], slopes[:, 3:]
 
 
 def _matrix(rows: Floats) -> Matrix:
-    one, two, three = ((float(x), float(y), float(z)) for x, y, z in rows)
-    return one, two, three
+    """Return a matrix as tuples."""
+    first, second, third = ((float(x), float(y), float(z)) for x, y, z in rows)
+    return first, second, third
 
 
-def _spreads(error: ArrayNx3, asked: Questions, spreads: ArrayNx3) -> Spreads:
-    off, largest = np.linalg.norm(error, axis=1), spreads.max(axis=1)
-    drawn = spreads * generator(int(asked.seeds[0]), Branch.SCORING).standard_normal(spreads.shape)
+def _spreads(error: ArrayNx3, posed: Questions, spreads: ArrayNx3) -> Spreads:
+    """Return the figures of the spreads."""
+    off_by, largest = np.linalg.norm(error, axis=1), spreads.max(axis=1)
+    drawn = spreads * generator(int(posed.seeds[0]), Branch.SCORING).standard_normal(spreads.shape)
     honest = rank_correlation(largest, np.linalg.norm(drawn, axis=1))
     rms_m = float(np.sqrt((spreads**2).sum(axis=1).mean()))
-    errors_m = root_mean_square(off)
+    errors_m = root_mean_square(off_by)
     return Spreads(
         within=tuple(
             tuple(Proportion.of(np.abs(error[:, axis]) <= k * spreads[:, axis]) for axis in range(3))  # type: ignore[misc]
-            for k in WITHIN
+            for k in SPREAD_COUNTS
         ),
         error_to_spread=Figure(errors_m.value / rms_m, errors_m.low / rms_m, errors_m.high / rms_m),
         by_axis=_by_axis(error, spreads),
-        rank=rank_correlation(largest, off),
+        rank=rank_correlation(largest, off_by),
         honest_rank=honest.value if honest else 0.0,
         rms_m=rms_m,
     )
 
 
 def _by_axis(error: ArrayNx3, spreads: ArrayNx3) -> Vector3:
+    """Return rms error over rms spread by axis."""
     squares = (spreads**2).mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.sqrt((error**2).mean(axis=0) / squares)
@@ -232,18 +253,27 @@ def _by_axis(error: ArrayNx3, spreads: ArrayNx3) -> Vector3:
 def asked_row(
     region: str, questions: Questions, answers: Answers, row: int, settings: Settings
 ) -> ScoredQuestion:
-    """One question and its answer, with its numbers."""
-    one = questions[row : row + 1]
+    """Return one question with its answer and figures.
+
+    Args:
+        region: The region's name.
+        questions: The questions.
+        answers: Their answers.
+        row: The question's row.
+        settings: The settings of the cell.
+
+    """
+    single = questions[row : row + 1]
     proposed = answers.positions_in_base_m[row : row + 1]
-    optimum = optimum_in_base_m(settings, one.hands_in_base_m, one.tcps_in_base_m)
+    optimum = optimum_in_base_m(settings, single.hands_in_base_m, single.tcps_in_base_m)
     x, y, z = proposed[0].tolist()
     return ScoredQuestion(
         region,
-        one.one(0),
+        single.single(0),
         (x, y, z),
         float(answers.spreads_m[row].max()),
         float(off_m(proposed, optimum)[0]),
-        float(gained_m(one.hands_in_base_m, one.tcps_in_base_m, proposed)[0]),
+        float(gained_m(single.hands_in_base_m, single.tcps_in_base_m, proposed)[0]),
         answers.faults.get(row, ""),
     )
 
@@ -251,7 +281,7 @@ def asked_row(
 def _worst(
     region: str, questions: Questions, answers: Answers, settings: Settings, *, by_gained: bool
 ) -> tuple[ScoredQuestion, ...]:
-    """The worst ``WORST``; what has no answer is worse than any."""
+    """Return the ``WORST`` worst questions; a missing answer is worse than any other."""
     hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
     if by_gained:
         badness = -gained_m(hands, tcps, proposed)

@@ -1,9 +1,8 @@
-"""What is wrong with an avoider: where it is clearly worse than the worst yardstick, or fails outright.
+"""Findings on an avoider: figures clearly worse than the worst yardstick's, and outright failures.
 
-The yardsticks are asked the same questions.  A share counts as worse where its exact interval lies beyond the
-worst yardstick's by a margin, a length where it is a stated factor beyond theirs, an answer towards the hand
-where each yardstick leads away.  ``Limits`` has every
-number and its reason.
+The yardsticks answer the same questions.  A share is worse if its exact interval lies beyond the worst
+yardstick's by a margin.  A length is worse if it exceeds theirs by a stated factor.  An answer towards the
+hand is worse where each yardstick leads away.  ``FindingLimits`` has every number and its reason.
 """
 
 from __future__ import annotations
@@ -35,31 +34,31 @@ MM = 1e3  # metres and seconds in thousandths
 
 @dataclass(frozen=True)
 class FindingLimits:
-    """When a figure becomes a finding."""
+    """The limits beyond which a figure is a finding."""
 
-    towards: float = 0.02  # of the questions, where no yardstick does; of sure ones, more than the worst
+    towards: float = 0.02  # of questions where no yardstick does; of sure ones, more than the worst yardstick
     unreached: float = 0.002
     wrong_and_sure: float = 0.002
     unsure: float = 0.03
-    doubtful: float = 0.10  # where the yardsticks are above their own threshold more often, others may be too
-    stuck: float = 0.0005  # no two answers of a yardstick have a coordinate in common
-    stuck_least: int = 10  # of single precision some do
-    off_factor: float = 1.25  # of the worst yardstick's median, 95 % and 99 % quantile
-    most_factor: float = 1.5  # of the worst yardstick's largest distance, of ten thousand questions
+    doubtful: float = 0.10  # no finding where the yardsticks doubt more often: everyone may doubt there
+    stuck: float = 0.0005  # no two answers of a yardstick share a coordinate
+    stuck_least: int = 10  # in single precision some do
+    off_factor: float = 1.25  # times the worst yardstick's median, 95 % and 99 % quantile
+    most_factor: float = 1.5  # times the worst yardstick's largest distance, over ten thousand questions
     bias_m: float = 0.003  # more than bias_factor times the worst yardstick's: mc-dropout's is 4 mm in "seen"
     bias_factor: float = 1.5
     pull: float = 0.020  # metres a metre, more than the worst: eq. 13 asks for 0.05, mc-dropout errs by 0.008
     scale: float = 0.060  # metres a metre, more than the worst
-    jumped: int = 2  # segments; one may pass a hair's breadth beside a point where the optimum itself turns
+    jumped: int = 2  # segments; one may pass very near a point where the optimum itself turns
     steep: float = (
         4.0  # times the worst yardstick, for hands: TCPs turn the optimum at once near the desired one
     )
-    too_sure: float = 1.25  # error to spread, times the larger of 1 and what mc-dropout has
+    too_sure: float = 1.25  # error to spread, times the larger of 1 and mc-dropout's
     too_unsure: float = 0.70  # times the smaller of the two
     rank: float = 0.05  # below both mc-dropout's rank correlation and that of honest spreads
-    same_m: float = 1e-9  # the order of a sum may hang on the size of a batch: 1e-16 m, or
-    same_steps: float = 4.0  # of single precision
-    late: int = 4  # answers after the deadline: what else this machine does may delay a few
+    same_m: float = 1e-9  # the order of a sum may depend on the size of a batch: 1e-16 m, or
+    same_steps: float = 4.0  # steps of single precision
+    late: int = 4  # answers after the deadline: other work of this machine may delay a few
 
 
 LIMITS = FindingLimits()
@@ -68,60 +67,70 @@ LIMITS = FindingLimits()
 def findings(
     card: Scorecard, yardsticks: Sequence[Scorecard], limits: FindingLimits = LIMITS
 ) -> tuple[ScoreFinding, ...]:
-    """What is wrong, region by region, then of the avoider as a whole; regions that no run asks are left out.
+    """Return the findings, region by region, then on the avoider as a whole.
 
-    ``yardsticks`` are of the same regions, questions and seed; ValueError if not.
+    Regions about which no run asks are left out.
+
+    Args:
+        card: The avoider's card.
+        yardsticks: Cards of the same regions, questions and seed.
+        limits: The limits.
+
+    Raises:
+        ValueError: A yardstick has other regions.
+
     """
-    found: list[ScoreFinding] = []
+    result: list[ScoreFinding] = []
     for number, score in enumerate(card.regions):
-        others = [one.regions[number] for one in yardsticks]
-        if any(one.region != score.region for one in others):
+        beside = [entry.regions[number] for entry in yardsticks]
+        if any(entry.region != score.region for entry in beside):
             raise ValueError("expected yardsticks of the same regions")
         if score.asked_in_runs:
-            found += _of_region(score, others, limits)
+            result += _of_region(score, beside, limits)
     for jumps in card.jumps:
-        others_jumps = [
-            one
-            for other in yardsticks
-            for one in other.jumps
-            if (one.region, one.moved) == (jumps.region, jumps.moved)
+        jumps_beside = [
+            entry
+            for yardstick in yardsticks
+            for entry in yardstick.jumps
+            if (entry.region, entry.moved) == (jumps.region, jumps.moved)
         ]
-        found += _of_jumps(jumps, others_jumps, limits)
-    step_m = max((one.step_m for one in card.regions), default=0.0)
+        result += _of_jumps(jumps, jumps_beside, limits)
+    step_m = max((entry.step_m for entry in card.regions), default=0.0)
     same_m = max(limits.same_m, limits.same_steps * step_m if step_m < 1e-6 else 0.0)
-    found += _of_repeats(card.repeats, same_m)
-    found += _of_times(card, limits)
-    return tuple(found)
+    result += _of_repeats(card.repeats, same_m)
+    result += _of_times(card, limits)
+    return tuple(result)
 
 
 def _of_region(
-    score: RegionScore, others: Sequence[RegionScore], limits: FindingLimits
+    score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    """Each rule in turn."""
+    """Yield the findings of each rule in turn."""
     if score.answered is not None and score.answered.count < score.answered.trials:
         missing, faults = score.answered.trials - score.answered.count, score.answers.faults
         rows = np.flatnonzero(~score.answers.given)[:3]
-        words = (
+        text = (
             f"no answer to {missing} of {score.answered.trials:,} questions; "
             f"the first: {faults[int(rows[0])]}"
         )
         yield ScoreFinding(
-            Kind.NO_ANSWER, score.region, words, tuple(score.questions.one(int(row)) for row in rows)
+            Kind.NO_ANSWER, score.region, text, tuple(score.questions.single(int(row)) for row in rows)
         )
     if score.off_m is None:
         return
-    yield from _towards(score, others, limits)
-    yield from _shares(score, others, limits)
+    yield from _towards(score, beside, limits)
+    yield from _shares(score, beside, limits)
     if score.stuck and score.stuck.count >= limits.stuck_least and score.stuck.low > limits.stuck:
-        words = f"{_percent(score.stuck)} of the answers have the very same coordinate"
-        yield ScoreFinding(Kind.STUCK, score.region, words)
-    yield from _lengths(score, others, limits)
-    yield from _spreads(score, others, limits)
+        text = f"{_percent(score.stuck)} of the answers have the very same coordinate"
+        yield ScoreFinding(Kind.STUCK, score.region, text)
+    yield from _lengths(score, beside, limits)
+    yield from _spreads(score, beside, limits)
 
 
 def _shares(
-    score: RegionScore, others: Sequence[RegionScore], limits: FindingLimits
+    score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
+    """Yield the findings on shares of answers."""
     rules: tuple[
         tuple[Kind, Callable[[RegionScore], Proportion | None], float, str, tuple[ScoredQuestion, ...]], ...
     ] = (
@@ -134,140 +143,151 @@ def _shares(
         ),
         (
             Kind.WRONG_AND_SURE,
-            lambda one: one.wrong_and_sure,
+            lambda score_of: score_of.wrong_and_sure,
             limits.wrong_and_sure,
             f"are more than {WRONG_M * MM:g} mm off the optimum with no spread above the threshold",
             score.worst_off,
         ),
         (
             Kind.SURE_AND_UNSAFE,
-            lambda one: one.sure_and_unsafe,
+            lambda score_of: score_of.sure_and_unsafe,
             limits.towards,
             "lead towards the hand or out of reach with no spread above the threshold",
             score.worst_gained,
         ),
         (
             Kind.UNSURE,
-            lambda one: one.above_threshold,
+            lambda score_of: score_of.above_threshold,
             limits.unsure,
             "have a spread above the avoider's own threshold",
             (),
         ),
     )
-    for kind, share_of, margin, words, shown in rules:
+    for kind, share_of, margin, text, shown in rules:
         mine = share_of(score)
-        theirs = [share for one in others if (share := share_of(one)) is not None]
+        theirs = [share for score_of in beside if (share := share_of(score_of)) is not None]
         if mine is None or not theirs:
             continue
-        worst = max(theirs, key=lambda one: one.high)
+        worst = max(theirs, key=lambda score_of: score_of.high)
         if kind is Kind.UNSURE and worst.share > limits.doubtful:
-            continue  # who doubts where nothing was learnt is right
+            continue  # doubt is right where the training had no data
         if mine.low > worst.high + margin:
             yield ScoreFinding(
                 kind,
                 score.region,
-                f"{_percent(mine)} of the answers {words}; the yardsticks at most {_percent(worst)}",
+                f"{_percent(mine)} of the answers {text}; the yardsticks at most {_percent(worst)}",
                 _questions(shown),
             )
 
 
 def _towards(
-    score: RegionScore, others: Sequence[RegionScore], limits: FindingLimits
+    score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    """Question by question: the shares of two avoiders may be alike, and their errors in other places."""
-    asked = min(len(one.questions) for one in (score, *others))  # the first ones, of all of them
-    own, *theirs = (_leads_towards(one, asked) for one in (score, *others))
+    """Yield a finding on answers towards the hand, question by question.
+
+    Two avoiders may have the same share, with errors in different places.
+    """
+    count = min(len(scored.questions) for scored in (score, *beside))  # the questions of all cards
+    own, *theirs = (_leads_towards(scored, count) for scored in (score, *beside))
     alone = own & ~np.any(theirs, axis=0)
     share = Proportion.of(alone)
     if share.low > limits.towards:
-        words = f"{_percent(share)} of the answers lead towards the hand where each yardstick leads away"
-        shown = tuple(score.questions.one(int(row)) for row in np.flatnonzero(alone)[:3])
-        yield ScoreFinding(Kind.LEADS_TOWARDS, score.region, words, shown)
+        text = f"{_percent(share)} of the answers lead towards the hand where each yardstick leads away"
+        shown = tuple(score.questions.single(int(row)) for row in np.flatnonzero(alone)[:3])
+        yield ScoreFinding(Kind.LEADS_TOWARDS, score.region, text, shown)
 
 
-def _leads_towards(score: RegionScore, asked: int) -> NDArray[np.bool_]:
-    """(asked,) which of the first answers do; none at all does not."""
-    questions, answers = score.questions[:asked], score.answers[:asked]
+def _leads_towards(score: RegionScore, count: int) -> NDArray[np.bool_]:
+    """Return which (count,) of the first answers lead towards the hand; a missing answer does not."""
+    questions, answers = score.questions[:count], score.answers[:count]
     return np.asarray(
         gained_m(questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m) < 0.0
     )
 
 
 def _unreached(score: RegionScore) -> Proportion | None:
-    return None if score.in_reach is None else _other(score.in_reach)
+    """Return the share of answers out of reach."""
+    return None if score.in_reach is None else _complement(score.in_reach)
 
 
-def _other(share: Proportion) -> Proportion:
+def _complement(share: Proportion) -> Proportion:
+    """Return the complement of a share."""
     return Proportion(share.trials - share.count, share.trials, 1.0 - share.high, 1.0 - share.low)
 
 
 def _lengths(
-    score: RegionScore, others: Sequence[RegionScore], limits: FindingLimits
+    score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
+    """Yield the findings on distances, bias and slopes."""
     assert score.off_m is not None
     assert score.off_most_m is not None
     shown = _questions(score.worst_off)
     for name, number in (("half", 0), ("5 %", 1), ("1 %", 2)):
         mine = score.off_m[number]
-        worst = max((one.off_m[number] for one in others if one.off_m), key=lambda one: one.high)
+        worst = max((each.off_m[number] for each in beside if each.off_m), key=lambda each: each.high)
         if mine.low > limits.off_factor * worst.high:
-            words = (
+            text = (
                 f"{name} of the answers are more than {_mm(mine)} off the optimum; "
                 f"the worst yardstick: {_mm(worst)}"
             )
-            yield ScoreFinding(Kind.FAR_OFF, score.region, words, shown)
+            yield ScoreFinding(Kind.FAR_OFF, score.region, text, shown)
             break
-    most = max(one.off_most_m for one in others if one.off_most_m is not None)
+    most = max(each.off_most_m for each in beside if each.off_most_m is not None)
     if score.off_most_m > limits.most_factor * most:
-        words = (
+        text = (
             f"up to {score.off_most_m * MM:.0f} mm off the optimum; the yardsticks up to {most * MM:.0f} mm"
         )
-        yield ScoreFinding(Kind.WORST_CASE, score.region, words, shown)
-    bias, least = _bias_m(score), limits.bias_factor * max(map(_bias_m, others)) + limits.bias_m
+        yield ScoreFinding(Kind.WORST_CASE, score.region, text, shown)
+    bias, least = _bias_m(score), limits.bias_factor * max(map(_bias_m, beside)) + limits.bias_m
     if bias > least:
-        words = (
+        text = (
             f"{bias * MM:.1f} mm off on average, {_vector(score)} mm along x, y, z; "
             f"the limit is {least * MM:.1f} mm"
         )
-        yield ScoreFinding(Kind.BIASED, score.region, words)
+        yield ScoreFinding(Kind.BIASED, score.region, text)
     for kind, size_of, more, of_what in (
         (Kind.HAND_PULL, _pull_off, limits.pull, "hand"),
         (Kind.SCALE, _scale_off, limits.scale, "TCP"),
     ):
-        slope, limit = size_of(score), max(map(size_of, others)) + more
+        slope, limit = size_of(score), max(map(size_of, beside)) + more
         if slope > limit:
-            words = (
+            text = (
                 f"the error grows by {slope * MM:.0f} mm a metre of the {of_what}'s position; "
                 f"the limit is {limit * MM:.0f}"
             )
-            yield ScoreFinding(kind, score.region, words)
+            yield ScoreFinding(kind, score.region, text)
 
 
 def _bias_m(score: RegionScore) -> float:
+    """Return the length of the mean error [m]."""
     return (
         0.0
         if score.bias_in_base_m is None
-        else float(np.linalg.norm([one.value for one in score.bias_in_base_m]))
+        else float(np.linalg.norm([axis.value for axis in score.bias_in_base_m]))
     )
 
 
 def _vector(score: RegionScore) -> str:
+    """Return the mean error by axis as text."""
     assert score.bias_in_base_m is not None
-    return ", ".join(f"{one.value * MM:+.1f}" for one in score.bias_in_base_m)
+    return ", ".join(f"{axis.value * MM:+.1f}" for axis in score.bias_in_base_m)
 
 
 def _pull_off(score: RegionScore) -> float:
+    """Return the largest slope of the error with the hand."""
     return 0.0 if score.pull is None else float(np.abs(np.array(score.pull)).max())
 
 
 def _scale_off(score: RegionScore) -> float:
+    """Return the largest slope of the error with the TCP."""
     return 0.0 if score.scale is None else float(np.abs(np.array(score.scale)).max())
 
 
 def _spreads(
-    score: RegionScore, others: Sequence[RegionScore], limits: FindingLimits
+    score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    mine, theirs = score.spreads, [one.spreads for one in others if one.spreads is not None]
+    """Yield the findings on spreads."""
+    mine, theirs = score.spreads, [scored.spreads for scored in beside if scored.spreads is not None]
     if mine is None or not theirs:
         return
     their = theirs[-1]
@@ -275,61 +295,64 @@ def _spreads(
     low, high = (ratio.low / ratio.value, ratio.high / ratio.value) if ratio.value else (1.0, 1.0)
     most = limits.too_sure * max(1.0, *their.by_axis)
     least = limits.too_unsure * min(1.0, *their.by_axis)
-    for kind, row, beyond, word in (
+    for kind, row, exceeds, limit in (
         (Kind.SPREAD_MISSES, int(axes.argmax()), low * axes.max() > most, f"at most {most:.2f}"),
         (Kind.SPREAD_WIDE, int(axes.argmin()), high * axes.min() < least, f"at least {least:.2f}"),
     ):
-        if beyond:
-            words = f"along {'xyz'[row]} the errors are {axes[row]:.2f} times the spreads, and may be {word}"
-            yield ScoreFinding(kind, score.region, words, _questions(score.worst_off))
+        if exceeds:
+            text = f"along {'xyz'[row]} the errors are {axes[row]:.2f} times the spreads, and may be {limit}"
+            yield ScoreFinding(kind, score.region, text, _questions(score.worst_off))
     if their.rank is not None:
         got = mine.rank or Figure(0.0, 0.0, 0.0)
         promised = mine.honest_rank if mine.rank else 1.0  # a constant spread ranks nothing
         if got.high < min(their.rank.low, promised) - limits.rank:
-            words = (
+            text = (
                 f"rank correlation of spread and error {got.value:.2f}; mc-dropout's is "
                 f"{their.rank.value:.2f}, and honest spreads like these would have {mine.honest_rank:.2f}"
             )
-            yield ScoreFinding(Kind.SPREAD_UNRANKED, score.region, words)
+            yield ScoreFinding(Kind.SPREAD_UNRANKED, score.region, text)
 
 
-def _of_jumps(jumps: Jumps, others: Sequence[Jumps], limits: FindingLimits) -> Iterator[ScoreFinding]:
-    most = max((one.jumped.count for one in others if one.jumped), default=0)
+def _of_jumps(jumps: Jumps, beside: Sequence[Jumps], limits: FindingLimits) -> Iterator[ScoreFinding]:
+    """Yield the findings on jumps and slopes."""
+    most = max((each.jumped.count for each in beside if each.jumped), default=0)
     if jumps.largest and jumps.jumped and jumps.jumped.count >= most + limits.jumped:
         largest = jumps.largest
-        words = (
+        text = (
             f"jumps by up to {largest.change_m * MM:.1f} mm where {jumps.moved.value} moves by a nanometre, "
             f"on {jumps.jumped.count} of {jumps.segments:,} segments; the limit is "
             f"{jumps.limit_m * MM:.3g} mm"
         )
-        yield ScoreFinding(Kind.JUMPS, jumps.region, words, (largest.before, largest.after))
+        yield ScoreFinding(Kind.JUMPS, jumps.region, text, (largest.before, largest.after))
     slope = _slope(jumps)
-    limit = limits.steep * max(1.0, *(_slope(one) for one in others))
+    limit = limits.steep * max(1.0, *(_slope(each) for each in beside))
     if jumps.moved is Moved.HAND and jumps.steepest and slope > limit:
-        words = (
+        text = (
             f"the answer moves by {slope:.1f} mm a millimetre of the hand's way; the limit is {limit:.1f} mm"
         )
-        yield ScoreFinding(Kind.STEEP, jumps.region, words, (jumps.steepest.before, jumps.steepest.after))
+        yield ScoreFinding(Kind.STEEP, jumps.region, text, (jumps.steepest.before, jumps.steepest.after))
 
 
 def _slope(jumps: Jumps) -> float:
-    """What two steps of the number format explain is no slope."""
+    """Return the steepest slope, less two steps of the number format."""
     if jumps.steepest is None:
         return 0.0
     return max(jumps.steepest.change_m - 2.0 * jumps.step_m, 0.0) / jumps.steepest.apart_m
 
 
 def _of_repeats(repeats: Iterable[AskedAgain], same_m: float) -> Iterator[ScoreFinding]:
+    """Yield the findings on answers that did not repeat."""
     for one in repeats:
         if one.largest_m > same_m:
-            words = (
+            text = (
                 f"{one.differ} of {one.questions:,} answers differ, by up to {one.largest_m * MM:.3g} mm, "
                 f"when {one.way.value}"
             )
-            yield ScoreFinding(Kind.NOT_REPEATED, "", words, () if one.first is None else (one.first,))
+            yield ScoreFinding(Kind.NOT_REPEATED, "", text, () if one.first is None else (one.first,))
 
 
 def _of_times(card: Scorecard, limits: FindingLimits) -> Iterator[ScoreFinding]:
+    """Yield the findings on answer times."""
     times = card.times
     if times is None:
         return
@@ -337,21 +360,22 @@ def _of_times(card: Scorecard, limits: FindingLimits) -> Iterator[ScoreFinding]:
     if times.declared_s > times.deadline_s:
         yield ScoreFinding(Kind.SLOW, "", f"declares {times.declared_s * MM:g} ms for a decision; {deadline}")
     if times.p99_s > times.deadline_s or times.late >= limits.late:
-        words = (
+        text = (
             f"{times.late} of {times.questions:,} answers took longer, up to {times.most_s * MM:.0f} ms; "
             f"{deadline}"
         )
-        yield ScoreFinding(Kind.SLOW, "", words)
+        yield ScoreFinding(Kind.SLOW, "", text)
     elif times.p99_s > times.declared_s > 0.0:
-        words = (
+        text = (
             f"1 % of the answers took longer than {times.p99_s * MM:.1f} ms; "
             f"it declares {times.declared_s * MM:g} ms"
         )
-        yield ScoreFinding(Kind.SLOW, "", words)
+        yield ScoreFinding(Kind.SLOW, "", text)
 
 
 def _questions(shown: tuple[ScoredQuestion, ...]) -> tuple[Question, ...]:
-    return tuple(one.question for one in shown[:3])
+    """Return the first three questions."""
+    return tuple(row.question for row in shown[:3])
 
 
 def _percent(share: Proportion) -> str:

@@ -1,15 +1,15 @@
-"""Where answers jump between near questions: along straight segments, of which the uneven ones are followed.
+"""Jumps of answers between near questions: along straight segments, of which uneven ones are followed.
 
-A segment has one seed, and the hand or the TCP moves along it while the other stays.  Most segments pass
-through questions that were drawn, those of the worst answers among them; a ball of 15 mm radius among the
-hands of a region is met by a few in a thousand.  A segment is followed where its answers are least even:
-the step that differs most from the median step is divided by eight, over and over, until its ends are a
-nanometre apart.  What still differs there by more than half a millimetre is a jump, and no steep slope.
+A segment has one seed, and the hand or the TCP moves along it while the rest stays.  Most segments pass
+through drawn questions, including the questions of the worst answers.  A few in a thousand meet a ball of 15
+mm radius among the hands of a region.  The search follows a segment where its answers are least even.  It
+divides the step that differs most from the median step by eight, again and again, until its ends are a
+nanometre apart.  A difference of more than half a millimetre there is a jump, and no steep slope.
 
-An avoider that rounds its questions answers alike within a cell, and a steep one moves far from cell to cell.
-So a jump does not count where the answers stay the same on both sides and then move half as far or farther.
-And one that jumps wherever it is followed, such as a network in int8, answers in steps: up to ``STEPPED_M``,
-which is twice the error of a predicted hand, they are no jumps.
+An avoider that rounds its questions gives equal answers within a cell, and a steep one moves far from cell to
+cell.  So a jump does not count if the answers stay equal on both sides and then move half as far or farther.
+An avoider that jumps on every followed segment, such as a network in int8, answers in steps.  Up to
+``STEPPED_M``, twice the error of a predicted hand, such steps are no jumps.
 """
 
 from __future__ import annotations
@@ -31,25 +31,22 @@ from safety_harness.extensions.lab.scoring.scorecard import AnswerChange, Jumps,
 Ask = Callable[[Questions], Answers]
 Floats = NDArray[np.float64]
 
-NEAR_M = 2e-9  # the end of following: a slope would have to be 250,000 to look like a jump
+NEAR_M = 2e-9  # the least length of a step: a slope would need 250,000 to look like a jump
 STEEP_M = (0.0003, 0.003)  # between questions that are about 1 mm apart: the steepest change
 POINTS = 13  # of a segment
 LENGTHS_M = {Moved.HAND: 0.300, Moved.TCP: 0.120}
 ANCHOR_LENGTH_M = 0.060  # through the worst questions
-ANCHORS = 64  # by each of three measures
-FOLLOWED = 128  # of the other segments
+ANCHORS = 64  # for each of three measures
+FOLLOWED = 128  # of the segments through drawn questions
 PARTS = 8
-CELLS_M = 2e-6 * 8.0 ** np.arange(4)  # ways from a jump, up to 1 mm: coarser rounding is not harmless
-STEPPED, STEPPED_M = 0.9, 0.020  # share of the segments that are followed, and twice 10 mm
-SAME_M = 1e-9  # a way of 2 um moves the answers of an avoider that does not round its question farther
+CELLS_M = 2e-6 * 8.0 ** np.arange(4)  # distances from a jump, up to 1 mm: coarser rounding is harmful
+STEPPED, STEPPED_M = 0.9, 0.020  # the share of followed segments; twice the 10 mm error of a predicted hand
+SAME_M = 1e-9  # without rounding, a step of 2 um moves an answer farther
 
 
 @dataclass(frozen=True, eq=False)
 class _Segments:
-    """Questions at ``middles`` (n), moved along ``directions`` (n, 3), unit vectors, by up to half a length.
-
-    ``half_m`` (n,).
-    """
+    """Segments through ``middles`` (n) along unit vectors ``directions`` (n, 3), by +- ``half_m`` (n,)."""
 
     moved: Moved
     middles: Questions
@@ -57,12 +54,19 @@ class _Segments:
     half_m: Floats
 
     def at(self, rows: NDArray[np.int64], along_m: Floats) -> Questions:
-        """The questions at distances (k,) from the middles of some segments (k,)."""
+        """Return the questions at distances (k,) from the middles of some segments (k,)."""
         return moved_by(self.middles[rows], self.moved, along_m[:, None] * self.directions[rows])
 
 
 def moved_by(questions: Questions, moved: Moved, shifts_m: ArrayNx3) -> Questions:
-    """The same questions with hands, or TCPs, shifted."""
+    """Return the same questions with hands or TCPs shifted.
+
+    Args:
+        questions: The questions.
+        moved: The hand or the TCP.
+        shifts_m: (n, 3) the shifts.
+
+    """
     if moved is Moved.HAND:
         return Questions(questions.hands_in_base_m + shifts_m, questions.tcps_in_base_m, questions.seeds)
     return Questions(questions.hands_in_base_m, questions.tcps_in_base_m + shifts_m, questions.seeds)
@@ -77,9 +81,17 @@ def jumps_of(
     rng: np.random.Generator,
     count: int,
 ) -> Jumps:
-    """Along ``count`` segments through the first questions, and some through those of the worst answers.
+    """Return the jumps along ``count`` segments through the first questions, and some through the worst.
 
-    ``questions`` were drawn in the region and answered with ``answers``.
+    Args:
+        ask: Returns answers.
+        region: The region of the questions.
+        moved: The hand or the TCP.
+        questions: Questions of the region.
+        answers: Their answers.
+        rng: The generator of the directions.
+        count: The number of segments.
+
     """
     segments = _segments(region, moved, questions, answers, rng, count)
     total, per = len(segments.middles), POINTS
@@ -91,7 +103,7 @@ def jumps_of(
     values = np.full((total * per, 6), np.nan)
     values[inside] = _values(ask(points[inside]))
     step_m = number_step_m(values[np.isfinite(values).all(axis=1), :3])
-    found = Jumps(region=region.name, moved=moved, step_m=step_m)
+    jumps = Jumps(region=region.name, moved=moved, step_m=step_m)
     steps = np.diff(values.reshape(total, per, 6), axis=1)
     uneven_m = _uneven_m(steps)  # (n, per - 1)
     at, best = np.argmax(uneven_m, axis=1), uneven_m.max(axis=1)
@@ -101,7 +113,7 @@ def jumps_of(
     chosen = chosen[best[chosen] > 0.0]
     length_m = 2.0 * segments.half_m[chosen] / (per - 1)
     start_m = -segments.half_m[chosen] + length_m * at[chosen]
-    return _followed(ask, found, segments, chosen, start_m, length_m)
+    return _followed(ask, jumps, segments, chosen, start_m, length_m)
 
 
 def _segments(
@@ -112,6 +124,7 @@ def _segments(
     rng: np.random.Generator,
     count: int,
 ) -> _Segments:
+    """Return segments through the worst questions, then through the first ``count``."""
     anchors = questions[_anchors(questions, answers, region)]
     middles = Questions.joined([anchors, questions[:count]])
     directions = rng.normal(size=(len(anchors) + count, 3))[: len(middles)]
@@ -122,28 +135,28 @@ def _segments(
 
 
 def _anchors(questions: Questions, answers: Answers, region: QuestionRegion) -> NDArray[np.int64]:
-    """The questions with the largest error, the least gain and the largest error for their spread."""
+    """Return the questions with the largest error, the least gain, or the largest error for their spread."""
     hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
-    off = off_m(proposed, optimum_in_base_m(region.settings, hands, tcps))
-    badness = [off, -gained_m(hands, tcps, proposed), off / (answers.spreads_m.max(axis=1) + 1e-3)]
-    known = [np.nan_to_num(one, nan=-np.inf).round(9) for one in badness]  # rounding breaks no tie
-    worst = [np.argsort(-one, kind="stable")[:ANCHORS] for one in known]
+    off_by = off_m(proposed, optimum_in_base_m(region.settings, hands, tcps))
+    badness = [off_by, -gained_m(hands, tcps, proposed), off_by / (answers.spreads_m.max(axis=1) + 1e-3)]
+    known = [np.nan_to_num(values, nan=-np.inf).round(9) for values in badness]  # or noise would order ties
+    worst = [np.argsort(-values, kind="stable")[:ANCHORS] for values in known]
     return np.unique(np.concatenate(worst))
 
 
 def _values(answers: Answers) -> Floats:
-    """(n, 6) positions and spreads."""
+    """Return positions and spreads (n, 6)."""
     return np.hstack([answers.positions_in_base_m, answers.spreads_m])
 
 
 def _size_m(changes: Floats) -> Floats:
-    """(...) of changes (..., 6): the larger of that of the position and that of the spread."""
+    """Return the sizes (...) of changes (..., 6): the larger of position's and spread's."""
     position, spread = np.linalg.norm(changes[..., :3], axis=-1), np.linalg.norm(changes[..., 3:], axis=-1)
     return np.asarray(np.maximum(position, spread))
 
 
 def _uneven_m(steps: Floats) -> Floats:
-    """(n, k) how much each of k steps (n, k, 6) differs from the segment's median step; 0 where unknown."""
+    """Return by how much (n, k) each step (n, k, 6) differs from its segment's median step; 0 if unknown."""
     known = np.isfinite(steps).all(axis=2, keepdims=True)
     with np.errstate(all="ignore"):
         filled = np.where(known, steps, np.nan)
@@ -152,7 +165,7 @@ def _uneven_m(steps: Floats) -> Floats:
 
 
 def _nanmedian(values: Floats) -> Floats:
-    """(n, 6) medians of (n, k, 6), NaN left out; numpy's own warns where there is nothing else."""
+    """Return medians (n, 6) of (n, k, 6) without NaN; numpy's own function warns if all are NaN."""
     ordered = np.sort(values, axis=1)  # NaN last
     counts = np.isfinite(values).sum(axis=1)
     middle = np.maximum((counts - 1) // 2, 0)[:, None]
@@ -160,11 +173,11 @@ def _nanmedian(values: Floats) -> Floats:
 
 
 def _followed(
-    ask: Ask, found: Jumps, segments: _Segments, rows: NDArray[np.int64], start_m: Floats, step_m: Floats
+    ask: Ask, jumps: Jumps, segments: _Segments, rows: NDArray[np.int64], start_m: Floats, step_m: Floats
 ) -> Jumps:
-    """Divide the steps that begin at ``start_m`` (k,) and are ``step_m`` long until they are near.
+    """Divide the steps of length ``step_m`` (k,) from ``start_m`` (k,) until they are near.
 
-    ``found``, which has the limit of a jump, comes back with what there is on the way.
+    ``jumps``, which has the limit of a jump, returns with the jumps and slopes on the path.
     """
     largest: AnswerChange | None = None
     steepest: AnswerChange | None = None
@@ -185,33 +198,33 @@ def _followed(
         def change(k: int) -> AnswerChange:
             ends = points[np.array([k * (PARTS + 1) + best[k], k * (PARTS + 1) + best[k] + 1])]  # noqa: B023
             sizes_m = float(change_m[k]), float(step_m[k])  # noqa: B023
-            return AnswerChange(segments.moved, ends.one(0), ends.one(1), *sizes_m)
+            return AnswerChange(segments.moved, ends.single(0), ends.single(1), *sizes_m)
 
         slopes = np.where((step_m >= STEEP_M[0]) & (step_m < STEEP_M[1]), change_m / step_m, 0.0)
         k = int(np.argmax(slopes))
         if slopes[k] > 0.0 and (steepest is None or slopes[k] > steepest.change_m / steepest.apart_m):
             steepest = change(k)
-        done = (step_m <= NEAR_M) & (change_m > found.limit_m)
-        stepped -= int(np.count_nonzero((change_m <= found.limit_m) & (step_m <= STEEP_M[1])))
+        done = (step_m <= NEAR_M) & (change_m > jumps.limit_m)
+        stepped -= int(np.count_nonzero((change_m <= jumps.limit_m) & (step_m <= STEEP_M[1])))
         ends = (every[done] * (PARTS + 1) + best[done])[:, None] + [0, 1]
         done[done] = change_m[done] > 2.0 * _beside_m(ask, segments.moved, points[ends.ravel()])
         jumped_m[rows[done]] = change_m[done]
         k = int(np.argmax(np.where(done, change_m, 0.0)))
         if done[k] and (largest is None or change_m[k] > largest.change_m):
             largest = change(k)
-        kept = (step_m > NEAR_M) & ((change_m > found.limit_m) | (step_m > STEEP_M[1]))
+        kept = (step_m > NEAR_M) & ((change_m > jumps.limit_m) | (step_m > STEEP_M[1]))
         rows, start_m, step_m = rows[kept], start_m[kept], step_m[kept]
     if followed and stepped >= STEPPED * followed:
-        found = replace(found, step_m=max(found.step_m, STEPPED_M / 2.0))
-    largest = largest if largest and largest.change_m > found.limit_m else None
-    share = Proportion.of(jumped_m > found.limit_m) if count else None
-    return replace(found, segments=count, jumped=share, largest=largest, steepest=steepest)
+        jumps = replace(jumps, step_m=max(jumps.step_m, STEPPED_M / 2.0))
+    largest = largest if largest and largest.change_m > jumps.limit_m else None
+    share = Proportion.of(jumped_m > jumps.limit_m) if count else None
+    return replace(jumps, segments=count, jumped=share, largest=largest, steepest=steepest)
 
 
 def _beside_m(ask: Ask, moved: Moved, ends: Questions) -> Floats:
-    """Return how far the answers move to the cells beside (k,) jumps, the two ends (2k) of each in turn.
+    """Return by how far the answers move to the cells beside (k,) jumps with two ends (2k) each.
 
-    That is 0 where they change within ``CELLS_M[0]``: such an avoider does not round its question.
+    The result is 0 if they change within ``CELLS_M[0]``: such an avoider does not round its question.
     """
     ways_m = CELLS_M[:, None, None] * np.vstack([np.eye(3), -np.eye(3)])  # (c, 6, 3)
     count, per = len(ends), ways_m.size // 3

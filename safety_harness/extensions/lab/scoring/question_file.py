@@ -1,8 +1,8 @@
-"""A question of an avoider as a scenario that asks it first: what scored badly, to be run and looked at.
+"""A question of an avoider as a scenario that asks it first, to run and examine a bad answer.
 
-The hand rests at the question's hand and the TCP starts at its TCP, so that the first control tick asks it;
-the scenario's seed is the one that the question's own seed descends from.  Every file is tried before it is
-written: what the run asks first must be the question.
+The hand rests at the question's hand and the TCP starts at its TCP, so the first control tick asks the
+question.  The question's own seed descends from the scenario's seed.  Every file is run before it is written:
+its first question must be this question.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from safety_harness.scenario.robots import AnyRobot, Robot
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.trace import Trace
 
-SAME_PLACE_M = 0.001  # the hand as it is perceived, and the question's
-LASTS_S = 0.4  # the first decision, and none after it: a way of 100 mm takes 0.65 s
+SAME_PLACE_M = 0.001  # between the perceived hand and the question's
+LASTS_S = 0.4  # contains the first decision alone: a path of 100 mm takes 0.65 s
 
 
 @dataclass(frozen=True)
 class QuestionFile:
-    """``path`` is None where no run can ask the question first, and ``remark`` says why.
+    """The file of a question; ``path`` is None if no run can ask it first, with the reason in ``remark``.
 
-    Its ``claims`` expect what the run that tried it gave; those on which it gave no verdict are left out.
+    Its ``claims`` expect the verdicts of a run; claims without a verdict are left out.
     """
 
     path: Path | None
@@ -52,14 +52,22 @@ class QuestionFile:
 
 
 def seed_of(scenario_seed: int) -> int:
-    """The seed of the first question that a run of a scenario with this seed asks."""
+    """Return the seed of the first question in a run of a scenario with the seed ``scenario_seed``."""
     return leaf(scenario_seed, Branch.DECISION, 0)
 
 
 def begins_clear(
     settings: Settings, hand_in_base_m: Array3, tcp_in_base_m: Array3, robot: AnyRobot = Robot.UR10
 ) -> bool:
-    """Is the hand, its forearm away from the TCP, outside the arm when the TCP starts there?"""
+    """Return whether the hand starts outside the arm, with its forearm away from the TCP.
+
+    Args:
+        settings: The settings of the cell.
+        hand_in_base_m: The hand.
+        tcp_in_base_m: The TCP.
+        robot: The arm.
+
+    """
     arm, capsules = arm_model(robot), cell_capsules(arm_capsules(robot), settings)
     target = desired_transform_tcp_to_base(settings)
     target[:3, 3] = tcp_in_base_m
@@ -88,9 +96,21 @@ def question_file(
     settings: Settings = DEFAULTS,
     robot: AnyRobot = Robot.UR10,
 ) -> QuestionFile:
-    """The scenario for ``path``, not written yet: tried in the kinematic world with ``avoider``.
+    """Return the scenario for a file, unwritten, after a run in the kinematic world.
 
-    ``reference`` is how the file names the avoider, a relative file from the working directory.
+    Args:
+        path: The file.
+        reference: The avoider's name in the file; a relative file starts at the working directory.
+        avoider: The avoider.
+        hand_in_base_m: The question's hand.
+        tcp_in_base_m: The question's TCP.
+        scenario_seed: The scenario's seed.
+        title: The scenario's title.
+        about: The scenario's description.
+        claims: The sentences of its claims.
+        settings: The settings of the cell.
+        robot: The arm.
+
     """
     why = "no run begins with it"
     bare = Scenario(
@@ -107,7 +127,7 @@ def question_file(
         robot=robot,
         file=path,
     )
-    for scenario in _ways(with_avoider(bare, reference), hand_in_base_m, tcp_in_base_m):
+    for scenario in _variants(with_avoider(bare, reference), hand_in_base_m, tcp_in_base_m):
         try:
             admitted = admit(scenario, avoider=avoider)
             trace = run_trial(admitted, world=KINEMATIC)
@@ -118,18 +138,21 @@ def question_file(
             return QuestionFile(None, str(error))
         why = _asked_another(trace, hand_in_base_m, tcp_in_base_m)
         if not why:
-            verdicts = tuple(one.evaluate(trace).verdict for one in admitted.properties)
-            told = tuple(
+            verdicts = tuple(prop.evaluate(trace).verdict for prop in admitted.properties)
+            judged = tuple(
                 replace(claim, expected=verdict)
                 for claim, verdict in zip(scenario.claims, verdicts, strict=True)
                 if verdict is not Verdict.INCONCLUSIVE
             )
-            return QuestionFile(path, "", told, write_scenario(replace(scenario, claims=told)))
+            return QuestionFile(path, "", judged, write_scenario(replace(scenario, claims=judged)))
     return QuestionFile(None, why)
 
 
-def _ways(scenario: Scenario, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> Iterator[Scenario]:
-    """The forearm to where it is clear of the arm; then the object too, so that the camera sees it."""
+def _variants(scenario: Scenario, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> Iterator[Scenario]:
+    """Yield scenarios with the forearm in three directions, then with a shifted object too.
+
+    The forearm has to be clear of the arm, and the camera has to see the object.
+    """
     away = hand_in_base_m - tcp_in_base_m
     outwards = np.array([hand_in_base_m[0], hand_in_base_m[1], 0.0])
     object_m = np.array(scenario.settings.object.position_in_base_m)
@@ -150,7 +173,7 @@ def _ways(scenario: Scenario, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> 
 
 
 def _asked_another(trace: Trace, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> str:
-    """Why the first decision is not the one on this question; empty if it is."""
+    """Return why the first decision is about another question; empty if it is about this question."""
     if len(trace.decisions) == 0:
         return "the run asks nothing: the hand is not seen"
     hand, tcp = question_of(trace, trace.decisions[0])

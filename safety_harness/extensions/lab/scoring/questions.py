@@ -1,4 +1,4 @@
-"""What an avoider is asked, many questions at once, and what it answers: arrays, one row a question."""
+"""Questions to an avoider, many at once, and its answers: arrays with a row for each question."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ class Questions:
     seeds: NDArray[np.uint64]
 
     def __len__(self) -> int:
-        """How many."""
+        """Return the number of questions."""
         return len(self.seeds)
 
     def __getitem__(self, rows: Rows) -> Questions:
-        """Some of them."""
+        """Return some of the questions."""
         return Questions(self.hands_in_base_m[rows], self.tcps_in_base_m[rows], self.seeds[rows])
 
-    def one(self, row: int) -> Question:
-        """A single one, as an avoider is asked it."""
+    def single(self, row: int) -> Question:
+        """Return a single question, in the form for an avoider."""
         return Question(self.hands_in_base_m[row], self.tcps_in_base_m[row], int(self.seeds[row]))
 
     @classmethod
     def joined(cls, parts: list[Questions]) -> Questions:
-        """One after another."""
+        """Return the questions of all ``parts``, one after another."""
         return cls(
             np.concatenate([np.empty((0, 3)), *(part.hands_in_base_m for part in parts)]),
             np.concatenate([np.empty((0, 3)), *(part.tcps_in_base_m for part in parts)]),
@@ -45,10 +45,10 @@ class Questions:
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """Proposed positions (n, 3) in the base frame and spreads (n, 3) [m]: NaN where there is no answer.
+    """Proposed positions (n, 3) in the base frame and spreads (n, 3) [m], NaN for a missing answer.
 
-    ``thresholds_m`` (n,): the largest spread that each may have, NaN without one.  ``faults`` says why there
-    is no answer, by row.
+    ``thresholds_m`` (n,) are the largest accepted spreads, NaN without a threshold.  ``faults`` has the
+    reasons of missing answers, by row.
     """
 
     positions_in_base_m: ArrayNx3
@@ -57,23 +57,23 @@ class Answers:
     faults: dict[int, str]
 
     def __len__(self) -> int:
-        """How many."""
+        """Return the number of answers."""
         return len(self.thresholds_m)
 
     @property
     def given(self) -> NDArray[np.bool_]:
-        """(n,) is there an answer?"""
+        """Whether (n,) there is an answer."""
         return np.asarray(np.isfinite(self.positions_in_base_m + self.spreads_m).all(axis=1))
 
     def __getitem__(self, rows: Rows) -> Answers:
-        """Some of them."""
+        """Return some of the answers."""
         numbers = np.arange(len(self))[rows].tolist()
         faults = {new: self.faults[old] for new, old in enumerate(numbers) if old in self.faults}
         return Answers(self.positions_in_base_m[rows], self.spreads_m[rows], self.thresholds_m[rows], faults)
 
     @classmethod
     def joined(cls, parts: list[Answers]) -> Answers:
-        """One after another."""
+        """Return the answers of all ``parts``, one after another."""
         faults: dict[int, str] = {}
         first = 0
         for part in parts:

@@ -1,7 +1,7 @@
-"""Where questions are drawn: named regions of hands and TCPs, and what the draws of a space lead to.
+"""Regions of questions: named regions of hands and TCPs, and the questions from the draws of a space.
 
-Only pairs that a run can ask about count: an avoider is asked when a predicted hand is within the critical
-distance of the TCP, and the TCP is where the arm can be.  Pairs farther apart are a region of their own.
+Only pairs count about which a run can ask.  A run asks when a predicted hand is within the critical distance
+of the TCP, and its TCP is where the arm can be.  Pairs farther apart are a region of their own.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Generator = np.random.Generator
 Pairs = tuple[ArrayNx3, ArrayNx3]  # hands and TCPs in the base frame [m]
 Flags = NDArray[np.bool_]
 
-MOST_DRAWN, LEAST_DRAWN = 2_000, 200_000  # pairs, for each one found and in all: then there are no more
+MOST_DRAWN, LEAST_DRAWN = 2_000, 200_000  # pairs for each valid pair, and in all: then drawing ends
 AT_ONCE = 10_000
 FAR = "far"
 NAMED = (
@@ -37,10 +37,10 @@ NAMED = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class QuestionRegion:
-    """A distribution of questions, and which pairs of hands and TCPs belong to it.
+    """A distribution of questions, with the pairs of hands and TCPs that belong to it.
 
-    ``pairs`` draws so many independent pairs, ``holds`` says of pairs whether they are within: near questions
-    are kept to it.  ``asked_in_runs``: can a run ask them?
+    ``pairs`` draws independent pairs.  ``holds`` tells whether pairs belong to the region, so that near
+    questions stay in it. ``asked_in_runs`` tells whether a run can ask them.
     """
 
     name: str
@@ -52,7 +52,7 @@ class QuestionRegion:
     robot: AnyRobot = Robot.UR10
 
     def draw(self, rng: Generator, count: int) -> Questions:
-        """``count`` independent questions; fewer, or none, where pairs that belong to it are too rare."""
+        """Return ``count`` independent questions; fewer, or 0, if valid pairs are too rare."""
         hands, tcps = np.empty((0, 3)), np.empty((0, 3))
         drawn = 0
         while len(hands) < count and drawn < max(MOST_DRAWN * len(hands), LEAST_DRAWN):
@@ -65,13 +65,21 @@ class QuestionRegion:
 
 
 def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion, ...]:
-    """The four of an avoider's training (Table 3), and what no run asks about, over all of their boxes."""
+    """Return the four regions of an avoider's training (Table 3), and a region about which no run asks.
+
+    The last region covers all boxes of the four.
+
+    Args:
+        seen: The regions of the avoider's training data.
+        settings: The settings of the cell.
+
+    """
     near_m = settings.avoidance.critical_distance_m
     about = f"of {seen.source}; hands within {near_m * 1e3:g} mm of the TCP"
 
-    def of(name: str, hands: Region, tcps: Region) -> QuestionRegion:
+    def region_of(name: str, hands: Region, tcps: Region) -> QuestionRegion:
         def holds(hand: ArrayNx3, tcp: ArrayNx3) -> Flags:
-            return hands.contains(hand) & tcps.contains(tcp) & near(hand, tcp, near_m)
+            return hands.contains(hand) & tcps.contains(tcp) & are_near(hand, tcp, near_m)
 
         return QuestionRegion(
             name=name,
@@ -83,7 +91,7 @@ def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion
         )
 
     regions = [
-        of(name, region_named(hand, seen, settings), region_named(tcp, seen, settings))
+        region_of(name, region_named(hand, seen, settings), region_named(tcp, seen, settings))
         for name, hand, tcp in NAMED
     ]
     hands, tcps = (
@@ -94,13 +102,13 @@ def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion
         name=FAR,
         about=f"far: hands farther than {near_m * 1e3:g} mm from the TCP, about which no run asks",
         pairs=lambda rng, count: (Region(hands).draw(rng, count), Region(tcps).draw(rng, count)),
-        holds=lambda hand, tcp: hands.contains(hand) & tcps.contains(tcp) & ~near(hand, tcp, near_m),
+        holds=lambda hand, tcp: hands.contains(hand) & tcps.contains(tcp) & ~are_near(hand, tcp, near_m),
         asked_in_runs=False,
         settings=settings,
     )
     return (*regions, far)
 
 
-def near(hands: ArrayNx3, tcps: ArrayNx3, near_m: float) -> Flags:
-    """(n,) are hands (n, 3) within ``near_m`` of the TCPs (n, 3)?"""
+def are_near(hands: ArrayNx3, tcps: ArrayNx3, near_m: float) -> Flags:
+    """Return whether (n,) hands (n, 3) are within ``near_m`` of TCPs (n, 3)."""
     return np.asarray(np.linalg.norm(hands - tcps, axis=1) < near_m)

@@ -1,4 +1,4 @@
-"""What a session of scoring has for its files and its page: cards, findings, and the searches beside them."""
+"""The results of a session of scoring, for its files and its page: cards, findings, searches."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from safety_harness.extensions.lab.scoring.worst import Objective, QuestionSearc
 
 @dataclass(frozen=True, eq=False)
 class ShownQuestion:
-    """One of the worst questions of the search, and the file that asks it."""
+    """A worst question of the search, with the file that asks it."""
 
     objective: Objective
     tried: Tried
@@ -21,16 +21,16 @@ class ShownQuestion:
 
 @dataclass(eq=False)
 class ScoredAvoider:
-    """One avoider beside ``yardsticks``, which were asked the same (a reference first, if there is one).
+    """One avoider beside ``yardsticks`` with the same questions (a reference first, if there is one).
 
-    ``searches`` and ``worst`` are of a ledger of their own and enter no figure of the card; ``left_out``
-    says of other worst questions why no run begins with them.
+    ``searches`` and ``worst`` have their own ledger and enter no figure of the card.  ``left_out`` has the
+    reasons why no run begins with further worst questions.
 
-    ``findings`` decide whether the avoider passes; ``unlike`` says beside them where it is unlike the
-    yardsticks, which is no fault of an avoider that is meant to answer otherwise.
+    ``findings`` decide whether the avoider passes.  ``unlike`` lists differences from the yardsticks.  They
+    are no fault of an avoider with another purpose.
 
-    ``reference`` is as the user named it; ``sha256`` of its file, empty for one without; ``settings`` are
-    those of the regions, in their order.
+    ``reference`` is the user's name of the avoider.  ``sha256`` is the hash of its file, empty without a
+    file.  ``settings`` are the regions' settings, in their order.
     """
 
     reference: str
@@ -47,9 +47,10 @@ class ScoredAvoider:
 
 @dataclass(eq=False)
 class Scored:
-    """All of a session; ``budget`` is of each avoider's search, ``failed`` says who did not answer at all.
+    """The results of a session; ``budget`` is the budget of each avoider's search.
 
-    ``against`` is the reference, as the user named it; empty without one.
+    ``failed`` lists avoiders without any answer.  ``against`` is the user's name of the reference, empty
+    without one.
     """
 
     seed: int
@@ -61,5 +62,5 @@ class Scored:
 
     @property
     def findings(self) -> int:
-        """How many there are of all avoiders."""
-        return sum(len(one.findings) for one in self.avoiders)
+        """The number of findings on all avoiders."""
+        return sum(len(avoider.findings) for avoider in self.avoiders)

@@ -1,8 +1,8 @@
-"""Score an avoider directly: every region, its jumps, whether it repeats, and how long it takes.
+"""The score of an avoider: every region, its jumps, whether it repeats, and its answer times.
 
-The same questions are put to yardsticks: the closed-form optimum, the paper's target (``nearest candidate``)
-and ``mc-dropout``.  All but the times follows from the seed and the counts, which a slow avoider's own pace
-lowers in a few coarse steps.
+Yardsticks answer the same questions: the closed-form optimum, the paper's target (``nearest candidate``) and
+``mc-dropout``.  Everything except times follows from the seed and the counts.  A slow avoider lowers the
+counts in a few coarse steps.
 """
 
 from __future__ import annotations
@@ -40,18 +40,19 @@ from safety_harness.extensions.lab.scoring.scorecard import (
 
 OPTIMUM, TRAINED = "closed-form optimum", "mc-dropout"
 YARDSTICKS = (OPTIMUM, NEAREST, TRAINED)
-FEWER = 3_000  # questions of a yardstick that takes long and has no learning: its figures hang on no place
-LATER_S = 2.0  # at least, between the first answers and those of a later time
+FEWER = 3_000  # questions of a slow yardstick without learning, whose figures do not depend on the place
+LATER_S = 2.0  # the least time between the first answers and the repetition
 QUICK_S = 0.00015  # a question: all of some 200,000 are asked within half a minute
-PROBE = 64  # questions that tell how quick an avoider is
+PROBE = 64  # questions that measure an avoider's pace
 _QUESTIONS, _SEGMENTS, _PACE = 0, 1, 2  # below the branch and a region's number
 
 
 @dataclass(frozen=True)
 class Counts:
-    """How many questions are asked: of the first region, of each other one, and of what no run asks.
+    """Numbers of questions: in the ``first`` region, in each ``other`` region, and in the ``far`` region.
 
-    ``segments`` in each region, of the hand and of the TCP; ``alone``: one at a time; ``sample``: again.
+    ``segments`` is the number in each region for the hand, and as many for the TCP.  ``alone`` questions are
+    asked one at a time, and ``sample`` questions again.
     """
 
     first: int = 30_000
@@ -63,14 +64,21 @@ class Counts:
 
     @classmethod
     def of(cls, questions: int) -> Counts:
-        """So many in the first region, and everything else in proportion."""
+        """Return counts with ``questions`` in the first region, and everything else in proportion."""
         return cls()._times(questions / cls.first)
 
     def _times(self, share: float) -> Counts:
+        """Return all counts times ``share``, at least 20 each."""
         return Counts(*(max(round(count * share), 20) for count in vars(self).values()))
 
     def at_pace(self, each_s: float, alone_s: float) -> Counts:
-        """Fewer, by halves, for an avoider that takes ``each_s`` a question of many, ``alone_s`` alone."""
+        """Return fewer, by halves, for a slow avoider.
+
+        Args:
+            each_s: The time of a question among many.
+            alone_s: The time of a single question.
+
+        """
         share = 2.0 ** -np.clip(np.ceil(np.log2(max(each_s, 1e-9) / QUICK_S)), 0, 8)
         slow = 10 if alone_s > 0.04 else 3 if alone_s > 0.008 else 1
         return replace(self._times(float(share)), alone=max(self.alone // slow, 20))
@@ -78,7 +86,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """The closed form of what the networks learn, as an avoider: a yardstick."""
+    """The closed form of the networks' target as an avoider: a yardstick."""
 
     settings: Settings = DEFAULTS
     name: str = OPTIMUM
@@ -86,22 +94,26 @@ class ClosedForm:
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Eq. 13 with the continuous optimum, and no spread.  Hands and TCPs (n, 3), ``seeds`` (n,)."""
+        """Return eq. 13 with the continuous optimum, and zero spreads, for hands and TCPs (n, 3).
+
+        ``seeds`` (n,) have no effect.
+        """
         positions = optimum_in_base_m(self.settings, hands_in_base_m, tcps_in_base_m)
         return positions, np.zeros_like(positions)
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """One of many.  ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        """Return one answer; ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
         hands, tcps = np.asarray(hand_position_in_base_m)[None], np.asarray(tcp_position_in_base_m)[None]
         return Proposal(optimum_in_base_m(self.settings, hands, tcps)[0])
 
 
-Told = Callable[[str], object]
+OnStep = Callable[[str], object]
 
 
-def _nobody(what: object) -> None:
+def _ignore(value: object) -> None:
+    """Ignore a value."""
     return None
 
 
@@ -112,13 +124,25 @@ def score(
     seed: int,
     counts: Counts | None = None,
     seen: str = "",
-    on_step: Told = _nobody,
-    on_region: Callable[[Scorecard], object] = _nobody,
+    on_step: OnStep = _ignore,
+    on_region: Callable[[Scorecard], object] = _ignore,
 ) -> Scorecard:
-    """Ask an avoider in every region.  ``on_step`` is told what comes next; ``counts`` are taken as they are.
+    """Return the scores of an avoider in every region.
 
-    ``on_region`` gets the card as far as it goes after each region: an interruption loses no more than one.
-    ValueError without a region; NoAnswerError for an avoider that does not answer at all, or hangs.
+    Args:
+        subject: The avoider.
+        regions: The regions.
+        seed: The root of all random numbers.
+        counts: The numbers of questions; None: by the avoider's pace.
+        seen: The source of the seen space.
+        on_step: Receives the name of each step.
+        on_region: Receives the card so far after each region, so that an interruption loses at most one
+            region.
+
+    Raises:
+        ValueError: There is no region.
+        NoAnswerError: The avoider does not answer, or hangs.
+
     """
     avoider, settings = subject.avoider, regions[0].settings
     on_step("first answers")
@@ -154,9 +178,17 @@ def score(
 
 
 def yardsticks(
-    regions: Sequence[QuestionRegion], *, seed: int, counts: Counts, on_step: Told = _nobody
+    regions: Sequence[QuestionRegion], *, seed: int, counts: Counts, on_step: OnStep = _ignore
 ) -> tuple[Scorecard, ...]:
-    """The yardsticks' scores, in the order of ``YARDSTICKS``, for the same questions as of ``score``."""
+    """Return the yardsticks' cards, in the order of ``YARDSTICKS``, for the same questions as ``score``.
+
+    Args:
+        regions: The regions.
+        seed: The root of all random numbers.
+        counts: The numbers of questions.
+        on_step: Receives the name of each yardstick.
+
+    """
     drawn = drawn_questions(regions, seed, counts)
     cards = []
     for name in YARDSTICKS:
@@ -171,14 +203,21 @@ def yardsticks(
             )
             jumps: tuple[Jumps, ...] = ()
         else:
-            both = list(_by_region(avoider, regions, drawn, seed, counts, _nobody))
-            scores, jumps = tuple(one for one, _ in both), tuple(one for _, own in both for one in own)
+            both = list(_by_region(avoider, regions, drawn, seed, counts, _ignore))
+            scores, jumps = tuple(item for item, _ in both), tuple(item for _, own in both for item in own)
         cards.append(Scorecard(name, avoider.name, seed, "", scores, jumps))
     return tuple(cards)
 
 
 def drawn_questions(regions: Sequence[QuestionRegion], seed: int, counts: Counts) -> list[Questions]:
-    """Those of each region: they hang on the region's number, its own text, and the seed."""
+    """Return the questions of each region; they depend on the region's number, its own text, and the seed.
+
+    Args:
+        regions: The regions.
+        seed: The root of all random numbers.
+        counts: The numbers of questions.
+
+    """
     return [
         region.draw(
             generator(seed, Branch.SCORING, number, _QUESTIONS),
@@ -189,34 +228,41 @@ def drawn_questions(regions: Sequence[QuestionRegion], seed: int, counts: Counts
 
 
 def paced(subject: Subject, region: QuestionRegion, seed: int) -> Counts:
-    """As many questions as the avoider's pace allows, tried with another instance: this one knows nothing.
+    """Return as many questions as the avoider's pace allows.
 
-    The least of a few times, and in this process that of the processor: a busy machine asks no fewer.
+    A second instance is timed, because the first has to be without experience.  The least of a few times
+    counts, and in this process the processor's time: a busy machine does not lower the counts.
+
+    Args:
+        subject: The avoider.
+        region: The region of the trial questions.
+        seed: The root of the trial questions.
+
     """
     few = region.draw(generator(seed, Branch.SCORING, 0, _PACE), PROBE)
     probed = subject.another()
     answers_at_first(probed, *first_question(region.settings))
     took = [_took_s(lambda: asked_together(probed, few)) for _ in range(3)]
-    wall_s, processor_s = (min(one) / max(len(few), 1) for one in zip(*took, strict=True))
+    wall_s, processor_s = (min(times) / max(len(few), 1) for times in zip(*took, strict=True))
     each_s = max(processor_s, wall_s / 8.0) if subject.in_process else wall_s / 1.5
     _, alone_s = asked_alone(probed, few[:16])
     return Counts().at_pace(each_s, float(np.mean(alone_s)) if alone_s else 0.0)
 
 
 def _took_s(do: Callable[[], object]) -> tuple[float, float]:
-    """On the wall's clock and the processor's."""
+    """Return the time of a call on the wall's clock and on the processor's."""
     begun_s, processor_s = time.perf_counter(), time.process_time()
     do()
     return time.perf_counter() - begun_s, time.process_time() - processor_s
 
 
 def _sample(regions: Sequence[QuestionRegion], drawn: Sequence[Questions], count: int) -> Questions:
-    """The first questions of each region that runs ask about, by turns as many as there are regions."""
-    asked = [
+    """Return the first questions of each region about which runs ask, equally many from each."""
+    usable = [
         questions for region, questions in zip(regions, drawn, strict=True) if region.asked_in_runs
     ] or list(drawn)
-    each = -(-count // max(sum(len(one) > 0 for one in asked), 1))
-    return Questions.joined([questions[:each] for questions in asked])[:count]
+    each = -(-count // max(sum(len(part) > 0 for part in usable), 1))
+    return Questions.joined([questions[:each] for questions in usable])[:count]
 
 
 def _by_region(
@@ -225,16 +271,16 @@ def _by_region(
     drawn: Sequence[Questions],
     seed: int,
     counts: Counts,
-    on_step: Told,
+    on_step: OnStep,
 ) -> Iterator[tuple[RegionScore, list[Jumps]]]:
-    """Each region's score and jumps."""
+    """Yield each region's score and jumps."""
     for number, (region, questions) in enumerate(zip(regions, drawn, strict=True)):
         on_step(region.name)
         scored = _scored(avoider, region, questions)
         jumps: list[Jumps] = []
         if region.asked_in_runs and len(questions):
-            for which, moved in enumerate(Moved):
-                rng = generator(seed, Branch.SCORING, number, _SEGMENTS, which)
+            for stream, moved in enumerate(Moved):
+                rng = generator(seed, Branch.SCORING, number, _SEGMENTS, stream)
                 few = min(counts.segments, len(questions))
                 ask = partial(asked_together, avoider)
                 jumps.append(jumps_of(ask, region, moved, questions, scored.answers, rng, few))
@@ -242,17 +288,19 @@ def _by_region(
 
 
 def _scored(avoider: Avoider, region: QuestionRegion, questions: Questions) -> RegionScore:
+    """Return a region's score."""
     return region_score(region, questions, asked_together(avoider, questions), region.settings)
 
 
 def _times(avoider: Avoider, times_s: Sequence[float], settings: Settings) -> AnswerTimes:
-    deadline_s, found = settings.avoidance.decision_deadline_s, np.array(times_s)
+    """Return the figures of answer times."""
+    deadline_s, all_s = settings.avoidance.decision_deadline_s, np.array(times_s)
     return AnswerTimes(
-        questions=len(found),
-        median_s=float(np.median(found)),
-        p99_s=float(np.quantile(found, 0.99)),
-        most_s=float(found.max()),
-        late=int(np.count_nonzero(found > deadline_s)),
+        questions=len(all_s),
+        median_s=float(np.median(all_s)),
+        p99_s=float(np.quantile(all_s, 0.99)),
+        most_s=float(all_s.max()),
+        late=int(np.count_nonzero(all_s > deadline_s)),
         declared_s=decision_time_of(avoider),
         deadline_s=deadline_s,
     )

@@ -1,7 +1,7 @@
-"""What asking an avoider directly gives: figures with their intervals, by region; no logic.
+"""The data of a direct evaluation of an avoider: figures with intervals, by region; without logic.
 
-Lengths are metres, angles radians, times seconds, positions in the base frame.  A figure that cannot be
-had (no answer at all, no spread) is None, never a number that looks good.
+Lengths are metres, angles radians, times seconds, positions in the base frame.  An unavailable figure (no
+answer at all, no spread) is None, never a number that looks good.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ JUMP_M = 0.0005
 
 @dataclass(frozen=True)
 class Figure:
-    """A number with the interval that contains the true one with 95 % at least; of a maximum: NaN, NaN.
+    """A number with an interval that contains the true value with at least 95 %; NaN, NaN for a maximum.
 
-    Of quantiles it is exact, from order statistics; of ranks and means it is from the normal distribution.
+    It is exact for quantiles (order statistics), and from the normal distribution for ranks and means.
     """
 
     value: float
@@ -31,10 +31,11 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class ScoredQuestion:
-    """One question and what came: for lists of the worst.
+    """One question with its answer, for lists of the worst.
 
-    ``off_m``: from the closed-form optimum; ``gained_m``: away from the hand (negative: towards it);
-    ``spread_m``: the largest of the three.  NaN without an answer, for which ``fault`` says why.
+    ``off_m`` is the distance to the closed-form optimum, ``gained_m`` the gain away from the hand (negative:
+    towards it), and ``spread_m`` the largest of the three spreads.  They are NaN for a missing answer, whose
+    reason is ``fault``.
     """
 
     region: str
@@ -48,12 +49,12 @@ class ScoredQuestion:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Spreads:
-    """What the declared spreads are worth; only of an avoider that declares any.
+    """The quality of the declared spreads, for an avoider that declares any.
 
-    ``within[k - 1][axis]``: the share of errors within k spreads.  ``error_to_spread``: rms error over rms
-    spread, all axes together, and ``by_axis``: above 1 the avoider is too sure.  ``rank``: Spearman's
-    correlation of the largest spread with the error, None where one of them is constant; ``honest_rank``:
-    what it would be if the errors were normal with just these spreads, simulated once.
+    ``within[k - 1][axis]`` is the share of errors within k spreads.  ``error_to_spread`` is rms error over
+    rms spread, all axes together, and ``by_axis`` by axis; above 1 the avoider is too sure.  ``rank`` is
+    Spearman's correlation of the largest spread with the error, None if one is constant.  ``honest_rank`` is
+    the same for normal errors with just these spreads, simulated once.
     """
 
     within: tuple[tuple[Proportion, Proportion, Proportion], ...]
@@ -66,20 +67,24 @@ class Spreads:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RegionScore:
-    """One avoider in one region; the proportions are of the questions, but for those named otherwise.
+    """The figures of one avoider in one region; proportions count questions unless stated otherwise.
 
-    Where the region holds no pair that can be asked, ``about`` says so and every figure is None.
-    ``asked_in_runs``: can a run ask these questions?  ``in_reach``: reachable, and above the table by the
-    clearance.  ``gained_m``: away from the hand; ``angle_rad``: between the way and the direction away from
-    the hand.  ``off``: the distance to the closed-form optimum, ``bias_in_base_m`` the mean error.  ``pull``:
-    how the error grows with the hand's position at a fixed TCP, (3, 3) metres a metre by least squares, and
-    ``scale`` with the TCP's: rows are the axes of the error.  Of the optimum both are 0; of what takes no
-    notice of the hand the pull is 0.05 on the diagonal.  ``wrong_and_sure``: more than ``WRONG_M`` off, with
-    no spread above the avoider's own threshold; ``sure_and_unsafe``: so, and towards the hand or out of
-    reach.  ``stuck``: the largest share of answers with the very same coordinate: those of an avoider
-    that clips or has collapsed.  Where answers are rounded, twice as many as at the next coordinates are not
-    counted.
-    ``step_m``: what two answers in the number format of these differ by at most, 0 in double precision.
+    If the region has no pair about which a run can ask, ``about`` says so and every figure is None.
+    ``asked_in_runs`` tells whether a run can ask these questions.
+
+    ``in_reach`` counts answers that the arm reaches, above the table by the clearance.  ``gained_m`` is the
+    gain away from the hand.  ``angle_rad`` is the angle between the step and the direction away from the
+    hand.  ``off`` is the distance to the closed-form optimum, and ``bias_in_base_m`` the mean error.
+
+    ``pull`` is the growth of the error with the hand's position at a fixed TCP, (3, 3) metres a metre by
+    least squares. ``scale`` is its growth with the TCP's position.  Rows are the axes of the error.  Both are
+    0 for the optimum.  An avoider that ignores the hand has a pull of 0.05 on the diagonal.
+
+    ``wrong_and_sure`` counts answers more than ``WRONG_M`` off, with no spread above the avoider's own
+    threshold. ``sure_and_unsafe`` counts sure answers towards the hand or out of reach.  ``stuck`` is the
+    largest share of answers with the very same coordinate, as of an avoider that clips or has collapsed.  If
+    answers are rounded, twice the number at the next coordinates does not count.  ``step_m`` is the largest
+    difference of two neighbours in the answers' number format, 0 in double precision.
     """
 
     region: str
@@ -110,7 +115,7 @@ class RegionScore:
 
 
 class Moved(Enum):
-    """What is moved between two near questions."""
+    """The position that moves between two near questions."""
 
     HAND = "the hand"
     TCP = "the TCP"
@@ -118,7 +123,7 @@ class Moved(Enum):
 
 @dataclass(frozen=True, eq=False)
 class AnswerChange:
-    """Two near questions, alike but for one position, and how far apart their answers are."""
+    """Two near questions that differ in one position, and the distance of their answers."""
 
     moved: Moved
     before: Question
@@ -129,12 +134,12 @@ class AnswerChange:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Jumps:
-    """The answers along straight segments with one seed each; the hand or the TCP is moved.
+    """The answers along straight segments with one seed each, on which the hand or the TCP moves.
 
-    ``jumped``: the share of segments with a change of more than ``limit_m`` left between two questions that
-    are ``NEAR_M`` apart; only the most uneven segments are followed that far, so that it is a lower bound.
-    ``largest``: the largest such jump, None without any.  ``steepest``: the largest change over about 1 mm.
-    ``limit_m``: half a millimetre, or two steps (``step_m``) of the number format of the answers, or of an
+    ``jumped`` is the share of segments with a change of more than ``limit_m`` between two questions
+    ``NEAR_M`` apart.  It is a lower bound, because the search follows only the most uneven segments that far.
+    ``largest`` is the largest such jump; None without any.  ``steepest`` is the largest change over about 1
+    mm.  ``limit_m`` is half a millimetre, or two steps (``step_m``) of the answers' number format, or of an
     avoider that answers in steps.
     """
 
@@ -148,12 +153,12 @@ class Jumps:
 
     @property
     def limit_m(self) -> float:
-        """The largest change that is no jump."""
+        """The largest change that is no jump [m]."""
         return max(JUMP_M, 2.0 * self.step_m)
 
 
 class WayOfAsking(Enum):
-    """How the same questions are asked a second time."""
+    """The ways of asking the same questions a second time."""
 
     AGAIN = "asked again"
     ORDER = "asked in another order"
@@ -166,10 +171,10 @@ class WayOfAsking(Enum):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AskedAgain:
-    """Whether the answers have the same bits: ``differ`` counts the questions of which they do not.
+    """A comparison of answers by their bits; ``differ`` counts the questions whose answers differ.
 
-    ``largest_m``: of the position or the spread; infinite where one of the two is no answer.  ``apart``: was
-    the second time in another process?  Only files that are executed are asked there.
+    ``largest_m`` is the largest difference of position or spread, infinite if an answer is missing.
+    ``apart`` tells whether the second time was in another process.  Only executed files run there.
     """
 
     way: WayOfAsking
@@ -182,25 +187,28 @@ class AskedAgain:
 
 @dataclass(frozen=True)
 class AnswerTimes:
-    """How long answers took here, one question at a time; what nothing else depends on, or repeats."""
+    """Answer times on this machine, one question at a time; they do not repeat.
+
+    Other figures are independent of them.
+    """
 
     questions: int
     median_s: float
     p99_s: float
     most_s: float
-    late: int  # how many took longer than the deadline
+    late: int  # answers after the deadline
     declared_s: float
     deadline_s: float
 
 
 @dataclass(frozen=True, eq=False)
 class Scorecard:
-    """Everything about one avoider; a yardstick has neither repeats nor times."""
+    """All figures of one avoider; a yardstick has neither repeats nor times."""
 
-    avoider: str  # as its reference says
-    name: str  # as it calls itself
+    avoider: str  # its reference
+    name: str  # its own name
     seed: int
-    seen: str  # whose seen space the regions are about
+    seen: str  # the source of the regions' seen space
     regions: tuple[RegionScore, ...]
     jumps: tuple[Jumps, ...]
     repeats: tuple[AskedAgain, ...] = ()
@@ -208,7 +216,7 @@ class Scorecard:
 
 
 class Kind(Enum):
-    """What is wrong; the value is how pages and files call it."""
+    """The kinds of findings; the value is the name on pages and in files."""
 
     NO_ANSWER = "no answer"
     LEADS_TOWARDS = "leads towards the hand"
@@ -231,8 +239,8 @@ class Kind(Enum):
     SLOW = "slow"
 
 
-_ASKED = {Kind.NO_ANSWER, Kind.LEADS_TOWARDS, Kind.OUT_OF_REACH, Kind.SURE_AND_UNSAFE}
-UNSAFE = frozenset(_ASKED | {Kind.JUMPS, Kind.NOT_REPEATED, Kind.SLOW})
+_WRONG_ANSWERS = {Kind.NO_ANSWER, Kind.LEADS_TOWARDS, Kind.OUT_OF_REACH, Kind.SURE_AND_UNSAFE}
+UNSAFE = frozenset(_WRONG_ANSWERS | {Kind.JUMPS, Kind.NOT_REPEATED, Kind.SLOW})
 """Kinds that are wrong whatever an avoider is meant to answer; others say that it is unlike yardsticks."""
 UNSAFE_OF_NETWORK = UNSAFE | {Kind.WRONG_AND_SURE, Kind.SPREAD_MISSES}
 """Those of a network trained here: the closed-form optimum is what it was trained to answer."""
@@ -240,9 +248,9 @@ UNSAFE_OF_NETWORK = UNSAFE | {Kind.WRONG_AND_SURE, Kind.SPREAD_MISSES}
 
 @dataclass(frozen=True, eq=False)
 class ScoreFinding:
-    """One limit that an avoider exceeds: ``words`` has figure, unit and limit.
+    """One limit that an avoider exceeds; ``words`` has figure, unit and limit.
 
-    ``region`` is empty where none is concerned; ``questions`` show it, the clearest first.
+    ``region`` is empty for a finding without a region.  ``questions`` show it, the clearest first.
     """
 
     kind: Kind

@@ -34,18 +34,18 @@ CLAIMS = (
     f"proposals lead away to within {1e3 * TOLERANCE_M:g} mm",
     f"proposals never sure and more than {1e3 * WRONG_M:g} mm from the optimum",
 )
-MOST_SHOWN, MOST_TRIED = 10, 30  # of the worst questions, as files
+MOST_SHOWN, MOST_TRIED = 10, 30  # worst questions as files, and trials for them
 AVOIDER = Place(field="AVOIDER")
 
 
 @dataclass(eq=False)
 class ScoringSession:
-    """What is asked for; ``questions`` None: as many as the avoider's pace allows.
+    """A session of scoring.
 
-    ``out`` keeps the worst questions as files; None keeps none.
-
-    ``regions`` by name and ``spaces`` by file; neither: all regions that have a name.  ``on_step`` is told
-    what comes, and what share of the steps is done.
+    ``references`` name the avoiders.  ``questions`` is the number in the first region; None: as many as the
+    avoider's pace allows.  ``out`` keeps the worst questions as files; None: no files.  ``regions`` are
+    names, and ``spaces`` files; without both, the session takes all named regions.  ``against`` names a
+    reference.  ``on_step`` receives the next step and the finished share of the steps.
     """
 
     references: Sequence[str]
@@ -67,74 +67,77 @@ class ScoringSession:
         self._space_regions = [space_region(read_space(path), self.seed) for path in self.spaces]
 
     def run(self) -> Scored:
-        """Score them all; Ctrl-C ends it and keeps the avoiders that were finished."""
+        """Score all avoiders; Ctrl-C ends the session and keeps the finished avoiders."""
         subjects = [
-            (Subject.of(one, AVOIDER), self._regions(one)) for one in self.references
-        ]  # every mistake before anything is asked
-        other = None if self.against is None else Subject.of(self.against, Place(field="--against"))
+            (Subject.of(entry, AVOIDER), self._regions(entry)) for entry in self.references
+        ]  # a wrong name is found before the first question
+        rival = None if self.against is None else Subject.of(self.against, Place(field="--against"))
         for _, regions in subjects:
             searched = sum(region.asked_in_runs for region in regions) if self.budget else 0
             of_score = 2 + len(regions)
             self._steps += len(YARDSTICKS) + of_score + searched
-            self._steps += 0 if other is None else 1 + of_score
+            self._steps += 0 if rival is None else 1 + of_score
         try:
             for subject, regions in subjects:
-                both = [subject] if other is None else [subject, other]
-                if missing := "".join(why_not_shown(one, regions) for one in both):
+                both = [subject] if rival is None else [subject, rival]
+                if missing := "".join(why_not_shown(entry, regions) for entry in both):
                     self.scored.failed.append(f"{subject.reference}: not applicable: {missing}")
                     continue
-                subject, *others = (shown(one, regions[0]) for one in both)
+                subject, *rest = (shown(entry, regions[0]) for entry in both)
                 try:
-                    self._take(subject, regions, *others)
+                    self._take(subject, regions, *rest)
                 except NoAnswerError as error:
                     self.scored.failed.append(f"{subject.reference}: {error}")
         except KeyboardInterrupt:
             self.scored.interrupted = True
         return self.scored
 
-    def _step(self, words: str) -> None:
-        """The next begins; yardsticks that are known already take no steps."""
-        self.on_step(words, min(self._steps_done / self._steps, 0.99))
+    def _step(self, text: str) -> None:
+        """Report the next step; known yardsticks take no steps."""
+        self.on_step(text, min(self._steps_done / self._steps, 0.99))
         self._steps_done += 1
 
     def _seen(self, reference: str) -> SeenRegions:
+        """Return the regions of an avoider's training data."""
         return seen_by(reference, folder=None, settings=DEFAULTS)
 
     def _regions(self, reference: str) -> list[QuestionRegion]:
+        """Return the wanted regions of an avoider; ScenarioError for an unknown name."""
         named = named_regions(self._seen(reference), DEFAULTS)
-        names = [one.name for one in named]
+        names = [region.name for region in named]
         for name in self.regions:
             if name not in names:
                 raise ScenarioError.of_option(
                     "--region", f"one of {', '.join(names)}", repr(name), near_miss(name, names)
                 )
         wanted = self.regions or (() if self.spaces else names)
-        return [one for one in named if one.name in wanted] + self._space_regions
+        return [region for region in named if region.name in wanted] + self._space_regions
 
-    def _take(self, subject: Subject, regions: list[QuestionRegion], other: Subject | None = None) -> None:
+    def _take(self, subject: Subject, regions: list[QuestionRegion], rival: Subject | None = None) -> None:
+        """Score one avoider, beside a reference if there is one, and search its worst questions."""
         reference, counts = subject.reference, self._counts(subject, regions)
         seen = self._seen(reference).source
 
-        def told(what: str) -> None:
-            self._step(f"{reference}: {what}")
+        def say(step: str) -> None:
+            self._step(f"{reference}: {step}")
 
         cards = self._yardsticks(regions, counts)
         beside: Scorecard | None = None
-        if other is not None:
-            told(f"beside {other.reference}")
-            beside = score(other, regions, seed=self.seed, counts=counts, on_step=told)
+        if rival is not None:
+            say(f"beside {rival.reference}")
+            beside = score(rival, regions, seed=self.seed, counts=counts, on_step=say)
         sha256 = avoider_sha256(scenario_of_avoider(reference))
         settings = tuple(region.settings for region in regions)
         known = cards if beside is None else (beside, *cards)
 
-        def of(card: Scorecard) -> ScoredAvoider:
-            found = findings(card, cards)
+        def result_of(card: Scorecard) -> ScoredAvoider:
+            result = findings(card, cards)
             if beside is not None:
-                found = findings_against(card, found, beside, findings(beside, cards), settings)
-                return ScoredAvoider(reference, sha256, settings, card, known, found)
+                result = findings_against(card, result, beside, findings(beside, cards), settings)
+                return ScoredAvoider(reference, sha256, settings, card, known, result)
             kinds = UNSAFE_OF_NETWORK if _is_trained_here(subject.avoider) else UNSAFE
-            unsafe = tuple(one for one in found if one.kind in kinds)
-            unlike = tuple(one for one in found if one.kind not in kinds)
+            unsafe = tuple(finding for finding in result if finding.kind in kinds)
+            unlike = tuple(finding for finding in result if finding.kind not in kinds)
             return ScoredAvoider(reference, sha256, settings, card, known, unsafe, unlike)
 
         partly: list[Scorecard] = []
@@ -145,24 +148,25 @@ class ScoringSession:
                 seed=self.seed,
                 counts=counts,
                 seen=seen,
-                on_step=told,
+                on_step=say,
                 on_region=partly.append,
             )
         except KeyboardInterrupt:
-            self.scored.avoiders += [of(card) for card in partly[-1:]]
+            self.scored.avoiders += [result_of(card) for card in partly[-1:]]
             raise
-        if other is not None and beside is not None:
-            _refuse_itself(reference, card, other.reference, beside)
-        self.scored.avoiders.append(of(card))
-        self._search(self.scored.avoiders[-1], subject, regions, told)
+        if rival is not None and beside is not None:
+            _refuse_itself(reference, card, rival.reference, beside)
+        self.scored.avoiders.append(result_of(card))
+        self._search(self.scored.avoiders[-1], subject, regions, say)
 
     def _counts(self, subject: Subject, regions: list[QuestionRegion]) -> Counts:
+        """Return the numbers of questions for an avoider."""
         if self.questions is not None:
             return Counts.of(self.questions)
         return paced(subject, regions[0], self.seed)
 
     def _yardsticks(self, regions: list[QuestionRegion], counts: Counts) -> tuple[Scorecard, ...]:
-        """Once for avoiders that are asked the same."""
+        """Return the yardsticks' cards; avoiders with the same questions share them."""
         key = (counts, *(region.about for region in regions))
         if key not in self._cards:
             self._cards[key] = yardsticks(regions, seed=self.seed, counts=counts, on_step=self._step)
@@ -170,56 +174,56 @@ class ScoringSession:
 
     def _search(
         self,
-        one: ScoredAvoider,
+        scored: ScoredAvoider,
         subject: Subject,
         regions: list[QuestionRegion],
-        told: Callable[[str], None],
+        say: Callable[[str], None],
     ) -> None:
-        """Shared evenly among the regions that runs ask about."""
-        asked = [(number, region) for number, region in enumerate(regions) if region.asked_in_runs]
-        for number, region in asked:
+        """Search the worst questions; the regions about which runs ask share the budget evenly."""
+        posed = [(number, region) for number, region in enumerate(regions) if region.asked_in_runs]
+        for number, region in posed:
             if self.budget:
-                told(f"searching {region.name} for its worst questions")
-                budget = max(self.budget // len(asked), 1)
+                say(f"searching {region.name} for its worst questions")
+                budget = max(self.budget // len(posed), 1)
                 ledger = search_region(subject.avoider, region, budget=budget, seed=self.seed, number=number)
-                one.searches.append(ledger)
+                scored.searches.append(ledger)
                 if ledger.interrupted:
                     raise KeyboardInterrupt
-        self._write_worst(one, subject, regions, told)
+        self._write_worst(scored, subject, regions, say)
 
     def _write_worst(
         self,
-        one: ScoredAvoider,
+        scored: ScoredAvoider,
         subject: Subject,
         regions: list[QuestionRegion],
-        told: Callable[[str], None],
+        say: Callable[[str], None],
     ) -> None:
-        """The worst questions with which a run can begin, as files; the others are counted."""
-        slug = _slug(one.reference) + (f"-{len(self.scored.avoiders)}" if len(self.references) > 1 else "")
+        """Write the worst questions with which a run can begin; count all others."""
+        slug = _slug(scored.reference) + (f"-{len(self.scored.avoiders)}" if len(self.references) > 1 else "")
         by_name = {region.name: region for region in regions}
-        for objective, tried in worst_questions(one.searches, MOST_TRIED):
-            number = len(one.worst) + 1
-            told(f"trying worst question {number}")
+        for objective, tried in worst_questions(scored.searches, MOST_TRIED):
+            number = len(scored.worst) + 1
+            say(f"trying worst question {number}")
             file = question_file(
                 (self.out or Path()) / f"{slug}-worst-{number}.yaml",
-                one.reference,
+                scored.reference,
                 subject.avoider.avoider if isinstance(subject.avoider, ShownAvoider) else subject.avoider,
                 tried.hand_in_base_m,
                 tried.tcp_in_base_m,
                 tried.scenario_seed,
                 title=f"worst question {number}: {objective.value}",
-                about=_about(tried, self.seed),
+                about=_description(tried, self.seed),
                 claims=CLAIMS,
                 settings=by_name[tried.region].settings,
                 robot=by_name[tried.region].robot,
             )
             if file.path is None:
-                one.left_out.append(file.remark)
+                scored.left_out.append(file.remark)
                 continue
             if self.out is not None:
                 write_text(file.path, file.text)
-            one.worst.append(ShownQuestion(objective, tried, file))
-            if len(one.worst) == MOST_SHOWN:
+            scored.worst.append(ShownQuestion(objective, tried, file))
+            if len(scored.worst) == MOST_SHOWN:
                 return
 
 
@@ -228,7 +232,8 @@ def _is_trained_here(avoider: Avoider) -> bool:
     return isinstance(avoider, LearnedAvoider) or getattr(avoider, "exported", False)
 
 
-def _about(tried: Tried, seed: int) -> str:
+def _description(tried: Tried, seed: int) -> str:
+    """Return the description of a worst question."""
     return (
         f"Found by a search of {tried.region} (seed {seed}), which estimates nothing. It is the first "
         f"question of this run: the proposal leads {1e3 * tried.gained_m:.1f} mm away from the hand "
@@ -238,7 +243,7 @@ def _about(tried: Tried, seed: int) -> str:
 
 
 def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorecard) -> None:
-    """ScenarioError if two references are one by name and hash, and answered alike.
+    """Raise a ScenarioError if two references agree by name and hash, and answered alike.
 
     The same Python file in another folder may load other weights.
     """
@@ -252,7 +257,7 @@ def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorec
 
 
 def _slug(reference: str) -> str:
-    """A reference as part of a file's name."""
+    """Return a reference as part of a file's name."""
     file, name = file_and_name(reference)
-    words = f"{os.path.basename(file)} {name}" if file else reference
-    return re.sub(r"[^a-z0-9]+", "-", words.lower()).strip("-")
+    text = f"{os.path.basename(file)} {name}" if file else reference
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")

@@ -1,8 +1,8 @@
-"""What an avoider that sees more is shown with a question outside of a run.
+"""The further inputs of an avoider that sees more, for a question outside of a run.
 
-The arm stands where its TCP is the question's.  One hand rests at the question's place: it was just measured
-there, and is predicted to stay.  Another rests beyond the TCP, half as far again as a hand that counts; which
-of the two comes first follows from the seed.  Images are not drawn.
+The arm stands with its TCP at the question's.  One hand rests at the question's hand: it was just measured
+there, and the prediction stays there.  A second hand rests beyond the TCP, at 1.5 times the distance within
+which a hand counts. The seed decides which of the two comes first.  Images are not drawn.
 """
 
 from __future__ import annotations
@@ -26,16 +26,22 @@ VARIANCES = np.diag([1e-4] * 3 + [1e-2] * 3)  # of a predicted hand: 10 mm and 0
 
 
 def why_not_shown(subject: Subject, regions: Sequence[QuestionRegion]) -> str:
-    """Return why what the avoider sees cannot be drawn; empty if it can."""
-    missing = [word for word in shown_to(subject.avoider) if word not in DRAWN]
+    """Return why an avoider's inputs cannot be drawn; empty if they can.
+
+    Args:
+        subject: The avoider.
+        regions: The regions of the questions.
+
+    """
+    missing = [name for name in shown_to(subject.avoider) if name not in DRAWN]
     if missing:
         return f"it sees {', '.join(missing)}, which no question outside of a run has"
-    others = len({(one.settings, one.robot) for one in regions}) > 1
-    return "the regions are of several arms or settings" if shown_to(subject.avoider) and others else ""
+    several = len({(region.settings, region.robot) for region in regions}) > 1
+    return "the regions are of several arms or settings" if shown_to(subject.avoider) and several else ""
 
 
 def shown(subject: Subject, region: QuestionRegion) -> Subject:
-    """Return the subject, shown what it sees with each question of ``region``'s arm and settings."""
+    """Return the subject with its inputs drawn for each question of ``region``'s arm and settings."""
     if not shown_to(subject.avoider):
         return subject
     return replace(
@@ -48,19 +54,19 @@ def shown(subject: Subject, region: QuestionRegion) -> Subject:
 
 @dataclass(frozen=True, eq=False)
 class ShownAvoider(AvoiderAround):
-    """An avoider that sees more, as one that does not: what it sees is drawn from the question alone."""
+    """An avoider that sees more, in the form of one that does not; its inputs follow from the question."""
 
     region: QuestionRegion
 
     @property
     def sees(self) -> tuple[str, ...]:
-        """Nothing that it would have to be given."""
+        """The further inputs that a caller has to give: an empty tuple."""
         return ()
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """As any avoider; AvoiderError where the arm cannot stand so.  Positions (3,)."""
+        """Return the avoider's answer for positions (3,); AvoiderError if the arm cannot stand there."""
         settings, robot = self.region.settings, self.region.robot
         pose = desired_transform_tcp_to_base(settings)
         pose[:3, 3] = tcp_position_in_base_m
@@ -70,9 +76,9 @@ class ShownAvoider(AvoiderAround):
         row = np.zeros((), seen_dtype(2, len(joints)))
         row["joint_position_rad"], row["transform_tcp_to_base"] = joints, pose
         row["tcp_position_in_base_m"] = tcp_position_in_base_m
-        beyond = tcp_position_in_base_m - hand_position_in_base_m
-        beyond *= 1.5 * settings.avoidance.critical_distance_m / max(float(np.linalg.norm(beyond)), 1e-9)
-        hands = [hand_position_in_base_m, tcp_position_in_base_m + beyond][:: 1 if seed % 2 else -1]
+        away = tcp_position_in_base_m - hand_position_in_base_m
+        away *= 1.5 * settings.avoidance.critical_distance_m / max(float(np.linalg.norm(away)), 1e-9)
+        hands = [hand_position_in_base_m, tcp_position_in_base_m + away][:: 1 if seed % 2 else -1]
         row["hand_count"], row["tracked"][:2] = 2, (1, 2)
         row["hands"][:2] = row["predicted"][:2] = hands
         row["predicted_covariance"][:2] = VARIANCES

@@ -1,9 +1,9 @@
-"""The search for an avoider's worst questions, with the searchers of ``search``, in a ledger of its own.
+"""The search for an avoider's worst questions, with the searchers of ``search``, in its own ledger.
 
-A search chooses its questions, so nothing that comes of them enters an estimate.  The cube of a region has
-the TCP, the hand as seen from it, and one of a few seeds: both boxes are those of some draws, and pairs that
-the region does not hold, or with which no run begins, are refused.  A question's seed is that of the first
-decision of a run with a declared seed, so that a scenario file can ask it again.
+A search chooses its questions, so its results enter no estimate.  The cube of a region has the TCP, the hand
+relative to it, and one of a few seeds.  Both boxes come from some draws.  Pairs outside the region, or with
+which no run begins, are refused.  A question's seed is the seed of the first decision in a run with a
+declared seed, so that a scenario file can ask it again.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import searcher_named
 
 SEARCHER, BATCH = "diverse", 64
-SEEDS = 8  # of a region's questions: a coordinate of the search, or a random avoider would be all noise to it
-DRAWS = 500  # for the boxes that are searched
+SEEDS = 8  # of a region's questions; a coordinate of the search, or a random avoider would look like noise
+DRAWS = 500  # draws of the region, for the boxes of the search
 TOLERANCE_M = 0.010  # towards the hand
-APART_M = 0.05  # of hands and TCPs: worst questions that are nearer are one place
-# Goals keep their margins above zero, or a descent would end at the first violation: it is to find the worst.
+APART_M = 0.05  # of hands or TCPs: nearer worst questions count as one place
+# Added to margins, which stay above zero: a descent ends at a violation, and should find the worst.
 _FAR_M = 10.0
 
 
 class Objective(Enum):
-    """What is searched for; the value is how people call it."""
+    """The objectives of the search; the value is their text for people."""
 
     TOWARDS = "leads least away from the hand"
     SURE_AND_OFF = "sure, and farthest from the optimum"
 
     @property
     def limit_m(self) -> float:
-        """What is not worse than that is shown to nobody; the claims of the files have the same limits."""
+        """The limit [m] up to which a question is not reported; the files' claims have the same limits."""
         return TOLERANCE_M if self is Objective.TOWARDS else WRONG_M
 
 
@@ -57,9 +57,9 @@ OBJECTIVES = tuple(Objective)
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """A question of the search, and what was answered: ``gained_m`` and ``off_m`` are of its proposal.
+    """A question of the search with its answer; ``gained_m`` and ``off_m`` belong to the proposal.
 
-    ``optimum_gained_m`` is what the closed-form optimum of the question gains, a yardstick.
+    ``optimum_gained_m`` is the gain of the closed-form optimum, a yardstick.
     """
 
     region: str
@@ -74,20 +74,20 @@ class Tried:
     sure: bool
 
     def badness_m(self, objective: Objective) -> float:
-        """The larger the worse; -inf where the objective does not ask for it."""
+        """Return the badness for ``objective``, larger for a worse answer; -inf if it does not apply."""
         if objective is Objective.TOWARDS:
             return -self.gained_m
         return self.off_m if self.sure else -np.inf
 
-    def apart_m(self, other: Tried) -> float:
-        """How far the two questions are from each other: the larger of hand's and TCP's distance."""
-        hands = np.linalg.norm(self.hand_in_base_m - other.hand_in_base_m)
-        return float(max(hands, np.linalg.norm(self.tcp_in_base_m - other.tcp_in_base_m)))
+    def apart_m(self, second: Tried) -> float:
+        """Return the distance of two questions: the larger of the hands' and the TCPs' distance."""
+        hands = np.linalg.norm(self.hand_in_base_m - second.hand_in_base_m)
+        return float(max(hands, np.linalg.norm(self.tcp_in_base_m - second.tcp_in_base_m)))
 
 
 @dataclass(eq=False)
 class QuestionSearch:
-    """The ledger of one region's search: ``tried`` has the questions with an answer, ``asked`` counts all."""
+    """The ledger of one region's search; ``tried`` has the questions with an answer, ``asked`` counts all."""
 
     region: str
     budget: int
@@ -99,7 +99,7 @@ class QuestionSearch:
 
 @dataclass(eq=False)
 class _Searching:
-    """An ``Evaluate`` of a search: points of a region's cube are asked, and entered into its ledger."""
+    """An ``Evaluate`` of a search: it asks points of a region's cube, and enters them into its ledger."""
 
     avoider: Avoider
     region: QuestionRegion
@@ -117,7 +117,7 @@ class _Searching:
         )
 
     def __call__(self, points: Points, first: int) -> Outcomes:
-        """Ask the points (n, 7) that the region holds."""
+        """Ask the points (n, 7) that belong to the region."""
         at = self._low + points[:, :6] * (self._high - self._low)
         tcps, hands = at[:, :3], at[:, :3] + at[:, 3:]
         held = self.region.holds(hands, tcps)
@@ -129,13 +129,13 @@ class _Searching:
         margins = np.full((len(points), len(OBJECTIVES)), np.nan)
         if held.any():
             seeds = np.array([seed_of(seed) for seed in self.scenario_seeds], np.uint64)[numbers]
-            margins[held] = self._asked(Questions(hands[held], tcps[held], seeds), numbers)
+            margins[held] = self._margins_of(Questions(hands[held], tcps[held], seeds), numbers)
         known = Outcomes.of_margins(margins)
-        refused = ["" if one else "no run begins so" for one in held]
+        refused = ["" if is_held else "no run begins so" for is_held in held]
         return Outcomes(margins, known.conclusive, refused, known.mishaps, known.kinds, known.cells)
 
-    def _asked(self, questions: Questions, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(n, 2) margins of questions with seeds of these ``numbers`` (n,); NaN without an answer."""
+    def _margins_of(self, questions: Questions, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the margins (n, 2) of questions with the seeds ``numbers`` (n,); NaN if unanswered."""
         hands, tcps = questions.hands_in_base_m, questions.tcps_in_base_m
         answers = asked_together(self.avoider, questions)
         proposed, optimum = answers.positions_in_base_m, optimum_in_base_m(self.region.settings, hands, tcps)
@@ -172,45 +172,62 @@ def search_region(
     number: int,
     on_progress: Callable[[Findings], None] | None = None,
 ) -> QuestionSearch:
-    """Search region ``number`` with ``budget`` questions; Ctrl-C ends it and keeps its ledger."""
+    """Search one region for its worst questions; Ctrl-C ends the search and keeps its ledger.
+
+    Args:
+        avoider: The avoider.
+        region: The region.
+        budget: The number of questions.
+        seed: The root of all random numbers.
+        number: The region's number, which separates its random numbers.
+        on_progress: Receives the findings after each batch.
+
+    """
     ledger = QuestionSearch(region.name, budget)
     drawn = region.draw(generator(seed, Branch.SEARCH, 5, number), DRAWS)
     if len(drawn) < 2 or budget < 1:
         return ledger
     own = tuple(leaf(seed, Branch.SEARCH, 6, number, k) for k in range(SEEDS))
     searching = _Searching(avoider, region, drawn, own, ledger)
-    goals = [Goal(one.value, 0.1) for one in OBJECTIVES]
+    goals = [Goal(objective.value, 0.1) for objective in OBJECTIVES]
     make = searcher_named(SEARCHER)(
         searching.cube, claims=len(goals), seed=leaf(seed, Branch.SEARCH, 7, number)
     )
     try:
-        found = find_violations(
+        findings = find_violations(
             searching.cube, goals, searching, make, budget=budget, batch=BATCH, on_progress=on_progress
         )
-        ledger.interrupted = found.interrupted
-    except InadmissibleError:  # next to no point of the boxes is in the region: what was asked stays
+        ledger.interrupted = findings.interrupted
+    except InadmissibleError:  # almost no point of the boxes is in the region: the ledger keeps its questions
         pass
     return ledger
 
 
 def worst_questions(searches: Sequence[QuestionSearch], most: int) -> list[tuple[Objective, Tried]]:
-    """The worst of all regions: each objective's worst in turn, no two of them near to each other."""
+    """Return the worst questions of all regions, by objective in turn; no two are near to each other.
+
+    Args:
+        searches: The ledgers.
+        most: The greatest number of questions.
+
+    """
     queues = [_by_badness(searches, objective) for objective in OBJECTIVES]
-    found: list[tuple[Objective, Tried]] = []
-    while queues and len(found) < most:
+    chosen: list[tuple[Objective, Tried]] = []
+    while queues and len(chosen) < most:
         queue = queues.pop(0)
-        for objective, one in queue:
-            if all(one.apart_m(other) > APART_M for _, other in found):
-                found.append((objective, one))
+        for objective, tried in queue:
+            if all(tried.apart_m(earlier) > APART_M for _, earlier in chosen):
+                chosen.append((objective, tried))
                 queues.append(queue)
                 break
-    return found
+    return chosen
 
 
 def _by_badness(
     searches: Sequence[QuestionSearch], objective: Objective
 ) -> Iterator[tuple[Objective, Tried]]:
-    tried = (one for ledger in searches for one in ledger.tried)
-    every = [one for one in tried if one.badness_m(objective) > objective.limit_m]
-    for one in sorted(every, key=lambda one: -one.badness_m(objective)):
-        yield objective, one
+    """Yield the questions beyond the objective's limit, worst first."""
+    tried = (question for ledger in searches for question in ledger.tried)
+    every = [question for question in tried if question.badness_m(objective) > objective.limit_m]
+    for question in sorted(every, key=lambda question: -question.badness_m(objective)):
+        yield objective, question
