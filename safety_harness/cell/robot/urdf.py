@@ -210,7 +210,7 @@ class Urdf:
     def carrier(self, link: str, among: Collection[str]) -> tuple[str | None, list[NDArray[np.float64]]]:
         """Return the link of ``among`` that ``link`` is or is fixed to, and the frames (4, 4) in between.
 
-        The frames are those of the fixed joints. (None, []) without such a link.
+        The frames belong to the fixed joints. (None, []) without such a link.
         """
         frames: list[NDArray[np.float64]] = []
         while link not in among:
