@@ -1,8 +1,8 @@
 """The bounding boxes of hands in a colour and a depth image: the interface for a user's detector.
 
-The paper's detector is a YOLO network. The detector here needs no network: the simulator paints its hands in
-a colour that nothing else in the cell has. Any object with a ``detect`` method like that of
-``BoundingBoxDetector`` can replace it, such as a YOLO network exported to ONNX:
+The paper's detector is a YOLO network. The detector here needs no network: the simulator paints only its
+hands in this colour. Any object with a ``detect`` method like that of ``BoundingBoxDetector`` can replace it,
+such as a YOLO network exported to ONNX:
 
     class YoloDetector:
         def __init__(self, file: Path) -> None:
@@ -17,13 +17,13 @@ a colour that nothing else in the cell has. Any object with a ``detect`` method 
                 rows.append((u_px, v_px, z_m, width * height, width / height))
             return np.array(rows).reshape(-1, 5)
 
-Note the half pixel: ``left`` and ``right`` are edges here, as most networks give them. Edge 0 is the left
-edge of pixel 0, whose *centre* is at u = 0. A detector should be stateless from frame to frame. The tracks
+Note the half pixel: ``left`` and ``right`` are edges here, as most networks give them. Edge 0 is the boundary
+before pixel 0, whose *centre* is at u = 0. A detector should be stateless from frame to frame. The tracks
 hold the state, so that you can repeat a run.
 
-A threshold finds the object's pixels, as in the paper (OpenCV). The object is nearly black on a light table,
-and nothing else in view is. Black means dark in *every* colour channel, so the order of the channels does not
-matter. A blue sleeve has a low brightness but a high blue, so it does not count as black.
+A threshold finds the object's pixels, as in the paper (OpenCV). In view, only the object is nearly black, on
+a light table. Black means dark in *every* colour channel, so the order of the channels does not matter. A
+blue sleeve has a low brightness but a high blue, so it does not count as black.
 """
 
 from __future__ import annotations

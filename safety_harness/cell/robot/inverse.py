@@ -157,7 +157,7 @@ class InverseKinematics:
             min_singular_value: The bound of the singular values, above 0.
 
         Raises:
-            ValueError: The direction has no length, or a number is not positive and finite.
+            ValueError: The direction has no length, or a number is not valid.
 
         """
         direction = np.array(direction_in_base, dtype=np.float64)

@@ -118,7 +118,7 @@ class Urdf:
     def numbers(
         self, element: Element, key: str, count: int, default: str | None = None, largest: float = LARGEST
     ) -> NDArray[np.float64]:
-        """Return an attribute of ``count`` numbers (count,); ``ArmFileError`` if one is above ``largest``.
+        """Return an attribute of ``count`` numbers (count,); ``ArmFileError`` for another text.
 
         Args:
             element: The element.

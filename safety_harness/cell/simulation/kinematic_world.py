@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from safety_harness.base.compiled import njit_no_nrt
 from safety_harness.base.geometry.arrays import ArrayNx2x3
 from safety_harness.base.geometry.linear import copy_matrix
-from safety_harness.cell.controller.cycle import ControllerRecords, act, look, report
+from safety_harness.cell.controller.cycle import ControllerRecords, act, report, watch
 from safety_harness.cell.controller.records import CommandRecords, FaultRecords, ParameterRecords
 from safety_harness.cell.robot.distance import CapsuleRecords
 from safety_harness.cell.robot.drive import DriveRecords
@@ -103,7 +103,7 @@ def advance(
                 for i in range(w.arm[0].link_transforms.shape[0]):
                     copy_matrix(w.arm[0].link_transforms[i], c.state[0].link_transforms[i])
                 c.state[0].placed = True
-            if look(*c[:7], w.observation):
+            if watch(*c[:7], w.observation):
                 return True
         decided = False
         act(*c[4:], w.observation)

@@ -167,7 +167,7 @@ def simulate_many(episodes: Sequence[Episode]) -> list[Trace]:
         under_way = [episode for episode in under_way if episode.advance()]
         pilots = [episode.controller for episode in under_way]
         queries = [run.controller.query(run.observation) for run in under_way if run.observation is not None]
-        answers = ask_many([pilot.asked() for pilot in pilots], queries)
+        answers = ask_many([pilot.answerer() for pilot in pilots], queries)
         for pilot, query, answer in zip(pilots, queries, answers, strict=True):
             pilot.decide(query, pilot.gate.rule_on(answer, query))
     return [episode.trace() for episode in episodes]
