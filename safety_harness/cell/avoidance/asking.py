@@ -173,7 +173,14 @@ class BatchAvoider(Avoider, Protocol):
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Return positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and ``seeds`` (n,)."""
+        """Return positions and spreads (n, 3) [m] for n questions.
+
+        Args:
+            hands_in_base_m: The hands (n, 3).
+            tcps_in_base_m: The TCPs (n, 3).
+            seeds: The seeds (n,).
+
+        """
         ...
 
 

@@ -57,8 +57,8 @@ class Avoider(Protocol):
         """Return a position for the TCP, which keeps its orientation.
 
         Args:
-            hand_position_in_base_m: The nearest predicted hand, as ``hand_position_in_base_m`` (3,).
-            tcp_position_in_base_m: The TCP, as ``tcp_position_in_base_m`` (3,).
+            hand_position_in_base_m: The nearest predicted hand (3,).
+            tcp_position_in_base_m: The TCP (3,).
             seed: The seed of any random numbers, from 0 to 2^64 - 1.
 
         Returns:

@@ -135,7 +135,13 @@ class Gate:
         return self.rule_on(answer_to(avoider, query), query)
 
     def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
-        """Check the avoider's answer, then the opposite pose if that fails, else stop."""
+        """Check the avoider's answer, then the opposite pose if that fails, else stop.
+
+        Args:
+            proposed: The avoider's answer.
+            query: Its question, with everything that the checks need.
+
+        """
         opposite = answer_to(self.fallback, replace(query, late="", asked_of=None))
         proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
         if not (proposed.late or proposed.fault):
@@ -179,9 +185,14 @@ class Gate:
         return Check.NONE if depth_m >= 0.0 else Check.OUTSIDE_REGION
 
     def check(self, position_in_base_m: Vector, query: Query) -> Check:
-        """Return the checks that ``position_in_base_m`` (3,) fails, with the current orientation.
+        """Return the checks that a position fails, with the current orientation.
 
         A straight path is lowest at an end, so the table needs no check in between.
+
+        Args:
+            position_in_base_m: The position (3,).
+            query: The question, for the arm's state and the hands.
+
         """
         failed = Check.NONE
         full = self.kind is GateKind.FULL
@@ -242,7 +253,14 @@ def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answ
 
     The latency of a question in a batch is NaN, because the batch has only one time. Questions in turn have
     their times. An avoider in another process gets all its questions in one message and does either there.
-    ``NoAnswerError`` for an avoider that hangs.
+
+    Args:
+        avoiders: The avoider of each question.
+        queries: The questions.
+
+    Raises:
+        NoAnswerError: An avoider hangs.
+
     """
     answers = [Answer()] * len(queries)
     together: dict[int, list[int]] = {}  # by avoider
@@ -262,13 +280,19 @@ def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answ
 def leads_away(
     start_in_base_m: Vector, path: Vector, hands_in_base_m: Vector, half_widths_m: Vector | None = None
 ) -> bool:
-    """Return whether the straight path (3,) leads away from each of the hands (k, 3), everywhere.
+    """Return whether a straight path leads away from each hand, everywhere.
 
     The distance from a fixed point to a straight path is convex. So it grows everywhere unless it falls at
-    the start: (p - t) . (t - h) >= 0. Return False for a path of no length and for a hand that is NaN.
+    the start: (p - t) . (t - h) >= 0. Return False for a path of no length and for a hand that is NaN. With
+    half widths r, this must hold for every position of the hands in their boxes. (p - t) . (t - h) is linear
+    in h, so it is least at a corner, and there less by sum |p - t|_i r_i.
 
-    If there are ``half_widths_m`` r (k, 3), this must hold for every position of the hands in such boxes. (p
-    - t) . (t - h) is linear in h, so it is least at a corner, and there less by sum |p - t|_i r_i.
+    Args:
+        start_in_base_m: The start t (3,).
+        path: The vector p - t (3,).
+        hands_in_base_m: The hands h (k, 3).
+        half_widths_m: The half widths r of boxes about them (k, 3). None: exact hands.
+
     """
     if not float(np.linalg.norm(path)) > 0.0:
         return False

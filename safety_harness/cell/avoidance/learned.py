@@ -63,10 +63,18 @@ class LearnedAvoider:
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Return positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,).
+        """Return positions and spreads (n, 3) [m] for n questions.
 
         A hand or TCP that is not finite gives a position that is not finite, and never a guess.
-        ``ValueError`` for arrays of other shapes.
+
+        Args:
+            hands_in_base_m: The hands (n, 3).
+            tcps_in_base_m: The TCPs (n, 3).
+            seeds: The seeds (n,).
+
+        Raises:
+            ValueError: An array has another shape.
+
         """
         # Copies, since numba would compile everything once more for an array that is read-only.
         hands = np.array(hands_in_base_m, dtype=np.float64, order="C")

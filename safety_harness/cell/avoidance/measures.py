@@ -18,6 +18,12 @@ def optimum_in_base_m(settings: Settings, hands: ArrayNx3, tcps: ArrayNx3) -> Ar
     """Return eq. 13 with the continuous optimum, (n, 3): gt = t_opt + hand_pull (t_tcp - t_h).
 
     It is the closed form of the networks' target: a reference for comparison, not a requirement.
+
+    Args:
+        settings: The settings, for the cap of candidates and ``hand_pull``.
+        hands: The hands t_h (n, 3).
+        tcps: The TCPs t_tcp (n, 3).
+
     """
     pull = settings.avoidance.hand_pull
     return np.asarray(continuous_optimum(settings, tcps) + pull * (tcps - hands))
@@ -28,6 +34,12 @@ def gained_m(hands: ArrayNx3, tcps: ArrayNx3, proposed: ArrayNx3) -> NDArray[np.
 
     The distance from a hand to a straight path is convex. So a component of zero or more leads away from the
     hand everywhere. If the hand is at the TCP, every path leads away, and its whole length counts.
+
+    Args:
+        hands: The hands h (n, 3).
+        tcps: The TCPs t (n, 3).
+        proposed: The proposed positions p (n, 3).
+
     """
     path, offset = proposed - tcps, tcps - hands
     distance = np.linalg.norm(offset, axis=1)
@@ -45,9 +57,13 @@ def is_sure(
     spreads_m: ArrayNx3,
     threshold_m: float | NDArray[np.float64],  # (n,)
 ) -> NDArray[np.bool_]:
-    """Return whether no spread (n, 3) is above the avoider's own threshold, (n,).
+    """Return whether a proposal's spread is within the avoider's own threshold on every axis, (n,).
 
-    Without a threshold (NaN) every answer is sure.
+    Args:
+        spreads_m: The spreads (n, 3).
+        threshold_m: The threshold, or one for each proposal (n,). For NaN, without a threshold, every answer
+            is sure.
+
     """
     sure: NDArray[np.bool_] = ~(spreads_m.max(axis=1) > threshold_m)
     return sure

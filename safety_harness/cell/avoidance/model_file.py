@@ -178,7 +178,16 @@ class Model(ModelMetadata):
 
 
 def refuse(path: Path, name: str | None, expected: str, got: str, hint: str = "") -> NoReturn:
-    """Raise the ``ModelError`` for field ``name`` of the file ``path``."""
+    """Raise the ``ModelError`` of a file.
+
+    Args:
+        path: The file.
+        name: The field at fault. None: the whole file.
+        expected: The expected value, in words.
+        got: The value of the file, in words.
+        hint: Advice, if any.
+
+    """
     raise ModelError(place=Place(file=path, field=name), expected=expected, got=got, hint=hint)
 
 
@@ -219,7 +228,16 @@ def load_model(path: Path) -> Model:
 def model_bytes(
     path: Path, kind: str, *, most: int, place: Place | None = None, error: type[InputError] = ModelError
 ) -> bytes:
-    """Return the bytes of a regular file of at most ``most`` bytes; raise ``error`` for anything else."""
+    """Return the bytes of a regular file; raise ``error`` for anything else.
+
+    Args:
+        path: The file.
+        kind: Its kind, in words for the error.
+        most: The largest number of bytes.
+        place: The place of the error. None: the file.
+        error: The class of the error.
+
+    """
     place = place or Place(file=path)
     data = read_bytes(path, most=most, place=place, error=error)
     if len(data) > most:
@@ -253,7 +271,14 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 def refuse_foreign_cell(network: NetworkUse, settings: Settings, path: Path) -> None:
-    """Raise ``ModelError`` if a network never saw the cell's desired TCP or its nominal hand position."""
+    """Raise ``ModelError`` if a network never saw the cell's desired TCP or its nominal hand position.
+
+    Args:
+        network: The network, with its seen space.
+        settings: The settings of the cell.
+        path: The network's file.
+
+    """
     for name, point_m in (
         ("tcp", settings.cell.desired_tcp_position_in_base_m),
         ("hand", settings.avoidance.nominal_hand_position_in_base_m),

@@ -29,7 +29,14 @@ class OnnxFile:
         self.metadata: dict[str, str] = dict(self.session.get_modelmeta().custom_metadata_map)
 
     def lay_out(self, takes: Quantities, gives: Quantities, required: set[str]) -> None:
-        """Find the quantities that inputs and outputs hold; ``ModelError`` as in ``laid_out``."""
+        """Find the quantities that inputs and outputs hold; ``ModelError`` as in ``laid_out``.
+
+        Args:
+            takes: The quantities that inputs may hold, by name.
+            gives: The quantities that outputs may hold, by name.
+            required: The names that must be there.
+
+        """
         self.inputs, self.outputs = laid_out(self.path, self.session, self.layout, takes, gives, required)
 
     def fed(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -48,8 +55,14 @@ class OnnxFile:
 def open_session(path: Path, data: bytes) -> Any:
     """Return the file in onnxruntime: one thread, in order, no file beside it.
 
-    Raise ``ModelError`` if the runtime cannot load it, if it draws random numbers, or if its answer depends
-    on the runtime's optimisation.
+    Args:
+        path: The file, for errors.
+        data: Its bytes.
+
+    Raises:
+        ModelError: The runtime cannot load it, it draws random numbers, or its answer depends on the
+            runtime's optimisation.
+
     """
     session = _session(path, data, optimised=True)
     refuse_chance(path, data)

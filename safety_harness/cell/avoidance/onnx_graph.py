@@ -70,8 +70,8 @@ def _refuse_nodes(path: Path, nodes: Sequence[Any], opsets: Iterable[Any], outer
         if node.op_type in RANDOM:
             refuse(path, place, "no operator that draws without a seed of ours", "one", SEED_HINT)
         if node.op_type in TRAINING_SAID_SINCE and _may_train(node, own, version, constants):
-            says = "says" if version >= TRAINING_SAID_SINCE[node.op_type] else "may say"
-            refuse(path, place, "an operator in evaluation mode", f"one that {says} training", MASKS_HINT)
+            verb = "says" if version >= TRAINING_SAID_SINCE[node.op_type] else "may say"
+            refuse(path, place, "an operator in evaluation mode", f"one that {verb} training", MASKS_HINT)
         for inner in (item for item in own.values() for item in (item if isinstance(item, list) else [item])):
             if hasattr(inner, "initializer"):
                 _refuse_nodes(path, inner.node, opsets, {**constants, **_stored(inner.initializer)})
@@ -89,7 +89,14 @@ def _may_train(node: Any, more: Mapping[str, Any], version: int, constants: Cons
 
 
 def refuse_dependence(path: Path, optimised: Any, plain: Any) -> None:
-    """Raise ``ModelError`` if sessions of a file with and without optimisation answer differently."""
+    """Raise ``ModelError`` if sessions of a file with and without optimisation answer differently.
+
+    Args:
+        path: The file, for errors.
+        optimised: The session with optimisation.
+        plain: The session without it.
+
+    """
     feeds = [_feed(plain, np.random.default_rng(seed)) for seed in range(QUESTIONS)]
     names = [output.name for output in plain.get_outputs()]
     for feed in feeds:

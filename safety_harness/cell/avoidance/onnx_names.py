@@ -72,8 +72,8 @@ def layout_of(text: str) -> dict[str, tuple[str, ...]]:
     """Parse a layout to the quantities in each tensor; short names stand for long names."""
     layout: dict[str, tuple[str, ...]] = {}
     name = ""
-    for word in map(str.strip, text.split(",")) if text else ():
-        given_name, equals, quantity = word.rpartition("=")
+    for part in map(str.strip, text.split(",")) if text else ():
+        given_name, equals, quantity = part.rpartition("=")
         name = given_name if equals else name
         layout[name] = (*layout.get(name, ()), SHORT.get(quantity, quantity))
     return layout
@@ -82,11 +82,20 @@ def layout_of(text: str) -> dict[str, tuple[str, ...]]:
 def laid_out(
     path: Path, session: Any, layout: Layout, takes: Quantities, gives: Quantities, required: set[str]
 ) -> list[list[Tensor]]:
-    """Return the inputs and the used outputs of the file ``path`` in a ``session``.
+    """Return the inputs and the used outputs of a file.
 
-    ``takes`` and ``gives`` are all quantities that inputs and outputs may hold; those in ``required`` must be
-    there. One ``ModelError`` states all unknown names, with the available quantities and the layouts that fit
-    the shapes. Another states the first tensor of a wrong type or shape.
+    Args:
+        path: The file, for errors.
+        session: The file in onnxruntime.
+        layout: The quantities of tensors whose names are not ours.
+        takes: All quantities that inputs may hold.
+        gives: All quantities that outputs may hold.
+        required: The names that must be there.
+
+    Raises:
+        ModelError: One error states all unknown names, with the available quantities and the layouts that fit
+            the shapes. Another states the first tensor of a wrong type or shape.
+
     """
     inputs, given = session.get_inputs(), session.get_outputs()
     own = {**SHORT, **{name: name for name in (*takes, *gives)}}

@@ -144,8 +144,15 @@ class DrivenController:
     ) -> NDArray[np.void]:
         """Return the COMMAND (1,) for an action, as ``obey`` makes it: the second half of ``step``.
 
-        ``wanted`` (6,) or (n,), ``observation`` (1,) OBSERVATION. ``ControllerError`` for numbers that are
-        not finite.
+        Args:
+            wanted: The velocities (6,) of the TCP or (n,) of the joints.
+            by_joints: Whether these are joint velocities.
+            stop: Whether the action is a stop.
+            observation: The OBSERVATION (1,) of the action.
+
+        Raises:
+            ControllerError: A velocity is not finite.
+
         """
         o, r = ObservationRecords(observation), self.records
         if not self._obey(r.parameters, r.state, o, wanted, by_joints, stop, r.command):

@@ -57,8 +57,15 @@ CONTROLLER = Place(field="controller")
 def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER) -> Make:
     """Return the maker of a controller: a shipped one, or a user's in a process of its own.
 
-    A relative file is relative to ``folder``. A program and the files among its arguments are relative to the
-    working directory. ``InadmissibleError`` at ``place`` without such a controller.
+    Args:
+        reference: The controller's name, file, program or address, as in a scenario.
+        folder: The folder of a relative file; None: the working directory. A program and the files among its
+            arguments are relative to the working directory.
+        place: The place of an error.
+
+    Raises:
+        InadmissibleError: There is no such controller.
+
     """
     if reference in SHIPPED:
         return SHIPPED[reference]
@@ -83,7 +90,14 @@ def _opened(opener: ControllerOpener, reference: str, place: Place) -> UserContr
 
 
 def refuse_unusable_controller(reference: str, folder: Path | None, place: Place) -> None:
-    """Raise the errors of ``controller_of`` that need no execution of a user's code."""
+    """Raise the errors of ``controller_of`` that need no execution of a user's code.
+
+    Args:
+        reference: The controller, as in ``controller_of``.
+        folder: The folder of a relative file.
+        place: The place of an error.
+
+    """
     if reference in SHIPPED:
         return
     if scheme := added_way(reference):
@@ -98,7 +112,17 @@ def refuse_unusable_controller(reference: str, folder: Path | None, place: Place
 
 
 def controller_file(reference: str, folder: Path | None, place: Place = CONTROLLER) -> tuple[Path, str]:
-    """Return the file of a user's controller and the name in it; ``InadmissibleError`` at ``place``."""
+    """Return the existing file of a user's controller and the name in it.
+
+    Args:
+        reference: The controller, as in ``controller_of``.
+        folder: The folder of a relative file.
+        place: The place of an error.
+
+    Raises:
+        InadmissibleError: The reference is not valid, or the file does not exist.
+
+    """
     file, name = file_and_name(reference)
     if not file or file.endswith(MODEL_SUFFIX):
         hint = near_miss(reference, NAMES, most=3)

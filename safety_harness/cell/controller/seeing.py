@@ -74,7 +74,12 @@ def driven_records(
 ) -> DrivenRecords:
     """Return the records at the start of an episode: empty views, and no stop with a restart delay.
 
-    ``view`` is necessary only if the controller sees the object.
+    Args:
+        settings: The settings.
+        arm: The arm.
+        view: The desired view, necessary only if the controller sees the object.
+        hand_slots: The scenario's number of hands.
+
     """
     joints = len(arm.joint_names)
     records = DrivenRecords(

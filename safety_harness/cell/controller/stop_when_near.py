@@ -65,7 +65,13 @@ class StopWhenNear:
 
     @staticmethod
     def act_many(controllers: Sequence[StopWhenNear], seen: Mapping[str, NDArray[Any]]) -> Moves:
-        """Return the moves of ``act`` for each controller, to the last bit."""
+        """Return the moves of ``act`` for each controller, to the last bit.
+
+        Args:
+            controllers: The controllers (n,).
+            seen: Their views, by name, n rows each.
+
+        """
         numbers = np.array([controller._numbers for controller in controllers])
         target, gains, near_m = numbers[:, :3], numbers[:, 3:4], numbers[:, 4:]
         tcp = seen["tcp_position_in_base_m"]

@@ -73,6 +73,11 @@ class BoundingBoxDetector(Protocol):
 
         Integer coordinates are pixel centres. z is the depth of the surface at the box's centre. The harness
         ignores rows without a finite, positive depth; k may be 0.
+
+        Args:
+            colour: The colour image.
+            depth_m: The depth image.
+
         """
         ...
 
@@ -103,6 +108,11 @@ class SkinColourDetector:
         Largest first, without the areas that have no known depth. The depth is the median over the nine
         pixels of the area with a known depth that are nearest to the box's centre. These are the 3 x 3 window
         around it, unless part of that is hidden or without a depth.
+
+        Args:
+            colour: The colour image.
+            depth_m: The depth image.
+
         """
         cv2 = opencv()
         hsv = cv2.cvtColor(colour, cv2.COLOR_RGB2HSV)

@@ -24,7 +24,7 @@ PACKAGES = {"example-robot-data/robots": DATA}  # the name of that folder in the
 BASE_LINK = "base_link"
 TCP_LINK = "tool0"
 FEWEST, MOST = 3, 8  # turning joints
-BEYOND = 1.2  # of a principal moment over the others' sum: published ones are off, the xArm6's by 1.16
+MOMENT_EXCESS = 1.2  # of a principal moment over the sum of the rest: published URDFs reach 1.16 (xArm6)
 SIZES = {"mesh": "scale", "box": "size", "cylinder": "radius length", "sphere": "radius"}
 
 
@@ -391,7 +391,7 @@ def inertial(
         raise urdf.error(urdf.child(inertial, "mass"), "a mass of 0 kg or more", f"{mass:g}")
     matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     least, middle, most = np.linalg.eigvalsh(matrix)
-    if mass > 0.0 and not (least > 0.0 and most <= BEYOND * (least + middle)):
+    if mass > 0.0 and not (least > 0.0 and most <= MOMENT_EXCESS * (least + middle)):
         expected = "an inertia that a body can have: moments above 0, none far above the others' sum"
         raise urdf.error(inertia, expected, f"{least:.4g}, {middle:.4g}, {most:.4g}")
     return mass, frame, matrix

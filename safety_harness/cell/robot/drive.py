@@ -75,7 +75,7 @@ def drive_dtype(joints: int) -> np.dtype[Any]:
 
 
 def delay_ticks(dead_time_s: float, period_s: float) -> int:
-    """Return a dead time in whole control periods, rounded up."""
+    """Return ``dead_time_s`` in whole control periods of ``period_s``, rounded up."""
     return ceil(dead_time_s / period_s - 1e-9)
 
 

@@ -95,7 +95,15 @@ class Urdf:
             settled |= visited
 
     def error(self, element: Element, expected: str, got: str, hint: str = "") -> ArmFileError:
-        """Return an error about an element, with its line."""
+        """Return an error about an element, with its line.
+
+        Args:
+            element: The element.
+            expected: The expected content, in words.
+            got: The content, in words.
+            hint: Advice, if any.
+
+        """
         name = element.get("name")
         field = f"<{element.tag}>" if name is None else f"{element.tag} {name!r}"
         place = Place(self.file, self.lines.get(element), field)
@@ -109,7 +117,7 @@ class Urdf:
         return children[0]
 
     def text(self, element: Element, key: str) -> str:
-        """Return an attribute; ``ArmFileError`` if it is empty."""
+        """Return the attribute ``key`` of an element; ``ArmFileError`` if it is empty."""
         text = element.get(key, "")
         if not text.strip():
             raise self.error(element, f"an attribute {key!r}", "none")
@@ -140,7 +148,7 @@ class Urdf:
         return np.array(numbers)
 
     def number(self, element: Element, key: str, default: str | None = None) -> float:
-        """Return an attribute that is one finite number."""
+        """Return an attribute that is one finite number, as ``numbers`` does."""
         return float(self.numbers(element, key, 1, default)[0])
 
     def origin(self, element: Element) -> NDArray[np.float64]:

@@ -127,7 +127,13 @@ def sensors(
 ) -> Sensors:
     """Return the cameras before their first frame, with their noise, by frame and detection.
 
-    ``transform_sensor_to_base`` (4, 4) is the pose of a fixed sensor.
+    Args:
+        settings: The settings of cameras and object.
+        seed: The scenario's seed.
+        ticks: The number of ticks, for the noise of every frame.
+        transform_sensor_to_base: The pose (4, 4) of a fixed hand sensor.
+        hand_slots: The scenario's number of hands.
+
     """
     hand = settings.hand_sensor
     state = SensorRecords(camera_state(settings).copy())

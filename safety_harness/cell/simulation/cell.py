@@ -61,7 +61,14 @@ def urdf_file(arm: ArmModel, visuals: bool) -> Path:
 def load_robot(client: int, arm: ArmModel, *, visuals: bool) -> tuple[int, tuple[int, ...]]:
     """Return PyBullet's numbers of an arm, at its seat, and of its joints.
 
-    ``ArmFileError`` if the arm lacks an effort or an inertia.
+    Args:
+        client: PyBullet's client.
+        arm: The arm.
+        visuals: Whether to load its visual meshes.
+
+    Raises:
+        ArmFileError: The arm lacks an effort or an inertia.
+
     """
     arm.require(Use.PYBULLET)
     tilt = vector_from_rotation(arm.transform_seat[:3, :3])
@@ -88,9 +95,16 @@ def build_cell(
     rendered: bool,
     hands: int = 2,
 ) -> Bodies:
-    """Load the cell into ``client``; visual meshes and ``hands`` only if images are ``rendered``.
+    """Load the cell into a client of PyBullet.
 
-    ``joint_position_rad`` (n,).
+    Args:
+        client: The client.
+        settings: The settings.
+        arm: The arm.
+        joint_position_rad: Its joint position (n,).
+        rendered: Whether images are rendered; only then the cell has visual meshes, object and hands.
+        hands: The number of hands.
+
     """
     pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
     pybullet.setTimeStep(
@@ -250,6 +264,14 @@ def render(
     """Return colour (h, w, 3) and depth along the optical axis (h, w) [m], +inf for an empty pixel.
 
     OpenGL's camera looks along -z with y up; ours looks along z with y down.
+
+    Args:
+        client: PyBullet's client.
+        transform_camera_to_base: The camera's pose (4, 4).
+        focal_px: Its focal length.
+        width_px: The image's width w.
+        height_px: The image's height h.
+
     """
     eye = transform_camera_to_base[:3, 3]
     view = pybullet.computeViewMatrix(

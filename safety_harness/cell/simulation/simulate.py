@@ -34,10 +34,17 @@ INTERRUPTED = "interrupted by the user"
 def simulate(
     world: World, controller: Controller, scenario: Scenario, *, on_tick: Callable[[int], None] | None = None
 ) -> Trace:
-    """Run ``scenario`` to its end and record both ends of its duration.
+    """Run a scenario to its end and record both ends of its duration.
 
-    ``on_tick`` receives the number of finished ticks, for progress. Ctrl-C between ticks ends the run early.
-    The trace then states the interruption, and no property counts it as safe.
+    Ctrl-C between ticks ends the run early. The trace then states the interruption, and no property counts it
+    as safe.
+
+    Args:
+        world: The open world.
+        controller: The controller.
+        scenario: The scenario of both.
+        on_tick: A receiver of the number of finished ticks, for progress.
+
     """
     ticks = no_ticks(scenario)
     done, ended = 0, "complete"
@@ -99,7 +106,16 @@ def no_ticks(scenario: Scenario) -> NDArray[np.void]:
 def trace_of(
     scenario: Scenario, world: World, controller: Controller, ticks: NDArray[np.void], ended: str = "complete"
 ) -> Trace:
-    """Return the trace of a run with ``ticks`` (n,) TICK."""
+    """Return the trace of a run.
+
+    Args:
+        scenario: The scenario.
+        world: Its world, for the provenance and measurements.
+        controller: Its controller, for the decisions.
+        ticks: The ticks (n,) TICK.
+        ended: The way in which the run ended.
+
+    """
     decisions = controller.decisions
     decisions = decisions[decisions["tick"] < len(ticks)]  # without that of a tick that Ctrl-C interrupted
     trace = Trace(

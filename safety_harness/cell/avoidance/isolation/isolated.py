@@ -208,9 +208,16 @@ def processes_apart() -> Iterator[None]:
 
 
 def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
-    """Return the avoider ``name`` of a Python file, which runs in another process.
+    """Return an avoider of a Python file, which runs in another process.
 
-    ``InadmissibleError`` at ``place`` if there is no such avoider, or the process dies before it replies.
+    Args:
+        path: The file.
+        name: The avoider's name in it.
+        place: The place of an error.
+
+    Raises:
+        InadmissibleError: There is no such avoider, or the process dies before it replies.
+
     """
     source, expected = source_of(path, place), f"{path.name} to give an avoider {name}"
     make = partial(Make.of, path, source, name)
@@ -221,9 +228,15 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
 def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedAvoider:
     """Return the avoider of an ONNX file, which may loop or fill the memory.
 
-    The harness tries it with the cell's own desired TCP and nominal hand. ``layout`` describes its inputs and
-    outputs (``onnx_names``). ``ModelError`` states the fault of a file; ``MissingPackageError`` without
-    onnxruntime.
+    Args:
+        path: The file.
+        settings: The settings; their desired TCP and nominal hand are the question of a first try.
+        layout: The quantities of its inputs and outputs whose names are not ours (``onnx_names``).
+
+    Raises:
+        ModelError: The file cannot be used.
+        MissingPackageError: onnxruntime is not installed.
+
     """
     ONNX.require(f"the avoider {path.name}")
     source, expected = onnx_bytes(path), "an ONNX file that can be loaded and answers twice"
