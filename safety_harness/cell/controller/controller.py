@@ -177,6 +177,7 @@ class AvoidingServo:
         state, question = self.records.state[0], self.records.question[0]
         number, nearest = len(self._decisions), state["nearest_track"]
         asked_hand, asked_tcp = question["hand_position_in_base_m"], question["tcp_position_in_base_m"]
+        # If every hand has gone since the question, the decision is about the hand of the question.
         hand = state["predicted_hand_in_base_m"][nearest] if nearest >= 0 else asked_hand
         return Query(
             hand_position_in_base_m=hand.copy(),

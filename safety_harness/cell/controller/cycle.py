@@ -155,6 +155,7 @@ def answer_after(
     late_s = decision_time_s + delay_s(faults, LATE, q.asked_s)
     if np.isnan(late_s) or acting(faults, SILENT, q.asked_s):
         late_s = np.inf
+    # 1e-9 makes seven periods seven ticks, although 0.07 / 0.01 is above 7 in float64.
     waits = int(np.ceil(min(late_s, p.decision_deadline_s) / p.control_period_s - 1e-9))
     q.decision_time_s = decision_time_s
     q.delayed = waits > 0

@@ -14,7 +14,7 @@ from safety_harness.base.geometry.rotations import rotation_from_vector
 from safety_harness.base.geometry.transforms import transform_from
 from safety_harness.base.settings import Camera
 
-NEAR_PLANE_M = 0.01  # a point nearer than this is out of focus, or behind the lens
+NEAR_PLANE_M = 0.01  # a nearer point is out of focus, or behind the lens; 10 mm is a choice
 BORDER_PX = 1.0  # an object that reaches this far into the border may be cropped
 
 

@@ -178,7 +178,7 @@ def _assign(
             i = rest % (slots + 1)  # the last: this box starts a track of its own
             rest //= slots + 1
             if i == slots:
-                total += gate_px
+                total += gate_px  # less than any pair beyond the gate
             elif used & (1 << i) or not tracks[i]["distance_px"][j] <= gate_px:
                 total = inf
             else:

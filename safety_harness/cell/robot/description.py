@@ -308,7 +308,7 @@ class _Shapes:
                 continue
             try:
                 inertial(urdf, link)
-            except ArmFileError:  # said by those who need it; the base stands still
+            except ArmFileError:  # reported by the uses that need it; the base stands still
                 self.without_inertia += [name] if carrier != names[0] else []
             for kind in ("collision", "visual"):
                 for part in link.findall(kind):

@@ -52,7 +52,7 @@ def drive_dtype(joints: int) -> np.dtype[Any]:
             ("reaction_time_s", np.float64),
             ("stop_time_base_s", np.float64),
             ("stop_time_per_speed_s2pm", np.float64),
-            ("setpoint_radps", np.float64, (joints,)),  # what the drives were told last
+            ("setpoint_radps", np.float64, (joints,)),  # the last set point of the drives
             ("stopping", np.bool_),
             ("requested_at_s", np.float64),
             ("braking", np.bool_),  # the reaction time is over
@@ -76,7 +76,7 @@ def drive_dtype(joints: int) -> np.dtype[Any]:
 
 def delay_ticks(dead_time_s: float, period_s: float) -> int:
     """Return ``dead_time_s`` in whole control periods of ``period_s``, rounded up."""
-    return ceil(dead_time_s / period_s - 1e-9)
+    return ceil(dead_time_s / period_s - 1e-9)  # 1e-9, because 0.07 / 0.01 is above 7 in float64
 
 
 def settled_s(model: DriveModel | None, period_s: float) -> float:
