@@ -46,7 +46,7 @@ class Query:
 
     ``hands_in_base_m`` has every predicted hand, the nearest among them; only the gate sees it.
     ``half_widths_m`` belongs to the boxes about them in which they may be; None if no rule needs it.
-    ``asked_of``: the hand and the TCP (3,) of an earlier question, if a fault makes its answer count.
+    ``asked_of`` is the hand and the TCP (3,) at the time of the question, if its answer counts later.
     """
 
     hand_position_in_base_m: Vector
@@ -283,7 +283,7 @@ def leads_away(
     """Return whether a straight path leads away from each hand, everywhere.
 
     The distance from a fixed point to a straight path is convex. So it grows everywhere unless it falls at
-    the start: (p - t) . (t - h) >= 0. Return False for a path of no length and for a hand that is NaN. With
+    the start: (p - t) . (t - h) >= 0. Return False for a path of no length and for a hand that is NaN. For
     half widths r, this must hold for every position of the hands in their boxes. (p - t) . (t - h) is linear
     in h, so it is least at a corner, and there less by sum |p - t|_i r_i.
 

@@ -39,7 +39,7 @@ def decision_times_s(
 
 
 def recorded_times_s(recorded: Trace) -> NDArray[np.float64]:
-    """Return as ``decision_times_s`` does the record of a run by the wall's clock.
+    """Return the costs [s] as ``decision_times_s`` does, from the record of a run by the wall's clock.
 
     A question without a decision never had an answer: the arm had stopped before.
     """

@@ -1,8 +1,8 @@
 """Speed and separation for every link: the last step of a control tick, behind any controller.
 
-The shield scales a command. If the arm then brakes from the next tick on, it stands before a hand at its
-greatest speed can reach a moving part. The theorem, its assumptions and its proof are in docs/shield.md. This
-file is its rule, with the names of that page. For each hand i
+The shield scales a command. If the arm then brakes from the next tick on, it comes to a stop before a hand at
+its greatest speed can reach a moving part. The theorem, its assumptions and its proof are in docs/shield.md.
+This file is its rule, with the names of that page. For each hand i
 
     s <= (g_i - F - v_h t_0) / (v_h V/a + R),   R = V l + D.L.|u| l + A l^2/2,
     l = P + V/2a,   t_0 = age + P + T_r
@@ -372,7 +372,7 @@ def share_within(
 ) -> float:
     """Return the largest s with w t + b t^2/2 + s R within ``free_m``, t = t_0 + s V/a.
 
-    0 if there is none, or for a NaN.
+    0 without such an s, or for a NaN.
     """
     room_m = free_m - hand_mps * known_s - 0.5 * hand_mps2 * known_s * known_s
     if not room_m > 0.0:

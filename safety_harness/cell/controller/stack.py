@@ -181,7 +181,7 @@ def decide_mode(
 
 @njit_no_nrt
 def unknown_hand_inside(parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords) -> bool:
-    """Return whether a hand is within the distance that was outside at the last decision."""
+    """Return whether a hand is within the critical distance that was not there at the last decision."""
     s = states[0]
     for i in range(tracks.shape[0]):
         if s.track_valid[i] and hand_inside(parameters, states, i):

@@ -137,7 +137,7 @@ def advance_move(
 
 @njit_no_nrt
 def brake(hands: HandRecords, k: int, dt_s: float) -> float:
-    """Slow down along the path, for at most ``dt_s``; return the time [s] until the hand is at rest."""
+    """Slow down along the path, for at most ``dt_s``; return the time [s] that this takes."""
     hand = hands[k]
     squared = 0.0
     for i in range(3):

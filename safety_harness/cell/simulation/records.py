@@ -49,7 +49,7 @@ class WorldRecords(NamedTuple):
     """An episode's hands, cameras, drives, faults and present truth.
 
     The order keeps the arguments of a step together. ``step`` of the kinematic world takes the first ten.
-    ``move_on`` takes the nine after the first. ``sense`` takes all from ``truth`` on.
+    ``move_on`` takes these without the first and the last. ``sense`` takes all from ``truth`` on.
     """
 
     drives: DriveRecords  # (1,) DRIVE

@@ -117,7 +117,7 @@ class WorldEntry:
         return self.opener()(scenario, arm, joint_position_rad, detector=detector)
 
     def refuse(self, scenario: Scenario) -> None:
-        """Raise an error if this world cannot run a scenario's images.
+        """Raise an error if this world cannot make a scenario's images.
 
         Args:
             scenario: The scenario.
