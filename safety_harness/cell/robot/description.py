@@ -167,7 +167,7 @@ class ArmModel:
 
     @property
     def farthest_reach_m(self) -> float:
-        """The largest distance [m] of the tcp from the second joint in any pose.
+        """A bound [m] of the distance of the tcp from the second joint in every pose.
 
         It is the sum of the distances between the frames.
         """

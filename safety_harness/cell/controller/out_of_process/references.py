@@ -1,9 +1,10 @@
 """The meaning of a reference to a controller in another process, and its start.
 
-FILE.py:NAME      a Python file, executed in a process of its own FILE.onnx         a policy, in a process of
-its own exec:COMMAND      a program, with its arguments, as typed in a shell in the working directory
-tcp:HOST:PORT     a program that listens on this machine unix:PATH         a program that listens at a Unix
-socket
+FILE.py:NAME      a Python file, executed in a process of its own
+FILE.onnx         a policy, in a process of its own
+exec:COMMAND      a program, with its arguments, as typed in a shell in the working directory
+tcp:HOST:PORT     a program that listens on this machine
+unix:PATH         a program that listens at a Unix socket
 """
 
 from __future__ import annotations
