@@ -34,7 +34,7 @@ class CandidateCap:
     count: int
 
     @classmethod
-    def of(cls, settings: Settings) -> CandidateCap:
+    def from_settings(cls, settings: Settings) -> CandidateCap:
         """Return the cap of the settings: away from the nominal hand, towards the desired TCP.
 
         ``SettingsError`` if these coincide, or if the cone is too narrow for draws.
@@ -94,7 +94,7 @@ def continuous_optimum(settings: Settings, tcp_in_base: NDArray[np.float64]) -> 
 
     ``tcp_in_base`` (n, 3).
     """
-    cap = CandidateCap.of(settings)
+    cap = CandidateCap.from_settings(settings)
     axis = cap.axis_in_base
     offset = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base  # (n, 3)
     along = offset @ axis

@@ -101,7 +101,7 @@ class Gate:
     more: GateRule | None = None
 
     @classmethod
-    def of(
+    def from_settings(
         cls,
         settings: Settings,
         kinematics: InverseKinematics,

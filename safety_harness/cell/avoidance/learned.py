@@ -26,7 +26,7 @@ class LearnedAvoider:
     _network: FoldedNetwork | Perceptron
 
     @classmethod
-    def of(cls, model: Model) -> LearnedAvoider:
+    def from_model(cls, model: Model) -> LearnedAvoider:
         """Return the avoider that ``model`` describes."""
         if model.kind == PERCEPTRON:
             name = f"ensemble of {model.members} ReLU students" if model.members > 1 else "ReLU student"

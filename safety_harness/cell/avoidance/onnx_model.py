@@ -73,7 +73,7 @@ class OnnxAvoider:
     _exported: NetworkUse | None
 
     @classmethod
-    def of(cls, path: Path, data: bytes, *, hand: Vector, tcp: Vector, layout: str = "") -> OnnxAvoider:
+    def load(cls, path: Path, data: bytes, *, hand: Vector, tcp: Vector, layout: str = "") -> OnnxAvoider:
         """Load, check and try the file ``path`` with the contents ``data``; ``ModelError`` states its fault.
 
         ``layout`` describes inputs and outputs whose names are not ours (``onnx_names``). The file must

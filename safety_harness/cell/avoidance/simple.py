@@ -70,10 +70,10 @@ class NearestCandidate(_QuickAvoider):
     name: str = "nearest candidate"
 
     @classmethod
-    def of(cls, settings: Settings) -> NearestCandidate:
+    def for_cell(cls, settings: Settings) -> NearestCandidate:
         """Return the oracle for the settings' cell."""
         return cls(
-            CandidateCap.of(settings),
+            CandidateCap.from_settings(settings),
             np.array(settings.cell.desired_tcp_position_in_base_m),
             settings.avoidance.hand_pull,
         )

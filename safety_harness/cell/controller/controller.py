@@ -117,7 +117,7 @@ class AvoidingServo:
         self._held: Answer | None = None  # an answer that does not count yet by the wall's clock
         self._root_seed = root_seed
         self._decision = decision_dtype(joints)
-        self._sight = Sight.of(shown_to(avoider), hand_slots, joints, settings.clock.control_period_s)
+        self._sight = Sight.from_words(shown_to(avoider), hand_slots, joints, settings.clock.control_period_s)
         self._seen: Seen | None = None  # the avoider's view at the time of the open question
         self._recorded_late = tuple(recorded_late)
         self._decisions: list[NDArray[np.void]] = []

@@ -21,7 +21,7 @@ class Sight:
     period_s: float
 
     @classmethod
-    def of(cls, sees: tuple[str, ...], hand_slots: int, joints: int, period_s: float) -> Sight | None:
+    def from_words(cls, sees: tuple[str, ...], hand_slots: int, joints: int, period_s: float) -> Sight | None:
         """Return the view of an avoider with the words ``sees``; None without words."""
         return cls(SeenLayout(hand_slots, joints, sees), period_s) if sees else None
 

@@ -68,7 +68,7 @@ def _avoider(path: Path, source: bytes, wanted: dict[str, Any]) -> Avoider:
     from safety_harness.cell.avoidance.onnx_model import OnnxAvoider  # a Python file does not need it
 
     hand, tcp = np.array(wanted["hand"]), np.array(wanted["tcp"])
-    return OnnxAvoider.of(path, source, hand=hand, tcp=tcp, layout=wanted["name"])
+    return OnnxAvoider.load(path, source, hand=hand, tcp=tcp, layout=wanted["name"])
 
 
 def _answer(avoider: Avoider, question: Question, file: str) -> Answer:

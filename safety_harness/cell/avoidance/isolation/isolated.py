@@ -140,7 +140,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
 
     def _answered(self, questions: list[Question], *, together: bool) -> Iterator[Answer]:
         """Yield the answers as they come, unchecked; ``GoneError`` at one that does not come."""
-        self._connection.say(Ask.of(self._number, questions, together), SEND_S)
+        self._connection.say(Ask.from_questions(self._number, questions, together), SEND_S)
         for k, question in enumerate(questions):
             message = self._connection.hear(limit_of(questions) if together else question.limit_s)
             if not isinstance(message, Answered) or message.number != k:

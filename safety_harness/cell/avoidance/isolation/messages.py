@@ -24,7 +24,7 @@ class Ask(ProcessMessage, tag="ask"):
     together: bool
 
     @classmethod
-    def of(cls, number: int, questions: list[Question], together: bool) -> Ask:
+    def from_questions(cls, number: int, questions: list[Question], together: bool) -> Ask:
         """Pack the views of the questions."""
         packed = [(*q[:4], None if q.seen is None else packed_seen(q.seen)) for q in questions]
         return cls(number, packed, together)

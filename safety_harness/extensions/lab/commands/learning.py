@@ -231,7 +231,7 @@ def metrics(
     if out is not None:
         write_evaluation(out, found)
     for one in loaded:
-        result(f"{one.label}: {LearnedAvoider.of(one.model).name}, {one.path}")
+        result(f"{one.label}: {LearnedAvoider.from_model(one.model).name}, {one.path}")
     result(f"{samples} TCPs and hands a set, drawn from seed {seed}; every TCP is in one row only")
     result(*remarks, *tables(figures))
     if out is not None:

@@ -259,7 +259,7 @@ def evaluate_model(
 
     ModelError with ``place`` if an answer is not finite.
     """
-    avoider = LearnedAvoider.of(model)
+    avoider = LearnedAvoider.from_model(model)
     seen_spread: Floats | None = None
     figures = []
     for one in sets:

@@ -152,7 +152,7 @@ def evaluation_data(
                 "label": one.label,
                 "file": str(one.path),
                 "sha256": one.sha256,
-                "name": LearnedAvoider.of(one.model).name,
+                "name": LearnedAvoider.from_model(one.model).name,
                 "calibration": plain(one.model.calibration),
                 "sets": [_json_of(f) for f in figures if f.model == one.label],
             }

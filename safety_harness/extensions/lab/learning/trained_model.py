@@ -128,7 +128,7 @@ def calibrate(
     second, independent set says by what multiple of it 95 % of the labels are covered on all axes
     at once, and which spread one decision in a hundred exceeds.  (Angelopoulos and Bates, 2023.)
     """
-    avoider = LearnedAvoider.of(model)
+    avoider = LearnedAvoider.from_model(model)
     predictions, targets, _ = _decisions(avoider, recipe, dataset, seed, _RESIDUALS, samples)
     residual_std = np.sqrt(((predictions - targets) ** 2).mean(axis=0))
     predictions, targets, spreads = _decisions(avoider, recipe, dataset, seed, _QUANTILES, samples)

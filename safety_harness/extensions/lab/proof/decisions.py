@@ -38,7 +38,7 @@ def certified_decisions(trace: Trace, model: Model, sha256: str, half_m: float) 
 
     Answers that came too late, that a fault spoilt, or that are not ``model``'s bit for bit have none.
     """
-    avoider, found = LearnedAvoider.of(model), [NO_ANSWER] * len(trace.decisions)
+    avoider, found = LearnedAvoider.from_model(model), [NO_ANSWER] * len(trace.decisions)
     for one in asked_in(trace):
         if not difference(one.answer, ask(avoider, one.question)):
             found[one.number - 1] = certified(avoider, one.question, half_m)
