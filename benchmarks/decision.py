@@ -132,7 +132,7 @@ def print_differences(dropout: Dropout, members: int) -> None:
     inputs = np.concatenate([hands, tcps], axis=1)
     x = np.append((inputs - model.input_mean) / model.input_std, np.ones((COMPARED, 1)), axis=1)
     single, double = (answers_of_torch(networks, model, x, seeds, t) for t in (torch.float32, torch.float64))
-    ours = LearnedAvoider.of(model).propose_many(hands, tcps, seeds)
+    ours = LearnedAvoider.from_model(model).propose_many(hands, tcps, seeds)
     theirs = (single.mean(axis=0), single.std(axis=0))
     exact = (double.mean(axis=0), double.std(axis=0))
     print(f"  {dropout.value:7}{members:7}", end="")
@@ -160,7 +160,7 @@ def one_batch_mean(network: Any, values: NDArray[np.float64]) -> NDArray[np.floa
 
 def measured() -> tuple[list[float], list[float], list[float], list[float]]:
     """Microseconds a decision, in turns: eager, one batch, ours one at a time, ours in one call."""
-    avoider = LearnedAvoider.of(model_of([network_with_history(Dropout.INTER, 0)], Dropout.INTER))
+    avoider = LearnedAvoider.from_model(model_of([network_with_history(Dropout.INTER, 0)], Dropout.INTER))
     eager_network = regression_network()
     hands, tcps, seeds = inputs_of(MANY)
     rows = np.concatenate([hands, tcps, np.ones((MANY, 1))], axis=1)

@@ -75,7 +75,7 @@ def made(name: str) -> BatchAvoider:
         return network(name)
     if name in OTHERS:
         pose = OppositePose(DEFAULTS.avoidance.radius_m)
-        return pose if name == "opposite pose" else NearestCandidate.of(DEFAULTS)
+        return pose if name == "opposite pose" else NearestCandidate.for_cell(DEFAULTS)
     return avoider_named(name)
 
 

@@ -86,7 +86,7 @@ def _one(avoider: BatchAvoider, hand: Vector, tcp: Vector, seed: int) -> Proposa
 @cache
 def network(name: str = "mc-dropout") -> LearnedAvoider:
     """A shipped network."""
-    return LearnedAvoider.of(load_model(shipped_model(name)))
+    return LearnedAvoider.from_model(load_model(shipped_model(name)))
 
 
 def _mixed(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:

@@ -61,7 +61,7 @@ def here_and_there(onnx: Path | None = None) -> tuple[Avoider, IsolatedAvoider]:
     """The same avoider in this process and in another."""
     if onnx is None:
         return Upwards(), isolated_avoider(FILE, "Upwards", Place())
-    return OnnxAvoider.of(onnx, onnx.read_bytes(), hand=HAND, tcp=TCP), isolated_onnx(onnx, DEFAULTS)
+    return OnnxAvoider.load(onnx, onnx.read_bytes(), hand=HAND, tcp=TCP), isolated_onnx(onnx, DEFAULTS)
 
 
 def measured(here: Avoider, there: IsolatedAvoider) -> list[tuple[float, float, float]]:

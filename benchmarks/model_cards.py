@@ -127,7 +127,7 @@ def computing_time() -> Iterator[str]:
     yield "| network | declared | p50 | p99 | max |"
     yield "|---|---|---|---|---|"
     for name in SHIPPED:
-        avoider = LearnedAvoider.of(load_model(shipped_model(name)))
+        avoider = LearnedAvoider.from_model(load_model(shipped_model(name)))
         answers_at_first(avoider, *first_question(DEFAULTS))
         times_s, _ = answer_times_s(avoider, 1_000, 0)
         cells = (milliseconds_words(float(np.quantile(times_s, q))) for q in (0.5, 0.99, 1.0))

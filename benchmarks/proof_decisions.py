@@ -30,7 +30,7 @@ COLUMNS = ("network", "hand", *(kind.value for kind in KINDS), "median", "slowes
 def row(name: str, half_m: float) -> str:
     """A line of the table."""
     model, rng, found, took_ms = load_model(shipped_model(name)), np.random.default_rng(0), Counter(), []
-    avoider, (low, high) = LearnedAvoider.of(model), seen_region(model.seen).corners()
+    avoider, (low, high) = LearnedAvoider.from_model(model), seen_region(model.seen).corners()
     while len(took_ms) < ASKED:
         x = rng.uniform(low[0], high[0])
         if not NEAR_M <= np.linalg.norm(x[:3] - x[3:]) <= FAR_M:

@@ -78,7 +78,7 @@ def run(
 
 def ur10_gate(settings: Settings) -> Gate:
     """The gate of the UR10."""
-    return Gate.of(settings, inverse_kinematics(Robot.UR10), arm_capsules(Robot.UR10))
+    return Gate.from_settings(settings, inverse_kinematics(Robot.UR10), arm_capsules(Robot.UR10))
 
 
 def ungated(admitted: Admitted, gate: Gate) -> AvoidingServo:

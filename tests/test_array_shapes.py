@@ -57,7 +57,7 @@ def without_shape(source: str) -> list[str]:
             if one.annotation is None or not shapeless_here & set(ast.unparse(one.annotation).split(" | ")):
                 continue
             beside = lines[(one.end_lineno or 0) - 1][one.end_col_offset or 0 :]
-            told = rf"``{one.arg}``[^;.]*?{SHAPE}"
+            told = rf"(?:``{one.arg}``|\n *{one.arg}:)[^;.]*?{SHAPE}"  # in a sentence, or in "Args:"
             if not (re.search("#.*" + SHAPE, beside) or re.search(told, docstring)):
                 found.append(f"{function.name}({one.arg})")
     return found
@@ -80,6 +80,12 @@ FLOAT = "NDArray[np.float64]"
         (f"way: {FLOAT}", "Along ``way`` (3,) [m].", []),
         (f"way: {FLOAT}", "Along ``way``, of shape\n    (..., 3).", []),
         (f"way: {FLOAT}", "Along ``way`` (n, ...).", []),
+        (f"way: {FLOAT}", "Along it.\n\n    Args:\n        way: The way (3,).\n    ", []),
+        (
+            f"way: {FLOAT}",
+            "Along it.\n\n    Args:\n        way: It.\n        by: One (3,).\n    ",
+            ["move(way)"],
+        ),
         (f"way: {FLOAT}, by: {FLOAT}", "Along ``way`` and ``by`` (n, 3).", []),
         (f"\n    way: {FLOAT},  # (n, 3)\n", "Along it.", []),
         (f"\n    way: {FLOAT} | None = None,  # (n, 3)\n", "Along it.", []),

@@ -37,7 +37,7 @@ def without_networks(settings: Settings) -> dict[str, Avoider]:
     """Opposite pose and the two oracles."""
     return {
         OPPOSITE: OppositePose(settings.avoidance.radius_m),
-        CANDIDATE: NearestCandidate.of(settings),
+        CANDIDATE: NearestCandidate.for_cell(settings),
         OPTIMUM: ExactOptimum(settings),
     }
 

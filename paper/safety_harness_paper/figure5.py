@@ -41,7 +41,7 @@ def tasks(scale: Scale, root: int) -> dict[str, Task]:
 def measure(folder: Path, *, seed: int, settings: Settings) -> Json:
     """One TCP's candidates with the selected one, and how many of many lead away from a seen hand."""
     rng = np.random.default_rng(seed)
-    space, cap = seen(settings), CandidateCap.of(settings)
+    space, cap = seen(settings), CandidateCap.from_settings(settings)
     tcps, hands = space.tcp.draw(rng, PAIRS), space.hand.draw(rng, PAIRS)
     candidates = candidates_of(settings, tcps, seed, np.arange(PAIRS))  # (pairs, 100, 3)
     offsets = candidates - tcps[:, None]

@@ -146,7 +146,7 @@ def model_in(done: Done) -> Model:
 
 def avoider_in(done: Done) -> LearnedAvoider:
     """The same, ready to propose."""
-    return LearnedAvoider.of(model_in(done))
+    return LearnedAvoider.from_model(model_in(done))
 
 
 def _data(settings: Settings, seed: int, tcps: int, hands: int) -> CompactDataset:

@@ -58,7 +58,7 @@ def measure(folder: Path, *, tcps: int, trials: int, draw_seed: int, settings: S
 def _selections(settings: Settings, tcps: int, seed: int) -> list[Json]:
     """Upright by exact and by sampled images, then tilted by exact ones."""
     rng = np.random.default_rng(seed)
-    cap, errors = CandidateCap.of(settings), ImageErrors.of(settings)
+    cap, errors = CandidateCap.from_settings(settings), ImageErrors.of(settings)
     desired = np.array(settings.cell.desired_tcp_position_in_base_m)
     starts = seen(settings).tcp.draw(rng, tcps)
     candidates = starts[:, None] + draw_many(cap, [rng] * tcps)  # (tcps, 100, 3)
@@ -141,7 +141,7 @@ class _Selected:
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
         """The same candidates for both."""
-        cap = CandidateCap.of(self._settings)
+        cap = CandidateCap.from_settings(self._settings)
         candidates = tcp_position_in_base_m + cap.draw(np.random.default_rng(seed))
         goal = np.array(self._settings.cell.desired_tcp_position_in_base_m)
         errors = np.linalg.norm(candidates - goal, axis=1)

@@ -79,7 +79,7 @@ def _of_model(model: Model, sets: list[EvaluationSet], passes: tuple[int, ...]) 
     found: dict[str, dict[str, Any]] = {one.name: {} for one in sets}
     for number in numbers:
         seen_spread = None
-        avoider = LearnedAvoider.of(replace(model, passes=number))
+        avoider = LearnedAvoider.from_model(replace(model, passes=number))
         for one in sets:
             if number != 10 and len(numbers) > 1 and one is not sets[0]:
                 continue  # table 1 is about the seen set
@@ -116,7 +116,7 @@ def _figures(avoider: LearnedAvoider, one: EvaluationSet) -> tuple[dict[str, Any
 def _rows(model: Model, one: EvaluationSet) -> Json:
     """The first test samples as figure 6 shows them."""
     rows = slice(0, ROWS)
-    positions, spreads = LearnedAvoider.of(model).propose_many(
+    positions, spreads = LearnedAvoider.from_model(model).propose_many(
         one.hands_in_base[rows], one.tcps_in_base[rows], one.decision_seeds[rows]
     )
     return {

@@ -160,6 +160,6 @@ def _asked(
 
 
 def _gate(settings: Settings, kinematics: InverseKinematics, kind: GateKind) -> Gate:
-    return Gate.of(
+    return Gate.from_settings(
         replace(settings, avoidance=replace(settings.avoidance, gate=kind)), kinematics, load_capsules()
     )

@@ -269,7 +269,7 @@ class _TriggeredServo:
         settings = start.scenario.settings
         self._avoider, self._hand, self._seed = avoider, hand_in_base_m, seed
         reach = replace(settings, avoidance=replace(settings.avoidance, gate=GateKind.REACH))
-        self._gate = Gate.of(
+        self._gate = Gate.from_settings(
             reach, inverse_kinematics(start.scenario.robot), arm_capsules(start.scenario.robot)
         )
         self._parameters = ParameterRecords(parameters(settings, start.arm, start.view))

@@ -113,7 +113,9 @@ def test_the_exact_optimum_is_as_good_as_the_best_of_many_candidates() -> None:
     settings = replace(DEFAULTS, avoidance=replace(DEFAULTS.avoidance, hand_pull=0.0))
     tcp = DESIRED + [0.05, -0.12, 0.08]
     found = ExactOptimum(settings).propose(hand_position_in_base_m=HAND, tcp_position_in_base_m=tcp, seed=0)
-    candidates = tcp + replace(CandidateCap.of(settings), count=20_000).draw(np.random.default_rng(0))
+    candidates = tcp + replace(CandidateCap.from_settings(settings), count=20_000).draw(
+        np.random.default_rng(0)
+    )
     best = np.linalg.norm(candidates - DESIRED, axis=1).min()
     distance = np.linalg.norm(found.position_in_base_m - DESIRED)
     assert best - 0.002 < distance <= best + 1e-9

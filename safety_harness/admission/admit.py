@@ -151,7 +151,7 @@ class Admitted(Checked):
         assert self.view is not None
         robot = scenario.robot
         arm = inverse_kinematics(robot), arm_capsules(robot)
-        gate = Gate.of(settings, *arm, scenario.obstacles, scenario.gate)
+        gate = Gate.from_settings(settings, *arm, scenario.obstacles, scenario.gate)
         cost, declared_s = settings.avoidance.decision_time, decision_time_of(self.avoider)
         if recorded is not None and cost is DecisionCost.WALL_CLOCK:
             times_s = recorded_times_s(recorded)

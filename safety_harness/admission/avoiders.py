@@ -113,7 +113,7 @@ def resolve_avoider(scenario: Scenario, place: Place | None = None) -> Avoider:
     reference, settings = scenario.avoider, scenario.settings
     if path is None:
         opposite = reference == OPPOSITE
-        return OppositePose(settings.avoidance.radius_m) if opposite else NearestCandidate.of(settings)
+        return OppositePose(settings.avoidance.radius_m) if opposite else NearestCandidate.for_cell(settings)
     name = file_and_name(reference)[1]
     if names_onnx(reference):
         avoider = isolated_onnx(path, settings, name)
@@ -437,7 +437,7 @@ def _learned(path: Path, sha256: str) -> LearnedAvoider:
     from safety_harness.cell.avoidance.learned import LearnedAvoider
     from safety_harness.cell.avoidance.model_file import load_model
 
-    return LearnedAvoider.of(load_model(path))
+    return LearnedAvoider.from_model(load_model(path))
 
 
 def _refuse_foreign_onnx(path: Path, settings: Settings) -> None:

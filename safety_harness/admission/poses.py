@@ -9,7 +9,7 @@ from safety_harness.base.exceptions import InadmissibleError
 from safety_harness.base.geometry.arrays import ArrayN
 from safety_harness.base.geometry.rotations import rotation_from_vector
 from safety_harness.base.settings import DEFAULTS, Settings
-from safety_harness.cell.controller.desired import DOWN, desired_transform_tcp_to_base
+from safety_harness.cell.controller.desired import LOOKING_DOWN, desired_transform_tcp_to_base
 from safety_harness.cell.perception.moments import MOMENT_COUNT
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.dynamics import holding_torques
@@ -187,7 +187,7 @@ def _check_in_view(
 def _above(settings: Settings) -> str:
     """Return advice: the desired TCP position with the camera right above the object, at the same height."""
     cell = settings.cell
-    mount_in_base_m = DOWN @ np.array(settings.camera.mount_offset_in_tcp_m)
+    mount_in_base_m = LOOKING_DOWN @ np.array(settings.camera.mount_offset_in_tcp_m)
     place_m = np.array(settings.object.position_in_base_m) - mount_in_base_m
     place_m[2] = cell.desired_tcp_position_in_base_m[2]
     x, y, z = (round(value * 1e3) for value in place_m)

@@ -125,4 +125,4 @@ def exported_use(path: Path) -> NetworkUse | None:
     text = onnx_metadata(path, onnx_bytes(path)).get(KEY)
     if text is None:
         return None
-    return network_use(parsed(text, path, "metadata", ModelError), NetworkUse, path, others=True)
+    return network_use(parsed(text, path, "metadata", ModelError), NetworkUse, path, unknown_fields=True)

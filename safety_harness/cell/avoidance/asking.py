@@ -1,7 +1,7 @@
-"""Asking an avoider, once or many times in one call: an answer or a fault in words comes back.
+"""Questions to an avoider, one or many in a call: the result is an answer, or a fault in words.
 
-What a decision costs in simulated time is declared (``decision_times``); how long an answer takes on the
-wall's clock is measured and changes nothing, unless it never comes: that ends the run.
+The cost of a decision in simulated time is a declaration (``decision_times``). The harness also measures the
+time of an answer on the wall's clock. It has no effect, unless the answer never comes: that ends the run.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from safety_harness.cell.avoidance.avoider import (
 from safety_harness.seams.contract import Seen
 
 WALL_LIMIT_S = DEFAULTS.clock.wall_limit_s
-EACH_S = 1.0  # the more that each of many questions may take
+EACH_S = 1.0  # the additional time for each of many questions
 NAN_PROPOSAL = Proposal(np.full(3, np.nan), np.full(3, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """One avoider's proposal, the largest spread that it may have, or why there is none.
+    """An avoider's proposal with the largest allowed spread, or the reason for its absence.
 
-    ``latency_s`` is the wall-clock time that it took; ``late``: in simulated time it comes after the
-    decision deadline, and is not asked for.
+    ``latency_s`` is its wall-clock time. ``late``: it comes after the decision deadline in simulated time, so
+    the harness does not call the avoider.
     """
 
     proposal: Proposal = field(default=NAN_PROPOSAL)
@@ -54,7 +54,7 @@ class Answer:
 
 
 class Question(NamedTuple):
-    """One question, and how long its answer is waited for on the wall's clock.  Positions are (3,).
+    """A question, with the wall-clock limit of its answer. Positions are (3,).
 
     ``seen`` is for an avoider that sees more; None outside of a run.
     """
@@ -67,28 +67,28 @@ class Question(NamedTuple):
 
 
 class OutOfProcessAvoider(ABC):
-    """An avoider in another process, which keeps the wall limit itself."""
+    """An avoider in another process, which applies the wall limit itself."""
 
     takes_many: bool  # in one call
 
     @abstractmethod
     def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
-        """One for each; ``together``: in one call if the avoider takes many.
+        """Return an answer for each question, in one call if ``together`` and the avoider takes many.
 
-        NoAnswerError; SimulationError if there is no such process and none can be had.
+        ``NoAnswerError``; ``SimulationError`` if the process is lost and a new one does not start.
         """
 
 
 class _Hangs(BaseException):
-    """Raised within an avoider at the wall limit; not an Exception, which it might catch."""
+    """An interruption of an avoider at the wall limit; not an Exception, which the avoider might catch."""
 
 
 def ask(avoider: Avoider, question: Question) -> Answer:
-    """One avoider's answer.
+    """Return an avoider's answer; anything that it raises becomes a fault in words.
 
-    Whatever it raises becomes a fault in words; only the interpreter's own exits pass.  NoAnswerError if
-    it takes longer than the question's limit on the wall's clock: where it runs Python on the main thread it
-    is interrupted then, anything else in this process is waited for.
+    Only the interpreter's own exits pass. ``NoAnswerError`` if the answer takes longer than the question's
+    limit on the wall's clock. The harness interrupts Python on the main thread at the limit. It waits for
+    anything else in this process.
     """
     if isinstance(avoider, OutOfProcessAvoider):
         return avoider.answers([question], together=False)[0]
@@ -99,11 +99,12 @@ def ask(avoider: Avoider, question: Question) -> Answer:
 
 
 def late_fault(deadline_s: float) -> str:
-    """How a decision without an answer in time is recorded."""
+    """Return the recorded text of a decision without an answer in time."""
     return f"no answer within {deadline_s * 1e3:g} ms"
 
 
 def _ask(avoider: Avoider, question: Question) -> Answer:
+    """Call the avoider, and return its answer or its fault."""
     try:
         threshold_m = spread_threshold_of(avoider)
         proposal = avoider.propose(
@@ -113,7 +114,7 @@ def _ask(avoider: Avoider, question: Question) -> Answer:
             **_more(avoider, question),
         )
         return answer_of(proposal, threshold_m)
-    except NoAnswerError:  # of an avoider that it asks
+    except NoAnswerError:  # of another avoider that it calls
         raise
     except AvoiderError as error:
         return Answer(fault=printable(str(error)) or "AvoiderError")
@@ -123,7 +124,7 @@ def _ask(avoider: Avoider, question: Question) -> Answer:
 
 
 def _more(avoider: Avoider, question: Question) -> dict[str, Any]:
-    """The fourth keyword of an avoider that sees more."""
+    """Return the fourth keyword of an avoider that sees more."""
     sees = shown_to(avoider)
     if sees and question.seen is None:
         raise AvoiderError(f"it sees {', '.join(sees)}, and is asked outside of a run, where nothing is seen")
@@ -131,7 +132,7 @@ def _more(avoider: Avoider, question: Question) -> dict[str, Any]:
 
 
 def answer_of(proposal: object, threshold_m: float | None) -> Answer:
-    """What an avoider returned, looked at; a fault in words if it is no proposal."""
+    """Check an avoider's result; return a fault in words if it is no proposal."""
     try:
         return Answer(checked(proposal), np.nan if threshold_m is None else threshold_m)
     except AvoiderError as error:
@@ -140,7 +141,10 @@ def answer_of(proposal: object, threshold_m: float | None) -> Answer:
 
 @contextmanager
 def interrupted_after(limit_s: float, name: str) -> Iterator[None]:
-    """NoAnswerError if what is within takes longer: at once where a timer signal can be had, or after it."""
+    """Raise ``NoAnswerError`` if the block takes longer than ``limit_s``.
+
+    This happens at once if a timer signal is free, otherwise after the block.
+    """
     begun_s = time.perf_counter()
     free = threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer")
     timed = free and np.isfinite(limit_s) and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
@@ -148,7 +152,7 @@ def interrupted_after(limit_s: float, name: str) -> Iterator[None]:
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise _Hangs
 
-    before = signal.signal(signal.SIGALRM, interrupt) if timed else None
+    handler = signal.signal(signal.SIGALRM, interrupt) if timed else None
     try:
         if timed:
             signal.setitimer(signal.ITIMER_REAL, limit_s)
@@ -158,36 +162,43 @@ def interrupted_after(limit_s: float, name: str) -> Iterator[None]:
     finally:
         if timed:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
-            signal.signal(signal.SIGALRM, before)
+            signal.signal(signal.SIGALRM, handler)
     if time.perf_counter() - begun_s > limit_s:
         raise NoAnswerError(name, limit_s)
 
 
 class BatchAvoider(Avoider, Protocol):
-    """An avoider that answers many questions in one call, each with the bits that ``propose`` gives."""
+    """An avoider that answers many questions in one call, each with the bits of ``propose``."""
 
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,).  ``seeds`` (n,)."""
+        """Return positions and spreads (n, 3) [m] for n questions.
+
+        Args:
+            hands_in_base_m: The hands (n, 3).
+            tcps_in_base_m: The TCPs (n, 3).
+            seeds: The seeds (n,).
+
+        """
         ...
 
 
 def takes_many(avoider: Avoider) -> TypeGuard[BatchAvoider]:
-    """Can the avoider be asked many questions at once?  One that sees more is asked for each."""
+    """Return whether the avoider takes many questions in a call; an avoider that sees more does not."""
     return callable(getattr(avoider, "propose_many", None)) and not getattr(avoider, "sees", None)
 
 
 def limit_of(questions: Sequence[Question]) -> float:
-    """How long the answers to questions asked together are waited for; then they are asked in turn."""
+    """Return the wall-clock limit of a joint call; after it the questions go out in turn."""
     return max(question.limit_s for question in questions) + EACH_S * len(questions)
 
 
 def answers_together(avoider: Avoider, questions: Sequence[Question]) -> list[Answer]:
-    """The answers to questions asked together; none where they have to be asked in turn.
+    """Return the answers of a joint call; an empty list if the questions must go out in turn.
 
-    That is where the avoider does not take many, raises, hangs, or does not return two arrays (n, 3): whose
-    fault it is shows then.
+    They must if the avoider does not take many, raises, hangs, or does not return two arrays (n, 3). The
+    calls in turn then show which question is at fault.
     """
     if isinstance(avoider, OutOfProcessAvoider):
         return avoider.answers(questions, together=True)

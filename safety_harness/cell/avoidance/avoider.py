@@ -1,8 +1,7 @@
-"""The seam that users plug into: an Avoider proposes where the TCP should give way to.
+"""The interface for a user's avoider: it proposes a position to which the TCP retreats.
 
-It is asked with the nearest predicted hand, the TCP position and a *seed*, not a generator, so
-that it may run in a process of its own and one decision is the same wherever it is made.  It
-sees nothing of the simulator's truth.
+Its question has the nearest predicted hand, the TCP position and a *seed*, not a generator. So it may run in
+a process of its own, and a decision is the same in every process. It does not see the simulator's truth.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ LARGEST = float(np.finfo(np.float64).max)
 class Proposal:
     """A repulsive position in the base frame and its predictive spread, both (3,) in metres.
 
-    ``spread_m`` is one standard deviation per axis; zero for an avoider that knows none.
+    ``spread_m`` is one standard deviation per axis; zero if the avoider has no estimate.
     """
 
     position_in_base_m: Vector
@@ -35,83 +34,95 @@ class Proposal:
 
 
 class Avoider(Protocol):
-    """What a user's own avoider has to offer.
+    """The members of a user's own avoider.
 
-    It may also have attributes ``spread_threshold_m`` (a number, or None): the gate then refuses
-    a proposal whose spread is above it on any axis; and ``decision_time_s`` (a number): what a decision
-    costs in simulated time, where the scenario's settings do not say otherwise.
+    It may also have these attributes:
 
-    And ``sees``, words of a controller's contract but for "image": ``propose`` is then asked with a fourth
-    keyword, ``seen``, which has what they name, as it was when the question was asked.
+    - ``spread_threshold_m``, a number or None: the gate refuses a proposal whose spread is above it on any
+      axis.
+    - ``decision_time_s``, a number: the cost of a decision in simulated time, unless the scenario's settings
+      state it.
+    - ``sees``, words of a controller's contract except "image": ``propose`` gets a fourth keyword, ``seen``.
+      It has the named quantities at the time of the question.
     """
 
     @property
     def name(self) -> str:
-        """How reports call it."""
+        """Its name in reports."""
         ...
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Where to move the TCP, its orientation kept.
+        """Return a position for the TCP, which keeps its orientation.
 
-        ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,).
+        Args:
+            hand_position_in_base_m: The nearest predicted hand (3,).
+            tcp_position_in_base_m: The TCP (3,).
+            seed: The seed of any random numbers, from 0 to 2^64 - 1.
+
+        Returns:
+            The position with its spread.
+
+        Raises:
+            AvoiderError: There is no proposal. Any other exception is a fault of the decision too.
+
         """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class AvoiderAround:
-    """An avoider around another: all is that ``avoider``'s own but ``propose``, which heirs give."""
+    """An avoider around another: subclasses give ``propose``, and the rest is that of ``avoider``."""
 
     avoider: Avoider
 
     @property
     def name(self) -> str:
-        """The avoider's own."""
+        """The inner avoider's name."""
         return self.avoider.name
 
     @property
     def spread_threshold_m(self) -> float | None:
-        """The avoider's own; AvoiderError as there."""
+        """The inner avoider's threshold; ``AvoiderError`` as in ``spread_threshold_of``."""
         return spread_threshold_of(self.avoider)
 
     @property
     def decision_time_s(self) -> float:
-        """The avoider's own; AvoiderError as there."""
+        """The inner avoider's time; ``AvoiderError`` as in ``decision_time_of``."""
         return decision_time_of(self.avoider)
 
     @property
     def sees(self) -> tuple[str, ...]:
-        """The avoider's own: an heir that asks it hands ``seen`` on."""
+        """The inner avoider's words; a subclass that calls it passes ``seen`` on."""
         return shown_to(self.avoider)
 
 
 def spread_threshold_of(avoider: Avoider) -> float | None:
-    """The largest spread [m] with which the avoider's proposals may be used; None for any.
+    """Return the largest spread [m] of usable proposals of the avoider; None for any spread.
 
-    AvoiderError for what is no such length: zero is one (only what is certain), infinity is not.
+    ``AvoiderError`` unless it is a finite length. Zero is valid and allows certain proposals only.
     """
     return _declared(avoider, "spread_threshold_m", "a length in metres", most=LARGEST)
 
 
 def decision_time_of(avoider: Avoider) -> float:
-    """What the avoider declares that a decision costs [s]; 0 for nothing declared.
+    """Return the cost [s] of a decision that the avoider declares; 0 without a declaration.
 
-    AvoiderError for what is no such time.
+    ``AvoiderError`` unless it is a valid time.
     """
     return _declared(avoider, "decision_time_s", f"a time from 0 s to {LONGEST_S:g} s", most=LONGEST_S) or 0.0
 
 
 def shown_to(avoider: Avoider) -> tuple[str, ...]:
-    """What the avoider sees beside the three keywords, in the order of the contract's ``SIGHTS``.
+    """Return the words of ``sees``, in the order of the contract's ``SIGHTS``.
 
-    AvoiderError for a word that is none of them, and for pixels.
+    ``AvoiderError`` for an unknown word, and for pixels.
     """
     if getattr(avoider, "sees", None) is None:
         return ()
     try:
-        sees = sees_of(avoider)  # type: ignore[arg-type]  # it reads no more than that
+        sees = sees_of(avoider)  # type: ignore[arg-type]  # it reads this attribute only
     except ControllerError as error:
         raise AvoiderError(str(error)) from error
     if IMAGE in sees:
@@ -120,7 +131,10 @@ def shown_to(avoider: Avoider) -> tuple[str, ...]:
 
 
 def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float | None:
-    """A number from 0 to ``most`` that the avoider may have; None for nothing declared, else AvoiderError."""
+    """Return a number from 0 to ``most`` that the avoider may have; None without it.
+
+    ``AvoiderError`` for any other value.
+    """
     value = getattr(avoider, name, None)
     if value is None:
         return None
@@ -131,7 +145,7 @@ def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float |
 
 
 def checked(proposal: object) -> Proposal:
-    """The proposal with float64 arrays of shape (3,), all finite; else AvoiderError says what came."""
+    """Return the proposal with finite float64 arrays of shape (3,); ``AvoiderError`` for anything else."""
     if not isinstance(proposal, Proposal):
         raise AvoiderError(f"an avoider must return a Proposal; got {type(proposal).__name__}")
     cleaned = []
@@ -140,7 +154,7 @@ def checked(proposal: object) -> Proposal:
             given = np.asarray(value)
         except (TypeError, ValueError) as error:
             raise AvoiderError(f"the proposed {name} is no array of numbers: {error}") from error
-        if given.dtype.kind not in "fiu":  # complex numbers would lose a part, texts be parsed
+        if given.dtype.kind not in "fiu":  # float64 would drop a complex part, and parse texts
             raise AvoiderError(f"the proposed {name} must be real numbers; got {given.dtype}")
         if given.shape != (3,):
             raise AvoiderError(f"the proposed {name} must have shape (3,); got {given.shape}")

@@ -1,9 +1,9 @@
 """Repulsive candidates on a quarter sphere around the TCP (section 4.1 and figure 5 of the paper).
 
-The paper draws 100 candidates per TCP "on a quarter of a sphere", "Gaussian".  We read: on the
-sphere of radius R about the TCP, azimuth and elevation normal with one sigma about the direction
-from the nominal hand position to the desired TCP, kept if within the cone of 60 degrees about
-that direction, which covers exactly a quarter of the sphere.  R and sigma are our choice.
+The paper draws 100 candidates per TCP "on a quarter of a sphere", "Gaussian". Our reading is the sphere of
+radius R about the TCP. Azimuth and elevation are normal with one sigma about the direction from the nominal
+hand position to the desired TCP. A candidate must be within the cone of 60 degrees about that direction,
+which covers exactly a quarter of the sphere. R and sigma are our choice.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from safety_harness.base.exceptions import SettingsError
 from safety_harness.base.settings import Settings
 
-NARROWEST_CONE_RAD = np.radians(1.0)  # rejection sampling would hardly end in a narrower one
-SAME_PLACE_M = 1e-9  # nearer than this a direction is rounding, or the solver's noise
+NARROWEST_CONE_RAD = np.radians(1.0)  # rejection sampling would hardly end in a narrower cone
+SAME_PLACE_M = 1e-9  # at a smaller distance, a direction is rounding or the solver's noise
 
 
 @dataclass(frozen=True, eq=False)
 class CandidateCap:
-    """The spherical cap that candidates are drawn from.
+    """The spherical cap from which candidates are drawn.
 
-    ``axis_in_base`` (3,) is a unit vector; the cap is all directions within ``cone_rad`` of it.
+    ``axis_in_base`` (3,) is a unit vector; the cap has all directions within ``cone_rad`` of it.
     """
 
     axis_in_base: NDArray[np.float64]
@@ -34,10 +34,10 @@ class CandidateCap:
     count: int
 
     @classmethod
-    def of(cls, settings: Settings) -> CandidateCap:
-        """The cap of the settings: away from the nominal hand, towards the desired TCP.
+    def from_settings(cls, settings: Settings) -> CandidateCap:
+        """Return the cap of the settings: away from the nominal hand, towards the desired TCP.
 
-        SettingsError if that is no direction, or the cone too narrow ever to draw into.
+        ``SettingsError`` if these coincide, or if the cone is too narrow for draws.
         """
         avoidance = settings.avoidance
         axis = np.subtract(
@@ -59,7 +59,7 @@ class CandidateCap:
         )
 
     def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
-        """(count, 3) offsets from the TCP in the base frame, each of length ``radius_m``.
+        """Return offsets (count, 3) from the TCP in the base frame, each of length ``radius_m``.
 
         Rejection terminates: with sigma 45 degrees some 61 % of the draws fall into the cone.
         """
@@ -74,39 +74,39 @@ class CandidateCap:
         return self.radius_m * kept[: self.count]
 
     def frame(self) -> NDArray[np.float64]:
-        """(3, 3) rows: the axis, the horizontal direction beside it, and up."""
-        vertical = abs(self.axis_in_base[2]) > 1.0 - 1e-12  # then any direction will do as the side
+        """Return rows (3, 3): the axis, the horizontal direction beside it, and up."""
+        vertical = abs(self.axis_in_base[2]) > 1.0 - 1e-12  # then any horizontal direction is a side
         side = np.array([0.0, 1.0, 0.0]) if vertical else np.cross([0.0, 0.0, 1.0], self.axis_in_base)
         side = side - (side @ self.axis_in_base) * self.axis_in_base
         side /= np.linalg.norm(side)
-        up = np.cross(self.axis_in_base, side)
-        return np.stack([self.axis_in_base, side, up])
+        upward = np.cross(self.axis_in_base, side)
+        return np.stack([self.axis_in_base, side, upward])
 
 
 def continuous_optimum(settings: Settings, tcp_in_base: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 3): the point of the whole cap about each TCP that is nearest to the desired position [m].
+    """Return the point of the whole cap about each TCP that is nearest to the desired position, (n, 3) [m].
 
-    |tcp + R u - desired|^2 = R^2 + |d|^2 - 2 R u . d with d = desired - tcp: the unit vector u of the cap
-    nearest in angle to d is wanted.  That is d's own direction where the cap has it, else the point of
-    the rim in the plane of the axis a and d.  Where d singles out no direction (TCP at the desired
-    position, or d opposite to the axis) all of the cap, or of its rim, is equally near, and the choice
-    is fixed: the axis, or the rim's point beside it.
+    |tcp + R u - desired|^2 = R^2 + |d|^2 - 2 R u . d with d = desired - tcp. So the function looks for the
+    unit vector u of the cap that is nearest in angle to d. If the cap has d's own direction, u is that.
+    Otherwise it is the point of the rim in the plane of the axis a and d. If d singles out no direction (TCP
+    at the desired position, or d opposite to the axis), all of the cap or of its rim is equally near. The
+    choice is then fixed: the axis, or the rim's point beside it.
 
     ``tcp_in_base`` (n, 3).
     """
-    cap = CandidateCap.of(settings)
+    cap = CandidateCap.from_settings(settings)
     axis = cap.axis_in_base
-    way = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base  # (n, 3)
-    along = way @ axis
-    aside = way - along[:, None] * axis
-    aside -= (aside @ axis)[:, None] * axis  # once more: what is left of a small one is mostly rounding
-    distance = np.linalg.norm(way, axis=1)
+    offset = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base  # (n, 3)
+    along = offset @ axis
+    aside = offset - along[:, None] * axis
+    aside -= (aside @ axis)[:, None] * axis  # again, because a small remainder is mostly rounding
+    distance = np.linalg.norm(offset, axis=1)
     sideways = np.linalg.norm(aside, axis=1)
     fixed = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     fixed /= np.linalg.norm(fixed)
     there = distance <= SAME_PLACE_M
     with np.errstate(invalid="ignore"):  # 0/0 is replaced
-        direct = np.where(there[:, None], axis, way / distance[:, None])
+        direct = np.where(there[:, None], axis, offset / distance[:, None])
         beside = np.where((sideways > 1e-12 * distance)[:, None], aside / sideways[:, None], fixed)
     in_cap = there | (np.arctan2(sideways, along) <= cap.cone_rad)
     rim = np.cos(cap.cone_rad) * axis + np.sin(cap.cone_rad) * beside

@@ -1,4 +1,4 @@
-"""Is an avoider a function of its question and seed?  It is asked once more what a run asked it."""
+"""A test that an avoider is a function of its question and seed: it answers a run's questions again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A question of a run and the avoider's answer to it; ``number`` is its decision's, counted from 1."""
+    """A question of a run with the avoider's answer; ``number`` is its decision's, from 1."""
 
     run: str
     number: int
@@ -26,59 +26,59 @@ class Asked:
 
 
 def asked_in(trace: Trace) -> list[Asked]:
-    """What the avoider was asked in a run, and answered; the trace knows each question exactly.
+    """Return the questions and answers of a run; the trace has each question exactly.
 
-    Answers that came too late, and those that a simulated fault spoilt, are left out.
+    The result leaves out answers that came too late, and answers that a simulated fault replaced.
     """
-    spoilt = sum(1 << k for k, fault in enumerate(trace.scenario.faults) if isinstance(fault, AvoiderNaN))
+    nan_faults = sum(1 << k for k, fault in enumerate(trace.scenario.faults) if isinstance(fault, AvoiderNaN))
     limit_s = trace.scenario.settings.clock.wall_limit_s
-    found = []
+    questions = []
     for number, decision in enumerate(trace.decisions, start=1):
         if int(decision["proposed_failed"]) & Check.LATE:
             continue
-        if spoilt and int(trace.ticks["faults"][int(decision["tick"])]) & spoilt:
+        if nan_faults and int(trace.ticks["faults"][int(decision["tick"])]) & nan_faults:
             continue
         question = Question(*question_of(trace, decision), int(decision["seed"]), limit_s)
         proposal = Proposal(decision["proposed_position_in_base_m"], decision["proposed_spread_m"])
         answer = Answer(proposal, float(decision["spread_threshold_m"]), str(decision["fault"]))
-        found.append(Asked(trace.scenario.name, number, question, answer))
-    return found
+        questions.append(Asked(trace.scenario.name, number, question, answer))
+    return questions
 
 
 def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
-    """Ask ``avoider`` again what it was asked in ``trace``; FlakyAvoiderError for other bits.
+    """Ask ``avoider`` the questions of ``trace`` again; raise ``FlakyAvoiderError`` for other bits.
 
-    One that sees more is not: no trace keeps all that it saw.
+    The function skips an avoider that sees more: a trace does not store all that it saw.
     """
     if shown_to(avoider):
         return
-    for one in asked_in(trace):
-        answer = ask(avoider, one.question)
-        if difference(one.answer, answer):
-            raise FlakyAvoiderError(_difference(trace, one, answer))
+    for earlier in asked_in(trace):
+        answer = ask(avoider, earlier.question)
+        if difference(earlier.answer, answer):
+            raise FlakyAvoiderError(_difference(trace, earlier, answer))
 
 
 def difference(first: Answer, again: Answer) -> str:
-    """What an avoider did otherwise when it was asked again, in words; empty for the same bits.
+    """Return the difference between an avoider's two answers, in words; empty for the same bits.
 
-    A fault's words count as far as a trace keeps them.
+    The comparison of a fault's text ends where a trace cuts it.
     """
     position_m, again_m = first.proposal.position_in_base_m, again.proposal.position_in_base_m
-    spread_m, other_m = first.proposal.spread_m, again.proposal.spread_m
-    fault, other = first.fault[:FAULT_CHARACTERS], again.fault[:FAULT_CHARACTERS]
-    if fault != other:
-        return f"it answered {other or 'with a position'!r}, not {fault or 'with a position'!r}"
+    spread_m, spread_again_m = first.proposal.spread_m, again.proposal.spread_m
+    fault, fault_again = first.fault[:FAULT_CHARACTERS], again.fault[:FAULT_CHARACTERS]
+    if fault != fault_again:
+        return f"it answered {fault_again or 'with a position'!r}, not {fault or 'with a position'!r}"
     if position_m.tobytes() != again_m.tobytes():
         return f"it answered {np.linalg.norm(again_m - position_m) * 1e3:.3g} mm elsewhere"
-    if spread_m.tobytes() != other_m.tobytes():
-        return f"its spread was {np.abs(other_m - spread_m).max() * 1e3:.3g} mm otherwise"
+    if spread_m.tobytes() != spread_again_m.tobytes():
+        return f"its spread was {np.abs(spread_again_m - spread_m).max() * 1e3:.3g} mm otherwise"
     if not np.array_equal(first.spread_threshold_m, again.spread_threshold_m, equal_nan=True):
         return "its spread threshold was another"
     return ""
 
 
 def question_of(trace: Trace, decision: np.void) -> tuple[Vector, Vector]:
-    """The hand and the TCP (3,) that the avoider was asked about, which may have been some ticks before."""
+    """Return the hand and the TCP (3,) of a decision's question, which may be some ticks earlier."""
     if decision["asked_tick"] == decision["tick"]:
         return decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]
     tick = trace.ticks[int(decision["asked_tick"])]
@@ -88,13 +88,14 @@ def question_of(trace: Trace, decision: np.void) -> tuple[Vector, Vector]:
     return hands_in_base_m[nearest], tcp_in_base_m
 
 
-def _difference(trace: Trace, one: Asked, answer: Answer) -> str:
-    first, second = _words(one.answer), _words(answer)
-    time_s = float(trace.decisions["time_s"][one.number - 1])
+def _difference(trace: Trace, earlier: Asked, answer: Answer) -> str:
+    """Return the error text for two different answers to a question."""
+    first, second = _in_words(earlier.answer), _in_words(answer)
+    time_s = float(trace.decisions["time_s"][earlier.number - 1])
     return (
         f"the avoider {trace.system.tested.name!r} answers the same question in two ways\n"
-        f"  decision  {one.number} of {len(trace.decisions)}, at {time_s:.3f} s of "
-        f"{trace.scenario.name}, with the seed {one.question.seed}\n"
+        f"  decision  {earlier.number} of {len(trace.decisions)}, at {time_s:.3f} s of "
+        f"{trace.scenario.name}, with the seed {earlier.question.seed}\n"
         f"  first     {first}\n"
         f"  again     {second}\n"
         "  hint      randomness has to come from the seed that propose is given, and an answer may not\n"
@@ -102,7 +103,8 @@ def _difference(trace: Trace, one: Asked, answer: Answer) -> str:
     )
 
 
-def _words(answer: Answer) -> str:
+def _in_words(answer: Answer) -> str:
+    """Return an answer as text."""
     if answer.fault:
         return answer.fault
     shown, spread = map(_mm, (answer.proposal.position_in_base_m, answer.proposal.spread_m))
@@ -110,4 +112,5 @@ def _words(answer: Answer) -> str:
 
 
 def _mm(vector_m: NDArray[np.float64]) -> str:  # (3,)
+    """Return a vector [m] as text in mm."""
     return ", ".join(f"{value * 1e3:.9g}" for value in vector_m)

@@ -1,8 +1,8 @@
-"""The gate between an avoider and the arm: a proposed position is used only if it stands every check.
+"""The gate between an avoider and the arm: the arm uses a proposed position only if it passes every check.
 
-In turn: the avoider's proposal, the opposite pose under the same checks, a protective stop.
-Every check that fails is recorded.  (Reachability means inverse kinematics within the joint
-limits along the whole straight way, not a radius.)
+In turn: the avoider's proposal, the opposite pose under the same checks, a protective stop. The gate records
+every check that fails. (Reachability means inverse kinematics within the joint limits along the whole
+straight path, not a radius.)
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.seams.contract import Seen
 from safety_harness.trace.records import Check, DecisionOutcome
 
-REACH_MARGIN_M = 0.010  # how far beyond the position the straight way must go on being reachable
-OWN_CLEARANCE_M = 0.020  # how near the wrist's capsules may come to those of base, shoulder and upper arm
-WAY_STEP_M = 0.025  # between two samples of a way they come nearer by half of that, about
+REACH_MARGIN_M = 0.010  # the straight path must stay reachable this far beyond the position
+OWN_CLEARANCE_M = 0.020  # the least distance of the wrist's capsules from base, shoulder and upper arm
+WAY_STEP_M = 0.025  # between two samples of a path the capsules come nearer by about half of that
 
 
 @dataclass(frozen=True, eq=False)
 class Query:
-    """What is asked: where the nearest predicted hand, the TCP and the joints are, and a seed.
+    """A question to the avoider: the nearest predicted hand, the TCP, the joints and a seed.
 
-    ``hands_in_base_m`` is every predicted hand, the nearest among them; only the gate sees it, and the
-    ``half_widths_m`` of the boxes about them in which they may be; None where no rule asks for them.
-    ``asked_of``: the hand and the TCP (3,) of an earlier question, where a fault has its answer count.
+    ``hands_in_base_m`` has every predicted hand, the nearest among them; only the gate sees it.
+    ``half_widths_m`` belongs to the boxes about them in which they may be; None if no rule needs it.
+    ``asked_of`` is the hand and the TCP (3,) at the time of the question, if its answer counts later.
     """
 
     hand_position_in_base_m: Vector
@@ -58,22 +58,22 @@ class Query:
     late: str = ""  # why there is no answer in simulated time; empty if there is one
     limit_s: float = WALL_LIMIT_S
     asked_of: tuple[Vector, Vector] | None = None
-    seen: Seen | None = None  # when it was asked
+    seen: Seen | None = None  # at the time of the question
     half_widths_m: Vector | None = None  # (k, 3)
 
     @property
     def question(self) -> Question:
-        """What the avoider is asked."""
+        """The question for the avoider."""
         hand, tcp = self.asked_of or (self.hand_position_in_base_m, self.tcp_position_in_base_m)
         return Question(hand, tcp, self.seed, self.limit_s, self.seen)
 
 
 @dataclass(frozen=True, eq=False)
 class GateDecision:
-    """What the gate decided, and on what grounds.  Positions are NaN where there is none.
+    """The gate's decision with its grounds. A position that does not exist is NaN.
 
-    ``fault`` says why the avoider gave no usable answer; it is empty if it gave one.
-    ``latency_s`` is how long it took, on the wall's clock.
+    ``fault`` says why the avoider gave no usable answer; it is empty after a usable answer. ``latency_s`` is
+    the time of the answer on the wall's clock.
     """
 
     outcome: DecisionOutcome
@@ -89,7 +89,7 @@ class GateDecision:
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """Rules on proposals; holds no state between decisions."""
+    """Rules on proposals; it has no state between decisions."""
 
     kinematics: InverseKinematics
     fallback: Avoider
@@ -101,7 +101,7 @@ class Gate:
     more: GateRule | None = None
 
     @classmethod
-    def of(
+    def from_settings(
         cls,
         settings: Settings,
         kinematics: InverseKinematics,
@@ -109,7 +109,16 @@ class Gate:
         obstacles: Sequence[Obstacle] = (),
         more: GateRule | None = None,
     ) -> Gate:
-        """The gate of the settings and a scenario's rule, for an arm, its capsules and the cell's boxes."""
+        """Return the gate of the settings.
+
+        Args:
+            settings: The settings, for the limits and the kind of gate.
+            kinematics: The arm's inverse kinematics.
+            capsules: The arm's capsules.
+            obstacles: The boxes of the cell.
+            more: A scenario's further rule, if any.
+
+        """
         return cls(
             kinematics,
             OppositePose(settings.avoidance.radius_m),
@@ -126,7 +135,13 @@ class Gate:
         return self.rule_on(answer_to(avoider, query), query)
 
     def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
-        """Check the avoider's answer, fall back to the opposite pose, else stop."""
+        """Check the avoider's answer, then the opposite pose if that fails, else stop.
+
+        Args:
+            proposed: The avoider's answer.
+            query: Its question, with everything that the checks need.
+
+        """
         opposite = answer_to(self.fallback, replace(query, late="", asked_of=None))
         proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
         if not (proposed.late or proposed.fault):
@@ -150,19 +165,19 @@ class Gate:
         )
 
     def _failed(self, answer: Answer, query: Query) -> Check:
-        """Which checks an answer fails."""
+        """Return the checks that an answer fails."""
         if answer.late:
             return Check.LATE
         if answer.fault:
             return Check.NOT_FINITE
         failed = self.check(answer.proposal.position_in_base_m, query)
         spread_m, threshold_m = answer.proposal.spread_m.max(), answer.spread_threshold_m
-        if self.kind is GateKind.FULL and spread_m > threshold_m:  # never above NaN: no threshold
+        if self.kind is GateKind.FULL and spread_m > threshold_m:  # False without a threshold (NaN)
             failed |= Check.UNCERTAIN
         return failed
 
     def _outside(self, question: Question) -> Check:
-        """Whether the avoider was asked something that the scenario's region does not have."""
+        """Return the failed check if a question lies outside of the scenario's region."""
         region = None if self.more is None else self.more.questions_within
         if region is None:
             return Check.NONE
@@ -170,73 +185,82 @@ class Gate:
         return Check.NONE if depth_m >= 0.0 else Check.OUTSIDE_REGION
 
     def check(self, position_in_base_m: Vector, query: Query) -> Check:
-        """Which checks ``position_in_base_m`` fails, the current orientation kept.
+        """Return the checks that a position fails, with the current orientation.
 
-        On a straight way the TCP is nowhere lower than at the lower one of its ends: the table
-        needs no look in between.
+        A straight path is lowest at an end, so the table needs no check in between.
 
-        ``position_in_base_m`` (3,).
+        Args:
+            position_in_base_m: The position (3,).
+            query: The question, for the arm's state and the hands.
+
         """
         failed = Check.NONE
         full = self.kind is GateKind.FULL
         start_in_base_m = query.transform_tcp_to_base[:3, 3]
-        way = position_in_base_m - start_in_base_m
+        path = position_in_base_m - start_in_base_m
         if position_in_base_m[2] < self.lowest_tcp_height_m:
             failed |= Check.TABLE
-        if full and not leads_away(start_in_base_m, way, query.hands_in_base_m, query.half_widths_m):
+        if full and not leads_away(start_in_base_m, path, query.hands_in_base_m, query.half_widths_m):
             failed |= Check.TOWARDS_A_HAND
         target = query.transform_tcp_to_base.copy()
         target[:3, 3] = position_in_base_m
         if self.kinematics.nearest(target, query.joint_position_rad) is None:
             return failed | Check.UNREACHABLE
-        length_m = float(np.linalg.norm(way))
+        length_m = float(np.linalg.norm(path))
         if not length_m > 0.0:
             return failed
         wanted_m = length_m + (REACH_MARGIN_M if full else 0.0)
         reach_m = self.kinematics.reach_along(
-            query.joint_position_rad, way / length_m, wanted_m, min_singular_value=self.min_singular_value
+            query.joint_position_rad, path / length_m, wanted_m, min_singular_value=self.min_singular_value
         )
         if reach_m < length_m:
             return failed | Check.PATH_UNREACHABLE
         if reach_m < wanted_m:
             failed |= Check.NEAR_REACH_LIMIT
-        return failed | self._met(way, length_m, query) if full else failed
+        return failed | self._met(path, length_m, query) if full else failed
 
-    def _met(self, way: Vector, length_m: float, query: Query) -> Check:
-        """What comes too near on the way: the wrist to the body, or the arm to an obstacle.
+    def _met(self, path: Vector, length_m: float, query: Query) -> Check:
+        """Return the check that fails on the path: the wrist near the body, or the arm near an obstacle.
 
-        It may always leave where it is.
+        An arm that is too near at the start may leave.
         """
         arm, capsules, steps = self.kinematics.arm, self.capsules, ceil(length_m / WAY_STEP_M)
         poses = np.repeat(query.transform_tcp_to_base[None], steps, axis=0)
-        poses[:, :3, 3] += (np.arange(1, steps + 1) / steps)[:, None] * way
+        poses[:, :3, 3] += (np.arange(1, steps + 1) / steps)[:, None] * path
         joints = np.empty((steps + 1, len(query.joint_position_rad)))
         joints[0] = query.joint_position_rad
         joints[1:] = self.kinematics.followed(poses, query.joint_position_rad)
         own_m = own_distances(arm, capsules, joints)
         wrist = np.isnan(joints[1:, 0]) | ~(own_m[1:] >= min(OWN_CLEARANCE_M, own_m[0]))
-        wrong = wrist
+        too_near = wrist
         if len(self.boxes) > 0:
             box_m = distances_m(arm_with(arm, capsules), self.boxes, joints)
-            wrong = wrist | ~(box_m[1:] >= min(OWN_CLEARANCE_M, box_m[0]))
-        if not wrong.any():
+            too_near = wrist | ~(box_m[1:] >= min(OWN_CLEARANCE_M, box_m[0]))
+        if not too_near.any():
             return Check.NONE
-        return Check.ROBOT_ITSELF if wrist[wrong.argmax()] else Check.OBSTACLE
+        return Check.ROBOT_ITSELF if wrist[too_near.argmax()] else Check.OBSTACLE
 
 
 def answer_to(avoider: Avoider, query: Query) -> Answer:
-    """The avoider's answer, or the fault of one that comes too late in simulated time; NoAnswerError."""
+    """Return the avoider's answer, or a fault if it is late in simulated time; ``NoAnswerError``."""
     if query.late:
         return Answer(fault=query.late, late=True)
     return ask(avoider, query.question)
 
 
 def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answer]:
-    """The answers, in order; those of ``ask`` bit for bit, but for their latency.
+    """Return the answers, in order, with the bits of ``ask`` apart from their latency.
 
-    A question of a batch has no time of its own on the clock: its latency is NaN, not timed.  Questions
-    that are asked in turn are timed.  An avoider in another process gets all its questions in one
-    message, and does either there.  NoAnswerError for one that hangs.
+    The latency of a question in a batch is NaN, because the batch has only one time. Questions in turn have
+    their times. An avoider in another process gets all its questions in one message and does either there.
+
+    Args:
+        avoiders: The avoider of each question.
+        queries: The questions.
+
+    Raises:
+        NoAnswerError: An avoider hangs.
+
     """
     answers = [Answer()] * len(queries)
     together: dict[int, list[int]] = {}  # by avoider
@@ -247,26 +271,31 @@ def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answ
             answers[k] = answer_to(avoider, query)
     for numbers in together.values():
         avoider = avoiders[numbers[0]]
-        found = answers_together(avoider, [queries[k].question for k in numbers])
+        joint = answers_together(avoider, [queries[k].question for k in numbers])
         for row, k in enumerate(numbers):
-            answers[k] = found[row] if found else answer_to(avoider, queries[k])
+            answers[k] = joint[row] if joint else answer_to(avoider, queries[k])
     return answers
 
 
 def leads_away(
-    start_in_base_m: Vector, way: Vector, hands_in_base_m: Vector, half_widths_m: Vector | None = None
+    start_in_base_m: Vector, path: Vector, hands_in_base_m: Vector, half_widths_m: Vector | None = None
 ) -> bool:
-    """Does the straight way (3,) lead away from each of the hands (k, 3), everywhere?
+    """Return whether a straight path leads away from each hand, everywhere.
 
-    With ``half_widths_m`` r (k, 3): wherever they are in such boxes, for (p - t) . (t - h) is linear in h,
-    least at a corner, and there less by sum |p - t|_i r_i.
+    The distance from a fixed point to a straight path is convex. So it grows everywhere unless it falls at
+    the start: (p - t) . (t - h) >= 0. Return False for a path of no length and for a hand that is NaN. For
+    half widths r, this must hold for every position of the hands in their boxes. (p - t) . (t - h) is linear
+    in h, so it is least at a corner, and there less by sum |p - t|_i r_i.
 
-    The distance from a fixed point to a straight way is convex, so it grows everywhere unless it
-    falls at the start: (p - t) . (t - h) >= 0.  A way of no length leads nowhere.  False if a
-    hand is NaN.
+    Args:
+        start_in_base_m: The start t (3,).
+        path: The vector p - t (3,).
+        hands_in_base_m: The hands h (k, 3).
+        half_widths_m: The half widths r of boxes about them (k, 3). None: exact hands.
+
     """
-    if not float(np.linalg.norm(way)) > 0.0:
+    if not float(np.linalg.norm(path)) > 0.0:
         return False
-    lost = np.zeros(len(hands_in_base_m)) if half_widths_m is None else half_widths_m @ np.abs(way)
-    ways = zip(hands_in_base_m, lost, strict=True)
-    return all(float(way @ (start_in_base_m - hand)) >= less for hand, less in ways)
+    lost = np.zeros(len(hands_in_base_m)) if half_widths_m is None else half_widths_m @ np.abs(path)
+    pairs = zip(hands_in_base_m, lost, strict=True)
+    return all(float(path @ (start_in_base_m - hand)) >= less for hand, less in pairs)

@@ -17,8 +17,8 @@ from safety_harness.cell.avoidance.resnet_kernel import FoldedNetwork, decide, f
 class LearnedAvoider:
     """Eqs. 9 and 10 of the paper: the mean of the passes (or members), and their standard deviation.
 
-    A decision depends on its hand, TCP and seed alone: the same bits one at a time or in a batch of
-    any size.  Networks without dropout take no notice of the seed.
+    A decision depends on its hand, TCP and seed alone: the same bits one at a time or in a batch of any size.
+    Networks without dropout ignore the seed.
     """
 
     model: Model
@@ -26,8 +26,8 @@ class LearnedAvoider:
     _network: FoldedNetwork | Perceptron
 
     @classmethod
-    def of(cls, model: Model) -> LearnedAvoider:
-        """The avoider that ``model`` describes."""
+    def from_model(cls, model: Model) -> LearnedAvoider:
+        """Return the avoider that ``model`` describes."""
         if model.kind == PERCEPTRON:
             name = f"ensemble of {model.members} ReLU students" if model.members > 1 else "ReLU student"
             return cls(model, name, fold_perceptron(model))
@@ -41,18 +41,18 @@ class LearnedAvoider:
 
     @property
     def spread_threshold_m(self) -> float | None:
-        """The largest spread [m] with which a proposal may be used; None if never calibrated."""
+        """The largest spread [m] of a usable proposal; None without a calibration."""
         return self.model.spread_threshold_m
 
     @property
     def decision_time_s(self) -> float:
-        """What a decision costs in simulated time, as the card declares; 0 where it does not."""
+        """The cost [s] of a decision in simulated time that the card declares; 0 without a declaration."""
         return self.model.decision_time_s
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """One decision; ``seed`` is any integer from 0 to 2^64 - 1."""
+        """Return a decision; ``seed`` is any integer from 0 to 2^64 - 1."""
         positions, spreads = self.propose_many(
             np.asarray(hand_position_in_base_m)[None],
             np.asarray(tcp_position_in_base_m)[None],
@@ -63,10 +63,18 @@ class LearnedAvoider:
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,).
+        """Return positions and spreads (n, 3) [m] for n questions.
 
-        A hand or TCP that is not finite gives a position that is not, and never a guess.
-        ValueError for arrays of other shapes.
+        A hand or TCP that is not finite gives a position that is not finite, and never a guess.
+
+        Args:
+            hands_in_base_m: The hands (n, 3).
+            tcps_in_base_m: The TCPs (n, 3).
+            seeds: The seeds (n,).
+
+        Raises:
+            ValueError: An array has another shape.
+
         """
         # Copies, since numba would compile everything once more for an array that is read-only.
         hands = np.array(hands_in_base_m, dtype=np.float64, order="C")

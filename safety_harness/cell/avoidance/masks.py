@@ -1,12 +1,12 @@
-"""Dropout masks as a pure function of (seed, pass, place, unit): nothing is drawn, nothing remembered.
+"""Dropout masks as a pure function of (seed, pass, place, unit), without a generator's state.
 
-A counter-based generator: the finalizer of splitmix64 (Steele, Lea, Flood 2014) applied to
-key of the seed + counter x golden gamma.  So a decision has the same masks alone or in a batch, on any
-machine, whichever pass is made first, and PyTorch can be given the very same ones.
+A counter-based generator: the finalizer of splitmix64 (Steele, Lea, Flood 2014) applied to key of the seed +
+counter x golden gamma. So a decision has the same masks alone or in a batch, on any machine and in any order
+of passes. PyTorch can use the same masks.
 
-A *place* is a point of the network where units are dropped.  "inter": place s is after stage s.
-"full": places count the layers in the order of the state dict: fc1, fc2, fc3 and, in a dense block,
-fcs of block 0 of stage 0, then block 1, ..., and fc_out at the end.
+A *place* is a point of the network where dropout removes units. "inter": place s is after stage s. "full":
+places count the layers in the order of the state dict. This is fc1, fc2, fc3 and, in a dense block, fcs of
+block 0 of stage 0, then block 1, ..., and fc_out at the end.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PLACE_SHIFT = np.uint64(16)  # so far fewer than 65,536 places and units
 
 @compiled
 def mixed(z: np.uint64) -> np.uint64:
-    """The finalizer of splitmix64: a bijection of 64 bits that leaves no pattern."""
+    """Return the finalizer of splitmix64: a bijection of 64 bits that leaves no pattern."""
     z = (z ^ (z >> FIRST_SHIFT)) * FIRST_FACTOR
     z = (z ^ (z >> SECOND_SHIFT)) * SECOND_FACTOR
     return z ^ (z >> THIRD_SHIFT)
@@ -36,13 +36,13 @@ def mixed(z: np.uint64) -> np.uint64:
 
 @compiled
 def key_of(seed: np.uint64) -> np.uint64:
-    """Where a seed's counters start; any 64-bit seed will do, 0 and neighbours too."""
+    """Return the start of a seed's counters; any 64-bit seed is suitable, also 0 and neighbours."""
     return mixed(np.uint64(seed) + GAMMA)
 
 
 @compiled
 def is_kept(key: np.uint64, which_pass: int, place: int, unit: int, drop_below: np.uint64) -> np.bool_:
-    """Whether a unit stays; ``key`` is key_of(seed), ``drop_below`` is the probability times 2^64."""
+    """Return whether a unit stays; ``key`` is key_of(seed), ``drop_below`` is the probability times 2^64."""
     counter = (np.uint64(which_pass) << PASS_SHIFT) | (np.uint64(place) << PLACE_SHIFT) | np.uint64(unit)
     return mixed(key + counter * GAMMA) >= drop_below
 
@@ -51,7 +51,8 @@ def is_kept(key: np.uint64, which_pass: int, place: int, unit: int, drop_below: 
 def fill_factors(seed: np.uint64, probability: float, out: NDArray[np.float32]) -> None:
     """Fill ``out`` (places, passes, width) with the factors of inverted dropout: 0 or 1/(1 - p).
 
-    Multiplied with, never selected by, so that a NaN stays one.  ``probability`` in [0, 1).
+    The network multiplies by them and never selects by them, so that a NaN stays NaN. ``probability`` in [0,
+    1).
     """
     scale = np.float32(1.0 / (1.0 - probability))
     drop_below = np.uint64(probability * 2.0**64)
@@ -65,9 +66,9 @@ def fill_factors(seed: np.uint64, probability: float, out: NDArray[np.float32]) 
 
 @compiled
 def masks(seed: np.uint64, passes: int, places: int, width: int, probability: float) -> NDArray[np.bool_]:
-    """(passes, places, width) True where a unit is kept, each with chance 1 - ``probability``.
+    """Return the masks (passes, places, width), True for a kept unit, with chance 1 - ``probability``.
 
-    The masks of fewer passes, places or units are the beginnings of those of more.
+    The masks of fewer passes, places or units are the beginnings of larger masks.
     """
     out = np.empty((passes, places, width), dtype=np.bool_)
     drop_below = np.uint64(probability * 2.0**64)

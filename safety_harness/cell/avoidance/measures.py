@@ -1,8 +1,7 @@
-"""What a proposal is worth before any gate: does it lead away, and how far is it from the optimum?
+"""The quality of a proposal before any gate: whether it leads away, and its distance from the optimum.
 
-Positions are (n, 3) in the base frame [m]; what comes back is (n,), in metres, NaN where a proposal or a
-question is not finite.  The claims about proposals and the command that scores an avoider measure with the
-same functions.
+Positions are (n, 3) in the base frame [m]. Results are (n,), in metres, NaN if a proposal or a question is
+not finite. The claims about proposals and the command that scores an avoider use the same functions.
 """
 
 from __future__ import annotations
@@ -16,29 +15,41 @@ from safety_harness.cell.avoidance.candidates import continuous_optimum
 
 
 def optimum_in_base_m(settings: Settings, hands: ArrayNx3, tcps: ArrayNx3) -> ArrayNx3:
-    """(n, 3) eq. 13 with the continuous optimum: gt = t_opt + hand_pull (t_tcp - t_h).
+    """Return eq. 13 with the continuous optimum, (n, 3): gt = t_opt + hand_pull (t_tcp - t_h).
 
-    The closed form of what the networks learn: a yardstick, not a duty.
+    It is the closed form of the networks' target: a reference for comparison, not a requirement.
+
+    Args:
+        settings: The settings, for the cap of candidates and ``hand_pull``.
+        hands: The hands t_h (n, 3).
+        tcps: The TCPs t_tcp (n, 3).
+
     """
     pull = settings.avoidance.hand_pull
     return np.asarray(continuous_optimum(settings, tcps) + pull * (tcps - hands))
 
 
 def gained_m(hands: ArrayNx3, tcps: ArrayNx3, proposed: ArrayNx3) -> NDArray[np.float64]:  # (n,)
-    """(n,) the component of the way to a proposal away from the hand: (p - t) . (t - h)/|t - h|.
+    """Return the component of the path to a proposal away from the hand, (n,): (p - t) . (t - h)/|t - h|.
 
-    The distance from a hand to a straight way is convex: with a component of zero or more the way leads
-    away from the hand everywhere.  From a hand at the TCP every way leads away: its whole length counts.
+    The distance from a hand to a straight path is convex. So a component of zero or more leads away from the
+    hand everywhere. If the hand is at the TCP, every path leads away, and its whole length counts.
+
+    Args:
+        hands: The hands h (n, 3).
+        tcps: The TCPs t (n, 3).
+        proposed: The proposed positions p (n, 3).
+
     """
-    way, apart = proposed - tcps, tcps - hands
-    distance = np.linalg.norm(apart, axis=1)
+    path, offset = proposed - tcps, tcps - hands
+    distance = np.linalg.norm(offset, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        along = np.einsum("ij,ij->i", way, apart) / distance
-    return np.asarray(np.where(distance == 0.0, np.linalg.norm(way, axis=1), along))
+        along = np.einsum("ij,ij->i", path, offset) / distance
+    return np.asarray(np.where(distance == 0.0, np.linalg.norm(path, axis=1), along))
 
 
 def off_m(proposed: ArrayNx3, optimum: ArrayNx3) -> NDArray[np.float64]:  # (n,)
-    """(n,) how far a proposal is from the optimum."""
+    """Return the distance of each proposal from the optimum, (n,)."""
     return np.asarray(np.linalg.norm(proposed - optimum, axis=1))
 
 
@@ -46,6 +57,13 @@ def is_sure(
     spreads_m: ArrayNx3,
     threshold_m: float | NDArray[np.float64],  # (n,)
 ) -> NDArray[np.bool_]:
-    """(n,) is no spread (n, 3) above the avoider's own threshold?  Without one (NaN) every answer is sure."""
+    """Return whether a proposal's spread is within the avoider's own threshold on every axis, (n,).
+
+    Args:
+        spreads_m: The spreads (n, 3).
+        threshold_m: The threshold, or one for each proposal (n,). For NaN, without a threshold, every answer
+            is sure.
+
+    """
     sure: NDArray[np.bool_] = ~(spreads_m.max(axis=1) > threshold_m)
     return sure

@@ -1,12 +1,12 @@
-"""Trained networks as files: safetensors with one JSON text, read without executing anything.
+"""Trained networks as files: safetensors with a JSON text, read without execution of any code.
 
-Tensors are named "{member}/{name}", the name as in a PyTorch state dict of the architecture that
-``tensor_shapes`` spells out.  Everything a user can get wrong is refused with the field at fault;
-what ``save_model`` writes, ``load_model`` takes.
+Tensors have the names "{member}/{name}", with the name as in a PyTorch state dict of the architecture that
+``tensor_shapes`` gives. An error names the field at fault. ``load_model`` accepts every file that
+``save_model`` writes.
 
-Of an ONNX file the metadata are read from its bytes: no runtime loads it, nothing in it is computed.  A model
-is one message of protocol buffers (onnx.proto, ModelProto), whose field 14 is the metadata, each a message of
-two texts: 1 the key, 2 the value.  Fields: https://protobuf.dev/programming-guides/encoding
+This module reads the metadata of an ONNX file from its bytes, without a runtime or any computation. A model
+is a message of protocol buffers (onnx.proto, ModelProto). Its field 14 has the metadata, each a message of
+two texts: 1 the key, 2 the value. Fields: https://protobuf.dev/programming-guides/encoding
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ LARGEST_BYTES = 64 * 2**20
 LARGEST_DROPOUT = 0.9
 MOST_PASSES = 1000
 MOST_MEMBERS = 100
-CARD_TIME = "decision_time_s"  # of the card: what a decision costs in simulated time
-CARD_ARM = "arm"  # in whose cell the training data were drawn
+CARD_TIME = "decision_time_s"  # of the card: the cost of a decision in simulated time
+CARD_ARM = "arm"  # of the card: the training data come from this arm's cell
 LARGEST_ONNX_BYTES = 256 * 2**20
 GRAPH, METADATA = 7, 14
-MOST_FIELDS = 10_000  # of which a file may have millions to no purpose; what comes later is not read
+MOST_FIELDS = 10_000  # the rest is not read: a file may have millions of useless fields
 FIXED = {1: 8, 5: 4}  # bytes of a value by its wire type
 PARTS = (("weight", 2), ("bias", 1))  # of a layer, and how many of its dimensions each has
-FARTHEST_M = 10.0  # a seen space beyond it is not in metres, or not around a robot's base
+FARTHEST_M = 10.0  # a larger seen space is not in metres, or not around a robot's base
 
 INPUTS = 7  # hand (3) and TCP (3) in the base frame, normalised, and the constant 1
 OUTPUTS = 3
@@ -71,7 +71,7 @@ OfOutputs = Meta(min_length=OUTPUTS, max_length=OUTPUTS)
 
 
 class Dropout(Enum):
-    """Where units are dropped at prediction time: nowhere, after each stage, before every layer."""
+    """The places of dropout at prediction time: nowhere, after each stage, before every layer."""
 
     NONE = "none"
     INTER = "inter"
@@ -92,7 +92,7 @@ class SeenSpace:
 
     @property
     def boxes(self) -> dict[str, tuple[Vector3, Vector3]]:
-        """The low and the high corner of the box of hands and of that of TCPs."""
+        """The low and the high corner of the box of hands, and of the box of TCPs."""
         return {"hand": (self.hand_low_m, self.hand_high_m), "tcp": (self.tcp_low_m, self.tcp_high_m)}
 
     def __post_init__(self) -> None:
@@ -103,9 +103,10 @@ class SeenSpace:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """What held-out seen TCPs said: how wide an interval must be, and which spread is too large.
+    """The results of held-out seen TCPs: the width of an interval, and the largest usable spread.
 
-    ``more`` holds whatever else the calibration recorded, beside these in a file; nothing here reads it.
+    ``more`` has the other records of the calibration, which stand beside these in a file. The harness does
+    not read them.
     """
 
     interval_multiplier: Positive
@@ -117,7 +118,7 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NetworkUse:
-    """How a network is asked, and what its answers are good for, whichever file it comes from."""
+    """The way to call a network and the validity of its answers, for any kind of file."""
 
     dropout: Dropout
     dropout_probability: Annotated[float, Meta(ge=0.0, le=LARGEST_DROPOUT)]
@@ -128,17 +129,17 @@ class NetworkUse:
 
     @property
     def spread_threshold_m(self) -> float | None:
-        """The largest spread [m] with which a proposal may be used; None if never calibrated."""
+        """The largest spread [m] of a usable proposal; None without a calibration."""
         return None if self.calibration is None else self.calibration.spread_threshold_m
 
     @property
     def decision_time_s(self) -> float:
-        """What a decision costs in simulated time, as the card declares; 0 where it does not."""
+        """The cost [s] of a decision in simulated time that the card declares; 0 without a declaration."""
         return float(self.card.get(CARD_TIME, 0.0))
 
     @property
     def made_for(self) -> str:
-        """The arm in whose cell its training data were drawn; cards that do not say it are of the UR10."""
+        """The arm in whose cell the training data were drawn; a card without it is for the UR10."""
         return str(self.card.get(CARD_ARM, Robot.UR10.label))
 
 
@@ -147,11 +148,11 @@ U = TypeVar("U", bound=NetworkUse)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ModelMetadata(NetworkUse):
-    """All of a model but its tensors.
+    """All of a model except its tensors.
 
-    The network sees x = (input - input_mean) / input_std (6,) and the constant 1; its answer y
-    means the position target_mean + target_std y (3,) in the base frame.  Means and deviations are
-    in metres.  A perceptron has no constant, and two stages of one layer each.
+    The network sees x = (input - input_mean) / input_std (6,) and the constant 1. Its answer y means the
+    position target_mean + target_std y (3,) in the base frame. Means and deviations are in metres. A
+    perceptron has no constant, and two stages of one layer each.
     """
 
     format: str = FORMAT
@@ -168,7 +169,7 @@ class ModelMetadata(NetworkUse):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Model(ModelMetadata):
-    """A network (or an ensemble of such) with all that is needed to use it.
+    """A network or an ensemble, with everything that its use needs.
 
     ``tensors`` are read-only float32 arrays, one set for each member.
     """
@@ -177,12 +178,21 @@ class Model(ModelMetadata):
 
 
 def refuse(path: Path, name: str | None, expected: str, got: str, hint: str = "") -> NoReturn:
-    """Raise the ModelError for field ``name`` of the file ``path``."""
+    """Raise the ``ModelError`` of a file.
+
+    Args:
+        path: The file.
+        name: The field at fault. None: the whole file.
+        expected: The expected value, in words.
+        got: The value of the file, in words.
+        hint: Advice, if any.
+
+    """
     raise ModelError(place=Place(file=path, field=name), expected=expected, got=got, hint=hint)
 
 
 def layer_names() -> list[tuple[str, str]]:
-    """(block, number) of every layer before fc_out, in the order of the tensors and of the masks."""
+    """Return (block, number) of every layer before fc_out, in the order of the tensors and of the masks."""
     return [
         (f"stages.{stage}.{block}", number)
         for stage in range(STAGES)
@@ -192,7 +202,10 @@ def layer_names() -> list[tuple[str, str]]:
 
 
 def tensor_shapes(kind: str = RESNET) -> dict[str, tuple[int, ...]]:
-    """Name and shape of every tensor of one member, in the order of the layers (a ResNet's: figures 3, 4)."""
+    """Return name and shape of every tensor of a member, in the order of the layers.
+
+    Figures 3 and 4 of the paper show a ResNet's.
+    """
     if kind == PERCEPTRON:
         sizes = {"fc1": (WIDTH, PERCEPTRON_INPUTS), "fc2": (WIDTH, WIDTH), "fc_out": (OUTPUTS, WIDTH)}
         return {f"{name}.{part}": size[:n] for name, size in sizes.items() for part, n in PARTS}
@@ -207,7 +220,7 @@ def tensor_shapes(kind: str = RESNET) -> dict[str, tuple[int, ...]]:
 
 
 def load_model(path: Path) -> Model:
-    """Read and check a model file; ModelError says what is wrong with it and where."""
+    """Read and check a model file; ``ModelError`` states the fault and its field."""
     refuse_other_kind(path, FileKind.MODEL, error=ModelError)
     return _parse(model_bytes(path, "a model file", most=LARGEST_BYTES), path)
 
@@ -215,7 +228,16 @@ def load_model(path: Path) -> Model:
 def model_bytes(
     path: Path, kind: str, *, most: int, place: Place | None = None, error: type[InputError] = ModelError
 ) -> bytes:
-    """The whole of a regular file of at most ``most`` bytes; an ``error`` for anything else."""
+    """Return the bytes of a regular file; raise ``error`` for anything else.
+
+    Args:
+        path: The file.
+        kind: Its kind, in words for the error.
+        most: The largest number of bytes.
+        place: The place of the error. None: the file.
+        error: The class of the error.
+
+    """
     place = place or Place(file=path)
     data = read_bytes(path, most=most, place=place, error=error)
     if len(data) > most:
@@ -224,9 +246,10 @@ def model_bytes(
 
 
 def save_model(model: Model, path: Path) -> None:
-    """Write ``model`` to ``path`` in one step: there is the old file or the new one, never a part.
+    """Write ``model`` to ``path`` in one step: the path has the old file or the new one, never a part.
 
-    ModelError if ``load_model`` would refuse it; then nothing is written.  OutputError if it cannot be.
+    ``ModelError``, and no file, if ``load_model`` would refuse it. ``OutputError`` if the file cannot be
+    written.
     """
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in model.tensors.items()}
     try:
@@ -240,7 +263,7 @@ def save_model(model: Model, path: Path) -> None:
 
 @contextmanager
 def writing_to(path: Path) -> Iterator[None]:
-    """OutputError where the block cannot write the file ``path``."""
+    """Raise ``OutputError`` if the block cannot write the file ``path``."""
     try:
         yield
     except OSError as error:
@@ -248,7 +271,14 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 def refuse_foreign_cell(network: NetworkUse, settings: Settings, path: Path) -> None:
-    """ModelError if a network never saw the cell's own desired TCP or its nominal hand position."""
+    """Raise ``ModelError`` if a network never saw the cell's desired TCP or its nominal hand position.
+
+    Args:
+        network: The network, with its seen space.
+        settings: The settings of the cell.
+        path: The network's file.
+
+    """
     for name, point_m in (
         ("tcp", settings.cell.desired_tcp_position_in_base_m),
         ("hand", settings.avoidance.nominal_hand_position_in_base_m),
@@ -266,16 +296,16 @@ def refuse_foreign_cell(network: NetworkUse, settings: Settings, path: Path) -> 
 
 
 def metadata_of(model: Model) -> dict[str, Any]:
-    """All of a model but its tensors, as JSON has it."""
-    found = {one.name: plain(getattr(model, one.name)) for one in fields(ModelMetadata)}
+    """Return all of a model except its tensors, as JSON objects."""
+    metadata = {item.name: plain(getattr(model, item.name)) for item in fields(ModelMetadata)}
     if model.calibration is not None:
-        del found["calibration"]["more"]
-        found["calibration"] = dict(model.calibration.more) | found["calibration"]
-    return found | {"card": dict(model.card)}
+        del metadata["calibration"]["more"]
+        metadata["calibration"] = dict(model.calibration.more) | metadata["calibration"]
+    return metadata | {"card": dict(model.card)}
 
 
 def _parse(data: bytes, path: Path) -> Model:
-    """The model in the bytes of a safetensors file; ModelError for the first thing that is wrong."""
+    """Return the model in the bytes of a safetensors file; ``ModelError`` for the first fault."""
     try:
         stored = dict(deserialize(data))  # type: ignore[no-untyped-call]  # checks every offset and length against the file's size
     except SafetensorError as error:
@@ -284,8 +314,8 @@ def _parse(data: bytes, path: Path) -> Model:
     text = (header.get("__metadata__") or {}).get(KEY)
     if text is None:
         refuse(path, KEY, "the metadata of a model of this package", "none")
-    found = of_format(parsed(text, path, "metadata", ModelError), FORMAT, path, ModelError)
-    metadata = network_use(found, ModelMetadata, path)
+    document = of_format(parsed(text, path, "metadata", ModelError), FORMAT, path, ModelError)
+    metadata = network_use(document, ModelMetadata, path)
     # An ensemble's spread is over its members, and one pass has no spread: it would look certain.
     if metadata.dropout is not Dropout.NONE and metadata.members > 1:
         refuse(path, "members", "1 with dropout", str(metadata.members))
@@ -299,14 +329,22 @@ def _parse(data: bytes, path: Path) -> Model:
     return Model(**vars(metadata), tensors=_tensors(stored, metadata, path))
 
 
-def network_use(found: Any, kind: type[U], path: Path, *, others: bool = False) -> U:
-    """What the metadata of a model say, or with ``others`` of an exported one; ModelError."""
-    if isinstance(found, dict) and isinstance(found.get("calibration"), dict):
-        given, own = found["calibration"], {one.name for one in fields(Calibration)}
+def network_use(document: Any, kind: type[U], path: Path, *, unknown_fields: bool = False) -> U:
+    """Return the metadata of a model as ``kind``; ``ModelError`` for a wrong field.
+
+    Args:
+        document: The JSON object of the metadata.
+        kind: The class of the result.
+        path: The file, for errors.
+        unknown_fields: Whether to accept other fields, as an exported file may have them.
+
+    """
+    if isinstance(document, dict) and isinstance(document.get("calibration"), dict):
+        given, own = document["calibration"], {item.name for item in fields(Calibration)}
         more = {name: value for name, value in given.items() if name not in own}
         parts = {"more": more} | {name: value for name, value in given.items() if name in own}
-        found = found | {"calibration": parts}
-    made = typed(found, kind, path, others=others, error=ModelError)
+        document = document | {"calibration": parts}
+    made = typed(document, kind, path, others=unknown_fields, error=ModelError)
     if made.dropout is not Dropout.NONE and made.passes < 2:
         refuse(path, "passes", "at least 2 with dropout", str(made.passes))
     if made.dropout is not Dropout.NONE and made.dropout_probability == 0.0:
@@ -322,7 +360,10 @@ def network_use(found: Any, kind: type[U], path: Path, *, others: bool = False) 
 def _tensors(
     stored: Mapping[str, Mapping[str, Any]], metadata: ModelMetadata, path: Path
 ) -> dict[str, NDArray[np.float32]]:
-    """Every tensor of every member, read-only; ``stored`` maps a name to its dtype, shape and bytes."""
+    """Return every tensor of every member, read-only.
+
+    ``stored`` maps a name to its dtype, shape and bytes.
+    """
     kind, members = metadata.kind, metadata.members
     shapes = {f"{k}/{name}": shape for k in range(members) for name, shape in tensor_shapes(kind).items()}
     for name in stored:
@@ -332,10 +373,10 @@ def _tensors(
     for name, shape in shapes.items():
         if name not in stored:
             refuse(path, name, f"a tensor of shape {list(shape)}", "none")
-        one = stored[name]
-        if one["dtype"] != "F32" or tuple(one["shape"]) != shape:
-            refuse(path, name, f"F32 numbers of shape {list(shape)}", f"{one['dtype']} of {one['shape']}")
-        tensor = np.frombuffer(bytes(one["data"]), dtype="<f4").reshape(shape)
+        own = stored[name]
+        if own["dtype"] != "F32" or tuple(own["shape"]) != shape:
+            refuse(path, name, f"F32 numbers of shape {list(shape)}", f"{own['dtype']} of {own['shape']}")
+        tensor = np.frombuffer(bytes(own["data"]), dtype="<f4").reshape(shape)
         bad = np.argwhere(~np.isfinite(tensor))
         if len(bad):
             refuse(path, name, "finite numbers", f"{tensor[tuple(bad[0])]} at {bad[0].tolist()}")
@@ -346,25 +387,31 @@ def _tensors(
 
 
 def onnx_bytes(path: Path, place: Place | None = None, error: type[InputError] = ModelError) -> bytes:
-    """The whole of an ONNX file; an ``error`` at ``place``, or at the file, for none or a large one."""
+    """Return the bytes of an ONNX file; raise ``error`` if it is missing or too large.
+
+    The error is at ``place``, or at the file.
+    """
     return model_bytes(path, "an ONNX file", most=LARGEST_ONNX_BYTES, place=place, error=error)
 
 
 def onnx_metadata(path: Path, data: bytes) -> dict[str, str]:
-    """Of the file ``path`` with the contents ``data``; ModelError for what is no ONNX file."""
+    """Return the metadata of the file ``path`` with the contents ``data``.
+
+    ``ModelError`` unless it is an ONNX file.
+    """
     try:
         fields = list(islice(_fields(memoryview(data)), MOST_FIELDS))
         pairs = [dict(islice(_fields(value), 2)) for number, value in fields if number == METADATA]
-        found = {bytes(pair.get(1, b"")).decode(): bytes(pair.get(2, b"")).decode() for pair in pairs}
+        metadata = {bytes(pair.get(1, b"")).decode(): bytes(pair.get(2, b"")).decode() for pair in pairs}
     except (ValueError, IndexError):
         fields = []
     if GRAPH not in [number for number, _ in fields]:
         refuse(path, None, "an ONNX file", "something else, or a part of one")
-    return found
+    return metadata
 
 
 def _fields(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Number and value of each field of a message; ValueError or IndexError for what is none."""
+    """Yield number and value of each field of a message; ``ValueError`` or ``IndexError`` for other bytes."""
     at = 0
     while at < len(data):
         key, at = _varint(data, at)
@@ -381,7 +428,7 @@ def _fields(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _varint(data: memoryview, at: int) -> tuple[int, int]:
-    """A number of seven bits a byte, the lowest first, and where it ends."""
+    """Return a number of seven bits a byte, the lowest first, and the index after it."""
     number = 0
     for shift in range(0, 70, 7):
         number |= (data[at + shift // 7] & 0x7F) << shift

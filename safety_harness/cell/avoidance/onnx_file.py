@@ -1,4 +1,4 @@
-"""An ONNX file in onnxruntime, as avoiders and controllers share it: opened, laid out and asked."""
+"""An ONNX file in onnxruntime, for avoiders and controllers: it is opened, laid out and run here."""
 
 from __future__ import annotations
 
@@ -21,35 +21,48 @@ class OnnxFile:
     outputs: list[Tensor]
 
     def __init__(self, path: Path, data: bytes, layout: str = "") -> None:
-        """Load the file ``path`` with the contents ``data``; ModelError says what is wrong.
+        """Load the file ``path`` with the contents ``data``; ``ModelError`` states its fault.
 
-        ``layout`` says what inputs and outputs hold whose names do not (``onnx_names``).
+        ``layout`` describes inputs and outputs whose names are not ours (``onnx_names``).
         """
         self.path, self.session, self.layout = path, open_session(path, data), layout_of(layout)
         self.metadata: dict[str, str] = dict(self.session.get_modelmeta().custom_metadata_map)
 
     def lay_out(self, takes: Quantities, gives: Quantities, required: set[str]) -> None:
-        """Look for the quantities that inputs and outputs may hold; ModelError as of ``laid_out``."""
+        """Find the quantities that inputs and outputs hold; ``ModelError`` as in ``laid_out``.
+
+        Args:
+            takes: The quantities that inputs may hold, by name.
+            gives: The quantities that outputs may hold, by name.
+            required: The names that must be there.
+
+        """
         self.inputs, self.outputs = laid_out(self.path, self.session, self.layout, takes, gives, required)
 
     def fed(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Return the inputs, made of the ``arrays`` (1, ...) of quantities."""
-        return {one.name: one.packed(arrays) for one in self.inputs}
+        return {tensor.name: tensor.packed(arrays) for tensor in self.inputs}
 
     def answers(
         self, arrays: Mapping[str, NDArray[Any]], widths: Mapping[str, int]
     ) -> dict[str, NDArray[Any]]:
-        """Return the quantities of the outputs, of so many columns each."""
-        values = self.session.run([one.name for one in self.outputs], self.fed(arrays))
+        """Return the quantities of the outputs, with ``widths`` columns each."""
+        values = self.session.run([tensor.name for tensor in self.outputs], self.fed(arrays))
         pairs = zip(self.outputs, values, strict=True)
-        return dict(pair for one, value in pairs for pair in one.split(value, widths))
+        return dict(pair for tensor, value in pairs for pair in tensor.split(value, widths))
 
 
 def open_session(path: Path, data: bytes) -> Any:
     """Return the file in onnxruntime: one thread, in order, no file beside it.
 
-    Raise ModelError if the runtime cannot load it, if it draws random numbers, or if its answer depends on
-    the runtime's optimisation.
+    Args:
+        path: The file, for errors.
+        data: Its bytes.
+
+    Raises:
+        ModelError: The runtime cannot load it, it draws random numbers, or its answer depends on the
+            runtime's optimisation.
+
     """
     session = _session(path, data, optimised=True)
     refuse_chance(path, data)
@@ -58,7 +71,8 @@ def open_session(path: Path, data: bytes) -> Any:
 
 
 def _session(path: Path, data: bytes, *, optimised: bool) -> Any:
-    import onnxruntime  # an extra: who asks for one has looked
+    """Load the file in onnxruntime, with or without optimisation; ``ModelError`` if that fails."""
+    import onnxruntime  # an extra, which the caller has checked
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -66,13 +80,13 @@ def _session(path: Path, data: bytes, *, optimised: bool) -> Any:
     options.use_deterministic_compute = True
     if not optimised:
         options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
-    options.log_severity_level = 4  # what is wrong comes as an exception
+    options.log_severity_level = 4  # errors come as exceptions
     options.add_session_config_entry("session.load_model_format", "ONNX")
-    # External data are sought in a folder, which this file is not: there are none.
+    # The runtime seeks external data in this folder.  A file is no folder, so that it finds none.
     options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(path))
     try:
         return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's own have no common base but Exception
+    except Exception as error:  # onnxruntime's own errors have no other common base
         hint = "torch.onnx.export(..., external_data=False) stores the tensors in the file itself"
         hint = hint if "xternal data" in str(error) else ""
         refuse(path, None, "an ONNX file that onnxruntime can load", described(error), hint)

@@ -1,21 +1,21 @@
-"""An avoider in an ONNX file: one that ``export`` wrote, or anybody's that keeps the contract below.
+"""An avoider in an ONNX file, from ``export`` or from anybody who follows the contract below.
 
-Inputs and outputs have these names, or others that a layout explains (``onnx_names``).
+Inputs and outputs have these names, or other names that a layout explains (``onnx_names``).
 
 Inputs
     hand_position_in_base_m, tcp_position_in_base_m: (1, 3) or (n, 3), float16, float32 or float64, metres.
     seed, if the file wants one: (1,) or (n,), int64 or uint64; the same 64 bits either way.
 Outputs
     position_in_base_m: (1, 3), metres in the robot's base frame.
-    spread_m, if the file knows one: (1, 3), one standard deviation by axis, metres.
+    spread_m, if the file has it: (1, 3), one standard deviation by axis, metres.
 Metadata
-    spread_threshold_m, if there is to be one: the largest spread with which a proposal is used, as text.
-    decision_time_s, if there is to be one: what a decision costs in simulated time, as text.
+    spread_threshold_m, optional: the largest spread of a usable proposal, as text.
+    decision_time_s, optional: the cost of a decision in simulated time, as text.
 
-A file of ``export`` with dropout has an input ``masks`` as well, and says in its metadata how to draw
-them from the seed.  Files are loaded whole, from memory: nothing is executed but ONNX's own operators,
-and no other file is opened.  Those operators have loops and make tensors of any size: a stranger's file is
-loaded and asked in a process of its own (``isolation.isolated``); what is here runs where it is called.
+A file of ``export`` with dropout also has an input ``masks``. Its metadata say how to draw them from the
+seed. The harness loads files whole, from memory. It executes only ONNX's own operators and opens no other
+file. These operators have loops and make tensors of any size. So a stranger's file runs in a process of its
+own (``isolation.isolated``), while this module runs in the caller's.
 """
 
 from __future__ import annotations
@@ -73,13 +73,12 @@ class OnnxAvoider:
     _exported: NetworkUse | None
 
     @classmethod
-    def of(cls, path: Path, data: bytes, *, hand: Vector, tcp: Vector, layout: str = "") -> OnnxAvoider:
-        """Load, check and try the file ``path`` with the contents ``data``; ModelError says what is wrong.
+    def load(cls, path: Path, data: bytes, *, hand: Vector, tcp: Vector, layout: str = "") -> OnnxAvoider:
+        """Load, check and try the file ``path`` with the contents ``data``; ``ModelError`` states its fault.
 
-        ``layout`` says what inputs and outputs hold whose names do not (``onnx_names``).
-
-        It is asked the same question twice, about ``hand`` and ``tcp`` (3,) [m]: what cannot answer,
-        answers in another shape, or not twice the same, is refused.
+        ``layout`` describes inputs and outputs whose names are not ours (``onnx_names``). The file must
+        answer the same question, about ``hand`` and ``tcp`` (3,) [m], twice in the right shape and with the
+        same bits.
         """
         try:
             file = OnnxFile(path, data, layout)
@@ -89,10 +88,10 @@ class OnnxAvoider:
             plain_s = _number(path, own, CARD_TIME, most=LONGEST_S) or 0.0
             time_s = plain_s if use is None else use.decision_time_s
             name = on_one_line(f"{path.name}:{layout}" if layout else f"ONNX model {path.name}")
-            takes = _taken(use)
+            takes = _inputs_of(use)
             required = {*takes} - {SEED} | {POSITION}
             if use is not None or threshold_m is not None:
-                required |= {SPREAD}  # without it no threshold would ever be met
+                required |= {SPREAD}  # a threshold without a spread would never refuse a proposal
             file.lay_out(takes, GIVEN, required)
             avoider = cls(name, threshold_m, time_s, file, use)
             avoider._try(path, hand, tcp)
@@ -102,18 +101,21 @@ class OnnxAvoider:
 
     @property
     def exported(self) -> bool:
-        """Is it a network of this package, exported?"""
+        """Whether it is an exported network of this package."""
         return self._exported is not None
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """One decision; ``seed`` is any integer from 0 to 2^64 - 1.  No spread: the file knows none."""
+        """Return a decision, with the spread 0 if the file has no spread.
+
+        ``seed`` is any integer from 0 to 2^64 - 1.
+        """
         answers = self._answers(hand_position_in_base_m, tcp_position_in_base_m, seed)
         return Proposal(*(answers[name][0] for name in GIVEN if name in answers))
 
     def _answers(self, hand: Vector, tcp: Vector, seed: int) -> dict[str, NDArray[Any]]:
-        """The outputs as the file gives them."""
+        """Return the outputs of the file."""
         seeds = np.array([seed], dtype=np.uint64)
         arrays: dict[str, NDArray[Any]] = {
             HAND: np.asarray(hand)[None],
@@ -125,45 +127,45 @@ class OnnxAvoider:
         return self._file.answers(arrays, dict.fromkeys(GIVEN, 3))
 
     def _try(self, path: Path, hand: Vector, tcp: Vector) -> None:
-        """The same question twice."""
+        """Ask the same question twice; ``ModelError`` for a fault or different answers."""
         try:
             first, second = (self._answers(hand, tcp, seed=1) for _ in range(2))
-        except Exception as error:  # onnxruntime's own have no common base but Exception
+        except Exception as error:  # onnxruntime's own errors have no other common base
             refuse(path, None, "a model that answers for one hand and one TCP", described(error))
-        for name, one in first.items():
-            other = second[name]
-            if one.shape != (1, 3):
-                refuse(path, name, "a shape of (1, 3) for one hand and one TCP", str(one.shape))
-            if not np.array_equal(one, other, equal_nan=True):
+        for name, value in first.items():
+            repeated = second[name]
+            if value.shape != (1, 3):
+                refuse(path, name, "a shape of (1, 3) for one hand and one TCP", str(value.shape))
+            if not np.array_equal(value, repeated, equal_nan=True):
                 refuse(
                     path,
                     name,
                     "the same answer to the same question",
-                    f"{one[0].tolist()}, then {other[0].tolist()}",
+                    f"{value[0].tolist()}, then {repeated[0].tolist()}",
                     hint=f"random numbers must come from the input {SEED!r}",
                 )
-        if SPREAD in first and self.spread_threshold_m is None:  # what a file writes, its user reads
+        if SPREAD in first and self.spread_threshold_m is None:  # the user should know this
             sys.stderr.write(f"{SPREAD} without {THRESHOLD} in the metadata: no proposal can be doubted\n")
 
 
 def _exported(path: Path, text: str) -> NetworkUse:
-    """What the JSON in a file of ``export`` says of its use; ModelError for the first field that is wrong."""
-    found = of_format(parsed(text, path, "metadata", ModelError), EXPORT_FORMAT, path, ModelError)
-    return network_use(found, NetworkUse, path, others=True)
+    """Return the use that the JSON in a file of ``export`` states; ``ModelError`` for a wrong field."""
+    document = of_format(parsed(text, path, "metadata", ModelError), EXPORT_FORMAT, path, ModelError)
+    return network_use(document, NetworkUse, path, unknown_fields=True)
 
 
 def mask_shape(use: NetworkUse) -> tuple[int, int, int]:
-    """Passes, places, units."""
+    """Return the numbers of passes, places and units."""
     return use.passes, PLACES[use.dropout], WIDTH
 
 
 def drawn_masks(use: NetworkUse, seeds: NDArray[np.uint64]) -> NDArray[np.bool_]:
-    """(n, passes, places, units) of what ``LearnedAvoider`` keeps for these seeds (n,)."""
+    """Return the masks (n, passes, places, units) of ``LearnedAvoider`` for ``seeds`` (n,)."""
     return np.array([masks(seed, *mask_shape(use), use.dropout_probability) for seed in seeds])
 
 
-def _taken(exported: NetworkUse | None) -> dict[str, NamedQuantity]:
-    """What the inputs may hold, of a file of ``export`` its masks too."""
+def _inputs_of(exported: NetworkUse | None) -> dict[str, NamedQuantity]:
+    """Return the quantities that the inputs may hold, with masks for a file of ``export``."""
     masked = exported is not None and exported.dropout is not Dropout.NONE
     masks = {MASKS: NamedQuantity(mask_shape(exported), ("bool",))} if exported and masked else {}
     return {
@@ -175,7 +177,7 @@ def _taken(exported: NetworkUse | None) -> dict[str, NamedQuantity]:
 
 
 def _number(path: Path, metadata: Mapping[str, str], key: str, most: float = inf) -> float | None:
-    """The plain spread threshold [m] of anybody's file, or its decision time [s]."""
+    """Return the spread threshold [m] or the decision time [s] in a file's metadata, if any."""
     text = metadata.get(key)
     if text is None:
         return None

@@ -1,8 +1,9 @@
-"""What each input and output of an ONNX file holds: a quantity of ours by its name, or what a layout says.
+"""The quantities in each input and output of an ONNX file, by our names or by a layout.
 
-Exporters choose names (``input``, ``float_input``, ``X``, ``obs``).  A layout stands behind the file, in a
-scenario and on the command line alike: ``mine.onnx:X=hand,tcp,Y=position``.  What follows ``NAME=`` are the
-quantities in that tensor, in the order of its columns; an output that is ``unused`` is not read.
+Exporters choose names (``input``, ``float_input``, ``X``, ``obs``). A layout stands behind the file, in a
+scenario and on the command line alike: ``mine.onnx:X=hand,tcp,Y=position``. The words after ``NAME=`` are the
+quantities in that tensor, in the order of its columns. The harness does not read an output that is
+``unused``.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ HAND, TCP, SEED, MASKS = "hand_position_in_base_m", "tcp_position_in_base_m", "s
 POSITION, SPREAD, UNUSED = "position_in_base_m", "spread_m", "unused"
 SHORT = {"hand": HAND, "tcp": TCP, "position": POSITION, "spread": SPREAD}
 FLOATS = ("float16", "float32", "float64")
-ANY = 0  # size of an axis, and so width of what has one
+ANY = 0  # an axis of any size, and the width of a quantity with such an axis
 MOST_FREE, MOST_WAYS, MOST_TRIED = 6, 3, 1000  # quantities laid out by shape, layouts proposed and tried
 
 
 @dataclass(frozen=True)
 class NamedQuantity:
-    """``sizes`` of its axes after the first (None: any axes), and its numbers' types as numpy names them."""
+    """The ``sizes`` of its axes after the first (None: any axes), and its numbers' types by numpy's names."""
 
     sizes: tuple[int, ...] | None
     types: tuple[str, ...]
@@ -41,7 +42,7 @@ Layout = Mapping[str, tuple[str, ...]]  # the quantities in each tensor
 
 @dataclass(frozen=True)
 class Tensor:
-    """An input or output of a file, and the quantities in it."""
+    """An input or output of a file, with the quantities in it."""
 
     name: str
     holds: tuple[str, ...]
@@ -52,88 +53,102 @@ class Tensor:
         """Return its value, made of the ``arrays`` (1, ...) of its quantities."""
         value, *more = (arrays[name] for name in self.holds)
         if more or self.axes == 2 != value.ndim:
-            value = np.concatenate([one.reshape(1, -1) for one in (value, *more)], axis=1)
+            value = np.concatenate([array.reshape(1, -1) for array in (value, *more)], axis=1)
         return value.astype(self.dtype, copy=False)
 
     def split(self, value: NDArray[Any], widths: Mapping[str, int]) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Yield its quantities and their columns of ``value`` (1, m), the last of them whatever is left."""
+        """Yield its quantities with their columns of ``value`` (1, m); the last quantity gets the rest."""
         ends = np.cumsum([widths[name] for name in self.holds[:-1]], dtype=int)
         yield from zip(self.holds, np.split(value, ends, axis=-1) if len(ends) else [value], strict=True)
 
 
-def dtype_of(one: Any) -> str:
-    """Return numpy's name for the type of an input or output of a session, or onnxruntime's own."""
-    kind = str(one.type).removeprefix("tensor(").removesuffix(")")
+def dtype_of(tensor: Any) -> str:
+    """Return numpy's name for the type of an input or output of a session, or onnxruntime's own name."""
+    kind = str(tensor.type).removeprefix("tensor(").removesuffix(")")
     return {"float": "float32", "double": "float64"}.get(kind, kind)
 
 
 def layout_of(text: str) -> dict[str, tuple[str, ...]]:
-    """Parse a layout to the quantities in each tensor; short names stand for long ones."""
-    found: dict[str, tuple[str, ...]] = {}
+    """Parse a layout to the quantities in each tensor; short names stand for long names."""
+    layout: dict[str, tuple[str, ...]] = {}
     name = ""
-    for word in map(str.strip, text.split(",")) if text else ():
-        before, equals, quantity = word.rpartition("=")
-        name = before if equals else name
-        found[name] = (*found.get(name, ()), SHORT.get(quantity, quantity))
-    return found
+    for part in map(str.strip, text.split(",")) if text else ():
+        given_name, equals, quantity = part.rpartition("=")
+        name = given_name if equals else name
+        layout[name] = (*layout.get(name, ()), SHORT.get(quantity, quantity))
+    return layout
 
 
 def laid_out(
     path: Path, session: Any, layout: Layout, takes: Quantities, gives: Quantities, required: set[str]
 ) -> list[list[Tensor]]:
-    """Return the inputs, and the outputs but those unused, of the file ``path`` in a ``session``.
+    """Return the inputs and the used outputs of a file.
 
-    ``takes`` and ``gives`` are all quantities that inputs and outputs may hold, of which ``required`` have to
-    be there.  Raise one ModelError for all names that mean nothing, with what there is and the layouts that
-    fit its shapes; else for the first tensor of another type, or input of another shape.
+    Args:
+        path: The file, for errors.
+        session: The file in onnxruntime.
+        layout: The quantities of tensors whose names are not ours.
+        takes: All quantities that inputs may hold.
+        gives: All quantities that outputs may hold.
+        required: The names that must be there.
+
+    Raises:
+        ModelError: One error states all unknown names, with the available quantities and the layouts that fit
+            the shapes. Another states the first tensor of a wrong type or shape.
+
     """
     inputs, given = session.get_inputs(), session.get_outputs()
     own = {**SHORT, **{name: name for name in (*takes, *gives)}}
-    held = {one.name: layout.get(one.name, (own.get(one.name, one.name),)) for one in (*inputs, *given)}
-    sides = ((inputs, takes), ([one for one in given if held[one.name] != (UNUSED,)], gives))
-    used = [name for some, _ in sides for one in some for name in held[one.name]]
-    unknown = [(one, known) for some, known in sides for one in some if not known.keys() >= {*held[one.name]}]
-    wrong = [name for name in layout if name not in held] + [one.name for one, _ in unknown]
-    wrong += [name for name in dict.fromkeys(used) if used.count(name) > 1]
+    held = {arg.name: layout.get(arg.name, (own.get(arg.name, arg.name),)) for arg in (*inputs, *given)}
+    sides = ((inputs, takes), ([arg for arg in given if held[arg.name] != (UNUSED,)], gives))
+    used = [name for some, _ in sides for arg in some for name in held[arg.name]]
+    unknown = [(arg, known) for some, known in sides for arg in some if not known.keys() >= {*held[arg.name]}]
+    refused = [name for name in layout if name not in held] + [arg.name for arg, _ in unknown]
+    refused += [name for name in dict.fromkeys(used) if used.count(name) > 1]
     missing = required - {*used}
-    if wrong or missing:
-        free = [(one, {name: known[name] for name in known if name not in used}) for one, known in unknown]
-        ways = [f"{path.name}:{way}" for way in _ways(free, missing, {one.name for one in given})]
-        hint = f"its shapes fit {' or '.join(ways)}: if its columns have this order, name it so"
-        if not (unknown and 0 < len(ways) <= MOST_WAYS):
+    if refused or missing:
+        free = [(arg, {name: known[name] for name in known if name not in used}) for arg, known in unknown]
+        fits = [f"{path.name}:{fit}" for fit in _layouts(free, missing, {arg.name for arg in given})]
+        hint = f"its shapes fit {' or '.join(fits)}: if its columns have this order, name it so"
+        if not (unknown and 0 < len(fits) <= MOST_WAYS):
             hint = f"a layout says what each holds: {path.name}:NAME=QUANTITY,QUANTITY,NAME=QUANTITY"
-        wanted = [", ".join(f"{name} {_shape([one])}" for name, one in known.items()) for _, known in sides]
+        wanted = [", ".join(f"{name} {_shape([arg])}" for name, arg in known.items()) for _, known in sides]
         there = [
-            ", ".join(f"{one.name} {dtype_of(one)} {one.shape}" for one in some) for some in (inputs, given)
+            ", ".join(f"{arg.name} {dtype_of(arg)} {arg.shape}" for arg in some) for some in (inputs, given)
         ]
-        expected, got = (f"inputs {one}; outputs {other}" for one, other in (wanted, there))
-        refuse(path, ", ".join(wrong or sorted(missing)), expected, got, hint)
-    for one in inputs:
-        if not _fits(one.shape, wants := [takes[name] for name in held[one.name]]):
-            refuse(path, one.name, f"a shape of {_shape(wants)}", str(one.shape))
-    return [[_tensor(path, one, held[one.name], known) for one in some] for some, known in sides]
+        expected, got = (f"inputs {arg}; outputs {second}" for arg, second in (wanted, there))
+        refuse(path, ", ".join(refused or sorted(missing)), expected, got, hint)
+    for arg in inputs:
+        if not _fits(arg.shape, wants := [takes[name] for name in held[arg.name]]):
+            refuse(path, arg.name, f"a shape of {_shape(wants)}", str(arg.shape))
+    return [[_tensor(path, arg, held[arg.name], known) for arg in some] for some, known in sides]
 
 
-def _tensor(path: Path, one: Any, holds: tuple[str, ...], known: Quantities) -> Tensor:
+def _tensor(path: Path, tensor: Any, holds: tuple[str, ...], known: Quantities) -> Tensor:
+    """Return the tensor of an input or output; ``ModelError`` for another type."""
     for name in holds:
-        if dtype_of(one) not in known[name].types:
-            refuse(path, one.name, " or ".join(known[name].types), one.type)
-    return Tensor(one.name, holds, dtype_of(one), len(one.shape))
+        if dtype_of(tensor) not in known[name].types:
+            refuse(path, tensor.name, " or ".join(known[name].types), tensor.type)
+    return Tensor(tensor.name, holds, dtype_of(tensor), len(tensor.shape))
 
 
 def _rests(quantities: Sequence[NamedQuantity]) -> list[tuple[int, ...]]:
-    """The axes after the first of what holds all of them: those of one alone, or the columns of all."""
-    widths = [ANY if one.sizes is None else prod(one.sizes) for one in quantities]
+    """Return the possible axes after the first of a tensor of quantities.
+
+    They are the axes of a single quantity, or the columns of all.
+    """
+    widths = [ANY if quantity.sizes is None else prod(quantity.sizes) for quantity in quantities]
     columns = (ANY if ANY in widths else sum(widths),)
     return [quantities[0].sizes or (), columns] if len(quantities) == 1 else [columns]
 
 
 def _shape(quantities: Sequence[NamedQuantity]) -> list[int | str]:
+    """Return the expected shape for an error."""
     return ["1 or n", *(size or "k" for size in _rests(quantities)[0])]
 
 
 def _fits(shape: Sequence[int | str | None], quantities: Sequence[NamedQuantity]) -> bool:
-    """One row or any number of them, and such axes."""
+    """Return whether a shape has one row or any number of rows, and the axes of the quantities."""
     return quantities[0].sizes is None or any(
         len(shape) == 1 + len(rest)
         and all(a == b or b == ANY or not isinstance(a, int) for a, b in zip(shape, (1, *rest), strict=True))
@@ -141,20 +156,20 @@ def _fits(shape: Sequence[int | str | None], quantities: Sequence[NamedQuantity]
     )
 
 
-def _ways(free: Sequence[tuple[Any, Quantities]], missing: set[str], outputs: set[str]) -> Iterator[str]:
+def _layouts(free: Sequence[tuple[Any, Quantities]], missing: set[str], outputs: set[str]) -> Iterator[str]:
     """Yield the layouts of tensors by their shapes, each with the quantities that are ``free`` for it.
 
-    All that are ``missing`` are among them; an output that nothing fits is unused.
+    Every layout has all ``missing`` quantities; an output that fits no quantity is unused.
     """
-    short, choices = {name: word for word, name in SHORT.items()}, []
-    for one, known in free:
+    short, choices = {name: short_name for short_name, name in SHORT.items()}, []
+    for tensor, known in free:
         most = len(known) if len(known) <= MOST_FREE else 0
         every = [names for n in range(most) for names in combinations(known, n + 1)]
-        fitting = [names for names in every if all(dtype_of(one) in known[name].types for name in names)]
-        fitting = [names for names in fitting if _fits(one.shape, [known[name] for name in names])]
-        choices.append(fitting or [(UNUSED,)][: int(one.name in outputs)])
-    for way in islice(product(*choices), MOST_TRIED):
-        laid = [name for names in way for name in names if name != UNUSED]
+        fitting = [names for names in every if all(dtype_of(tensor) in known[name].types for name in names)]
+        fitting = [names for names in fitting if _fits(tensor.shape, [known[name] for name in names])]
+        choices.append(fitting or [(UNUSED,)][: int(tensor.name in outputs)])
+    for layout in islice(product(*choices), MOST_TRIED):
+        laid = [name for names in layout for name in names if name != UNUSED]
         if len({*laid}) == len(laid) and missing <= {*laid}:
-            words = (",".join(short.get(name, name) for name in names) for names in way)
-            yield ",".join(f"{one.name}={text}" for (one, _), text in zip(free, words, strict=True))
+            texts = (",".join(short.get(name, name) for name in names) for names in layout)
+            yield ",".join(f"{tensor.name}={text}" for (tensor, _), text in zip(free, texts, strict=True))

@@ -1,9 +1,9 @@
-"""How near the arm's wrist is to the rest of the arm: what the gate asks along a way.
+"""The distance of the arm's wrist from the rest of the arm, which the gate checks along a path.
 
-Of n joints the body is the links up to n - 4, which on six are base, shoulder and upper arm; the wrist is the
-links from n - 2 on, three of them and the TCP's frame.  The link between touches both.  Where a link of the
-wrist is near the body in most postures, as a Panda's forearm at its elbow, the wrist begins behind it: so the
-arm is built.
+The body of an arm with n joints is the links up to n - 4. For six joints these are base, shoulder and upper
+arm. The wrist is the links from n - 2 on, three of them and the TCP's frame. The link between touches both.
+If a link of the wrist is near the body in most postures, the wrist begins behind it, since the arm is built
+so. An example is a Panda's forearm at its elbow.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from safety_harness.cell.robot.distance import place_capsules
 from safety_harness.cell.robot.kinematics import forward_kinematics
 from safety_harness.cell.robot.numeric_inverse import starts_of
 
-NEAR_M = 0.020  # as near as the gate lets the wrist come
+NEAR_M = 0.020  # the least distance that the gate allows
 POSTURES = 64
 
 
 @lru_cache(maxsize=16)
 def body_and_wrist(arm: ArmModel, capsules: CapsuleSet) -> tuple[int, int]:
-    """The last link of the body, and the first of the wrist; links are counted from 0, the base."""
+    """Return the last link of the body and the first of the wrist; links count from 0, the base."""
     joints = len(arm.joint_names)
     body, wrist = max(joints - 4, 0), max(joints - 2, 2)
     postures = starts_of(arm)[:POSTURES]
     while wrist < joints:
         alone = capsules.of_links({*range(body + 1), wrist})
-        near = _own_distances(arm_with(arm, alone), body, wrist, postures) < NEAR_M
-        if np.mean(near) <= 0.5:
+        is_near = _own_distances(arm_with(arm, alone), body, wrist, postures) < NEAR_M
+        if np.mean(is_near) <= 0.5:
             break
         wrist += 1
     return body, wrist
@@ -44,13 +44,14 @@ def body_and_wrist(arm: ArmModel, capsules: CapsuleSet) -> tuple[int, int]:
 def wrist_distance(
     capsules: NDArray[np.void], last: int, first: int, capsule_endpoints_in_base_m: NDArray[np.float64]
 ) -> float:
-    """Least distance [m] between capsules of the wrist, links ``first`` on, and of the links up to ``last``.
+    """Return the least distance [m] of the wrist, links from ``first`` on, from the links up to ``last``.
 
-    min over pairs of wrist and body of |axis, axis| - r_wrist - r_body; ``capsules`` (n,) CAPSULE,
-    ``capsule_endpoints_in_base_m`` (n, 2, 3) of ``place_capsules``; negative in penetration, NaN if any is.
+    min over pairs of wrist and body capsules of |axis, axis| - r_wrist - r_body. ``capsules`` (n,) CAPSULE,
+    ``capsule_endpoints_in_base_m`` (n, 2, 3) of ``place_capsules``. Negative in penetration, NaN if any
+    distance is NaN.
     """
     ends = capsule_endpoints_in_base_m
-    least = np.inf  # pairs are passed over that cannot be as near
+    least = np.inf  # the loop skips pairs that cannot be as near
     for wrist in range(capsules.shape[0]):
         if capsules[wrist].link_index < first:
             continue
@@ -62,7 +63,7 @@ def wrist_distance(
                 continue
             axes = segment_segment_distance(ends[wrist, 0], ends[wrist, 1], ends[body, 0], ends[body, 1])
             distance = axes - capsules[wrist].radius_m - capsules[body].radius_m
-            if not distance >= least:  # takes a NaN over, and nothing is less than a NaN
+            if not distance >= least:  # true of NaN too, and every comparison with NaN is false
                 least = distance
                 if np.isnan(least):
                     return float(least)
@@ -72,7 +73,7 @@ def wrist_distance(
 def own_distances(
     arm: ArmModel, capsules: CapsuleSet, joint_positions_rad: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(m,) ``wrist_distance`` [m] of ``arm`` at each of ``joint_positions_rad`` (m, n)."""
+    """Return the ``wrist_distance`` (m,) [m] of ``arm`` at each of ``joint_positions_rad`` (m, n)."""
     return _own_distances(arm_with(arm, capsules), *body_and_wrist(arm, capsules), joint_positions_rad)
 
 
@@ -80,12 +81,12 @@ def own_distances(
 def _own_distances(
     arm: Arm, last: int, first: int, joint_positions_rad: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(m,) ``wrist_distance`` [m] at each of ``joint_positions_rad`` (m, n)."""
-    frames = arm.reach_m.shape[0] + 2  # which has attributes without compiling too
+    """Return the ``wrist_distance`` (m,) [m] at each of ``joint_positions_rad`` (m, n)."""
+    frames = arm.reach_m.shape[0] + 2  # records of ``chain`` have no attributes without compilation
     transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
-    found = np.empty(joint_positions_rad.shape[0])
-    for k in range(found.shape[0]):
+    distances = np.empty(joint_positions_rad.shape[0])
+    for k in range(distances.shape[0]):
         forward_kinematics(arm.chain[0], joint_positions_rad[k], transforms)
         place_capsules(arm.capsules, transforms, ends)
-        found[k] = wrist_distance(arm.capsules, last, first, ends)
-    return found
+        distances[k] = wrist_distance(arm.capsules, last, first, ends)
+    return distances

@@ -1,14 +1,14 @@
-"""A small ReLU network's decision, compiled: three affine maps in float64, so that proofs are about few sums.
+"""A small ReLU network's decision, compiled: three affine maps in float64, so that proofs concern few sums.
 
-The program, of each member, x (6,) the hand and the TCP in the base frame [m]:
+The program for each member, with x (6,) the hand and the TCP in the base frame [m]:
 
     h = relu(A1 x + b1),  g = relu(A2 h + b2),  p = A3 g + b3        widths 6, 32, 32, 3; p in metres.
 
-Every unit's sum starts with its bias and takes its inputs in order.  Products and sums are rounded to
-float64 one by one (none fused); relu(z) is z unless z < 0.  The normalisation is part of A1, b1, A3 and b3:
-``fold_perceptron`` rounds it into them once, and these rounded numbers *are* the network (a file's float32
-are float64 as they stand).  The position is the members' mean, their sum in order divided by their number;
-the spread the root of the mean of the squared differences from it, in the same order.
+Every unit's sum starts with its bias and adds its inputs in order. Each product and each sum is rounded to
+float64 separately, without fused operations. The function relu(z) is z unless z < 0. The normalisation is
+part of A1, b1, A3 and b3: ``fold_perceptron`` rounds it into them once. These rounded numbers *are* the
+network (a file's float32 are exact in float64). The position is the members' mean, their sum in order divided
+by their number. The spread is the root of the mean of the squared differences from it, in the same order.
 """
 
 from __future__ import annotations
@@ -38,7 +38,10 @@ class Perceptron(NamedTuple):
 
 
 def fold_perceptron(model: Model) -> Perceptron:
-    """The arrays of ``model``: A1 = W1 / s, b1 = v1 - A1 m of inputs; A3 = s W3, b3 = m + s v3 of targets."""
+    """Return the arrays of ``model``, with the normalisation of inputs and targets.
+
+    Inputs: A1 = W1 / s, b1 = v1 - A1 m. Targets: A3 = s W3, b3 = m + s v3.
+    """
 
     def stacked(name: str) -> Float64s:
         return np.stack([model.tensors[f"{k}/{name}"].astype(np.float64) for k in range(model.members)])
@@ -59,7 +62,7 @@ def fold_perceptron(model: Model) -> Perceptron:
 
 @compiled
 def _layer(weight: Float64s, bias: Float64s, x: Float64s, rectified: bool, out: Float64s) -> None:
-    """Fill out = bias + x weight; ``rectified``: its ReLU.  NaN stays NaN.
+    """Fill out = bias + x weight, with its ReLU if ``rectified``; NaN stays NaN.
 
     ``weight`` (n, m), ``bias`` (m,), ``x`` (n,), ``out`` (m,).
     """

@@ -1,4 +1,4 @@
-"""An avoider from a user's own Python file: what its text defines, and what its execution gives."""
+"""An avoider from a user's own Python file: the checks of its text and of its execution."""
 
 from __future__ import annotations
 
@@ -11,44 +11,47 @@ from safety_harness.cell.avoidance.avoider import Avoider, decision_time_of, sho
 from safety_harness.seams.isolation.python_file import made_by, raised, refuse_lacking
 from safety_harness.seams.isolation.python_file import refuse_undefined as refuse_undefined_there
 
-AVOIDER = Place(field="avoider")  # who asked for it knows the place of the reference to it
+AVOIDER = Place(field="avoider")  # the caller replaces it by the place of the reference
 QUESTION = ("hand_position_in_base_m", "tcp_position_in_base_m", "seed")  # the keywords of propose
 METHODS = ("propose",)
 HINT = "safety-harness docs avoiders#a-python-file"
 
 
 def refuse_undefined(path: Path, name: str, place: Place) -> None:
-    """InadmissibleError at ``place`` unless the file is Python and seems to define an avoider ``name``."""
+    """Raise ``InadmissibleError`` at ``place`` unless the file seems to define an avoider ``name``.
+
+    The file must be Python.
+    """
     refuse_undefined_there(path, name, METHODS, place, HINT)
 
 
 def avoider_in(path: Path, source: bytes, name: str) -> Avoider:
-    """The avoider called ``name``: an object, or an instance of a class without required arguments.
+    """Return the avoider ``name``: an object, or an instance of a class without required arguments.
 
-    InadmissibleError, at a place that its receiver knows better, if the file ``path`` gives none.
+    ``InadmissibleError`` if the file ``path`` has no such avoider. The caller replaces the error's place.
     """
     return _admissible(path, made_by(path, source, name, "an avoider", AVOIDER, HINT), name)
 
 
-def _admissible(path: Path, found: object, name: str) -> Avoider:
-    """``found`` if it has what an avoider needs."""
+def _admissible(path: Path, candidate: object, name: str) -> Avoider:
+    """Return ``candidate`` if it has the members of an avoider."""
     try:
-        refuse_lacking(found, name, METHODS, AVOIDER, HINT)
-        propose = found.propose  # type: ignore[attr-defined]  # as has just been looked at
+        refuse_lacking(candidate, name, METHODS, AVOIDER, HINT)
+        propose = candidate.propose  # type: ignore[attr-defined]  # checked by ``refuse_lacking``
     except InadmissibleError:
         raise
     except Exception as error:  # a user's property
         raise raised(path, AVOIDER, f"{name} to have a name and a propose", error) from error
-    question = QUESTION + (("seen",) if getattr(found, "sees", None) else ())
-    asked = f"propose(*, {', '.join(question)})"
+    question = QUESTION + (("seen",) if getattr(candidate, "sees", None) else ())
+    call = f"propose(*, {', '.join(question)})"
     try:
         signature = inspect.signature(propose)
         signature.bind(**dict.fromkeys(question))
     except TypeError:
-        _refuse(AVOIDER, f"{name} to have {asked}", f"propose{signature}")
+        _refuse(AVOIDER, f"{name} to have {call}", f"propose{signature}")
     except ValueError:
-        pass  # a function that is not written in Python does not tell
-    avoider: Avoider = found  # type: ignore[assignment]  # as has just been looked at
+        pass  # a function that is not written in Python has no signature
+    avoider: Avoider = candidate  # type: ignore[assignment]  # checked above
     for read, attribute, kind in (
         (spread_threshold_of, "spread_threshold_m", "a length"),
         (decision_time_of, "decision_time_s", "a time"),
@@ -64,4 +67,5 @@ def _admissible(path: Path, found: object, name: str) -> Avoider:
 
 
 def _refuse(place: Place, expected: str, got: str) -> NoReturn:
+    """Raise ``InadmissibleError`` with the hint of this module."""
     raise InadmissibleError(place=place, expected=expected, got=got, hint=HINT) from None

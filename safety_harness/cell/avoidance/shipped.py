@@ -18,17 +18,17 @@ FOLDER = Path(__file__).resolve().parents[2] / "models"
 
 
 def shipped_model(name: str) -> Path:
-    """The file of the shipped network called ``name``, one of ``SHIPPED``."""
+    """Return the file of the shipped network ``name``, an entry of ``SHIPPED``."""
     return FOLDER / f"{name}.safetensors"
 
 
 def model_file(reference: str) -> Path:
-    """The shipped network's file if ``reference`` names one, else the file of that name."""
+    """Return the shipped network's file if ``reference`` names one, otherwise the file of that name."""
     return shipped_model(reference) if reference in SHIPPED else Path(reference)
 
 
 def network_file_of(scenario: Scenario) -> Path | None:
-    """Return the file of a scenario's network; None where its avoider is no network of ours."""
+    """Return the file of a scenario's network; None if its avoider is no network of ours."""
     if scenario.avoider in SHIPPED:
         return shipped_model(scenario.avoider)
     if scenario.avoider.endswith(MODEL_SUFFIX):

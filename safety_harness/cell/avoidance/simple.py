@@ -1,4 +1,4 @@
-"""The avoiders that need no network, and how they answer many questions: one after another."""
+"""The avoiders that need no network; they answer many questions one after another."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ NAN = np.int64(FaultKind.AVOIDER_NAN)
 
 
 class _QuickAvoider:
-    """One that is quick enough to be asked one question of many after another."""
+    """An avoider that is quick enough to answer the questions of a batch one after another."""
 
     def propose_many(
         self: Avoider, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,).  ``seeds`` (n,)."""
+        """Return positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and ``seeds`` (n,)."""
         proposals = [
             self.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=int(seed))
             for hand, tcp, seed in zip(hands_in_base_m, tcps_in_base_m, seeds, strict=True)
@@ -36,7 +36,7 @@ class _QuickAvoider:
 
 @dataclass(frozen=True)
 class OppositePose(_QuickAvoider):
-    """t_tcp + R (t_tcp - t_h) / |t_tcp - t_h|: the point ``radius_m`` away, opposite to the hand."""
+    """The point ``radius_m`` away, opposite to the hand: t_tcp + R (t_tcp - t_h) / |t_tcp - t_h|."""
 
     radius_m: float
     name: str = "opposite pose"
@@ -44,7 +44,7 @@ class OppositePose(_QuickAvoider):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """The opposite pose; AvoiderError when hand and TCP coincide, for then there is none.
+        """Return the opposite pose; ``AvoiderError`` if hand and TCP coincide, since it does not exist then.
 
         ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,).
         """
@@ -59,9 +59,9 @@ class OppositePose(_QuickAvoider):
 class NearestCandidate(_QuickAvoider):
     """The oracle that the networks learn from: gt = 0.05 (t_tcp - t_h) + t_opt (eq. 13).
 
-    t_opt is the candidate with the least image error.  With the desired orientation kept, the image-moment
-    error of a candidate is exactly its displacement from the desired position, so "least image error" is
-    "nearest to the desired TCP"; the candidates of a decision are drawn from the decision's seed.
+    t_opt is the candidate with the least image error. For the desired orientation, the image-moment error of
+    a candidate is exactly its displacement from the desired position. So "least image error" is "nearest to
+    the desired TCP". The decision's seed draws its candidates.
     """
 
     cap: CandidateCap
@@ -70,10 +70,10 @@ class NearestCandidate(_QuickAvoider):
     name: str = "nearest candidate"
 
     @classmethod
-    def of(cls, settings: Settings) -> NearestCandidate:
-        """The oracle for the settings' cell."""
+    def for_cell(cls, settings: Settings) -> NearestCandidate:
+        """Return the oracle for the settings' cell."""
         return cls(
-            CandidateCap.of(settings),
+            CandidateCap.from_settings(settings),
             np.array(settings.cell.desired_tcp_position_in_base_m),
             settings.avoidance.hand_pull,
         )
@@ -81,7 +81,10 @@ class NearestCandidate(_QuickAvoider):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Eq. 13 with fresh candidates.  ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        """Return eq. 13 with fresh candidates.
+
+        ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,).
+        """
         candidates = tcp_position_in_base_m + self.cap.draw(np.random.default_rng(seed))  # (count, 3)
         errors = np.linalg.norm(candidates - self.desired_tcp_position_in_base_m, axis=1)
         selected = candidates[int(np.argmin(errors))]
@@ -90,17 +93,17 @@ class NearestCandidate(_QuickAvoider):
 
 @dataclass(frozen=True, eq=False)
 class AnswersNaN:
-    """A fault of the scenario: asks the avoider nothing, and answers with NaN."""
+    """A fault of the scenario: it answers with NaN and does not call the avoider."""
 
     name: str
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """No number.  ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        """Return NaN; ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
         return Proposal(np.full(3, np.nan))
 
 
 def faulty(faults: NDArray[np.void], avoider: Avoider, time_s: float) -> Avoider:
-    """What ``avoider`` is at ``time_s``, with the faults (n,) FAULT.  ``faults`` (n,) FAULT."""
+    """Return ``avoider`` at ``time_s`` under the ``faults`` (n,) FAULT."""
     return AnswersNaN(avoider.name) if acting(faults, NAN, time_s) else avoider

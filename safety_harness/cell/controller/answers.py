@@ -1,6 +1,6 @@
-"""What users' controllers answer, a row each: of one, or of many episodes in lanes side by side.
+"""The answers of users' controllers, a row each: of one, or of many episodes in lanes side by side.
 
-Nothing here waits for a compiler: the process of a user's file reads and answers rows too.
+The imports of this module do not wait for a compiler: the process of a user's file uses it too.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ NOT_REPORTED = -1
 
 
 class LaneAnswers:
-    """What each of n controllers wants of its arm until the next tick, as ``obey`` takes it.
+    """The action of each of n controllers until the next tick, as ``obey`` takes it.
 
-    ``twists`` (n, 6) of the TCP, or ``joints`` (n, j) where it is ``by_joints`` (n,), or a ``stop`` (n,);
-    ``modes`` (n,) as reported, NOT_REPORTED else.
+    It is a twist of the TCP in ``twists`` (n, 6), or joint velocities in ``joints`` (n, j) if ``by_joints``
+    (n,), or a ``stop`` (n,). ``modes`` (n,) are as reported, or NOT_REPORTED.
     """
 
     def __init__(self, lanes: int, joints: int, reports: tuple[str, ...]) -> None:
@@ -36,16 +36,16 @@ class LaneAnswers:
 
     @property
     def columns(self) -> tuple[NDArray[Any], ...]:
-        """All of it."""
+        """All arrays of the answers."""
         return self.twists, self.joints, self.by_joints, self.stop, self.modes
 
     def take(self, lane: int, action: object) -> None:
-        """Note an action down; ControllerError says what is wrong with it."""
+        """Store an action; ``ControllerError`` states its fault."""
         if self._tells:
-            said = getattr(action, "report", None)
-            if not isinstance(said, Report) or not isinstance(said.mode, Mode):
+            reported = getattr(action, "report", None)
+            if not isinstance(reported, Report) or not isinstance(reported.mode, Mode):
                 raise ControllerError('act reported no Mode: though "mode" is among its reports')
-            self.modes[lane] = said.mode
+            self.modes[lane] = reported.mode
         if not isinstance(action, Move | Stop):
             raise ControllerError(f"act returned no Move and no Stop: {printable(repr(action))}")
         twist = self.twists[lane]
@@ -66,16 +66,16 @@ class LaneAnswers:
         twist[3:] = 0.0 if angular is None else numbers("tcp_angular_velocity_radps", angular, (3,))
 
     def take_many(self, lanes: Sequence[int], moves: object) -> None:
-        """As ``take``, of all ``lanes`` at once, from ``act_many``."""
+        """Store the result of ``act_many`` for all ``lanes``, as ``take`` does."""
         if not isinstance(moves, Moves):
             raise ControllerError(f"act_many returned no Moves: {printable(repr(moves))}")
-        n, own, room = len(lanes), np.array(lanes), self.joints.shape[1]
+        n, own, width_of_joints = len(lanes), np.array(lanes), self.joints.shape[1]
         linear, angular, joints = (
             None if value is None else numbers(name, value, (n, width), "act_many")
             for name, value, width in (
                 ("tcp_velocity_mps", moves.tcp_velocity_mps, 3),
                 ("tcp_angular_velocity_radps", moves.tcp_angular_velocity_radps, 3),
-                ("joint_velocity_radps", moves.joint_velocity_radps, room),
+                ("joint_velocity_radps", moves.joint_velocity_radps, width_of_joints),
             )
         )
         if joints is not None and (linear is not None or angular is not None):
@@ -97,7 +97,7 @@ class LaneAnswers:
             self.joints[own] = joints
 
     def take_sent(self, lanes: Sequence[int], sent: Sequence[bytes]) -> None:
-        """As ``take``, of all ``lanes``, from another process; ValueError for what is no such thing."""
+        """Store the actions of ``lanes`` from another process; ``ValueError`` for anything else."""
         if len(sent) != len(self.columns):
             raise ValueError(f"{len(sent)} columns in place of {len(self.columns)}")
         own = np.array(lanes)
@@ -109,24 +109,28 @@ class LaneAnswers:
             raise ValueError("a mode that there is not")
 
 
-def numbers(name: str, value: object, shape: tuple[int, ...], what: str = "act") -> NDArray[Any]:
-    """Real numbers of that shape; ControllerError for anything else."""
+def numbers(name: str, value: object, shape: tuple[int, ...], call: str = "act") -> NDArray[Any]:
+    """Return real numbers of ``shape``; ``ControllerError`` for anything else.
+
+    ``call`` is the method that returned them, and ``name`` their name, for the error.
+    """
     try:
         given = np.asarray(value)
     except (TypeError, ValueError) as error:
-        raise ControllerError(f"{what} returned a {name} that is no array of numbers: {error}") from error
+        raise ControllerError(f"{call} returned a {name} that is no array of numbers: {error}") from error
     if given.dtype.kind not in "fiu" or given.shape != shape:
         got = f"{given.dtype} of the shape {given.shape}"
-        raise ControllerError(f"{what} returned a {name} other than real numbers of the shape {shape}: {got}")
+        raise ControllerError(f"{call} returned a {name} other than real numbers of the shape {shape}: {got}")
     return given
 
 
 def _are_modes(modes: NDArray[Any]) -> bool:
-    """Mode counts from zero."""
+    """Return whether these are valid numbers of Mode, which counts from zero."""
     return modes.dtype.kind in "iu" and bool((modes >= 0).all() and (modes < len(Mode)).all())
 
 
 def _flags(name: str, value: object, count: int) -> NDArray[np.bool_]:
+    """Return truths (count,), False without a value; ``ControllerError`` for anything else."""
     if value is None:
         return np.zeros(count, np.bool_)
     given = np.asarray(value)
@@ -137,7 +141,7 @@ def _flags(name: str, value: object, count: int) -> NDArray[np.bool_]:
 
 
 def answers_many(controller: object) -> bool:
-    """Has its class an ``act_many``?"""
+    """Return whether its class has an ``act_many``."""
     return callable(getattr(type(controller), "act_many", None))
 
 
@@ -150,11 +154,19 @@ def ask_together(
     answers: LaneAnswers,
     file: str | None = None,
 ) -> dict[int, str]:
-    """Ask the controller of each of ``lanes`` (n,); why a lane cannot go on, of those that cannot.
+    """Call the controllers of ``lanes`` (n,), and return the reason for each lane that cannot go on.
 
-    ``rows`` (n, wanted), read-only, are what they see, and ``controllers`` (n,) theirs; the answers
-    go to the ``lanes`` of ``answers``; ``file`` is the user's.
-    Whatever an ``act_many`` raises, or returns amiss, is raised.
+    An exception or a wrong result of an ``act_many`` raises.
+
+    Args:
+        controllers: The controllers (n,).
+        lanes: Their rows in ``answers``.
+        rows: Their views (n, wanted), read-only.
+        period_s: The control period.
+        layout: The layout of a row.
+        answers: The answers to fill.
+        file: The user's file, for errors.
+
     """
     kind: Any = type(controllers[0])
     if answers_many(controllers[0]):
@@ -172,20 +184,20 @@ def ask_together(
 
 
 def in_act(error: ControllerError) -> str:
-    """Where it comes from, in words."""
-    words = str(error)
-    return words if words.startswith("act") else f"act raised: {words}"
+    """Return an error's text with the name of the method."""
+    text = str(error)
+    return text if text.startswith("act") else f"act raised: {text}"
 
 
 def columns_of(rows: Floats, period_s: float, layout: SeenLayout) -> Arrays:
-    """What ``act_many`` sees of ``rows`` (n, wanted)."""
+    """Return the view of ``act_many`` on ``rows`` (n, wanted)."""
     dtype = seen_dtype(layout.hand_slots, layout.joints)
     whole = np.zeros((len(rows), dtype.itemsize // 8))
     whole[:, : rows.shape[1]] = rows
     seen: Arrays = {"time_s": rows[:, 0].copy(), "period_s": np.float64(period_s)}  # type: ignore[dict-item]
-    return seen | observed(whole.view(dtype)[:, 0], [word for word in layout.sees if word != IMAGE])
+    return seen | observed(whole.view(dtype)[:, 0], [sight for sight in layout.sees if sight != IMAGE])
 
 
 def lanes_of(live: Iterable[bool]) -> list[int]:
-    """The numbers of those that go on."""
+    """Return the numbers of the lanes that go on."""
     return [lane for lane, goes in enumerate(live) if goes]

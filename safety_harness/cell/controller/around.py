@@ -1,4 +1,4 @@
-"""A controller around another: the base of those that change one thing in it."""
+"""A controller around another: the base class of controllers that change one thing in it."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from safety_harness.cell.controller.controller import AvoidingServo
 
 
 class ControllerWrapper:
-    """Everything as the ``pilot`` has it; who inherits changes what it changes."""
+    """A controller that does everything as its ``pilot``; a subclass overrides a part of that."""
 
     def __init__(self, pilot: AvoidingServo) -> None:
         self.pilot = pilot
         self.name = pilot.name
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """The pilot's own.  ``observation`` (1,) OBSERVATION."""
+        """Return the pilot's command for ``observation`` (1,) OBSERVATION."""
         return self.pilot.step(observation)
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """The pilot's own.  ``tick`` (1,) TICK."""
+        """Let the pilot write into ``tick`` (1,) TICK."""
         self.pilot.report(tick)
 
     @property
     def decisions(self) -> NDArray[np.void]:
-        """The pilot's own."""
+        """The pilot's decisions."""
         return self.pilot.decisions
 
     @property
     def interventions(self) -> NDArray[np.void]:
-        """The pilot's own."""
+        """The pilot's interventions."""
         return self.pilot.interventions
 
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
-        """The pilot's own."""
+        """The pilot's latencies [s]."""
         return self.pilot.decision_latencies_s

@@ -1,7 +1,7 @@
-"""What is seen as arrays of one shape: the observations of environments, and the inputs of ONNX policies.
+"""A controller's view as arrays of one shape: observations of environments and inputs of ONNX policies.
 
-A row of a hand that is not there is zero, and so is what is not known; a flag beside it says so.
-Nothing here waits for a compiler.
+The row of an absent hand is zero, and so is an unknown number; a flag beside it states that. The imports of
+this module do not wait for a compiler.
 """
 
 from __future__ import annotations
@@ -18,27 +18,30 @@ Arrays = dict[str, NDArray[np.generic]]  # by name, of n rows each
 
 
 def observed(seen: SeenRows, sees: Iterable[str]) -> Arrays:
-    """What ``sees`` name, of each of n; names and frames are those of the contract's ``Seen``.
+    """Return the quantities of ``sees``, n rows each; ``seen`` (n,) SEEN.
 
-    ``seen`` (n,) SEEN.
+    Names and frames are the same as in the contract's ``Seen``.
     """
-    found: Arrays = {}
-    for word in sees:
-        found |= _OF[word](seen)
-    return found
+    arrays: Arrays = {}
+    for sight in sees:
+        arrays |= _READERS[sight](seen)
+    return arrays
 
 
 def _joints(seen: SeenRows) -> Arrays:
+    """Return the joints and the TCP."""
     names = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", "tcp_position_in_base_m")
     return {name: seen[name].copy() for name in names}
 
 
 def _hands(seen: SeenRows) -> Arrays:
+    """Return the measured hands, with flags."""
     there = _first(seen["hand_count"], seen["hands"])
     return {"hands": _where(there, seen["hands"]), "hands_there": there}
 
 
 def _boxes(seen: SeenRows) -> Arrays:
+    """Return the boxes of hands, with flags."""
     there = _first(seen["box_count"], seen["boxes"])
     return {
         "hand_boxes": _where(there, seen["boxes"]),
@@ -50,6 +53,7 @@ def _boxes(seen: SeenRows) -> Arrays:
 
 
 def _object(seen: SeenRows) -> Arrays:
+    """Return the object's features."""
     visible = _flag(seen["object_visible"])
     return {
         "object_visible": visible,
@@ -60,6 +64,7 @@ def _object(seen: SeenRows) -> Arrays:
 
 
 def _predicted(seen: SeenRows) -> Arrays:
+    """Return the predicted hands, with flags."""
     there = (seen["tracked"] != 0).astype(np.int8)
     return {
         "predicted_hands": _where(there, seen["predicted"]),
@@ -70,7 +75,7 @@ def _predicted(seen: SeenRows) -> Arrays:
     }
 
 
-_OF: dict[str, Callable[[SeenRows], Arrays]] = {
+_READERS: dict[str, Callable[[SeenRows], Arrays]] = {
     JOINTS: _joints,
     HANDS: _hands,
     HAND_BOXES: _boxes,
@@ -80,17 +85,17 @@ _OF: dict[str, Callable[[SeenRows], Arrays]] = {
 
 
 def _flag(true: NDArray[np.int64]) -> NDArray[np.int8]:  # (n,)
-    """(n, 1)."""
+    """Return a flag as a column (n, 1)."""
     flags: NDArray[np.int8] = (true != 0).astype(np.int8)
     return flags[:, None]
 
 
 def _first(count: NDArray[np.int64], rows: NDArray[np.float64]) -> NDArray[np.int8]:
-    """(n, k) which of k rows each are among the first ``count`` (n,).  ``rows`` (n, k, ...)."""
+    """Return whether each of k rows is among the first ``count`` (n,), as (n, k); ``rows`` (n, k, ...)."""
     return (np.arange(rows.shape[1]) < count[:, None]).astype(np.int8)
 
 
 def _where(there: NDArray[np.int8], rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """``rows`` (n, ...) where they are there, else zero.  ``there`` (n,) or (n, k)."""
+    """Return ``rows`` (n, ...), with zeros for absent rows; ``there`` (n,) or (n, k)."""
     kept: NDArray[np.bool_] = (there != 0).reshape(there.shape + (1,) * (rows.ndim - there.ndim))
     return np.where(kept, rows, 0.0)

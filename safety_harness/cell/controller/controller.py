@@ -1,6 +1,6 @@
-"""The controller under test: servo, watch the hands, give way, stop.
+"""The controller under test: it servoes, watches the hands, retreats and stops.
 
-``Controller`` is the seam for a user's own; ``AvoidingServo`` composes the compiled control
+``Controller`` is the interface for a user's own controller. ``AvoidingServo`` composes the compiled control
 stack with an avoider and the gate.
 """
 
@@ -20,7 +20,7 @@ from safety_harness.cell.avoidance.asking import Answer, late_fault
 from safety_harness.cell.avoidance.avoider import Avoider, shown_to
 from safety_harness.cell.avoidance.gate import Gate, GateDecision, Query, answer_to
 from safety_harness.cell.avoidance.simple import faulty
-from safety_harness.cell.controller.cycle import QUESTION, ControllerRecords, act, answer_after, look, report
+from safety_harness.cell.controller.cycle import QUESTION, ControllerRecords, act, answer_after, report, watch
 from safety_harness.cell.controller.decision_times import NOTHING
 from safety_harness.cell.controller.records import (
     ANSWER,
@@ -51,38 +51,35 @@ from safety_harness.trace.records import FAULT_CHARACTERS, DecisionOutcome, as_c
 
 
 class Controller(Protocol):
-    """One episode's controller: an observation in, a command out."""
+    """An episode's controller: it turns an observation into a command."""
 
     @property
     def name(self) -> str:
-        """How traces and reports call it."""
+        """Its name in traces and reports."""
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """(1,) OBSERVATION to (1,) COMMAND; the returned array may be reused by the next call.
-
-        ``observation`` (1,) OBSERVATION.
-        """
+        """Return the COMMAND (1,) for ``observation`` (1,) OBSERVATION; the next call may reuse the array."""
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """Write what was perceived and decided into ``tick`` (1,) TICK, for the trace."""
+        """Write perception and decision into ``tick`` (1,) TICK, for the trace."""
 
     @property
     def decisions(self) -> NDArray[np.void]:
-        """(m,) DECISION: every decision so far."""
+        """Every decision so far, (m,) DECISION."""
 
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
-        """(m,) how long each of them took on the wall's clock."""
+        """The time of each decision on the wall's clock [s], (m,)."""
 
 
 class AvoidingServo:
-    """The paper's controller; ``avoider`` proposes, ``gate`` rules, the stack acts.
+    """The paper's controller: ``avoider`` proposes, ``gate`` rules, the stack acts.
 
-    ``decision_times_s`` (n,) [s] is what a question of each tick costs in simulated time, as the function of
-    that name makes it, and ``faults`` (n,) FAULT may make the answer later: until it counts, or
-    the decision deadline is over, the controller goes on with what it was doing.  ``recorded_late`` (m,)
-    says which decisions of an old trace came too late by the wall's clock, and in which words.
-    ``hand_slots`` is the scenario's, and ``guard`` its shield in this run.
+    ``decision_times_s`` (n,) [s] is the cost of each tick's question in simulated time, from the function of
+    that name. ``faults`` (n,) FAULT may make the answer later. Until it counts, or the decision deadline is
+    over, the controller goes on as before. ``recorded_late`` (m,) has the fault's text of each decision of an
+    old trace that was late by the wall's clock. ``hand_slots`` is the scenario's, and ``guard`` its shield in
+    this run.
     """
 
     def __init__(
@@ -117,38 +114,38 @@ class AvoidingServo:
         )
         self._late = late_fault(settings.avoidance.decision_deadline_s)
         self._limit_s = settings.clock.wall_limit_s
-        self._held: Answer | None = None  # by the wall's clock: an answer that does not count yet
+        self._held: Answer | None = None  # an answer that does not count yet by the wall's clock
         self._root_seed = root_seed
         self._decision = decision_dtype(joints)
-        self._sight = Sight.of(shown_to(avoider), hand_slots, joints, settings.clock.control_period_s)
-        self._seen: Seen | None = None  # when the question that is open was asked
+        self._sight = Sight.from_words(shown_to(avoider), hand_slots, joints, settings.clock.control_period_s)
+        self._seen: Seen | None = None  # the avoider's view at the time of the open question
         self._recorded_late = tuple(recorded_late)
         self._decisions: list[NDArray[np.void]] = []
         self._latencies_s: list[float] = []
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Look, decide if it is time to, act.  ``observation`` (1,) OBSERVATION."""
+        """Perceive, decide if necessary, and act; ``observation`` (1,) OBSERVATION."""
         r, o = self.records, ObservationRecords(observation)
-        decides = look(*r[:7], o)
+        decides = watch(*r[:7], o)
         if self._sight is not None and r.question[0]["asked_tick"] == r.question[0]["tick"]:
             self._seen = self._sight.seen(r, o)
         if decides:
             query = self.query(observation)
-            held, self._held = self._held, None
+            due, self._held = self._held, None
             gate = self.gate
-            self.decide(query, gate.rule(self.asked(), query) if held is None else gate.rule_on(held, query))
+            self.decide(query, gate.rule(self.answerer(), query) if due is None else gate.rule_on(due, query))
         elif r.question[0]["open"] and np.isnan(r.question[0]["decision_time_s"]):  # by the wall's clock
             self._ask_now(observation)
         act(*r[4:], o)
         return r.command
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """Copy what the stack knows into the trace's record of this tick.  ``tick`` (1,) TICK."""
+        """Copy the stack's state into the trace's record of this tick, ``tick`` (1,) TICK."""
         report(*self.records[5:8], as_compiled(tick))
 
     @property
     def decisions(self) -> NDArray[np.void]:
-        """(m,) DECISION."""
+        """Every decision so far, (m,) DECISION."""
         decisions = np.zeros(len(self._decisions), self._decision)
         for k, decision in enumerate(self._decisions):
             decisions[k] = decision[0]
@@ -156,30 +153,31 @@ class AvoidingServo:
 
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
-        """(m,) wall-clock time from the question to the avoider's answer, or to giving up on it."""
+        """The wall-clock time [s] from each question to the answer, or to the end of waiting, (m,)."""
         return np.array(self._latencies_s, dtype=np.float64)
 
     @property
     def interventions(self) -> NDArray[np.void]:
-        """(n,) INTERVENTION: what the shield did in each tick of the run; empty without one."""
+        """The shield's action in each tick of the run, (n,) INTERVENTION; empty without a shield."""
         return self.records.interventions
 
     def _ask_now(self, observation: NDArray[np.void]) -> None:
-        """Ask, take the time, and let the answer count when that much simulated time is over."""
-        records, held = self.records, answer_to(self.asked(), replace(self.query(observation), late=""))
+        """Ask, measure the time, and let the answer count after as much simulated time."""
+        records, held = self.records, answer_to(self.answerer(), replace(self.query(observation), late=""))
         answer_after(records.parameters, records.question, records.faults, held.latency_s)
         late = Answer(fault=self._late, late=True, latency_s=held.latency_s)
         self._held = late if records.question[0]["late"] else held
 
-    def asked(self) -> Avoider:
-        """Who answers the question that counts now: the avoider, as its faults leave it."""
+    def answerer(self) -> Avoider:
+        """Return the avoider that answers the open question, under its faults."""
         return faulty(self.records.faults, self.avoider, float(self.records.question[0]["asked_s"]))
 
     def query(self, observation: NDArray[np.void]) -> Query:
-        """The decision that counts now, as the gate wants it.  ``observation`` (1,) OBSERVATION."""
+        """Return the decision that counts now, for the gate; ``observation`` (1,) OBSERVATION."""
         state, question = self.records.state[0], self.records.question[0]
         number, nearest = len(self._decisions), state["nearest_track"]
         asked_hand, asked_tcp = question["hand_position_in_base_m"], question["tcp_position_in_base_m"]
+        # If every hand has gone since the question, the decision is about the hand of the question.
         hand = state["predicted_hand_in_base_m"][nearest] if nearest >= 0 else asked_hand
         return Query(
             hand_position_in_base_m=hand.copy(),
@@ -196,22 +194,22 @@ class AvoidingServo:
         )
 
     def _half_widths_m(self, observation: NDArray[np.void]) -> NDArray[np.float64] | None:
-        """(k, 3) of each predicted hand, if the gate asks for all places where it may be."""
-        within, r = None if self.gate.more is None else self.gate.more.hands_within, self.records
-        if within is None:
+        """Return the half widths (k, 3) of each predicted hand's box, if the gate's rule needs them."""
+        probability, r = None if self.gate.more is None else self.gate.more.hands_within, self.records
+        if probability is None:
             return None
         at_s = float(observation[0]["time_s"] + r.parameters[0]["prediction_horizon_s"])
         pose = r.state[0]["transform_sensor_to_base"]
-        return possible_half_widths_m(r.tracks, at_s, r.filter_parameters, pose, within)
+        return possible_half_widths_m(r.tracks, at_s, r.filter_parameters, pose, probability)
 
     @property
     def _recorded_words(self) -> str:
-        """How the decision that is due was late on record; empty if it was not, or is not on record."""
+        """The recorded fault of the pending decision if it was late; otherwise empty."""
         number = len(self._decisions)
         return self._recorded_late[number] if number < len(self._recorded_late) else ""
 
     def decide(self, query: Query, ruling: GateDecision) -> None:
-        """Take the gate's ruling over, note everything down."""
+        """Store the gate's ruling as the answer and as a decision."""
         answer = self.records.answer
         answer["stop"] = ruling.outcome is DecisionOutcome.STOP
         answer["position_in_base_m"] = ruling.chosen_position_in_base_m
@@ -219,7 +217,7 @@ class AvoidingServo:
         self._decisions.append(self._record(query, ruling))
 
     def _record(self, query: Query, ruling: GateDecision) -> NDArray[np.void]:
-        """(1,) DECISION."""
+        """Return the DECISION (1,) of a ruling."""
         record = np.zeros(1, self._decision)
         for name in ("tick", "time_s", "asked_tick", "decision_time_s"):
             record[name] = self.records.question[name]
@@ -239,5 +237,5 @@ class AvoidingServo:
 
 @lru_cache(maxsize=16)  # many episodes differ in their hands and starts alone
 def _fixed(settings: Settings, arm: ArmModel, view: DesiredView) -> tuple[NDArray[np.void], NDArray[np.void]]:
-    """What no episode changes."""
+    """Return the records that are the same for every episode."""
     return parameters(settings, arm, view), filter_parameters(settings.hand_filter, settings.hand_sensor)

@@ -1,7 +1,7 @@
-"""One tick of ``AvoidingServo``, compiled: everything between observation and command but the decision.
+"""One tick of ``AvoidingServo``, compiled: everything between observation and command except the decision.
 
-``look`` says whether a decision counts now; whoever can make one then fills the answer, and ``act``
-goes on.  One episode at a time or many to their next decision: these are the functions.
+``watch`` returns whether a decision counts now. Any maker of decisions then fills the answer, and ``act``
+goes on. A single episode and many episodes use the same functions.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ QUESTION = np.dtype(
     [
         ("tick", np.int64),  # of the run, now
         ("time_s", np.float64),
-        ("open", np.bool_),  # the avoider has been asked, and its answer does not count yet
+        ("open", np.bool_),  # there is a question whose answer does not count yet
         ("asked_tick", np.int64),
         ("asked_s", np.float64),
-        ("decision_time_s", np.float64),  # what it costs, beside any fault; NaN: not known yet
-        ("hand_position_in_base_m", np.float64, (3,)),  # the nearest predicted one, when it was asked
+        ("decision_time_s", np.float64),  # its cost without any fault; NaN: not known yet
+        ("hand_position_in_base_m", np.float64, (3,)),  # the nearest predicted hand of the question
         ("tcp_position_in_base_m", np.float64, (3,)),
         ("trigger", np.int64),
         ("delayed", np.bool_),  # the answer counts later than at once
         ("counts_from", np.int64),  # tick
-        ("late", np.bool_),  # there will be none
-        ("faults", np.int64),  # bits of those that act on it
+        ("late", np.bool_),  # its answer comes too late to count
+        ("faults", np.int64),  # bits of the faults that act on it
         ("acted_faults", np.int64),  # bits, at this tick
         ("made", np.int64),  # decisions so far
         ("made_now", np.bool_),
@@ -60,10 +60,10 @@ QUESTION = np.dtype(
 
 
 class ControllerRecords(NamedTuple):
-    """All that one episode's controller knows and remembers.
+    """The whole state of an episode's controller.
 
-    In an order in which what a step takes stands together: ``look`` the first seven, ``act`` those from
-    ``parameters`` on, ``report`` from ``state`` to ``command``.
+    The order keeps the arguments of a step together: ``watch`` takes the first seven, ``act`` takes all
+    from ``parameters`` on, ``report`` takes ``state`` to ``command``.
     """
 
     filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
@@ -81,7 +81,7 @@ class ControllerRecords(NamedTuple):
 
 
 @inlined
-def look(
+def watch(
     filter_parameters: FilterRecords,
     tracks: TrackRecords,
     faults: FaultRecords,
@@ -91,17 +91,16 @@ def look(
     questions: QuestionRecords,
     observations: ObservationRecords,
 ) -> bool:
-    """Take in an observation (1,) OBSERVATION; True if the decision on the open question counts now.
+    """Read an observation (1,) OBSERVATION; return True if the decision on the open question counts now.
 
-    Until it does the controller goes on as before; an answer that comes after a protective stop is of
-    no use.
+    Until then the controller goes on as before. An answer after a protective stop has no use.
     """
     s, q = states[0], questions[0]
-    asked = begin_tick(parameters, filter_parameters, states, tracks, observations)
+    needs_decision = begin_tick(parameters, filter_parameters, states, tracks, observations)
     q.time_s = observations[0].time_s
     q.acted_faults = 0
     q.made_now = False
-    if asked and not q.open:
+    if needs_decision and not q.open:
         ask(parameters, states, questions, faults, decision_times_s, observations)
     if not q.open:
         return False
@@ -128,7 +127,7 @@ def ask(
     decision_times_s: NDArray[np.float64],  # (n,)
     observations: ObservationRecords,
 ) -> None:
-    """Open the question of now; its answer counts when its decision time is over."""
+    """Open a question at this tick; its answer counts after its decision time."""
     s, q, time_s = states[0], questions[0], observations[0].time_s
     q.open = True
     q.asked_tick = q.tick
@@ -145,16 +144,18 @@ def ask(
 def answer_after(
     parameters: ParameterRecords, questions: QuestionRecords, faults: FaultRecords, decision_time_s: float
 ) -> None:
-    """The answer to the open question takes so long [s], and a fault's delay longer; NaN: not known yet.
+    """Set the time [s] of the answer to the open question, with a fault's delay.
 
-    It counts ceil(min(late, deadline) / period) ticks after it was asked, the first at which that is over, an
-    exact multiple of the period at exactly that tick.  What takes longer than the deadline is no answer, and
-    is given up on at the deadline.
+    The answer counts ceil(min(late, deadline) / period) ticks after the question. At this first tick its time
+    is over; an exact multiple of the period counts at exactly that tick. An answer later than the deadline
+    does not count, and the controller gives up on it at the deadline. A NaN stands for a time that is not yet
+    known.
     """
     p, q = parameters[0], questions[0]
     late_s = decision_time_s + delay_s(faults, LATE, q.asked_s)
     if np.isnan(late_s) or acting(faults, SILENT, q.asked_s):
         late_s = np.inf
+    # 1e-9 makes seven periods seven ticks, although 0.07 / 0.01 is above 7 in float64.
     waits = int(np.ceil(min(late_s, p.decision_deadline_s) / p.control_period_s - 1e-9))
     q.decision_time_s = decision_time_s
     q.delayed = waits > 0
@@ -174,7 +175,7 @@ def act(
     capsules: CapsuleRecords,
     observations: ObservationRecords,
 ) -> None:
-    """Act on the answer, if one was waited for, and command the arm, as the shield leaves it."""
+    """Act on the answer, if there is one, and command the arm; then the shield may change the command."""
     q = questions[0]
     finish_tick(parameters, states, observations, answers, commands)
     if shields.shape[0] > 0:
@@ -187,7 +188,7 @@ def act(
 def report(
     states: StateRecords, questions: QuestionRecords, commands: CommandRecords, ticks: Records
 ) -> None:
-    """Write what was perceived and decided into the trace's record of this tick, (1,) ``as_compiled``."""
+    """Write perception and decision into the trace's record of this tick, (1,) ``as_compiled``."""
     s, q, command, tick = states[0], questions[0], commands[0], ticks[0]
     tick.object_visible = s.object_visible
     tick.sse = s.sse

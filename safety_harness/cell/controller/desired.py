@@ -1,4 +1,4 @@
-"""Where servoing wants to go: the desired TCP pose and what the camera sees there."""
+"""The target of servoing: the desired TCP pose and the camera's view there."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from safety_harness.cell.robot.robots import inverse_kinematics
 from safety_harness.cell.servoing.control import DesiredView, desired_view
 from safety_harness.scenario.robots import AnyRobot, Robot
 
-DOWN = np.diag([1.0, -1.0, -1.0])  # tcp axes in base: x forward, y right, z down
+LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])  # tcp axes in base: x forward, y right, z down
 
 
 def desired_transform_tcp_to_base(settings: Settings) -> NDArray[np.float64]:
-    """(4, 4) the desired TCP pose: straight above the object, looking down."""
-    return transform_from(DOWN, np.array(settings.cell.desired_tcp_position_in_base_m))
+    """Return the desired TCP pose (4, 4): straight above the object, looking down."""
+    return transform_from(LOOKING_DOWN, np.array(settings.cell.desired_tcp_position_in_base_m))
 
 
 def reachable(
     positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot = Robot.UR10
 ) -> NDArray[np.bool_]:
-    """(n,): has the position inverse kinematics within the robot's limits, in the desired orientation?
+    """Return whether each position has inverse kinematics in the desired orientation, (n,).
 
-    ``positions_in_base_m`` is (n, 3).  The end alone; the gate looks at the straight way there as well.
+    ``positions_in_base_m`` (n, 3). Only solutions within the robot's limits count. This concerns the end
+    alone; the gate also checks the straight path.
     """
     poses = np.repeat(desired_transform_tcp_to_base(settings)[None], len(positions_in_base_m), axis=0)
     poses[:, :3, 3] = positions_in_base_m
@@ -38,7 +39,7 @@ def reachable(
 
 
 def desired_camera(settings: Settings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(4, 4) each: at the desired pose, the truly mounted camera to base, and the object to that camera."""
+    """Return two transforms (4, 4) at the desired pose: true camera to base, and object to that camera."""
     turn = rotation_from_vector(np.array([0.0, 0.0, settings.object.yaw_rad]))
     object_to_base = transform_from(turn, np.array(settings.object.position_in_base_m))
     camera_to_base = desired_transform_tcp_to_base(settings) @ transform_camera_to_tcp(
@@ -48,6 +49,6 @@ def desired_camera(settings: Settings) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def view_of(settings: Settings) -> DesiredView:
-    """What the true camera sees of the object at the desired pose: the desired image is a real one."""
+    """Return the true camera's view of the object at the desired pose: the desired image is a real image."""
     object_to_camera = desired_camera(settings)[1]
     return desired_view(np.array(settings.object.polygon_m), object_to_camera, settings.servo.object_kind)

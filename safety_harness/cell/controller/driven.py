@@ -1,7 +1,7 @@
-"""A user's controller as a ``Controller``: observations become what it sees, its actions commands.
+"""A user's controller as a ``Controller``: observations become its view, its actions become commands.
 
-Perception is its own affair but for what it says that it sees; limits, drives and brakes are those of every
-run.  What it does not report is not reported in the trace either.
+The controller does its own perception, except for the quantities that it asks to see. Its limits, drives and
+brakes are the same as in every run. The trace leaves out everything that the controller does not report.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ from safety_harness.trace.records import DECISION, as_compiled, decision_dtype, 
 
 Floats = NDArray[np.float64]
 
-# What only the visual servo has, or one that reports it.
+# Columns that only the visual servo has, or a controller that reports them.
 _OF_SERVO = ("gain", "camera_twist")
 _OF_OBJECT = ("object_visible", "features", "feature_error", "sse")
 _OF_TRACKS = ("track_valid", "predicted_hand_in_base_m", "predicted_distance_m")
@@ -73,10 +73,10 @@ _OF_DOUBT = ("proposed_spread_m", "spread_threshold_m")
 
 
 class DrivenController:
-    """One episode of a user's controller; ControllerError for what it raises or returns that is no action.
+    """An episode of a user's controller; ``ControllerError`` for an exception or an invalid action of it.
 
-    ``joint_position_rad`` (n,) is where the arm starts.  ``view`` is read only if the object is seen.
-    ``guard`` is the scenario's shield in this run.
+    ``joint_position_rad`` (n,) is the arm's start. ``view`` is necessary only if the controller sees the
+    object. ``guard`` is the scenario's shield in this run.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class DrivenController:
         records = driven_records(settings, arm, view, hand_slots)
         self._decision = decision_dtype(joints)
         self._decisions: list[NDArray[np.void]] = []
-        self.answers_took_s: list[float] = []  # on the wall's clock; none of those of many lanes together
+        self.answers_took_s: list[float] = []  # on the wall's clock; without joint answers of many lanes
         self.answers = LaneAnswers(1, joints, self.reports)
         self.period_s = settings.clock.control_period_s
         self.layout = SeenLayout(hand_slots, joints, self.sees)
@@ -116,24 +116,24 @@ class DrivenController:
             raise self.failed(f"reset raised: {described(error)}") from error
 
     def lie_in(self, records: DrivenRecords, question: QuestionRecords) -> None:
-        """All that it knows lies there from now on.  ``question`` (1,) QUESTION."""
+        """Use ``records`` and ``question`` (1,) QUESTION for the controller's state from now on."""
         self.records, self.question = records, question
         self._floats = records.seen.view(np.float64)[: self.layout.wanted]
 
     def sees_images_of(self, image: Callable[[], Any]) -> None:
-        """Let it see the ``image()`` of now, if "image" is among its sees."""
+        """Let the controller see the present ``image()``, if "image" is among its sees."""
         self._image = image
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """(1,) OBSERVATION to (1,) COMMAND."""
-        self.look(observation)
+        """Return the COMMAND (1,) for an OBSERVATION (1,)."""
+        self.perceive(observation)
         self.ask()
         by_joints = bool(self.answers.by_joints[0])
         wanted = self.answers.joints[0] if by_joints else self.answers.twists[0]
         return self.carry_out(wanted, by_joints, bool(self.answers.stop[0]), observation)
 
-    def look(self, observation: NDArray[np.void]) -> SeenRecords:
-        """(1,) SEEN of (1,) OBSERVATION: the first half of ``step``."""
+    def perceive(self, observation: NDArray[np.void]) -> SeenRecords:
+        """Return the SEEN (1,) of an OBSERVATION (1,): the first half of ``step``."""
         o = ObservationRecords(observation)
         r = self.records
         self._see(r.parameters, r.filter_parameters, r.state, r.tracks, o, r.seen, *self.wants)
@@ -142,9 +142,17 @@ class DrivenController:
     def carry_out(
         self, wanted: Floats, by_joints: bool, stop: bool, observation: NDArray[np.void]
     ) -> NDArray[np.void]:
-        """(1,) COMMAND for an action, as ``obey`` has it: the second half of ``step``.
+        """Return the COMMAND (1,) for an action, as ``obey`` makes it: the second half of ``step``.
 
-        ``wanted`` (6,) or (n,), ``observation`` (1,) OBSERVATION; ControllerError for what is not finite.
+        Args:
+            wanted: The velocities (6,) of the TCP or (n,) of the joints.
+            by_joints: Whether these are joint velocities.
+            stop: Whether the action is a stop.
+            observation: The OBSERVATION (1,) of the action.
+
+        Raises:
+            ControllerError: A velocity is not finite.
+
         """
         o, r = ObservationRecords(observation), self.records
         if not self._obey(r.parameters, r.state, o, wanted, by_joints, stop, r.command):
@@ -154,24 +162,24 @@ class DrivenController:
         return r.command
 
     def shielded(self, observation: ObservationRecords, tick: int) -> None:
-        """The command as the shield leaves it, if there is one.  ``observation`` (1,) OBSERVATION."""
+        """Let the shield, if any, change the command; ``observation`` (1,) OBSERVATION."""
         if len(self.guard.shield):
             r = self.records
             keep_apart(r.parameters, r.state, *self.guard, observation, r.command, tick)
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """Write what it saw and reports into ``tick`` (1,) TICK."""
+        """Write the controller's view and reports into ``tick`` (1,) TICK."""
         self.report_compiled(as_compiled(tick))
 
     def report_compiled(self, tick: NDArray[np.void]) -> None:
-        """As ``report``, into a tick (1,) ``as_compiled``."""
+        """Write as ``report`` does into a tick (1,) ``as_compiled``."""
         self._tell(self.records.state, self.question, self.records.command, tick)
         if self.answers.modes[0] >= 0:
             tick["mode"] = self.answers.modes[0]
 
     @property
     def decisions(self) -> NDArray[np.void]:
-        """(m,) DECISION: those that it reported."""
+        """The reported decisions, (m,) DECISION."""
         decisions = np.zeros(len(self._decisions), self._decision)
         for k, decision in enumerate(self._decisions):
             decisions[k] = decision[0]
@@ -179,17 +187,17 @@ class DrivenController:
 
     @property
     def decision_latencies_s(self) -> Floats:
-        """(m,) NaN: nobody asked it for a decision."""
+        """NaN (m,): the harness did not ask for these decisions."""
         return np.full(len(self._decisions), np.nan)
 
     @property
     def interventions(self) -> NDArray[np.void]:
-        """(n,) INTERVENTION: what the shield did in each tick of the run; empty without one."""
+        """The shield's action in each tick of the run, (n,) INTERVENTION; empty without a shield."""
         return self.guard.interventions
 
     @property
     def known(self) -> dict[str, Measurement]:
-        """What of its traces is not reported, by column."""
+        """The columns of its traces that are not reported."""
         lacking = [*_OF_SERVO]
         lacking += [] if OBJECT in self.sees else _OF_OBJECT
         lacking += [] if PREDICTED_HANDS in self.sees else _OF_TRACKS
@@ -201,7 +209,7 @@ class DrivenController:
         return dict.fromkeys([*lacking, *(OF_DECISIONS + name for name in of_decisions)], NOT_REPORTED)
 
     def ask(self) -> None:
-        """What it wants of the arm until the next tick, into ``answers``."""
+        """Call the controller, and store its action until the next tick in ``answers``."""
         row = self._floats.copy()
         row.flags.writeable = False
         seen = Seen.of_row(float(row[0]), self.period_s, self.layout, row)
@@ -219,27 +227,27 @@ class DrivenController:
             raise self.failed(f"act raised: {described(error)}") from error
 
     def not_finite(self, wanted: Floats) -> ControllerError:
-        """Of what it ``wanted`` (6,) or (n,)."""
+        """Return the error for ``wanted`` velocities (6,) or (n,) that are not finite."""
         return self.failed(f"act returned: velocities that are not finite: {wanted.tolist()}")
 
     def failed(self, why: str) -> ControllerError:
-        """It cannot go on at this tick."""
+        """Return the error that ends the run at this tick."""
         when = f" at {float(self.records.seen[0]['time_s']):.3f} s"
         return ControllerError(f"the controller {self.name!r}: {why}{when}")
 
     def _note(self, action: Action) -> None:
-        """The decision that it reports, if it does."""
+        """Record the decision that the controller reports, if any."""
         if DECISIONS not in self.reports:
             return
-        said = action.report
-        decision = said.decision if isinstance(said, Report) else None
+        reported = action.report
+        decision = reported.decision if isinstance(reported, Report) else None
         self.question["made_now"] = decision is not None
         if decision is not None:
             self._decisions.append(self._record(decision))
             self.question["made"] += 1
 
     def _record(self, decision: Decision) -> NDArray[np.void]:
-        """(1,) DECISION."""
+        """Return a reported decision as DECISION (1,)."""
         record = np.zeros(1, self._decision)
         record["tick"] = record["asked_tick"] = self.question["tick"]
         for name in ("time_s", "joint_position_rad"):
@@ -257,7 +265,7 @@ class DrivenController:
 
 @lru_cache
 def _entries(hand_slots: int, joints: int) -> tuple[Callable[..., Any], ...]:
-    """``see``, ``obey`` and ``report`` for such records: what numba would look up at every call, once."""
+    """Return ``see``, ``obey`` and ``report`` for such records, so that numba looks them up only once."""
     state, command = initial_state(hand_slots, joints), np.zeros(1, command_dtype(joints))
     p, question = np.zeros(1, parameters_dtype(joints)), np.zeros(1, QUESTION)
     observation = np.zeros(1, observation_dtype(hand_slots, joints))
@@ -272,9 +280,9 @@ def _entries(hand_slots: int, joints: int) -> tuple[Callable[..., Any], ...]:
 
 
 def entry_of(function: Any, *arguments: Any) -> Callable[..., Any]:
-    """The machine code of a compiled function for arguments of these types, which it does not check again.
+    """Return the machine code of a compiled function for arguments of these types, without a check of types.
 
-    To look at the types of records takes numba ten times as long as what small functions do with them.
+    For small functions, numba's check of the types of records takes ten times as long as the work.
     """
     key = function, tuple(map(_kind, arguments))
     if key not in _ENTRIES:
@@ -286,7 +294,10 @@ _ENTRIES: dict[tuple[Any, tuple[Any, ...]], Callable[..., Any]] = {}
 
 
 def _kind(argument: Any) -> Any:
-    """All that its type depends on for numba, which takes milliseconds to find that out for an episode."""
+    """Return everything on which numba's type of an argument depends.
+
+    numba itself takes milliseconds for that in each episode.
+    """
     if isinstance(argument, tuple):
         return type(argument), tuple(map(_kind, argument))
     if not isinstance(argument, np.ndarray):
@@ -297,13 +308,14 @@ def _kind(argument: Any) -> Any:
 
 
 def _frozen(array: Floats) -> Floats:
+    """Return a read-only copy of an array."""
     array = array.copy()
     array.flags.writeable = False
     return array
 
 
 def arm_of(model: ArmModel) -> DrivenArm:
-    """An arm as controllers are told of it."""
+    """Return the description of an arm for controllers."""
     return DrivenArm(
         name=model.name,
         joint_names=model.joint_names,

@@ -1,4 +1,4 @@
-"""What the TCP is asked to do in a tick: servo, give way, and within which limits."""
+"""The twist of the TCP for a tick: servoing, retreat, and their limits."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def servo_twist(
     states: StateRecords,
     twist_in_base_out: Array6,  # v, w [m/s, rad/s]
 ) -> None:
-    """Eq. 1 as a twist of the TCP in the base frame; the gain drops once eq. 15 is small.
+    """Fill the output with eq. 1 as a twist of the TCP in the base frame.
 
         w = R w_camera,   v_tcp = R v_camera - w x c,   R = R_tcp_to_base R_camera_to_tcp
 
-    with c the camera's origin seen from the TCP, in the base frame: both are of one rigid body, the flange.
-    lambda is ``gain_near`` where |e|^2 is below ``gain_switch_sse``, else ``gain_far``.  Without a finite
-    twist the object counts as lost.
+    with c the camera's origin seen from the TCP, in the base frame: both belong to the flange, a rigid body.
+    The gain lambda is ``gain_near`` if |e|^2 (eq. 15) is below ``gain_switch_sse``, otherwise ``gain_far``.
+    Without a finite twist the object counts as lost.
     """
     p, s = parameters[0], states[0]
     s.gain = p.gain_near if s.sse < p.gain_switch_sse else p.gain_far
@@ -54,7 +54,7 @@ def servo_twist(
             s.camera_twist[i] = 0.0
         return
     rotation_tcp, twist = s.transform_tcp_to_base, twist_in_base_out
-    c = s.twist_in_base  # room until ``shaped`` fills it
+    c = s.twist_in_base  # scratch until ``shaped`` fills it
     for i in range(3):
         twist[i] = twist[3 + i] = c[i] = 0.0
         for k in range(3):
@@ -74,13 +74,13 @@ def approach_twist(
     states: StateRecords,
     twist_in_base_out: Array6,  # v, w [m/s, rad/s]
 ) -> None:
-    """Straight to the repulsive position, orientation kept, slowing down in time to arrive.
+    """Fill the output with a straight motion to the repulsive position that slows down in time to arrive.
 
         v = min(0.99 v_max, sqrt(2 (0.8 a) d), d/T) (target - tcp)/d,   d = |target - tcp|,   w = 0
 
-    The speed is the least of the repulsion speed (less the reserve), what uniform braking at 80 %
-    of the permitted acceleration can still stop within the rest of the way (the other 20 % pay
-    for the control period), and what covers the rest of the way in one tick.
+    The speed is the least of three. The first is the repulsion speed (less the reserve). The second still
+    allows a stop within the remaining distance, with uniform braking at 80 % of the permitted acceleration.
+    The remaining 20 % pay for the control period. The third covers the remaining distance in one tick.
     """
     p, s = parameters[0], states[0]
     total = 0.0
@@ -107,11 +107,11 @@ def shaped(
     max_acceleration_mps2: float,
     twist_out: Array6,
 ) -> int:
-    """Bound speed and acceleration, linear and angular apart; returns the Limit flags that acted.
+    """Bound speed and acceleration, linear and angular apart; return the Limit flags that acted.
 
         u = wanted min(1, v_max/|wanted|),   out = previous + (u - previous) min(1, a_max T/|u - previous|)
 
-    for the halves v and w, T the control period; of the linear v_max only ``SPEED_RESERVE`` is used.
+    for the halves v and w, with T the control period. The linear v_max is reduced by ``SPEED_RESERVE``.
     """
     p = parameters[0]
     limits = 0

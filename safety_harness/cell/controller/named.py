@@ -1,4 +1,4 @@
-"""Which controller a reference means: one that ships, by its name, or a user's own."""
+"""The meaning of a reference to a controller: a shipped name, or a user's own file or program."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ LEARNED_FILE = Path(__file__).resolve().parents[2] / "models" / "learned-policy.
 
 
 def learned_policy() -> UserController:
-    """The policy that examples/train_a_policy.py has trained; MissingPackageError without onnxruntime."""
+    """Return the policy of examples/train_a_policy.py; ``MissingPackageError`` without onnxruntime."""
     ONNX.require(LEARNED)
     from safety_harness.cell.controller.out_of_process.onnx_policy import (
-        OnnxPolicy,  # loads what others need not
+        OnnxPolicy,  # its imports serve this controller only
     )
 
     return OnnxPolicy(LEARNED_FILE, LEARNED_FILE.read_bytes())
@@ -55,15 +55,22 @@ CONTROLLER = Place(field="controller")
 
 
 def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER) -> Make:
-    """What makes a fresh controller: one that ships, or a user's, in a process of its own.
+    """Return the maker of a controller: a shipped one, or a user's in a process of its own.
 
-    A relative file is sought in ``folder``, a program and the files among its arguments in the working
-    directory.  InadmissibleError at ``place`` if there is none.
+    Args:
+        reference: The controller's name, file, program or address, as in a scenario.
+        folder: The folder of a relative file; None: the working directory. A program and the files among its
+            arguments are relative to the working directory.
+        place: The place of an error.
+
+    Raises:
+        InadmissibleError: There is no such controller.
+
     """
     if reference in SHIPPED:
         return SHIPPED[reference]
-    if way := added_way(reference):
-        opener = part_named(ExtensionPoint.CONTROLLERS, way, ControllerOpener)
+    if scheme := added_way(reference):
+        opener = part_named(ExtensionPoint.CONTROLLERS, scheme, ControllerOpener)
         return partial(_opened, opener, reference, place)
     if names_a_program(reference):
         return of_program(reference, place)
@@ -72,22 +79,29 @@ def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER
 
 
 def _opened(opener: ControllerOpener, reference: str, place: Place) -> UserController:
-    """Return what a package's opener gives; InadmissibleError at ``place`` for whatever it raises."""
+    """Return the controller of a package's opener; ``InadmissibleError`` at ``place`` for any exception."""
     try:
-        found = opener.open(reference)
-    except Exception as error:  # of somebody else's module, which may raise anything
+        controller = opener.open(reference)
+    except Exception as error:  # another package's module may raise anything
         expected = "a controller that can be opened"
         got = f"{reference}: {described(error)}"
         raise InadmissibleError(place=place, expected=expected, got=got) from error
-    return checked_controller(found, reference, place)
+    return checked_controller(controller, reference, place)
 
 
 def refuse_unusable_controller(reference: str, folder: Path | None, place: Place) -> None:
-    """As ``controller_of`` refuses, as far as can be seen without executing anything of a user's."""
+    """Raise the errors of ``controller_of`` that need no execution of a user's code.
+
+    Args:
+        reference: The controller, as in ``controller_of``.
+        folder: The folder of a relative file.
+        place: The place of an error.
+
+    """
     if reference in SHIPPED:
         return
-    if way := added_way(reference):
-        part_named(ExtensionPoint.CONTROLLERS, way, ControllerOpener)
+    if scheme := added_way(reference):
+        part_named(ExtensionPoint.CONTROLLERS, scheme, ControllerOpener)
         return
     if names_a_program(reference):
         of_program(reference, place)
@@ -98,7 +112,17 @@ def refuse_unusable_controller(reference: str, folder: Path | None, place: Place
 
 
 def controller_file(reference: str, folder: Path | None, place: Place = CONTROLLER) -> tuple[Path, str]:
-    """The file of a user's controller, which is there, and the name in it; InadmissibleError at ``place``."""
+    """Return the existing file of a user's controller and the name in it.
+
+    Args:
+        reference: The controller, as in ``controller_of``.
+        folder: The folder of a relative file.
+        place: The place of an error.
+
+    Raises:
+        InadmissibleError: The reference is not valid, or the file does not exist.
+
+    """
     file, name = file_and_name(reference)
     if not file or file.endswith(MODEL_SUFFIX):
         hint = near_miss(reference, NAMES, most=3)
@@ -114,13 +138,13 @@ def controller_file(reference: str, folder: Path | None, place: Place = CONTROLL
 
 
 def controller_sha256(reference: str, folder: Path | None) -> str:
-    """The hash of the file that a controller comes from; empty for our own code, or one at a socket."""
+    """Return the hash of a controller's file; empty for our own code and for a program at a socket."""
     if reference == LEARNED:
         return hashlib.sha256(LEARNED_FILE.read_bytes()).hexdigest()
     if reference in NAMES:
         return ""
-    if way := added_way(reference):
-        hashes = part_named(ExtensionPoint.CONTROLLERS, way, ControllerOpener).sha256
+    if scheme := added_way(reference):
+        hashes = part_named(ExtensionPoint.CONTROLLERS, scheme, ControllerOpener).sha256
         return "" if hashes is None else hashes(reference)
     if names_a_program(reference):
         return program_sha256(reference, CONTROLLER)

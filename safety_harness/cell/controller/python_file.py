@@ -13,14 +13,14 @@ HINT = "safety-harness docs controllers"
 
 
 def controller_in(path: Path, source: bytes, name: str, place: Place) -> UserController:
-    """The controller called ``name``: an object, or an instance of a class without required arguments."""
+    """Return the controller ``name``: an object, or an instance of a class without required arguments."""
     return checked_controller(made_by(path, source, name, "a controller", place, HINT), name, place)
 
 
-def checked_controller(found: object, name: str, place: Place) -> UserController:
-    """``found`` if it has what the contract asks for; InadmissibleError at ``place`` says what is missing."""
-    refuse_lacking(found, name, METHODS, place, HINT)
-    controller: UserController = found  # type: ignore[assignment]  # as has just been looked at
+def checked_controller(candidate: object, name: str, place: Place) -> UserController:
+    """Return ``candidate`` if it follows the contract; ``InadmissibleError`` at ``place`` states the gap."""
+    refuse_lacking(candidate, name, METHODS, place, HINT)
+    controller: UserController = candidate  # type: ignore[assignment]  # checked by ``refuse_lacking``
     try:
         sees_of(controller)
         reports_of(controller)

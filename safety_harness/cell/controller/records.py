@@ -1,8 +1,7 @@
 """The records that the compiled control stack reads and writes.
 
-``PARAMETERS`` never change in a run; STATE is all that one episode remembers; OBSERVATION
-goes in, ``ANSWER`` comes back from a decision, ``COMMAND`` goes out.  Many episodes are many
-elements of an array of each.
+``PARAMETERS`` never change in a run. STATE is the memory of an episode. OBSERVATION goes in, ``ANSWER`` comes
+back from a decision, ``COMMAND`` goes out. Many episodes are many elements of an array of each.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from safety_harness.trace.records import JOINTS, TRACKS_PER_HAND
 
 @lru_cache
 def parameters_dtype(joints: int) -> np.dtype[Any]:
-    """PARAMETERS of the controller of an arm with so many joints."""
+    """Return the record type PARAMETERS for an arm with ``joints`` joints."""
     return np.dtype(
         [
             ("control_period_s", np.float64),
@@ -62,14 +61,17 @@ def parameters_dtype(joints: int) -> np.dtype[Any]:
 
 @lru_cache
 def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """STATE of a controller that tracks TRACKS_PER_HAND times so many hands, for so many joints."""
+    """Return the record type STATE of a controller.
+
+    It has TRACKS_PER_HAND tracks for each of ``hands`` hands, and ``joints`` joints.
+    """
     tracks = TRACKS_PER_HAND * hands
     return np.dtype(
         [
             ("mode", np.int64),
             ("transform_tcp_to_base", np.float64, (4, 4)),  # from the measured joints
             ("link_transforms", np.float64, (joints + 2, 4, 4)),
-            ("placed", np.bool_),  # they are those of the observation that comes, which a world has seen to
+            ("placed", np.bool_),  # a world has set them for the next observation
             # the image of the object, as last delivered
             ("object_visible", np.bool_),
             ("moments", np.float64, (MOMENT_COUNT,)),
@@ -82,16 +84,16 @@ def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
             ("predicted_distance_m", np.float64),
             ("nearest_track", np.int64),
             ("known_track_ids", np.int64, (tracks,)),  # inside the distance at the last decision
-            # what is going on
+            # the present motion
             ("trigger", np.int64),
             ("decision_pending", np.bool_),
             ("target_in_base_m", np.float64, (3,)),
-            ("clear_since_s", np.float64),  # since when no hand has been within the distance
+            ("clear_since_s", np.float64),  # the time since which the distance has been free of hands
             ("previous_twist_in_base", np.float64, (6,)),
             ("gain", np.float64),
             ("camera_twist", np.float64, (6,)),
             ("limits", np.int64),
-            # what a tick works with
+            # scratch arrays of a tick
             ("jacobian", np.float64, (6, joints)),
             ("room", np.float64, (6, 6)),  # of ``joint_velocity_with``
             ("wanted_twist_in_base", np.float64, (6,)),
@@ -104,7 +106,10 @@ def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
 
 @lru_cache
 def observation_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """OBSERVATION of so many joints with room for TRACKS_PER_HAND boxes for each of so many hands."""
+    """Return the record type OBSERVATION.
+
+    It has ``joints`` joints, and TRACKS_PER_HAND boxes for each of ``hands`` hands.
+    """
     boxes = TRACKS_PER_HAND * hands
     return np.dtype(
         [
@@ -128,7 +133,7 @@ ANSWER = np.dtype([("stop", np.bool_), ("position_in_base_m", np.float64, (3,))]
 
 @lru_cache
 def command_dtype(joints: int = JOINTS) -> np.dtype[Any]:
-    """COMMAND to an arm with so many joints."""
+    """Return the record type COMMAND for an arm with ``joints`` joints."""
     fields = [("joint_velocity_radps", np.float64, (joints,)), ("protective_stop", np.bool_)]
     return np.dtype(fields, align=True)
 
@@ -148,7 +153,7 @@ FaultRecords = NewType("FaultRecords", Records)  # (n,) FAULT
 
 
 def overhead_transform_sensor_to_base(settings: Settings) -> NDArray[np.float64]:
-    """(4, 4) pose of the fixed hand camera: straight down, image u along base -y, v along -x."""
+    """Return the pose (4, 4) of the fixed hand camera: straight down, image u along base -y, v along -x."""
     transform = np.eye(4)
     transform[:3, :3] = [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
     transform[:3, 3] = settings.hand_sensor.overhead_position_in_base_m
@@ -156,7 +161,7 @@ def overhead_transform_sensor_to_base(settings: Settings) -> NDArray[np.float64]
 
 
 def parameters(settings: Settings, arm: ArmModel, view: DesiredView) -> NDArray[np.void]:
-    """(1,) PARAMETERS from the settings, the arm and the desired view of the object."""
+    """Return the PARAMETERS (1,) of the settings, the arm and the desired view of the object."""
     p = np.zeros(1, parameters_dtype(len(arm.joint_names)))
     p["control_period_s"] = settings.clock.control_period_s
     p["chain"] = arm.chain
@@ -177,7 +182,7 @@ def parameters(settings: Settings, arm: ArmModel, view: DesiredView) -> NDArray[
 
 
 def initial_state(hand_slots: int = HAND_SLOTS[0], joints: int = JOINTS) -> NDArray[np.void]:
-    """(1,) STATE before the first observation: nothing seen, nothing known."""
+    """Return the STATE (1,) before the first observation."""
     s = np.zeros(1, state_dtype(hand_slots, joints))
     s["predicted_distance_m"] = np.inf
     s["nearest_track"] = -1

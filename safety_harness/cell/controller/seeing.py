@@ -1,4 +1,4 @@
-"""What a user's controller sees of an observation, and what its action commands, compiled."""
+"""A user's controller's view of an observation, and the command of its action, compiled."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ SeenRecords = NewType("SeenRecords", NDArray[np.void])  # (1,) SEEN
 
 
 class DrivenRecords(NamedTuple):
-    """All that stands between one episode's observations and the commands of a controller from outside."""
+    """All records between an episode's observations and the commands of an outside controller."""
 
     parameters: ParameterRecords  # (1,) PARAMETERS
     filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
@@ -56,7 +56,7 @@ class DrivenRecords(NamedTuple):
     command: CommandRecords  # (1,) COMMAND
 
 
-_NOTHING = DesiredView(  # of the object, for one who does not see it
+_NOTHING = DesiredView(  # for a controller that does not see the object
     dense=True,
     features=np.full(6, np.nan),
     area=np.nan,
@@ -72,9 +72,14 @@ _NOTHING = DesiredView(  # of the object, for one who does not see it
 def driven_records(
     settings: Settings, arm: ArmModel, view: DesiredView | None, hand_slots: int
 ) -> DrivenRecords:
-    """As an episode begins: nothing seen, no stop that would have to be waited for.
+    """Return the records at the start of an episode: empty views, and no stop with a restart delay.
 
-    ``view`` is read only if the object is seen.
+    Args:
+        settings: The settings.
+        arm: The arm.
+        view: The desired view, necessary only if the controller sees the object.
+        hand_slots: The scenario's number of hands.
+
     """
     joints = len(arm.joint_names)
     records = DrivenRecords(
@@ -101,7 +106,7 @@ def see(
     objects: bool,
     predicts: bool,
 ) -> None:
-    """Fill ``seen`` with what has arrived by now; object and predicted hands only if asked for."""
+    """Fill ``seen`` with everything that has arrived; ``objects`` and ``predicts`` select its parts."""
     p, s, o = parameters[0], states[0], observations[0]
     forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
     copy_matrix(s.link_transforms[p.chain.joint_axes.shape[0] + 1], s.transform_tcp_to_base)
@@ -124,7 +129,10 @@ def show(
     objects: bool,
     predicts: bool,
 ) -> None:
-    """Fill ``seen`` with what the control stack has seen; ``hands``: those of a frame of the sensor."""
+    """Fill ``seen`` with the control stack's perception.
+
+    ``hands``, ``objects`` and ``predicts`` select its parts. The hands come from the sensor's last frame.
+    """
     p, s, o, out = parameters[0], states[0], observations[0], seen[0]
     out.time_s = o.time_s
     copy_vector(o.joint_position_rad, out.joint_position_rad)
@@ -157,7 +165,7 @@ def show(
 def measured_hands(
     filter_parameters: FilterRecords, observations: ObservationRecords, seen: SeenRecords
 ) -> None:
-    """The boxes of a new frame, and the centres of their hands by the sensor's pose of now."""
+    """Fill the boxes of a new frame, and the centres of their hands by the sensor's present pose."""
     f, o, out = filter_parameters[0], observations[0], seen[0]
     out.boxes_time_s = o.boxes_time_s
     out.box_count = out.hand_count = o.box_count
@@ -176,19 +184,20 @@ def measured_hands(
 def spread_of_track(
     filter_parameters: FilterRecords, tracks: TrackRecords, number: int, at_s: float, seen: SeenRecords
 ) -> None:
-    """Velocity (3,) and covariance (6, 6) of position and velocity of a track at ``at_s``, in the base frame.
+    """Fill velocity (3,) and covariance (6, 6) of position and velocity of a track at ``at_s``.
 
-    With p = R g(u, v, z) + t and the Jacobian A of g:  p' = R A (u', v', z'),  and, to first order,
+    Both are in the base frame. With p = R g(u, v, z) + t and the Jacobian A of g:  p' = R A (u', v', z'),
+    and, to first order,
 
         cov = J diag-pairs J^T,   J = R [[A, 0], [0, A]]
 
-    of the pairs' covariances at ``at_s``, in which the rates are as uncertain as the filter says, and grow by
-    its process noise.
+    of the pairs' covariances at ``at_s``. The rates have the filter's uncertainty, which grows by its process
+    noise.
     """
     f, t, out = filter_parameters[0], tracks[number], seen[0]
     dt = at_s - t.time_s
     u, v, z = t.mean[0] + dt * t.mean[5], t.mean[1] + dt * t.mean[6], t.mean[2] + dt * t.mean[7]
-    if not z > 0.0:  # as the position: held where it was
+    if not z > 0.0:  # as ``predict_positions``: the present position
         u, v, z = t.mean[0], t.mean[1], t.mean[2]
     x, y = (u - f.c_u) / f.focal_px, (v - f.c_v) / f.focal_px
     norm = np.sqrt(x * x + y * y + 1.0)
@@ -235,10 +244,10 @@ def obey(
     stop: bool,
     commands: CommandRecords,
 ) -> bool:
-    """The command for an action, within the limits; False, and nothing done, for one that is not finite.
+    """Fill the command for an action, within the limits; return False, without effect, if it is not finite.
 
-    A stop lasts to standstill, and for the restart delay after it was last asked for: before, the drives do
-    not obey.
+    A stop lasts to standstill, and for the restart delay after its last demand. Until then the drives do not
+    obey.
     """
     p, s, o, command = parameters[0], states[0], observations[0], commands[0]
     joints = command.joint_velocity_radps.shape[0]

@@ -1,14 +1,14 @@
 """Speed and separation for every link: the last step of a control tick, behind any controller.
 
-A command is scaled so that the arm, braking from the next tick on, stands before a hand at its greatest speed
-can reach a part that moves.  docs/shield.md has the theorem, its assumptions and its proof; this is its rule,
-with the names of the page: for each hand i
+The shield scales a command. If the arm then brakes from the next tick on, it comes to a stop before a hand at
+its greatest speed can reach a moving part. The theorem, its assumptions and its proof are in docs/shield.md.
+This file is its rule, with the names of that page. For each hand i
 
     s <= (g_i - F - v_h t_0) / (v_h V/a + R),   R = V l + D.L.|u| l + A l^2/2,
     l = P + V/2a,   t_0 = age + P + T_r
 
-with F = sum of V(c) P + D.L.D/2 over the commands c that may still be on their way, and of a hand that cannot
-speed up at once (acceleration at most b, seen no faster than w), also if
+with F = sum of V(c) P + D.L.D/2 over the commands c that may still be on their way. For a hand that cannot
+speed up at once (acceleration at most b, seen no faster than w), it suffices that
 
     w t + b t^2/2 + F + s R <= g_i,   t = t_0 + s V/a.
 """
@@ -54,34 +54,37 @@ Interventions = NewType("Interventions", Records)  # (n,) INTERVENTION, one a ti
 
 @lru_cache
 def shield_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """SHIELD of an arm with so many joints, with room for TRACKS_PER_HAND boxes for each of so many hands."""
+    """Return the record type SHIELD.
+
+    It has ``joints`` joints, and TRACKS_PER_HAND boxes for each of ``hands`` hands.
+    """
     boxes = TRACKS_PER_HAND * hands
     return np.dtype(
         [
             ("hand_speed_mps", np.float64),
-            ("hand_acceleration_mps2", np.float64),  # infinite: any
+            ("hand_acceleration_mps2", np.float64),  # infinite: without a bound
             ("body_m", np.float64),
             ("uncertainty_m", np.float64),
             ("reaction_time_s", np.float64),  # in whole control periods
             ("deceleration_mps2", np.float64),
-            ("window_s", np.float64),  # over which the speed of a hand is measured, at least
+            ("window_s", np.float64),  # the least span of a measurement of a hand's speed
             ("reach_m", np.float64, (joints,)),  # of ``chain_lengths``
-            # how boxes become places
+            # for the positions of boxes
             ("transform_sensor_to_base", np.float64, (4, 4)),
             ("focal_px", np.float64),
             ("c_u", np.float64),
             ("c_v", np.float64),
             ("assumed_radius_m", np.float64),
-            # the last frame that showed all hands, and two before it: what is remembered
+            # memory: the last frame that showed all hands, and two before it
             ("taken_s", np.float64, (3,)),  # -inf: never
             ("count", np.int64, (3,)),
             ("hand_in_base_m", np.float64, (3, boxes, 3)),
-            ("speed_mps", np.float64, (boxes,)),  # of each hand of the last, at most
-            # the command of the tick before, and how long the arm brakes from it
+            ("speed_mps", np.float64, (boxes,)),  # a bound for each hand of the last frame
+            # the command of the tick before, and the arm's braking time from it
             ("last_radps", np.float64, (joints,)),
             ("stop_s", np.float64),
-            # what a tick works with
-            ("flight_rad", np.float64, (joints,)),  # how far each joint may turn by commands on their way
+            # scratch arrays of a tick
+            ("flight_rad", np.float64, (joints,)),  # the largest turn of each joint by commands on their way
             ("clearance_m", np.float64, (boxes,)),
             ("capsule", np.int64, (boxes,)),
             ("twists", np.float64, (joints + 1, 6)),
@@ -93,7 +96,7 @@ def shield_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
 
 
 class Guard(NamedTuple):
-    """A shield in one run, as ``act`` takes it: all empty where there is none."""
+    """A shield in a run, as ``act`` takes it; all arrays are empty without a shield."""
 
     shield: ShieldRecords  # (1,) SHIELD
     interventions: Interventions  # (n,) INTERVENTION
@@ -108,7 +111,19 @@ def guard_of(
     ticks: int,
     hand_slots: int = HAND_SLOTS[0],
 ) -> Guard:
-    """For a run of so many ticks, nothing seen and the arm at rest; without a ``shield`` an empty one."""
+    """Return the shield's records for a run of ``ticks`` ticks, with the arm at rest and no frame yet.
+
+    Without a ``shield`` they are empty.
+
+    Args:
+        shield: The scenario's shield, if any.
+        settings: The settings, for the control period and the sensor.
+        arm: The arm.
+        capsules: Its capsules.
+        ticks: The number of ticks.
+        hand_slots: The scenario's number of hands.
+
+    """
     joints = len(arm.joint_names)
     if shield is None:
         return no_guard(hand_slots, joints)
@@ -132,7 +147,7 @@ def guard_of(
 
 
 def no_guard(hand_slots: int = HAND_SLOTS[0], joints: int = JOINTS) -> Guard:
-    """No shield: of the same types, and empty."""
+    """Return empty records of the same types, for a run without a shield."""
     return Guard(
         ShieldRecords(np.zeros(0, shield_dtype(hand_slots, joints))),
         Interventions(np.zeros(0, intervention_dtype(hand_slots, joints))),
@@ -151,10 +166,10 @@ def keep_apart(
     commands: CommandRecords,
     tick: int,
 ) -> None:
-    """Scale the command of this tick, or brake along the way of the last one; a NaN brakes.
+    """Scale the command of this tick, or brake along the path of the last one; a NaN brakes.
 
-    A stop that the controller asks for is braked here and handed to the drives at standstill: their own
-    begins with the reaction time, in which the arm would go on.
+    The shield also brakes for a stop that the controller demands, and passes the stop to the drives at
+    standstill. The drives' own stop begins with the reaction time, in which the arm would go on.
     """
     p, s, g, command = parameters[0], states[0], shields[0], commands[0]
     joints, period_s = command.joint_velocity_radps.shape[0], p.control_period_s
@@ -162,7 +177,7 @@ def keep_apart(
         take_frame(shields, observations)
     axes, transforms, wanted_radps = p.chain.joint_axes, s.link_transforms, command.joint_velocity_radps
     flight_m = in_flight(axes, transforms, shields, interventions, capsules, tick, period_s)
-    share, by, stop_s = 1.0, -1, 0.0
+    share, capsule, stop_s = 1.0, -1, 0.0
     if not command.protective_stop:
         clearances(transforms, shields, capsules)
         fastest_mps = fastest_point(axes, transforms, wanted_radps, shields, capsules)
@@ -171,15 +186,15 @@ def keep_apart(
         for i in range(joints):
             moves = moves or wanted_radps[i] != 0.0
         if moves:
-            share, by = allowed_share(
+            share, capsule = allowed_share(
                 shields, wanted_radps, fastest_mps, flight_m, period_s, observations[0].time_s
             )
-        if not stop_s < np.inf:  # something is no number, and no command that is scaled would be one
+        if not stop_s < np.inf:  # a NaN or infinity somewhere, which a scaled command would contain too
             share, stop_s = 0.0, np.nan
     left_s = g.stop_s - period_s
     if command.protective_stop or (share < 1.0 and not share * stop_s >= left_s):
         kept = left_s / g.stop_s if left_s > 0.0 else 0.0
-        # The drives go on with what they did: the latest command that none has to have replaced yet.
+        # The drives may still execute the latest command that no later command must have replaced yet.
         stands, done_with = True, max(tick - 1 - round(g.reaction_time_s / period_s), 0)
         for i in range(joints):
             stands = stands and g.last_radps[i] == 0.0 and g.flight_rad[i] == 0.0
@@ -193,13 +208,13 @@ def keep_apart(
         g.stop_s = share * stop_s
     copy_vector(command.joint_velocity_radps, g.last_radps)
     done = interventions[tick]
-    done.scale, done.capsule, done.taken_s, done.count = share, by, g.taken_s[0], g.count[0]
+    done.scale, done.capsule, done.taken_s, done.count = share, capsule, g.taken_s[0], g.count[0]
     copy_vector(command.joint_velocity_radps, done.sent_radps)
     for k in range(g.count[0]):
         copy_vector(g.hand_in_base_m[0, k], done.hand_in_base_m[k])
     if share < 1.0:
         s.limits |= LIMIT_SHIELD
-        for i in range(6):  # the controller goes on from what the arm does, not from what it wanted
+        for i in range(6):  # the controller continues from the arm's motion, not from its own demand
             s.previous_twist_in_base[i] = 0.0
             for j in range(joints):
                 s.previous_twist_in_base[i] += s.jacobian[i, j] * command.joint_velocity_radps[j]
@@ -215,9 +230,10 @@ def in_flight(
     tick: int,
     period_s: float,
 ) -> float:
-    """How far the commands of the last reaction time may still take a point, were an axis' way straight.
+    """Return how far [m] the commands of the last reaction time may still take a point along a straight path.
 
-    Fills how far they may turn each joint: none is carried out more than once, and each within that time.
+    Fills the largest turn of each joint by them: the drives execute each command at most once, and within
+    that time.
     """
     g, flight_m = shields[0], 0.0
     g.flight_rad[:] = 0.0
@@ -233,7 +249,7 @@ def in_flight(
 
 @inlined
 def middle_of(capsules: CapsuleRecords, k: int, transforms: NDArray[np.float64], middle: Array3) -> float:
-    """Return half the length of a capsule's axis; ``middle`` (3,) is filled, in the base frame.
+    """Fill the middle (3,) of a capsule's axis in the base frame, and return half the length of the axis.
 
     ``transforms`` (frames, 4, 4) are from each frame to base.
     """
@@ -255,9 +271,9 @@ def fastest_point(
     shields: ShieldRecords,
     capsules: CapsuleRecords,
 ) -> float:
-    """A bound V of the speed of every point of an axis; NaN if one is.
+    """Return a bound V of the speed of every point of an axis; NaN if a speed is NaN.
 
-    No point of an axis is faster than its middle by more than |w| times half its length.
+    A point of an axis is faster than its middle by at most |w| times half its length.
     """
     g, fastest_mps, joints = shields[0], 0.0, joint_axes.shape[0]
     link_twists(joint_axes, transforms, rates_radps, g.twists)
@@ -269,7 +285,7 @@ def fastest_point(
         x, y, z = point_velocity(twist, g.in_sensor)
         turn = sqrt(twist[0] * twist[0] + twist[1] * twist[1] + twist[2] * twist[2])
         speed_mps = sqrt(x * x + y * y + z * z) + turn * half_m
-        if speed_mps > fastest_mps or isnan(speed_mps):  # once a NaN, it stays one
+        if speed_mps > fastest_mps or isnan(speed_mps):  # a NaN stays until the end
             fastest_mps = speed_mps
     return fastest_mps
 
@@ -280,16 +296,16 @@ def clearances(
     shields: ShieldRecords,
     capsules: CapsuleRecords,
 ) -> None:
-    """Fill how far each hand is from the arm, and from what of it.
+    """Fill each hand's distance from the arm, with the nearest capsule.
 
-    That is from the surface of what can move, all but the base, to the measured centre of the hand.  No point
-    of an axis is farther from its middle than half its length: most parts are passed over.
+    It is from the surface of all moving parts, without the base, to the measured centre of the hand. Every
+    point of an axis is within half its length of its middle, so the loop skips most parts.
     """
     g = shields[0]
     for i in range(g.count[0]):
         g.clearance_m[i], g.capsule[i] = np.inf, -1
     middle = g.in_sensor
-    for k in range(capsules.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
+    for k in range(capsules.shape[0] - 1, -1, -1):  # the arm's end first: usually the nearest
         capsule = capsules[k]
         if capsule.link_index == 0:
             continue  # the base stands
@@ -298,8 +314,8 @@ def clearances(
             hand, away = g.hand_in_base_m[0, i], 0.0
             for n in range(3):
                 away += (hand[n] - middle[n]) * (hand[n] - middle[n])
-            within = g.clearance_m[i] + around_m
-            if within > 0.0 and away >= within * within:
+            bound_m = g.clearance_m[i] + around_m
+            if bound_m > 0.0 and away >= bound_m * bound_m:
                 continue
             if not placed:
                 place_capsules(capsules[k : k + 1], transforms, g.ends)
@@ -318,9 +334,9 @@ def allowed_share(
     period_s: float,
     time_s: float,
 ) -> tuple[float, int]:
-    """The share s of the command that is let through, and the capsule that says so; -1 for want of a frame.
+    """Return the allowed share s of the command, and the capsule that determines it; -1 without a frame.
 
-    ``flight_m`` is of ``in_flight``.
+    ``flight_m`` comes from ``in_flight``.
     """
     g = shields[0]
     if not g.taken_s[0] > -np.inf:
@@ -328,17 +344,17 @@ def allowed_share(
     stop_s = fastest_mps / g.deceleration_mps2
     hold_s = period_s + g.reaction_time_s
     way_s = period_s + 0.5 * stop_s
-    bend, cross, flown, before, before_rad = 0.0, 0.0, 0.0, 0.0, 0.0  # A, D.L.|u|, D.L.D
+    bend, cross, flown, rate_sum, turn_sum_rad = 0.0, 0.0, 0.0, 0.0, 0.0  # A, D.L.|u|, D.L.D
     for j in range(rates_radps.shape[0]):
         rate, turn_rad, reach_m = abs(rates_radps[j]), g.flight_rad[j], g.reach_m[j]
-        bend += rate * reach_m * (rate + 2.0 * before)
-        cross += reach_m * (turn_rad * (rate + before) + rate * before_rad)
-        flown += turn_rad * reach_m * (turn_rad + 2.0 * before_rad)
-        before += rate
-        before_rad += turn_rad
+        bend += rate * reach_m * (rate + 2.0 * rate_sum)
+        cross += reach_m * (turn_rad * (rate + rate_sum) + rate * turn_sum_rad)
+        flown += turn_rad * reach_m * (turn_rad + 2.0 * turn_sum_rad)
+        rate_sum += rate
+        turn_sum_rad += turn_rad
     robot_m = (fastest_mps + cross) * way_s + 0.5 * bend * way_s * way_s
     known_s = time_s - g.taken_s[0] + hold_s
-    share, by = 1.0, -1
+    share, capsule = 1.0, -1
     for i in range(g.count[0]):
         free_m = g.clearance_m[i] - g.body_m - g.uncertainty_m - (flight_m + 0.5 * flown)
         seen = g.speed_mps[i]
@@ -346,15 +362,18 @@ def allowed_share(
         if g.hand_acceleration_mps2 < np.inf:
             own = max(own, share_within(free_m, robot_m, known_s, stop_s, seen, g.hand_acceleration_mps2))
         if not own >= share:
-            share, by = own, g.capsule[i]
-    return share, by
+            share, capsule = own, g.capsule[i]
+    return share, capsule
 
 
 @inlined
 def share_within(
     free_m: float, robot_m: float, known_s: float, stop_s: float, hand_mps: float, hand_mps2: float
 ) -> float:
-    """The largest s with w t + b t^2/2 + s R within ``free_m``, t = t_0 + s V/a; 0 for none, or a NaN."""
+    """Return the largest s with w t + b t^2/2 + s R within ``free_m``, t = t_0 + s V/a.
+
+    0 without such an s, or for a NaN.
+    """
     room_m = free_m - hand_mps * known_s - 0.5 * hand_mps2 * known_s * known_s
     if not room_m > 0.0:
         return 0.0
@@ -365,7 +384,7 @@ def share_within(
 
 @njit_no_nrt
 def take_frame(shields: ShieldRecords, observations: ObservationRecords) -> None:
-    """Remember the hands of a new frame, unless it shows fewer than the last: those then stay, and age."""
+    """Store the hands of a new frame, unless it shows fewer than the last: then those stay, and age."""
     g, o = shields[0], observations[0]
     if o.box_count < g.count[0]:
         return
@@ -382,13 +401,13 @@ def take_frame(shields: ShieldRecords, observations: ObservationRecords) -> None
 
 @inlined
 def measure_speeds(shields: ShieldRecords) -> None:
-    """How fast each hand of the last frame is at most, by a frame of at least the window before it.
+    """Fill a bound of the speed of each hand of the last frame, from a frame at least the window before it.
 
-    |v| <= (|p - p_before| + 2 Z)/t + b t/2.  Which hand was which is not known: the farthest counts
-    that it can have been.
+    |v| <= (|p - p_before| + 2 Z)/t + b t/2. The identity of the hands is unknown, so the farthest possible
+    one counts.
     """
     g = shields[0]
-    if g.taken_s[0] - g.taken_s[1] >= g.window_s:  # the second becomes the one before, this the second
+    if g.taken_s[0] - g.taken_s[1] >= g.window_s:  # frame 1 becomes frame 2, and this frame 1
         for later in range(1, -1, -1):
             g.taken_s[later + 1], g.count[later + 1] = g.taken_s[later], g.count[later]
             for k in range(g.count[later]):
@@ -396,10 +415,10 @@ def measure_speeds(shields: ShieldRecords) -> None:
     span_s, doubt_m = g.taken_s[0] - g.taken_s[2], 2.0 * g.uncertainty_m
     for k in range(g.count[0]):
         farthest_m = -1.0
-        for other in range(g.count[2]):
+        for earlier in range(g.count[2]):
             total = 0.0
             for i in range(3):
-                total += (g.hand_in_base_m[0, k, i] - g.hand_in_base_m[2, other, i]) ** 2
+                total += (g.hand_in_base_m[0, k, i] - g.hand_in_base_m[2, earlier, i]) ** 2
             if sqrt(total) <= g.hand_speed_mps * span_s + doubt_m:
                 farthest_m = max(farthest_m, sqrt(total))
         g.speed_mps[k] = g.hand_speed_mps

@@ -1,8 +1,8 @@
-"""The compiled control stack: ``begin_tick`` looks, ``finish_tick`` acts.
+"""The compiled control stack: ``begin_tick`` perceives, ``finish_tick`` acts.
 
-Between the two a decision is made, if one is needed, by anything that can make one: in
-``controller`` one at a time, in a batch for many episodes at once.  Both worlds call exactly
-these two functions; the state table is docs/state-table.md.
+Between the two comes a decision, if necessary, from any maker of decisions. ``controller`` makes them one by
+one, or in a batch for many episodes. Both worlds call exactly these two functions. docs/state-table.md has
+the state table.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def begin_tick(
     tracks: TrackRecords,  # (tracks,) TRACK
     observations: ObservationRecords,  # (1,) OBSERVATION
 ) -> bool:
-    """Take in an observation; True if a decision is needed before ``finish_tick``."""
+    """Take in an observation; return True if ``finish_tick`` needs a decision."""
     p, s, o = parameters[0], states[0], observations[0]
     if not s.placed:
         forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
@@ -65,7 +65,7 @@ def begin_tick(
 
 @njit_no_nrt
 def see_object(parameters: ParameterRecords, states: StateRecords, observations: ObservationRecords) -> None:
-    """Features f (eqs. 3 to 5), e = f - f*, |e|^2 (eq. 15) of a new image; between images the last stand."""
+    """Set features f (eqs. 3 to 5), e = f - f* and |e|^2 (eq. 15) of a new image; else keep the last ones."""
     p, s, o = parameters[0], states[0], observations[0]
     if not o.image_new:
         return
@@ -90,9 +90,9 @@ def see_hands(
     tracks: TrackRecords,
     observations: ObservationRecords,
 ) -> None:
-    """Filter the boxes (eqs. 7, 8), predict each hand at now + horizon, find the nearest to the TCP.
+    """Filter the boxes (eqs. 7, 8), predict each hand at now + horizon, and find the nearest to the TCP.
 
-    The sensor's pose is that of the flange's camera, T_tcp_to_base T_camera_to_tcp, or fixed.
+    The sensor's pose is fixed, or T_tcp_to_base T_camera_to_tcp of the camera on the flange.
     """
     p, s, o = parameters[0], states[0], observations[0]
     if o.boxes_new:
@@ -114,7 +114,7 @@ def see_hands(
     for i in range(tracks.shape[0]):
         if s.track_valid[i]:
             distance = way_to_tcp(states, s.predicted_hand_in_base_m[i])
-            # a NaN counts as nearest, and nothing is nearer: it must not hide
+            # a NaN must not hide: it counts as the nearest
             if not (distance >= s.predicted_distance_m or np.isnan(s.predicted_distance_m)):
                 s.predicted_distance_m = distance
                 s.nearest_track = i
@@ -125,14 +125,14 @@ def see_hands(
 
 @inlined
 def hand_inside(parameters: ParameterRecords, states: StateRecords, track: int) -> bool:
-    """Is a tracked hand within the critical distance, |h - t| < d_crit?  One whose distance is NaN is."""
+    """Return whether a tracked hand is within the critical distance, |h - t| < d_crit; also for NaN."""
     way_m = way_to_tcp(states, states[0].predicted_hand_in_base_m[track])
     return not way_m >= parameters[0].critical_distance_m
 
 
 @inlined
 def way_to_tcp(states: StateRecords, position_in_base_m: Array3) -> float:
-    """|p - t| [m] of a position p, a hand's predicted centre say, and the TCP t, both in the base frame."""
+    """Return |p - t| [m] of a position p, such as a predicted hand, and the TCP t, both in the base frame."""
     s = states[0]
     total = 0.0
     for i in range(3):
@@ -145,7 +145,7 @@ def way_to_tcp(states: StateRecords, position_in_base_m: Array3) -> float:
 def decide_mode(
     parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords, observations: ObservationRecords
 ) -> bool:
-    """The transitions that need no decision; True (with the trigger set) where one is needed.
+    """Make the transitions that need no decision; return True, with the trigger set, if one is necessary.
 
     docs/state-table.md has them as a table.
     """
@@ -181,7 +181,7 @@ def decide_mode(
 
 @njit_no_nrt
 def unknown_hand_inside(parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords) -> bool:
-    """Is a hand within the distance that was not there when the last decision was made?"""
+    """Return whether a hand is within the critical distance that was not there at the last decision."""
     s = states[0]
     for i in range(tracks.shape[0]):
         if s.track_valid[i] and hand_inside(parameters, states, i):
@@ -195,11 +195,11 @@ def unknown_hand_inside(parameters: ParameterRecords, states: StateRecords, trac
 
 @njit_no_nrt
 def remember_hands(parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords) -> None:
-    """Note which hands are within the critical distance as a decision is made."""
+    """Store the hands within the critical distance at a decision."""
     s = states[0]
     for i in range(tracks.shape[0]):
-        within = s.track_valid[i] and hand_inside(parameters, states, i)
-        s.known_track_ids[i] = tracks[i].id if within else -1
+        is_inside = s.track_valid[i] and hand_inside(parameters, states, i)
+        s.known_track_ids[i] = tracks[i].id if is_inside else -1
 
 
 @njit_no_nrt
@@ -210,9 +210,9 @@ def finish_tick(
     answers: AnswerRecords,  # (1,) ANSWER; read only if a decision is pending
     commands: CommandRecords,  # (1,) COMMAND
 ) -> None:
-    """Act on the answer, if one was asked for, and command the arm for this tick.
+    """Act on the answer, if a decision is pending, and command the arm for this tick.
 
-    The wanted twist is that of eq. 1, of the way to the repulsive position, or none.
+    The wanted twist is eq. 1, the path to the repulsive position, or zero.
     """
     p, s, answer = parameters[0], states[0], answers[0]
     if s.decision_pending:
@@ -241,7 +241,7 @@ def finish_tick(
 
 @inlined
 def clip_joints(parameters: ParameterRecords, rates_radps: ArrayN) -> None:
-    """Cut joint speeds at their limits, of which a scaled one may be the float above."""
+    """Cut joint speeds at their limits; after scaling, rounding may leave a speed one float above."""
     limit_radps = parameters[0].joint_velocity_limit_radps
     for i in range(rates_radps.shape[0]):
         if abs(rates_radps[i]) > limit_radps[i]:
@@ -257,12 +257,12 @@ def command_arm(
     acceleration_mps2: float,
     commands: CommandRecords,
 ) -> None:
-    """Command the wanted twist, which is bounded (``shaped``), by the Jacobian of now.
+    """Command the wanted twist, bounded by ``shaped``, with the present Jacobian.
 
         q' = k J^-1 (v, w),   k = min(1, min_i limit_i/|q'_i|),
 
-    so that a joint at its limit slows all down and the TCP keeps its direction.  What rounding leaves above a
-    limit is cut (``clip_joints``).  Near a singularity (``joint_velocity``) a protective stop.
+    so a joint at its limit slows all joints down and the TCP keeps its direction. ``clip_joints`` removes any
+    excess by rounding. Near a singularity (``joint_velocity``) the result is a protective stop.
     """
     p, s, o, command = parameters[0], states[0], observations[0], commands[0]
     jacobian, wanted, twist = s.jacobian, s.wanted_twist_in_base, s.twist_in_base
@@ -284,7 +284,7 @@ def command_arm(
         command.joint_velocity_radps[i] *= scale
     clip_joints(parameters, command.joint_velocity_radps)
     for i in range(6):
-        # while stopped the drives rule: go on from what the arm really does
+        # during a stop the drives decide: continue from the arm's real motion
         total = scale * twist[i]
         if command.protective_stop:
             total = 0.0

@@ -1,4 +1,4 @@
-"""The simplest controller that ships: straight to the desired TCP, and a stop while a hand is near."""
+"""The simplest shipped controller: straight to the desired TCP, with a stop while a hand is near."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _GOING, _STOPPED = Report(mode=Mode.SERVOING), Report(mode=Mode.PROTECTIVE_STOP)
 
 
 class StopWhenNear:
-    """Servoes by the encoders alone, v = g (t* - t), w = g r, with r the rotation vector to the desired pose.
+    """Servoing by the encoders alone, v = g (t* - t), w = g r.
 
-    g is the settings' ``gain_far``.  It stops while any hand of the sensor's last frame is within the
-    critical distance of the TCP.
+    r is the rotation vector to the desired pose, and g the settings' ``gain_far``. The controller stops while
+    any hand of the sensor's last frame is within the critical distance of the TCP.
     """
 
     name = "stop when near"
@@ -40,22 +40,22 @@ class StopWhenNear:
     reports = (MODE,)
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
-        """Take over where to go, how fast, and how near is near."""
+        """Read the target, the gain and the critical distance from the settings."""
         self._target_in_base_m = np.array(settings.cell.desired_tcp_position_in_base_m)
         self._gain = settings.servo.gain_far
         self._near_m = settings.avoidance.critical_distance_m
         self._numbers = (*self._target_in_base_m.tolist(), self._gain, self._near_m)
 
     def another(self) -> StopWhenNear:
-        """One more, for an episode beside."""
+        """Return a further controller, for an episode in another lane."""
         return StopWhenNear()
 
     def act(self, seen: Seen) -> Action:
-        """Stop, or on towards the desired pose."""
+        """Return a stop, or a move towards the desired pose."""
         tcp = seen.tcp_position_in_base_m
         for hand in seen.hands:
-            way = hand.position_in_base_m - tcp
-            if not way @ way >= self._near_m**2:  # one whose distance is NaN is near
+            offset = hand.position_in_base_m - tcp
+            if not offset @ offset >= self._near_m**2:  # true of a NaN: such a hand counts as near
                 return Stop(report=_STOPPED)
         return Move(
             tcp_velocity_mps=self._gain * (self._target_in_base_m - tcp),
@@ -65,13 +65,19 @@ class StopWhenNear:
 
     @staticmethod
     def act_many(controllers: Sequence[StopWhenNear], seen: Mapping[str, NDArray[Any]]) -> Moves:
-        """As ``act`` of each, to the last bit."""
-        numbers = np.array([one._numbers for one in controllers])
+        """Return the moves of ``act`` for each controller, to the last bit.
+
+        Args:
+            controllers: The controllers (n,).
+            seen: Their views, by name, n rows each.
+
+        """
+        numbers = np.array([controller._numbers for controller in controllers])
         target, gains, near_m = numbers[:, :3], numbers[:, 3:4], numbers[:, 4:]
         tcp = seen["tcp_position_in_base_m"]
-        way = np.ascontiguousarray(seen["hands"] - tcp[:, None])
-        near = ~(_squared(way) >= near_m**2) & (seen["hands_there"] != 0)
-        stop = near.any(axis=1)
+        offset = np.ascontiguousarray(seen["hands"] - tcp[:, None])
+        is_near = ~(_squared(offset) >= near_m**2) & (seen["hands_there"] != 0)
+        stop = is_near.any(axis=1)
         return Moves(
             tcp_velocity_mps=gains * (target - tcp),
             tcp_angular_velocity_radps=gains * _turns(seen["transform_tcp_to_base"]),
@@ -81,13 +87,13 @@ class StopWhenNear:
 
 
 def _squared(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(...,) of (..., 3), the bits of ``v @ v`` of each."""
-    found: NDArray[np.float64] = (vectors[..., None, :] @ vectors[..., :, None])[..., 0, 0]
-    return found
+    """Return the squares (...,) of vectors (..., 3), with the bits of ``v @ v``."""
+    squares: NDArray[np.float64] = (vectors[..., None, :] @ vectors[..., :, None])[..., 0, 0]
+    return squares
 
 
 def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3,) rotation vector in the base frame from the TCP's orientation to looking straight down."""
+    """Return the rotation vector (3,) in the base frame from the TCP's orientation to straight down."""
     x, y, z, _ = transform_tcp_to_base.tolist()  # of diag(1, -1, -1) R^T, of less than half a turn
     axis = np.array([0.5 * (z[1] - y[2]), 0.5 * (z[0] + x[2]), -0.5 * (x[1] + y[0])])
     sine = math.sqrt(axis @ axis)
@@ -96,7 +102,10 @@ def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _turns(transforms_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 3) of (n, 4, 4), the bits of ``_turn`` of each: the angle by the same function."""
+    """Return the rotation vectors (n, 3) of transforms (n, 4, 4), with the bits of ``_turn``.
+
+    Each angle comes from the same function.
+    """
     x, y, z = (transforms_tcp_to_base[:, row] for row in range(3))
     halves = 0.5 * (z[:, 1] - y[:, 2]), 0.5 * (z[:, 0] + x[:, 2]), -0.5 * (x[:, 1] + y[:, 0])
     axis = np.stack(halves, axis=1)

@@ -1,8 +1,8 @@
-"""From a colour and a depth image to the bounding boxes of hands: the seam for a user's detector.
+"""The bounding boxes of hands in a colour and a depth image: the interface for a user's detector.
 
-The paper's detector is a YOLO network.  The one here needs no network: the simulator paints its
-hands in a colour that nothing else in the cell has.  Any object with a ``detect`` method like
-that of ``BoundingBoxDetector`` takes its place; a YOLO exported to ONNX, say:
+The paper's detector is a YOLO network. The detector here needs no network: the simulator paints only its
+hands in this colour. Any object with a ``detect`` method like that of ``BoundingBoxDetector`` can replace it,
+such as a YOLO network exported to ONNX:
 
     class YoloDetector:
         def __init__(self, file: Path) -> None:
@@ -17,14 +17,13 @@ that of ``BoundingBoxDetector`` takes its place; a YOLO exported to ONNX, say:
                 rows.append((u_px, v_px, z_m, width * height, width / height))
             return np.array(rows).reshape(-1, 5)
 
-Note the half pixel: ``left`` and ``right`` are edges here, as most networks give them, and edge 0
-is the left edge of pixel 0, whose *centre* is at u = 0.  A detector should be
-stateless from frame to frame: the tracks hold the state, and a run can then be repeated.
+Note the half pixel: ``left`` and ``right`` are edges here, as most networks give them. Edge 0 is the boundary
+before pixel 0, whose *centre* is at u = 0. A detector should be stateless from frame to frame. The tracks
+hold the state, so that you can repeat a run.
 
-The object's pixels are found by thresholding, as in the paper (OpenCV).  It is nearly black on a light table.
-Nothing else that may come into view is: black is what is dark in *every* colour channel, so that the order
-of the channels does not matter and a blue sleeve, whose brightness is low but whose blue is not, is
-distinguished.
+A threshold finds the object's pixels, as in the paper (OpenCV). In view, only the object is nearly black, on
+a light table. Black means dark in *every* colour channel, so the order of the channels does not matter. A
+blue sleeve has a low brightness but a high blue, so it does not count as black.
 """
 
 from __future__ import annotations
@@ -38,13 +37,13 @@ from safety_harness.base.exceptions import SimulationError
 from safety_harness.base.extras import IMAGES
 from safety_harness.cell.perception.hand_boxes import BOX_LENGTH
 
-# What the simulator paints.  Hues (OpenCV's scale of 0 to 179): hand 12, sleeve 113.
+# The simulator's paint.  Hues (OpenCV's scale of 0 to 179): hand 12, sleeve 113.
 HAND_COLOUR_RGBA = (0.87, 0.67, 0.53, 1.0)
 SLEEVE_COLOUR_RGBA = (0.15, 0.25, 0.60, 1.0)
 
-# What counts as skin: hue, saturation and value, each from 0 to 255 but the hue, both ends
-# included.  Shading changes the value only, so hue and saturation decide; grey, white and black
-# things have hardly any saturation, and the blue ones a hue far away.
+# The range of skin, ends included: hue from 0 to 179, saturation and value from 0 to 255.
+# Shading changes the value only, so hue and saturation decide.  Grey, white and black
+# things have hardly any saturation, and blue things a very different hue.
 SKIN_HSV_LEAST = (4, 60, 40)
 SKIN_HSV_GREATEST = (22, 180, 255)
 
@@ -52,7 +51,7 @@ SKIN_HSV_GREATEST = (22, 180, 255)
 OBJECT_RGB = (20, 20, 20)
 TABLE_RGB = (225, 220, 210)
 
-# Three times the object's own brightness, and what is left of the sleeve's blue in 30 % of the light.
+# Three times the object's own brightness, and less than the sleeve's blue in 30 % of the light.
 OBJECT_BRIGHTEST = 60
 # A smaller region is a speck: the default object covers some 4,800 pixels from 0.65 m, and still 200
 # from 3 m.
@@ -63,7 +62,7 @@ DEPTH_SAMPLES = 9
 
 
 class BoundingBoxDetector(Protocol):
-    """What finds hands in one frame of the hand sensor."""
+    """A detector of hands in a frame of the hand sensor."""
 
     def detect(
         self,
@@ -72,23 +71,28 @@ class BoundingBoxDetector(Protocol):
     ) -> NDArray[np.float64]:
         """Return the boxes (k, 5) of all hands: u_px, v_px, z_m, area_px2, width/height.
 
-        Integer coordinates are pixel centres.  z is the depth of the surface seen at the box's
-        centre.  Rows without a finite, positive depth are not used; k may be 0.
+        Integer coordinates are pixel centres. z is the depth of the surface at the box's centre. The harness
+        ignores rows without a finite, positive depth; k may be 0.
+
+        Args:
+            colour: The colour image.
+            depth_m: The depth image.
+
         """
         ...
 
 
 def opencv() -> Any:
-    """The module cv2, which only rendered images need; MissingPackageError where it is not installed."""
+    """Return the module cv2, which only rendered images need; ``MissingPackageError`` without it."""
     with IMAGES.needed("rendered images"):
         import cv2
     return cv2
 
 
 class SkinColourDetector:
-    """Finds connected skin-coloured areas.
+    """A detector of connected skin-coloured areas.
 
-    A hand that something narrow crosses comes out as two boxes: one hand too many, not one too few.
+    A hand behind something narrow gives two boxes: one hand too many, not one too few.
     """
 
     def __init__(self, most: int = 4) -> None:
@@ -101,9 +105,14 @@ class SkinColourDetector:
     ) -> NDArray[np.float64]:  # (k, 5)
         """Return the boxes of the ``most`` largest skin-coloured areas of at least ``MINIMUM_AREA_PX``.
 
-        Largest first; areas without any known depth are left out.  The depth is the median over
-        the nine pixels of the area with a known depth that are nearest to the box's centre: the
-        3 x 3 window around it, unless part of that is hidden or without a depth.
+        Largest first, without the areas that have no known depth. The depth is the median over the nine
+        pixels of the area with a known depth that are nearest to the box's centre. These are the 3 x 3 window
+        around it, unless part of that is hidden or without a depth.
+
+        Args:
+            colour: The colour image.
+            depth_m: The depth image.
+
         """
         cv2 = opencv()
         hsv = cv2.cvtColor(colour, cv2.COLOR_RGB2HSV)
@@ -126,9 +135,10 @@ class SkinColourDetector:
 def _depth_near(
     area: NDArray[np.bool_], depth_m: NDArray[np.float64], u_px: float, v_px: float
 ) -> float | None:
-    """Median over the ``DEPTH_SAMPLES`` pixels of ``area`` with a depth that are nearest to (u, v) [m].
+    """Return the median over the ``DEPTH_SAMPLES`` pixels of ``area`` that are nearest to (u, v) [m].
 
-    ``area`` is (h, w); ``depth_m`` (h, w) is 0 or not finite where it is unknown; None if it is everywhere.
+    Only pixels with a depth count. ``area`` is (h, w). ``depth_m`` (h, w) is 0 or not finite where it is
+    unknown. None if it is unknown everywhere.
     """
     v, u = np.nonzero(area & np.isfinite(depth_m) & (depth_m > 0.0))
     if u.size == 0:
@@ -138,10 +148,17 @@ def _depth_near(
 
 
 def copy_detections(boxes: NDArray[np.float64], boxes_out: NDArray[np.float64]) -> int:
-    """Copy what a detector returned into ``boxes_out`` (n, 5); return how many.
+    """Copy a detector's result into ``boxes_out`` (n, 5) and return the number of rows.
 
-    Of more than n the largest in the image are kept, in the detector's order.
-    Raises ``SimulationError`` if ``boxes`` (k, 5) is not an array of numbers of this shape.
+    If there are more than n boxes, it keeps the largest in the image, in the detector's order.
+
+    Args:
+        boxes: The detector's result (k, 5).
+        boxes_out: The rows to fill (n, 5).
+
+    Raises:
+        SimulationError: ``boxes`` (k, 5) is not an array of numbers of this shape.
+
     """
     try:
         rows = np.asarray(boxes, np.float64)
@@ -158,11 +175,11 @@ def copy_detections(boxes: NDArray[np.float64], boxes_out: NDArray[np.float64]) 
 
 
 def object_mask(colour: NDArray[np.uint8]) -> NDArray[np.uint8]:  # (h, w, 3) -> (h, w)
-    """1 on the object's pixels, 0 elsewhere; all 0 if no complete object is in view.
+    """Return 1 on the object's pixels and 0 on the rest; all 0 if no complete object is in view.
 
-    The object is the largest connected black region that does not touch the image border: one
-    that does may be cropped, and a cropped triangle can have the features of a whole one.  A hand
-    in front of the object is not noticed as such: it cuts the region or changes its shape.
+    The object is the largest connected black region that does not touch the image border. The border may crop
+    a region that touches it, and a cropped triangle can have the features of a whole triangle. The function
+    does not notice a hand in front of the object: the hand cuts the region or changes its shape.
     """
     cv2 = opencv()
     black = cv2.inRange(colour, (0, 0, 0), (OBJECT_BRIGHTEST,) * 3)

@@ -1,8 +1,8 @@
-"""From a hand (a sphere) to its bounding box in an image, and back (section 3.2 of the paper).
+"""A hand (a sphere), its bounding box in an image, and the way back (section 3.2 of the paper).
 
-A *box* is a float64 array (5,): u_px, v_px of the box's centre, z_m (the camera-Z depth of the
-surface seen at that pixel), area_px2, and the aspect ratio width/height.  Pixel centres have
-integer coordinates, so an image of w x h pixels covers [-1/2, w - 1/2] x [-1/2, h - 1/2].
+A *box* is a float64 array (5,): u_px, v_px of the box's centre, z_m, area_px2, and the aspect ratio
+width/height. The depth z_m is the camera-Z of the surface at that pixel. Pixel centres have integer
+coordinates, so an image of w x h pixels covers [-1/2, w - 1/2] x [-1/2, h - 1/2].
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ BOX_LENGTH = 5
 
 
 def rendered_principal_point_px(width_px: int, height_px: int) -> tuple[float, float]:
-    """(c_u, c_v) of PyBullet's software renderer for a symmetric projection matrix.
+    """Return (c_u, c_v) of PyBullet's software renderer for a symmetric projection matrix.
 
-    It samples pixel (i, j) at its lower left corner instead of its centre and then turns the
-    image upside down, which gives (w/2, h/2 - 1) where an exact camera has ((w - 1)/2, (h - 1)/2).
+    The renderer samples pixel (i, j) at its lower left corner instead of its centre. Then it turns the image
+    upside down. This gives (w/2, h/2 - 1), where an exact camera has ((w - 1)/2, (h - 1)/2).
     """
     return width_px / 2.0, height_px / 2.0 - 1.0
 
 
 def sensor_principal_point_px(sensor: HandSensor) -> tuple[float, float]:
-    """(c_u, c_v) of the images in which ``sensor`` finds hands, exact or rendered."""
+    """Return (c_u, c_v) of the images in which ``sensor`` finds hands, exact or rendered."""
     if sensor.detector is DetectorKind.RENDERED:
         return rendered_principal_point_px(sensor.width_px, sensor.height_px)
     return principal_point_px(sensor.width_px, sensor.height_px)
@@ -38,9 +38,10 @@ def sensor_principal_point_px(sensor: HandSensor) -> tuple[float, float]:
 
 @njit_no_nrt
 def _front_depth(centre: NDArray[np.float64], radius_m: float, x: float, y: float) -> float:
-    """Depth [m] at which the ray d = (x, y, 1) enters the sphere about ``centre`` (3,) C; NaN if it misses.
+    """Return the depth [m] at which the ray d = (x, y, 1) enters the sphere about ``centre`` (3,), or NaN.
 
-    The smaller root Z of |Z d - C|^2 = r^2, as (|C|^2 - r^2)/(d . C + sqrt((d . C)^2 - |d|^2 (|C|^2 - r^2))).
+    It is the smaller root Z of |Z d - C|^2 = r^2 with C the centre, computed as (|C|^2 - r^2)/(d . C +
+    sqrt((d . C)^2 - |d|^2 (|C|^2 - r^2))). NaN for a ray that misses the sphere.
     """
     ray_squared = x * x + y * y + 1.0
     along = x * centre[0] + y * centre[1] + centre[2]
@@ -48,7 +49,7 @@ def _front_depth(centre: NDArray[np.float64], radius_m: float, x: float, y: floa
     discriminant = along * along - ray_squared * (centre_squared - radius_m * radius_m)
     if not (discriminant >= 0.0 and along > 0.0):
         return nan
-    # The nearer root is the product of both over the larger one, which loses no digits.
+    # The nearer root is the product of both roots over the larger root, which loses no digits.
     depth_m: float = (centre_squared - radius_m * radius_m) / (along + sqrt(discriminant))
     return depth_m
 
@@ -62,18 +63,18 @@ def sphere_box(
     c_v: float,
     box_out: NDArray[np.float64],  # (5,)
 ) -> bool:
-    """Write the bounding box of a sphere's image, as if the image had no border.
+    """Fill ``box_out`` with the bounding box of a sphere's image, as if the image had no border.
 
-    The image of a sphere is an ellipse.  Its left and right ends are the two planes through the
-    camera and parallel to its y axis that touch the sphere, |X - x Z| = r sqrt(1 + x^2):
+    The image of a sphere is an ellipse. Two planes through the camera and parallel to its y axis touch the
+    sphere at its left and right ends, |X - x Z| = r sqrt(1 + x^2):
 
         x = (X Z +- r sqrt(X^2 + Z^2 - r^2)) / (Z^2 - r^2),
 
-    and the same with Y for its upper and lower ends.  The depth is that of the sphere's front on
-    the ray through the box's centre.
+    and the same with Y for its upper and lower ends. The depth is that of the sphere's front on the ray
+    through the box's centre.
 
-    Returns ``False``, with ``box_out`` untouched, unless the whole sphere is in front of the
-    camera's plane (Z > r, so the camera is outside the sphere too) and all numbers are finite.
+    Return whether the whole sphere is in front of the camera's plane and all numbers are finite. Z > r also
+    means that the camera is outside the sphere. Otherwise the function does not change ``box_out``.
     """
     x_m, y_m, z_m = centre_in_camera[0], centre_in_camera[1], centre_in_camera[2]
     if not (radius_m > 0.0 and z_m > radius_m):
@@ -104,16 +105,16 @@ def box_in_image(
     height_px: float,
     box: NDArray[np.float64],  # (5,), changed in place
 ) -> bool:
-    """Cut the box of ``sphere_box`` at the border of the image, and say whether the hand is visible.
+    """Cut the box of ``sphere_box`` at the border of the image, and return whether the hand is visible.
 
-    Visible means: the sphere's *centre* projects into the image.  Half a hand is still a hand to
-    a detector, a sliver is not.  A visible box is replaced by its part within the image, as a
-    detector would draw it: new centre, area and aspect ratio, and the depth of the sphere at the
-    *new* centre.  A box wholly inside is left bit for bit as it was.
+    A hand is visible if the sphere's *centre* projects into the image. Half a hand is still a hand to a
+    detector; a sliver is not. The function replaces a visible box by its part within the image, as a detector
+    would draw it. It has a new centre, area and aspect ratio, and the depth of the sphere at the *new*
+    centre. A box wholly inside stays the same, bit for bit.
 
-    Returns ``False``, with ``box`` untouched, when the hand is not visible.  That includes the
-    case that the new centre lies beside the sphere, so that a depth camera would read the
-    background there; that takes a lens with a view of more than 130 degrees.
+    If the hand is not visible, ``box`` does not change. A hand is also not visible if the new centre lies
+    beside the sphere: a depth camera would read the background there. That takes a lens with a view of more
+    than 130 degrees.
     """
     u_centre = focal_px * centre_in_camera[0] / centre_in_camera[2] + c_u
     v_centre = focal_px * centre_in_camera[1] / centre_in_camera[2] + c_v
@@ -146,11 +147,11 @@ def line_of_sight_blocked(
     capsules: NDArray[np.float64],  # (n, 2, 3) [m]: the two ends of each axis
     capsule_radii_m: NDArray[np.float64],  # (n,)
 ) -> bool:
-    """Tell whether a capsule cuts the straight line from the camera to the hand's nearest point.
+    """Return whether a capsule cuts the straight line from the camera to the hand's nearest point.
 
-    All positions in one frame, say base.  Occlusion is all or nothing: the one line stands for
-    the whole hand.  A capsule that contains the camera is left out: it is the generous hull of
-    the link that carries the camera, which in truth looks past it.
+    All positions are in the same frame, for example base. This line stands for the whole hand. A capsule that
+    contains the camera does not count. It is the generous hull of the link that carries the camera, and the
+    real camera looks past that link.
     """
     dx = camera_position[0] - hand_position[0]
     dy = camera_position[1] - hand_position[1]
@@ -181,19 +182,21 @@ def position_from_box(
     assumed_radius_m: float,
     position_in_camera_out: NDArray[np.float64],  # (3,)
 ) -> None:
-    """Write the hand's centre [m]: along the ray through (u, v) to depth z, then one radius deeper.
+    """Fill the output with the hand's centre [m].
+
+    It is on the ray through (u, v) at depth z, then one radius deeper:
 
         (X, Y, Z) = (x, y, 1) (z + r/sqrt(x^2 + y^2 + 1)),   x = (u - c_u)/f,   y = (v - c_v)/f
 
-    This is the pinhole conversion of section 3.2.  The centre of the box of a sphere of radius r
-    at depth Z, seen under the angle theta to the optical axis, lies outward of the projection
-    of the sphere's centre.  The ray therefore misses the centre by
+    This is the pinhole conversion of section 3.2. Take a sphere of radius r at depth Z, at the angle theta to
+    the optical axis. The centre of its box lies outward of the projection of its centre. The ray therefore
+    misses the centre by
 
-        e <= sin(theta) r^2 Z / (Z^2 - r^2),
+        e <= sin(theta) r^2 Z / (Z^2 - r^2).
 
-    and the result is sqrt(2 r (r - sqrt(r^2 - e^2))) from the centre, which is e to first order:
-    in the corner of a 640 x 480 image with f = 615 px and r = 60 mm about 2.0 mm at Z = 1 m and
-    6.7 mm at Z = 0.3 m.  It is zero on the axis.  A wrong assumed radius adds its error along the ray.
+    The result is sqrt(2 r (r - sqrt(r^2 - e^2))) from the centre, which is e to first order and zero on the
+    axis. An example is the corner of a 640 x 480 image with f = 615 px and r = 60 mm: about 2.0 mm at Z = 1 m
+    and 6.7 mm at Z = 0.3 m. A wrong assumed radius adds its error along the ray.
     """
     x, y, z = place_of_pixel(box[0], box[1], box[2], focal_px, c_u, c_v, assumed_radius_m)
     position_in_camera_out[0] = x
@@ -205,7 +208,7 @@ def position_from_box(
 def place_of_pixel(
     u_px: float, v_px: float, z_m: float, focal_px: float, c_u: float, c_v: float, assumed_radius_m: float
 ) -> tuple[float, float, float]:
-    """(X, Y, Z) [m] of ``position_from_box`` in the camera frame."""
+    """Return (X, Y, Z) [m] of ``position_from_box`` in the camera frame."""
     x, y = (u_px - c_u) / focal_px, (v_px - c_v) / focal_px
     depth_m = z_m + assumed_radius_m / sqrt(x * x + y * y + 1.0)
     return x * depth_m, y * depth_m, depth_m

@@ -1,10 +1,10 @@
 """The Kalman filter of a hand's bounding box (eq. 7 of the paper) on compiled records.
 
-The state is x = (u, v, z, area, aspect, u', v', z', area') and a measurement is a box, its first
-five entries.  Position and rate of u, v, z and the area form four pairs; the aspect ratio is
-constant.  With diagonal initial and measurement covariances and noise that acts on each pair
-for itself, the nine-state filter falls apart *exactly* into four filters of two states and one
-of one state, so a track stores 4 x 3 + 1 numbers of its covariance and no matrix is inverted.
+The state is x = (u, v, z, area, aspect, u', v', z', area'). A measurement is a box, the first five entries.
+Value and rate of u, v, z and the area form four pairs; the aspect ratio is constant. Initial and measurement
+covariances are diagonal, and the noise acts on each pair separately. So the nine-state filter separates
+*exactly* into four filters of two states and a filter of one state. A track therefore stores 4 x 3 + 1
+numbers of its covariance, and the filter inverts no matrix.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from safety_harness.cell.perception.hand_boxes import sensor_principal_point_px
 
 PAIRS = 4  # u, v, z, area: pair i has its value in mean[i] and its rate in mean[5 + i]
 ASPECT = 4
-FEW_BOXES = 4  # for which all pairings with tracks are tried
+FEW_BOXES = 4  # up to so many boxes, the assignment tries all pairings with tracks
 
 TRACK = np.dtype(
     [
@@ -32,9 +32,9 @@ TRACK = np.dtype(
         ("mean", np.float64, (9,)),  # eq. 7: px, px, m, px^2, 1, and per second
         ("pair_covariance", np.float64, (4, 3)),  # rows u, v, z, area: var(value), cov, var(rate)
         ("aspect_variance", np.float64),
-        # of the frame that is being taken in
-        ("box", np.int64),  # this track's own; -1: it shows none
-        ("distance_px", np.float64, (FEW_BOXES,)),  # of its first boxes; infinite: it is not this track's
+        # of the present frame
+        ("box", np.int64),  # the index of this track's box; -1: the frame has no box of it
+        ("distance_px", np.float64, (FEW_BOXES,)),  # of its first boxes; infinite: impossible pair
     ],
     align=True,
 )
@@ -74,9 +74,15 @@ _NOT_NEGATIVE = (
 
 
 def filter_parameters(hand_filter: HandFilter, hand_sensor: HandSensor) -> NDArray[np.void]:
-    """The settings as compiled code reads them: an array (1,) of ``FILTER_PARAMETERS``.
+    """Return the settings for compiled code: an array (1,) of ``FILTER_PARAMETERS``.
 
-    Raises ``SettingsError`` for a value with which the filter is not defined.
+    Args:
+        hand_filter: The filter's settings.
+        hand_sensor: The sensor, for its focal length and principal point.
+
+    Raises:
+        SettingsError: A value for which the filter is not defined.
+
     """
     _require(hand_filter, _POSITIVE, zero_allowed=False)
     _require(hand_filter, _NOT_NEGATIVE, zero_allowed=True)
@@ -106,6 +112,7 @@ def filter_parameters(hand_filter: HandFilter, hand_sensor: HandSensor) -> NDArr
 
 
 def _require(settings: HandFilter | HandSensor, names: tuple[str, ...], *, zero_allowed: bool) -> None:
+    """Raise ``SettingsError`` unless the settings ``names`` are finite and positive, or zero if allowed."""
     for name in names:
         value = getattr(settings, name)
         if not (isfinite(value) and (value >= 0.0 if zero_allowed else value > 0.0)):
@@ -118,11 +125,11 @@ def _require(settings: HandFilter | HandSensor, names: tuple[str, ...], *, zero_
 
 @njit_no_nrt
 def initialise(track: np.void, box: NDArray[np.float64], time_s: float, parameters: np.void) -> None:
-    """Start ``track`` (a ``TRACK`` record) at rest where ``box`` (5,) was seen at ``time_s``: x = (box, 0).
+    """Start ``track`` (a ``TRACK`` record) at rest at ``box`` (5,), seen at ``time_s``: x = (box, 0).
 
-    Values are as uncertain as a measurement, rates as the settings say.  The area's rate has no
-    setting of its own: area ~ 1/z^2, hence area' = -2 (area/z) z', and its initial standard
-    deviation is that of z' times 2 area/z.  The caller gives the id.
+    Values have the uncertainty of a measurement, rates that of the settings. The area's rate has no setting
+    of its own. Area ~ 1/z^2, hence area' = -2 (area/z) z'. So its initial standard deviation is that of z'
+    times 2 area/z. The caller sets the id.
     """
     mean, covariance = track["mean"], track["pair_covariance"]
     for i in range(5):
@@ -152,12 +159,11 @@ def predict(track: np.void, dt_s: float, parameters: np.void) -> None:
 
 @njit_no_nrt
 def wait(track: np.void, dt_s: float, parameters: np.void) -> None:
-    """Advance a track's clock and covariance by ``dt_s`` >= 0, and leave its mean alone.
+    """Advance a track's clock and covariance by ``dt_s`` >= 0 without a change of its mean.
 
-    P <- F P F' + Q with F = ((1, dt), (0, 1)).  Q of u, v and z is that of an acceleration that
-    is constant during a step and independent between steps (piecewise white),
-    s^2 ((dt^4/4, dt^3/2), (dt^3/2, dt^2)); Q of the area that of a rate on a random walk,
-    q ((dt^3/3, dt^2/2), (dt^2/2, dt)).
+    P <- F P F' + Q with F = ((1, dt), (0, 1)). Q of u, v and z comes from an acceleration that is constant
+    during a step and independent between steps (piecewise white), s^2 ((dt^4/4, dt^3/2), (dt^3/2, dt^2)). Q
+    of the area comes from a rate on a random walk, q ((dt^3/3, dt^2/2), (dt^2/2, dt)).
     """
     covariance = track["pair_covariance"]
     for i in range(PAIRS):
@@ -180,8 +186,8 @@ def wait(track: np.void, dt_s: float, parameters: np.void) -> None:
 def update(track: np.void, box: NDArray[np.float64], parameters: np.void) -> None:
     """Correct a track by ``box`` (5,), seen at the time of its state.
 
-    x <- x + K (z - H x) with H = (1, 0) of each pair: with S = P00 + R its gain K is (P00, P01)/S.  The
-    covariance is written as P00 R/S, P01 R/S, P11 - P01^2/S: Joseph's form multiplied out, symmetric by
+    x <- x + K (z - H x) with H = (1, 0) for each pair. With S = P00 + R its gain K is (P00, P01)/S. The
+    covariance becomes P00 R/S, P01 R/S, P11 - P01^2/S. This is Joseph's form multiplied out, symmetric by
     construction.
     """
     mean, covariance = track["mean"], track["pair_covariance"]

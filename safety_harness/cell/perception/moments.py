@@ -1,9 +1,9 @@
 """Image moments up to order six, of a polygon in closed form and of a set of points.
 
-A *moment vector* is a float64 array (31,): m00, the centroid xg, yg, then the 28 centred moments
-mu_ij = integral (or sum) of (x - xg)^i (y - yg)^j, i + j <= 6, by rising order i + j and, within an
-order, by rising j.  Coordinates are normalised image coordinates.  Order six is needed because the
-invariants gamma and delta are of order five and the interaction matrix goes one order higher.
+A *moment vector* is a float64 array (31,): m00, the centroid xg, yg, then the 28 centred moments. These are
+mu_ij = integral (or sum) of (x - xg)^i (y - yg)^j, i + j <= 6, in rising order i + j and, within an order, in
+rising j. Coordinates are normalised image coordinates. Order six is necessary because the invariants gamma
+and delta are of order five and the interaction matrix goes one order higher.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _WEIGHTS = np.array([_OUTER_WEIGHT, _INNER_WEIGHT, _INNER_WEIGHT, _OUTER_WEIGHT]
 
 @inlined
 def mu_index(i: int, j: int) -> int:
-    """Where mu_ij stands in a moment vector: at 3 + o (o + 1)/2 + j with the order o = i + j."""
+    """Return the index of mu_ij in a moment vector: 3 + o (o + 1)/2 + j with the order o = i + j."""
     order = i + j
     return FIRST_MU + (order * (order + 1)) // 2 + j
 
@@ -51,15 +51,18 @@ def polygon_moments(
     vertices: NDArray[np.float64],  # (n, 2), normalised
     out: NDArray[np.float64],  # (31,)
 ) -> bool:
-    """Moments of the region inside a simple polygon, exact to rounding; m00 is its (positive) area.
+    """Fill ``out`` with the moments of the region inside a simple polygon, exact to rounding.
 
-    Green's theorem about the centroid.  For a homogeneous integrand of order o it reads
-    (o + 2) mu_ij = sum over edges p -> q of (p x q) * integral_0^1 x(t)^i y(t)^j dt,
-    and the rule above is exact for these integrals.  The winding does not matter.  False, and
-    ``out`` all NaN, if the polygon has no area or is not finite.
+    m00 is its (positive) area. The function uses Green's theorem about the centroid. For a homogeneous
+    integrand of order o it reads
+
+        (o + 2) mu_ij = sum over edges p -> q of (p x q) * integral_0^1 x(t)^i y(t)^j dt,
+
+    and the Gauss-Legendre rule above is exact for these integrals. The winding does not matter. Return False,
+    with ``out`` all NaN, if the polygon has no area or is not finite.
     """
     n = vertices.shape[0]
-    x0, y0 = vertices[0, 0], vertices[0, 1]  # relative to a vertex: nothing cancels
+    x0, y0 = vertices[0, 0], vertices[0, 1]  # relative to a vertex, to avoid cancellation
     twice_area, moment_x, moment_y = 0.0, 0.0, 0.0
     for k in range(1, n - 1):
         px, py = vertices[k, 0] - x0, vertices[k, 1] - y0
@@ -95,17 +98,17 @@ def point_moments(
     points: NDArray[np.float64],  # (n, 2), normalised
     out: NDArray[np.float64],  # (31,)
 ) -> bool:
-    """Moments of a set of points (the *discrete* object): mu_ij = sum_k (x_k - x_g)^i (y_k - y_g)^j (eq. 6).
+    """Fill ``out`` with the moments of a set of points: mu_ij = sum_k (x_k - x_g)^i (y_k - y_g)^j (eq. 6).
 
-    m00 is their number n, (x_g, y_g) their mean.
-    False, and ``out`` all NaN, for no points or points that are not finite.
+    The points are the *discrete* object. m00 is their number n, (x_g, y_g) their mean. Return False, with
+    ``out`` all NaN, without points or for points that are not finite.
     """
     n = points.shape[0]
     sum_x, sum_y = 0.0, 0.0
     for k in range(n):
         sum_x += points[k, 0]
         sum_y += points[k, 1]
-    xg, yg = sum_x / n, sum_y / n  # of no points NaN, which ``_finish`` refuses
+    xg, yg = sum_x / n, sum_y / n  # NaN without points, which ``_finish`` refuses
     out[:] = 0.0
     for k in range(n):
         add_powers(points[k, 0] - xg, points[k, 1] - yg, 1.0, out)
@@ -116,7 +119,7 @@ def point_moments(
 def _finish(xg: float, yg: float, out: NDArray[np.float64]) -> bool:
     """Write m00 and the centroid into ``out`` (31,), and mu_10 = mu_01 = 0, which they are by definition.
 
-    False, and all NaN, if anything is not finite.
+    Return False, with ``out`` all NaN, if a number is not finite.
     """
     out[M00] = out[FIRST_MU]
     out[XG] = xg

@@ -1,12 +1,14 @@
-"""Where a tracked hand may be: a box about its predicted place, of a stated probability.
+"""The possible places of a tracked hand: a box about its predicted position, with a stated probability.
 
-The filter's u, v and z are independent, so that each is within k = z((1 + P^(1/n))/2) of its standard
-deviations with probability P^(1/n), and all n = 3 x hands of them with P.  Extrapolated by t, the variance is
+The filter's u, v and z are independent. So each is within k = z((1 + P^(1/n))/2) of its standard deviations
+with probability P^(1/n), where z is the normal quantile. All n = 3 x hands of them are within k with
+probability P. Extrapolated by t, the variance is
 
     P00 + 2 t P01 + t^2 P11 + t^4/4 s^2
 
-(``hand_filter.wait``).  By intervals these give X = x D, Y = y D, D = z + r/sqrt(x^2 + y^2 + 1), and
-those a box along the base's axes.  It is the filter's own word: whether it is right is not said.
+(``hand_filter.wait``). Interval arithmetic turns these into X = x D, Y = y D, D = z + r/sqrt(x^2 + y^2 + 1),
+and into a box along the base's axes. The box assumes that the filter's covariance is right; this module does
+not check it.
 """
 
 from __future__ import annotations
@@ -26,10 +28,11 @@ def possible_half_widths_m(
     transform_sensor_to_base: Floats,
     probability: float,
 ) -> Floats:
-    """(k, 3) half widths [m], along the base's axes, of a box for each of the k valid ``tracks`` (n,) TRACK.
+    """Return the half widths (k, 3) [m], along the base's axes, of a box for each of k valid tracks.
 
-    About the place that ``predict_positions`` gives for ``at_time_s``; all hands are in theirs with
-    ``probability``.  ``parameters`` (1,) FILTER_PARAMETERS, ``transform_sensor_to_base`` (4, 4).
+    A box is about the position that ``predict_positions`` gives for ``at_time_s``. The probability that every
+    hand is in its box is ``probability``. ``tracks`` (n,) TRACK, ``parameters`` (1,) FILTER_PARAMETERS,
+    ``transform_sensor_to_base`` (4, 4).
     """
     valid, p = tracks[tracks["valid"]], parameters[0]
     if len(valid) == 0:
@@ -39,26 +42,29 @@ def possible_half_widths_m(
     pairs = valid["pair_covariance"][:, :3]
     variance = pairs[:, :, 0] + ahead_s * (2.0 * pairs[:, :, 1] + ahead_s * pairs[:, :, 2])
     variance = variance + 0.25 * ahead_s**4 * p["acceleration_variance"]
-    within = deviations * np.sqrt(variance)
+    half_px_m = deviations * np.sqrt(variance)
     ahead = valid["mean"][:, :3] + ahead_s * valid["mean"][:, 5:8]
     place = np.isfinite(ahead).all(axis=1) & (ahead[:, 2] > 0.0)
     middle = np.where(place[:, None], ahead, valid["mean"][:, :3])
-    at = _ends_in_sensor_m(middle, np.zeros_like(within), p)[:, :, 0]
-    half_m = np.abs(_ends_in_sensor_m(middle, within, p) - at[:, :, None]).max(axis=2)
+    at = _ends_in_sensor_m(middle, np.zeros_like(half_px_m), p)[:, :, 0]
+    half_m = np.abs(_ends_in_sensor_m(middle, half_px_m, p) - at[:, :, None]).max(axis=2)
     return np.asarray(half_m @ np.abs(transform_sensor_to_base[:3, :3]).T)
 
 
-def _ends_in_sensor_m(middle: Floats, within: Floats, parameters: np.void) -> Floats:
-    """(k, 3, 2) least and greatest X, Y, Z [m] of all (u, v, z) ``within`` (k, 3) of ``middle`` (k, 3)."""
+def _ends_in_sensor_m(middle: Floats, half: Floats, parameters: np.void) -> Floats:
+    """Return the least and greatest X, Y, Z [m], (k, 3, 2), of all (u, v, z) within ``half`` of ``middle``.
+
+    ``middle`` and ``half`` are (k, 3).
+    """
     p = parameters
-    pixels = np.stack([middle - within, middle + within], axis=2)[:, :2] - [[p["c_u"]], [p["c_v"]]]
+    pixels = np.stack([middle - half, middle + half], axis=2)[:, :2] - [[p["c_u"]], [p["c_v"]]]
     slopes = pixels / p["focal_px"]  # (k, 2, 2): x, y; least, greatest
     squares = slopes**2
     across = (slopes[:, :, 0] <= 0.0) & (slopes[:, :, 1] >= 0.0)
     least = np.where(across, 0.0, squares.min(axis=2)).sum(axis=1)
     most = squares.max(axis=2).sum(axis=1)
     radius_m = p["assumed_radius_m"] / np.sqrt(np.stack([most, least], axis=1) + 1.0)
-    depths = middle[:, 2:] + within[:, 2:] * [-1.0, 1.0] + radius_m  # (k, 2)
+    depths = middle[:, 2:] + half[:, 2:] * [-1.0, 1.0] + radius_m  # (k, 2)
     sides = slopes[:, :, :, None] * depths[:, None, None, :]  # (k, 2, 2, 2)
     sides = sides.reshape(len(middle), 2, 4)
     return np.concatenate([np.stack([sides.min(axis=2), sides.max(axis=2)], axis=2), depths[:, None]], axis=1)

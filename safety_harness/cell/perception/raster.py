@@ -1,8 +1,8 @@
-"""Moments of what a camera with square pixels sees: sums over the pixels of an object.
+"""Moments of the image of a camera with square pixels: sums over the pixels of an object.
 
-A pixel belongs to the object where its *centre* lies inside.  Each one stands for the area 1/f^2
-of the normalised image, so that the sums converge to the integrals of ``moments.polygon_moments``.
-A run of pixels in a row is summed in closed form, so no image needs to be made.
+A pixel belongs to the object if its *centre* lies inside. Each pixel stands for the area 1/f^2 of the
+normalised image, so the sums converge to the integrals of ``moments.polygon_moments``. A closed form sums a
+run of pixels in a row, so the code needs no image.
 """
 
 from __future__ import annotations
@@ -23,11 +23,10 @@ def raster_moments(
     height_px: int,
     out: NDArray[np.float64],  # (31,)
 ) -> int:
-    """Moments of a simple polygon as an image samples it; returns the number of its pixels.
+    """Fill ``out`` with the moments of a simple polygon as an image samples it; return its number of pixels.
 
-    A centre on a left or upper edge is inside, on a right or lower edge outside, so that polygons
-    which share an edge share no pixel.  What lies beyond the image is cropped.  With no pixel,
-    ``out`` is all NaN.
+    A centre on a left or upper edge is inside, on a right or lower edge outside. So polygons with a common
+    edge have no common pixel. The image crops the parts beyond it. Without a pixel, ``out`` is all NaN.
     """
     n = vertices.shape[0]
     c_u, c_v = principal_point_px(width_px, height_px)
@@ -78,10 +77,10 @@ def mask_moments(
     c_v: float,
     out: NDArray[np.float64],  # (31,)
 ) -> int:
-    """Moments of the non-zero pixels of a mask; returns their number.
+    """Fill ``out`` with the moments of the non-zero pixels of a mask; return their number.
 
-    The principal point is an argument because a renderer need not keep our convention.  With no
-    pixel, ``out`` is all NaN.
+    The principal point is an argument because a renderer need not follow our convention. Without a pixel,
+    ``out`` is all NaN.
     """
     height_px, width_px = mask.shape
     count, sum_u, sum_v = 0, 0, 0
@@ -122,7 +121,10 @@ def _row_crossings(
     v: float,
     out: NDArray[np.float64],  # (n,)
 ) -> int:
-    """Where the polygon's outline crosses the row ``v``: sorted u [px]; returns their even number."""
+    """Fill ``out`` with the sorted u [px] where the polygon's outline crosses the row ``v``.
+
+    Return their number, which is even.
+    """
     n = corners.shape[0]
     count = 0
     for k in range(n):
@@ -131,7 +133,7 @@ def _row_crossings(
         u1, v1 = corners[following, 0], corners[following, 1]
         if (v0 <= v) == (v1 <= v):  # half-open: a vertex on the row counts once
             continue
-        if v0 > v1:  # always downwards: two polygons agree to the last bit about a shared edge
+        if v0 > v1:  # always downwards, so that two polygons agree about a shared edge to the last bit
             u0, v0, u1, v1 = u1, v1, u0, v0
         u = u0 + (v - v0) / (v1 - v0) * (u1 - u0)
         place = count
@@ -145,7 +147,7 @@ def _row_crossings(
 
 @compiled
 def _run(u_left: float, u_right: float, width_px: int) -> tuple[int, int]:
-    """First and last pixel whose centre is in [u_left, u_right) and in the image."""
+    """Return the first and the last pixel whose centre is in [u_left, u_right) and in the image."""
     first = int(np.ceil(max(u_left, 0.0)))
     last = int(np.ceil(min(u_right, float(width_px)))) - 1
     return first, last
@@ -153,10 +155,10 @@ def _run(u_left: float, u_right: float, width_px: int) -> tuple[int, int]:
 
 @compiled
 def _add_run(middle: float, length: int, y: float, out: NDArray[np.float64]) -> None:
-    """Add the pixels of one run, centred coordinates in pixels, to every mu_ij of ``out`` (31,).
+    """Add the pixels of a run, in centred pixel coordinates, to every mu_ij of ``out`` (31,).
 
-    With n pixels at middle + d, d = -(n-1)/2 ... (n-1)/2, odd powers of d cancel and the even
-    power sums are polynomials in n (Faulhaber's formula), the binomial theorem does the rest:
+    With n pixels at middle + d, d = -(n-1)/2 ... (n-1)/2, odd powers of d cancel. The even power sums are
+    polynomials in n (Faulhaber's formula). The binomial theorem gives the rest:
 
         sum d^2 = n (n^2 - 1)/12,   sum d^4 = sum d^2 (3 n^2 - 7)/20,
         sum d^6 = sum d^2 (3 n^4 - 18 n^2 + 31)/112.
@@ -190,7 +192,7 @@ def _add_run(middle: float, length: int, y: float, out: NDArray[np.float64]) -> 
 def _to_normalised(
     u_g: float, v_g: float, focal_px: float, c_u: float, c_v: float, out: NDArray[np.float64]
 ) -> None:
-    """From centred sums over pixels in ``out`` (31,) to a moment vector: mu_ij / f^(i + j + 2).
+    """Turn centred sums over pixels in ``out`` (31,) into a moment vector: mu_ij / f^(i + j + 2).
 
     Lengths are over f, and each pixel has the area 1/f^2; x_g = (u_g - c_u)/f, y_g = (v_g - c_v)/f.
     """

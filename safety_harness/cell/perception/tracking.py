@@ -1,7 +1,7 @@
-"""Tracks of hands: which box belongs to which, and where each hand will be.
+"""Tracks of hands: the pairing of boxes with tracks, and the predicted position of each hand.
 
-Everything here errs on one side: a hand once seen stays until it has gone unseen for the
-timeout, and whatever cannot be extrapolated stays where it was rather than disappear.
+Everything here errs on the safe side. A hand stays in its track until no frame has shown it for the timeout.
+A track that the filter cannot extrapolate stays at its place and does not disappear.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from safety_harness.cell.perception.hand_filter import FEW_BOXES, TRACK, initial
 from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.trace.records import TRACKS_PER_HAND
 
-MOST_TRIED = 625  # pairings: all that there are of four boxes and four tracks
-FARTHEST_PX = 1e9  # of a box from its track, where the gate sets no bound
+MOST_TRIED = 625  # pairings: (4 + 1)^4 of four boxes with four tracks
+FARTHEST_PX = 1e9  # the largest distance of a box from its track if the gate is larger
 
 
 def no_tracks(hand_slots: int = HAND_SLOTS[0]) -> NDArray[np.void]:
-    """An array (n,) of ``TRACK``, TRACKS_PER_HAND for each hand, in which nothing is tracked yet."""
+    """Return an array (n,) of ``TRACK`` without any track, n = TRACKS_PER_HAND x ``hand_slots``."""
     return np.zeros(TRACKS_PER_HAND * hand_slots, TRACK)
 
 
@@ -34,23 +34,22 @@ def advance_tracks(
     capture_time_s: float,
     parameters: NDArray[np.void],  # (1,) of FILTER_PARAMETERS
 ) -> bool:
-    """Take in one frame of the hand sensor; ``count`` = 0 is a frame that saw no hand.
+    """Update the tracks with a frame of the hand sensor; ``count`` = 0 is a frame without a hand.
 
-    1. Every track is predicted to the capture time.
-    2. Boxes and tracks are paired so that the sum of the distances of their centres in the
-       image is least, where a box without a track costs ``gate_px`` and no pair may be further
-       apart than that.  Of equal sums the one that gives the earlier boxes the lower slots wins, of
-       at most MOST_TRIED pairings.
-    3. Paired tracks are updated.  Every other box starts a track in the free slot that was seen
-       longest ago; if none is free, in place of the unpaired track that was.
-    4. Tracks unseen for longer than ``track_timeout_s`` are dropped.
+    1. The function predicts every track to the capture time.
+    2. It pairs boxes and tracks so that the sum of the distances of their centres in the image is least.
+       A box without a track costs ``gate_px``, and the distance of a pair is at most ``gate_px``. For up to
+       MOST_TRIED pairings, the pairing that gives the earlier boxes the lower slots wins among equal sums.
+    3. It updates paired tracks. Every other box starts a track in the free slot that was seen longest ago.
+       Without a free slot, it replaces the unpaired track that was seen longest ago.
+    4. It drops tracks that no frame has shown for longer than ``track_timeout_s``.
 
-    A box that is not a measurement (a value not finite, no positive depth or area) is passed
-    over.  A track whose predicted depth would not be positive is held where it was, with growing
-    uncertainty, so the depth of a track is always positive.
+    The function ignores a box that is not a measurement (a value not finite, no positive depth or area). If a
+    track's predicted depth would not be positive, the track stays at its place, with growing uncertainty. So
+    the depth of a track is always positive.
 
-    Returns ``False``, and changes nothing, if the frame is older than a track's state or its
-    time is not finite: such a frame must not count as "no hand seen".
+    Return ``False``, without any change, if the frame is older than a track's state or its time is not
+    finite. Such a frame must not count as "no hand seen".
     """
     if not isfinite(capture_time_s):
         return False
@@ -73,7 +72,7 @@ def advance_tracks(
             tracks[slot]["id"] = _greatest_id(tracks) + 1
             initialise(tracks[slot], boxes[j], capture_time_s, parameters[0])
             tracks[slot]["box"] = j
-    for i in range(tracks.shape[0]):  # tracks are equal whatever frames they had
+    for i in range(tracks.shape[0]):  # so that equal tracks have equal bytes after different frames
         tracks[i]["box"] = 0
         for j in range(FEW_BOXES):
             tracks[i]["distance_px"][j] = 0.0
@@ -89,15 +88,15 @@ def predict_positions(
     positions_in_base_out: NDArray[np.float64],  # (n, 3) [m]
     valid_out: NDArray[np.bool_],  # (n,)
 ) -> None:
-    """Write where the centre of every tracked hand will be at ``at_time_s``; change no track.
+    """Fill the output with the centre of every tracked hand at ``at_time_s``; change no track.
 
-    The filtered box is extrapolated at its rates and converted by the pinhole model
-    (``position_from_box``).  Rows of slots without a track are NaN and not valid.
+    The function extrapolates the filtered box at its rates, and converts it by the pinhole model
+    (``position_from_box``). Rows of slots without a track are NaN and not valid.
 
-    An extrapolated depth that is not positive says that the hand would pass the sensor's plane,
-    where a pixel and a depth mean nothing.  The hand is then taken to be where the filter has it
-    now (``advance_tracks`` keeps that depth positive); likewise if the extrapolation is not
-    finite.  So a tracked hand always has a position, and never one behind the sensor.
+    An extrapolated depth that is not positive means that the hand would pass the sensor's plane, where a
+    pixel and a depth have no meaning. The function then uses the filter's present position, whose depth
+    ``advance_tracks`` keeps positive. It does the same if the extrapolation is not finite. So a tracked hand
+    always has a position, and never one behind the sensor.
     """
     focal_px, radius_m = parameters[0]["focal_px"], parameters[0]["assumed_radius_m"]
     c_u, c_v = parameters[0]["c_u"], parameters[0]["c_v"]
@@ -122,25 +121,26 @@ def predict_positions(
 
 @njit_no_nrt
 def _is_place(u_px: float, v_px: float, z_m: float) -> bool:
-    """Tell whether u, v and z of a box denote a point in front of the sensor."""
+    """Return whether u, v and z of a box denote a point in front of the sensor."""
     return isfinite(u_px) and isfinite(v_px) and isfinite(z_m) and z_m > 0.0
 
 
 @njit_no_nrt
 def _is_measurement(box: NDArray[np.float64]) -> bool:
-    """Tell whether ``box`` (5,) is finite, with a positive depth and area."""
+    """Return whether ``box`` (5,) is finite, with a positive depth and area."""
     return _is_place(box[0], box[1], box[2]) and isfinite(box[3]) and box[3] > 0.0 and isfinite(box[4])
 
 
 @njit_no_nrt
 def _extrapolated(track: np.void, dt_s: float) -> tuple[float, float, float]:
-    """(u, v, z) of a track's box: value + dt rate of each pair."""
+    """Return (u, v, z) of a track's box: value + dt rate for each pair."""
     mean = track["mean"]
     return mean[0] + dt_s * mean[5], mean[1] + dt_s * mean[6], mean[2] + dt_s * mean[7]
 
 
 @njit_no_nrt
 def _predict_to(track: np.void, time_s: float, parameters: np.void) -> None:
+    """Predict a track to ``time_s``; its mean stays if the predicted depth would not be positive."""
     dt_s = time_s - track["time_s"]
     if track["mean"][2] + dt_s * track["mean"][7] > 0.0:
         predict(track, dt_s, parameters)
@@ -156,7 +156,10 @@ def _assign(
     count: int,
     gate_px: float,
 ) -> None:
-    """Write into each track its box by the cheapest pairing: of few by trying all, else ``_assign_many``."""
+    """Write into each track its box of the cheapest pairing.
+
+    For few boxes the function tries all pairings; otherwise it calls ``_assign_many``.
+    """
     slots = tracks.shape[0]
     for i in range(slots):
         tracks[i]["box"] = -1
@@ -175,7 +178,7 @@ def _assign(
             i = rest % (slots + 1)  # the last: this box starts a track of its own
             rest //= slots + 1
             if i == slots:
-                total += gate_px
+                total += gate_px  # less than any pair beyond the gate
             elif used & (1 << i) or not tracks[i]["distance_px"][j] <= gate_px:
                 total = inf
             else:
@@ -195,7 +198,7 @@ def _assign(
 
 @njit_no_nrt
 def _distance_px(track: np.void, box: NDArray[np.float64]) -> float:
-    """Of ``box`` (5,) from a track in the image; infinite for a pair that cannot be."""
+    """Return the distance of ``box`` (5,) from a track in the image; infinite for an impossible pair."""
     if not (track["valid"] and _is_measurement(box)):
         return inf
     du, dv = box[0] - track["mean"][0], box[1] - track["mean"][1]
@@ -204,11 +207,11 @@ def _distance_px(track: np.void, box: NDArray[np.float64]) -> float:
 
 @njit_no_nrt
 def _has_track(tracks: NDArray[np.void], box: int) -> bool:
-    """Is the box one of a track's?"""
-    found = False
+    """Return whether a track has the box."""
+    has_track = False
     for i in range(tracks.shape[0]):
-        found = found or tracks[i]["box"] == box
-    return found
+        has_track = has_track or tracks[i]["box"] == box
+    return has_track
 
 
 @compiled
@@ -218,30 +221,31 @@ def _assign_many(
     count: int,
     gate_px: float,
 ) -> None:
-    """The cheapest pairing by shortest augmenting ways (Hungarian method), count^2 (tracks + count) steps.
+    """Find the cheapest pairing by shortest augmenting paths (Hungarian method).
 
-    Every box may have a column of its own at ``gate_px`` beside the tracks; columns and boxes count from 1.
+    It takes count^2 (tracks + count) steps. Every box has a column of its own at ``gate_px`` beside the
+    tracks. Columns and boxes count from 1.
     """
     slots = tracks.shape[0]
     size, gate = slots + count + 1, gate_px if gate_px < FARTHEST_PX else FARTHEST_PX
     box_price, column_price = np.zeros(count + 1), np.zeros(size)
-    box_of, before = np.zeros(size, np.int64), np.zeros(size, np.int64)
+    box_of, predecessor = np.zeros(size, np.int64), np.zeros(size, np.int64)
     for box in range(1, count + 1):
         box_of[0], column = box, 0
         least, done = np.full(size, inf), np.zeros(size, np.bool_)
         while box_of[column] != 0:
             done[column] = True
-            one, step, nearest = box_of[column], inf, 0
+            row, step, nearest = box_of[column], inf, 0
             for k in range(1, size):
                 if done[k]:
                     continue
                 cost = gate
                 if k <= slots:
-                    distance_px = _distance_px(tracks[k - 1], boxes[one - 1])
+                    distance_px = _distance_px(tracks[k - 1], boxes[row - 1])
                     cost = distance_px if distance_px <= gate else 2.0 * gate  # dearer than its own
-                cost -= box_price[one] + column_price[k]
+                cost -= box_price[row] + column_price[k]
                 if cost < least[k]:
-                    least[k], before[k] = cost, column
+                    least[k], predecessor[k] = cost, column
                 if least[k] < step:
                     step, nearest = least[k], k
             for k in range(size):
@@ -252,8 +256,8 @@ def _assign_many(
                     least[k] -= step
             column = nearest
         while column != 0:
-            box_of[column] = box_of[before[column]]
-            column = before[column]
+            box_of[column] = box_of[predecessor[column]]
+            column = predecessor[column]
     for k in range(1, slots + 1):
         if box_of[k] != 0:
             tracks[k - 1]["box"] = box_of[k] - 1
@@ -261,9 +265,10 @@ def _assign_many(
 
 @njit_no_nrt
 def _slot_for_new_track(tracks: NDArray[np.void]) -> int:
-    """The free slot seen longest ago; without a free one, the unpaired track seen longest ago.
+    """Return the free slot seen longest ago; without a free slot, the unpaired track seen longest ago.
 
-    There is always one of them: a box without a pair leaves a slot unpaired, as boxes are no more than slots.
+    There is always such a slot: there are at most as many boxes as slots, and a box without a pair leaves a
+    slot unpaired.
     """
     best = -1
     for i in range(tracks.shape[0]):
@@ -281,7 +286,10 @@ def _slot_for_new_track(tracks: NDArray[np.void]) -> int:
 
 @njit_no_nrt
 def _greatest_id(tracks: NDArray[np.void]) -> int:
-    """Slots keep the id of a dropped track until they are used again, so no id comes twice."""
+    """Return the greatest id of all slots.
+
+    A slot keeps the id of a dropped track until its next use, so that every id is unique.
+    """
     greatest = 0
     for i in range(tracks.shape[0]):
         greatest = max(greatest, tracks[i]["id"])

@@ -1,7 +1,7 @@
 """Link capsules: few simple bodies that enclose every mesh of the arm.
 
-They are fitted once, by ``safety-harness robot fit``, and kept as JSON, those of the shipped arms beside this
-file.  Distances to capsules are never longer than those to the meshes: the safe side.
+``safety-harness robot fit`` fits them once and stores them as JSON. Those of the shipped arms lie beside this
+file. Distances to capsules are never longer than distances to the meshes, which is the safe side.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from safety_harness.cell.robot.urdf import ArmFileError, read_bytes
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CapsuleSet:
-    """``n`` capsules, each fixed in one frame of forward kinematics; arrays are read-only.
+    """``n`` capsules, each fixed in a frame of forward kinematics; arrays are read-only.
 
     ``link_index`` (n,) counts the base as 0, then the moving links, and the tcp as ``frames`` - 1.
     ``start_in_link`` and ``end_in_link`` (n, 3) [m] are the ends of the axis, in that frame.
@@ -60,7 +60,7 @@ class CapsuleSet:
 
     @cached_property
     def records(self) -> CapsuleRecords:
-        """(n,) CAPSULE: the same for compiled code, read-only."""
+        """The capsules as read-only records CAPSULE (n,) for compiled code."""
         records = np.zeros(len(self.names), CAPSULE)
         for name in CAPSULE.names or ():
             records[name] = getattr(self, name)
@@ -68,7 +68,7 @@ class CapsuleSet:
         return records
 
     def of_links(self, links: Collection[int]) -> CapsuleSet:
-        """Those of some links, which are counted from 0."""
+        """Return the capsules of some links; 0 is the base."""
         kept = [k for k, link in enumerate(self.link_index) if link in links]
         return CapsuleSet(
             names=tuple(self.names[k] for k in kept),
@@ -80,16 +80,28 @@ class CapsuleSet:
         )
 
     def carried_by(self, link: int, transform: NDArray[np.float64]) -> CapsuleSet:
-        """The same, those of a link in another frame: ``transform`` (4, 4) leads there from the old one."""
+        """Return the same set with a link's capsules in another frame.
+
+        ``transform`` (4, 4) leads from the old frame of ``link`` to the new one.
+        """
         mine = (self.link_index == link)[:, None]
         ends = (self.start_in_link, self.end_in_link)
-        start, end = (np.where(mine, one @ transform[:3, :3].T + transform[:3, 3], one) for one in ends)
+        start, end = (np.where(mine, p @ transform[:3, :3].T + transform[:3, 3], p) for p in ends)
         return replace(self, start_in_link=start, end_in_link=end)
 
     def with_capsule(
         self, name: str, link_index: int, start: ArrayLike, end: ArrayLike, radius: float
     ) -> CapsuleSet:
-        """A new set with one more capsule (a tool, say) at its end; metres, in the link's frame."""
+        """Return a new set with a further capsule, such as a tool, at its end.
+
+        Args:
+            name: The capsule's name.
+            link_index: Its frame.
+            start: An end of its axis (3,) [m], in that frame.
+            end: The other end (3,) [m].
+            radius: Its radius [m].
+
+        """
         return CapsuleSet(
             names=(*self.names, name),
             link_index=np.append(self.link_index, np.int64(link_index)),
@@ -101,7 +113,7 @@ class CapsuleSet:
 
 
 class StoredCapsule(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """A capsule on file: the ends of its axis [m] in the frame of ``link``."""
+    """A capsule in a file: the ends of its axis [m] in the frame of ``link``."""
 
     name: str
     link: str
@@ -111,9 +123,9 @@ class StoredCapsule(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """A file of capsules, and what they were fitted to: SHA-256 of the URDF and of each mesh, by its name.
+    """A file of capsules, with the SHA-256 of the URDF and of each mesh, by name, that they were fitted to.
 
-    The shipped sets say none: their meshes lie beside them.
+    The shipped sets have no hashes: their meshes lie beside them.
     """
 
     arm: str
@@ -124,18 +136,18 @@ class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     meshes_sha256: dict[str, str] = {}
 
     def on(self, arm: ArmModel, file: Path) -> CapsuleSet:
-        """The capsules as bodies of ``arm``; ``ArmFileError`` if they cannot be."""
+        """Return the capsules as bodies of ``arm``; ``ArmFileError`` if its links do not fit."""
         frames = (*arm.link_names, arm.tcp_link)
-        other = {one.link for one in self.capsules}.difference(frames)
-        if other or not self.capsules:
-            raise ArmFileError.of_file(file, f"capsules of {', '.join(frames)}", ", ".join(other) or "none")
+        unknown = {body.link for body in self.capsules}.difference(frames)
+        if unknown or not self.capsules:
+            raise ArmFileError.of_file(file, f"capsules of {', '.join(frames)}", ", ".join(unknown) or "none")
         try:
             return CapsuleSet(
-                names=tuple(one.name for one in self.capsules),
-                link_index=np.array([frames.index(one.link) for one in self.capsules], dtype=np.int64),
-                start_in_link=np.array([one.start_in_link_m for one in self.capsules]),
-                end_in_link=np.array([one.end_in_link_m for one in self.capsules]),
-                radius_m=np.array([one.radius_m for one in self.capsules]),
+                names=tuple(body.name for body in self.capsules),
+                link_index=np.array([frames.index(body.link) for body in self.capsules], dtype=np.int64),
+                start_in_link=np.array([body.start_in_link_m for body in self.capsules]),
+                end_in_link=np.array([body.end_in_link_m for body in self.capsules]),
+                radius_m=np.array([body.radius_m for body in self.capsules]),
                 frames=len(frames),
             )
         except ArmModelError as error:
@@ -143,13 +155,13 @@ class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 def capsule_file(arm_name: str) -> Path:
-    """Where the fitted capsules of a shipped arm are kept."""
+    """Return the file with the fitted capsules of a shipped arm."""
     return Path(__file__).with_name(f"{arm_name}_capsules.json")
 
 
 @lru_cache
 def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
-    """The fitted capsules of the shipped arm ``arm_name``; ``ArmModelError`` if none were fitted."""
+    """Return the fitted capsules of the shipped arm ``arm_name``; ``ArmModelError`` without any."""
     file = capsule_file(arm_name)
     if not file.is_file():
         raise ArmModelError(f"no capsules for {arm_name!r}; to fit them: safety-harness robot fit")
@@ -159,23 +171,31 @@ def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
 def read_capsules(
     file: Path, arm: ArmModel, *, text: bytes | None = None, urdf_sha256: str | None = None
 ) -> CapsuleSet:
-    """The capsules that were fitted to ``arm``; ``ArmFileError``, naming what differs, if to another one.
+    """Read the capsules that were fitted to an arm.
 
-    ``text`` is read in place of the file.  With ``urdf_sha256``, of a URDF that was read before, neither the
-    arm's file nor its meshes are looked at.
+    Args:
+        file: The file of capsules.
+        arm: The arm.
+        text: The bytes of the file, read in its place.
+        urdf_sha256: The hash of a URDF that was read before. With it the function reads neither the arm's
+            file nor its meshes.
+
+    Raises:
+        ArmFileError: The capsules were fitted to another arm; the error names the difference.
+
     """
     stored = _stored(file, text)
     pairs = [("base", stored.base, arm.link_names[0]), ("tcp", stored.tcp, arm.tcp_link)]
-    found_urdf, found = (urdf_sha256, stored.meshes_sha256) if urdf_sha256 else hashes_of(arm)
+    found_urdf, meshes = (urdf_sha256, stored.meshes_sha256) if urdf_sha256 else hashes_of(arm)
     pairs.append((f"{arm.file} with the SHA-256", stored.urdf_sha256, found_urdf))
     named = stored.meshes_sha256
-    for uri in sorted(named.keys() | found.keys()):
-        pairs.append((f"mesh {uri} with the SHA-256", named.get(uri, "none"), found.get(uri, "none")))
-    for what, fitted_to, is_now in pairs:
+    for uri in sorted(named.keys() | meshes.keys()):
+        pairs.append((f"mesh {uri} with the SHA-256", named.get(uri, "none"), meshes.get(uri, "none")))
+    for part, fitted_to, is_now in pairs:
         if fitted_to != is_now:
-            expected = f"capsules fitted to the {what} {is_now}"
+            expected = f"capsules fitted to the {part} {is_now}"
             raise ArmFileError.of_file(file, expected, f"to {fitted_to or 'nothing'}; fit them again")
-    capsules, held = stored.on(arm, file), {one.link for one in stored.capsules}
+    capsules, held = stored.on(arm, file), {capsule.link for capsule in stored.capsules}
     for link in arm.links:
         if (link.collision or link.visual) and link.link not in held:
             raise ArmFileError.of_file(file, f"capsules of the link {link.link!r}", "none")
@@ -183,19 +203,19 @@ def read_capsules(
 
 
 def unenclosed_links(arm: ArmModel, enclosed: Collection[int], accepted: Collection[str] = ()) -> list[str]:
-    """Names of links between the first and the last of ``enclosed`` (the base is 0) that are not among them.
+    """Return the names of links that are not in ``enclosed``, between its first and its last; 0 is the base.
 
-    Those in ``accepted`` are left out.
+    The result leaves out the names in ``accepted``.
     """
     names = arm.link_names
-    between = range(min(enclosed), min(max(enclosed), len(names)))
-    return [names[k] for k in between if k not in enclosed and names[k] not in accepted]
+    inner = range(min(enclosed), min(max(enclosed), len(names)))
+    return [names[k] for k in inner if k not in enclosed and names[k] not in accepted]
 
 
 def tcp_beyond(arm: ArmModel, capsules: CapsuleSet) -> float:
-    """How far [m] the TCP lies outside of every capsule at it and of the last link that has any; 0 in one.
+    """Return how far [m] the TCP lies outside of every capsule near it; 0 inside a capsule.
 
-    Joints behind that link stand at 0.
+    The capsules are those at the TCP and on the last link that has any. Joints behind that link stand at 0.
     """
     point_m, nearest_m = np.zeros(3), np.inf
     frames = enumerate((arm.flange, *arm.joint_origins[::-1], np.eye(4)))
@@ -210,17 +230,19 @@ def tcp_beyond(arm: ArmModel, capsules: CapsuleSet) -> float:
 
 
 def hashes_of(arm: ArmModel) -> tuple[str, dict[str, str]]:
-    """SHA-256 of an arm's URDF, and of each of its meshes by the name that the URDF has for it."""
+    """Return the SHA-256 of an arm's URDF, and of each mesh by its name in the URDF."""
     shapes = [shape for link in arm.links for shape in (*link.collision, *link.visual)]
     meshes = {shape.uri: _sha256(shape.file) for shape in shapes if shape.file is not None}
     return _sha256(arm.file), meshes
 
 
 def _sha256(file: Path) -> str:
+    """Return the SHA-256 of a file."""
     return hashlib.sha256(read_bytes(file)).hexdigest()
 
 
 def _stored(file: Path, text: bytes | None = None) -> StoredCapsules:
+    """Read a file of capsules, or its ``text``; ``ArmFileError`` for other content."""
     try:
         return msgspec.json.decode(read_bytes(file) if text is None else text, type=StoredCapsules)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -228,9 +250,9 @@ def _stored(file: Path, text: bytes | None = None) -> StoredCapsules:
 
 
 class Arm(NamedTuple):
-    """An arm with everything on it, for a kernel that is called once for a whole trace or way.
+    """An arm with everything on it, for a kernel that runs once for a whole trace or path.
 
-    A kernel that is called at every tick takes the records apart: a tuple costs a microsecond a call.
+    A kernel that runs at every tick takes the records apart: a tuple costs a microsecond per call.
     """
 
     chain: ChainRecords
@@ -240,13 +262,13 @@ class Arm(NamedTuple):
 
 @lru_cache(maxsize=16)
 def arm_with(arm: ArmModel, capsules: CapsuleSet) -> Arm:
-    """``arm`` and the capsules on it."""
+    """Return ``arm`` with the capsules on it."""
     return Arm(arm.chain, capsules.records, chain_lengths(arm.chain, capsules.records))
 
 
 @lru_cache(maxsize=16)
 def tcp_alone(arm: ArmModel) -> Arm:
-    """``arm`` without a body, but for a capsule that is a point at its TCP."""
+    """Return ``arm`` with a single capsule, which is a point at its TCP."""
     point = np.zeros(1, CAPSULE)
     point["link_index"] = len(arm.joint_names) + 1
     point.setflags(write=False)

@@ -1,19 +1,19 @@
 """The closed form of inverse kinematics for arms with the wrist of the UR family.
 
-Joints 2, 3 and 4 have parallel axes h, that of joint 1 is perpendicular to them, that of joint 5 to h and to
-that of joint 6, which it meets and which is parallel to h at zero.  Vectors are taken in the frame
-(h_1, h x h_1, h), whose first two axes span the plane in which joints 2 to 4 move: there a complex number
-stands for a vector.  With E_i the turn about joint i, R the rotation of the pose and w the place where axes
-5 and 6 meet, seen from joint 1:
+Joints 2, 3 and 4 have parallel axes h. The axis of joint 1 is perpendicular to h. The axis of joint 5 is
+perpendicular to h and to the axis of joint 6. It meets axis 6, which is parallel to h at zero. Vectors are in
+the frame (h_1, h x h_1, h). Its first two axes span the plane in which joints 2 to 4 move. There a complex
+number stands for a vector. E_i is the turn about joint i, R the rotation of the pose, and w the point where
+axes 5 and 6 meet, from joint 1:
 
     (E_1 h) . w = h . (steps between the joints)          gives theta_1, two of them
     R^T E_1 h = (E_5 E_6)^T h                             gives theta_5 and theta_6, two of them
     z = l_2 e^(i theta_2) + l_3 e^(i (theta_2 + theta_3)) + k e^(i psi),   psi = theta_2 + theta_3 + theta_4
 
-the last in the plane, with psi what R leaves, and two elbows.  theta_5 and theta_6 come from sines, not
-from a cosine, and so hold near the wrist's singularity too.  (Hawkins, Analytic inverse kinematics for the
-Universal Robots, 2013, with the sines.)  Where sin theta_5 vanishes theta_6 is free: any psi for which joints
-2 and 3 reach is an answer.
+The third equation is in the plane. R and the angles before give psi, and there are two elbows. The angles
+theta_5 and theta_6 come from sines, not from a cosine, so they also hold near the wrist's singularity. If sin
+theta_5 vanishes, theta_6 is free: every psi for which joints 2 and 3 reach is a solution. (Hawkins, Analytic
+inverse kinematics for the Universal Robots, 2013, with the sines.)
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from safety_harness.base.geometry.arrays import Array3, Array3x3, Array4x4, Arra
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.kinematics import TCP, links_in_base
 
-PARALLEL = 1e-9  # most that axes may be off, and metres by which they may miss each other
-NEAR = 1e-4  # |sin theta_5| below which a way that is too long or too short is mended by psi
-FREE = 5e-10  # below which theta_6 is free: half of the largest difference of an exact pose
-EDGE_M = 1e-6  # beyond the reach: what rounding may do to it where the arm is singular
+PARALLEL = 1e-9  # the largest error of an axis, and the largest gap [m] between axes that should meet
+NEAR_SINE = 1e-4  # |sin theta_5| below which psi corrects a distance that is too long or too short
+FREE = 5e-10  # |sin theta_5| below which theta_6 is free: half of the largest difference of an exact pose
+EDGE_M = 1e-6  # beyond the reach: the largest effect of rounding on it at a singularity
 AT_ONCE = 24  # for two theta_1, two theta_5, three psi and two elbows
 
 ARM_GEOMETRY = np.dtype(
@@ -58,12 +58,13 @@ ArmGeometryRecords = NDArray[np.void]  # (1,) ARM_GEOMETRY
 
 
 class ArmGeometry(Protocol):
-    """One record of ARM_GEOMETRY, as compiled code reads it; a complex number is a vector in the plane.
+    """A record of ARM_GEOMETRY, as compiled code reads it; a complex number is a vector in the plane.
 
-    ``plane_to_tool`` is at zero.  ``wrist_in_tool``: where axes 5 and 6 meet, from the TCP.  ``offset_m``:
-    how far all steps lead along h.  ``shoulder_m``, ``upper_m``, ``lower_m``, ``wrist_m``: the steps from
-    joint 1 to 2, to 3, to 4 and to where axes 5 and 6 meet.  ``axis_5_rad``: where axis 5 points at zero;
-    ``sense``: 1 if axis 6 points along h there, -1 if against it.  The last two are the position limits.
+    ``plane_to_tool`` is at zero. ``wrist_in_tool``: the point where axes 5 and 6 meet, from the TCP.
+    ``offset_m``: the sum of all steps along h. ``shoulder_m``, ``upper_m``, ``lower_m``, ``wrist_m``: the
+    steps from joint 1 to 2, to 3, to 4 and to the point where axes 5 and 6 meet. ``axis_5_rad``: the
+    direction of axis 5 at zero. ``sense``: 1 if axis 6 points along h there, -1 if against it. The last two
+    are the position limits.
     """
 
     base_to_plane: Array3x3
@@ -82,7 +83,7 @@ class ArmGeometry(Protocol):
 
 
 def has_closed_form(arm: ArmModel) -> bool:
-    """Has ``arm`` six joints, and the wrist of the UR family?"""
+    """Return whether ``arm`` has six joints and the wrist of the UR family."""
     try:
         arm_geometry(arm)
     except ArmModelError:
@@ -91,7 +92,10 @@ def has_closed_form(arm: ArmModel) -> bool:
 
 
 def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
-    """(1,) ARM_GEOMETRY of an arm, read-only; ``ArmModelError`` unless its wrist is that of the UR family."""
+    """Return the read-only record ARM_GEOMETRY (1,) of an arm.
+
+    ``ArmModelError`` for another wrist than the UR family's.
+    """
     if len(arm.joint_names) != 6:
         raise ArmModelError(f"{arm.name}: the closed form is of six joints, not {len(arm.joint_names)}")
     zero = links_in_base(arm, np.zeros(6))
@@ -103,7 +107,7 @@ def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
     along_6 = axes[5] * (inner[4] @ axes[5])  # joint 6 is where its axis meets axis 5
     inner[4] -= along_6
     fits = (
-        abs(axes[0, 2]) <= PARALLEL  # perpendicular to h, else the frame is none
+        abs(axes[0, 2]) <= PARALLEL  # perpendicular to h, otherwise the frame is not orthonormal
         and np.abs(axes[2:4] - axes[1]).max() <= PARALLEL
         and abs(axes[4, 2]) <= PARALLEL
         and np.abs(axes[5, :2]).max() <= PARALLEL
@@ -130,10 +134,10 @@ def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
 
 @njit_no_nrt
 def candidate_branches(arm: ArmGeometry, pose: Array4x4, out: ArrayNx6) -> int:
-    """Fill ``out`` (AT_ONCE, 6) with joint positions that may give ``pose`` (4, 4), and return how many.
+    """Fill ``out`` (AT_ONCE, 6) with joint positions that may give ``pose`` (4, 4), and return their number.
 
-    They give it if it can be reached, but for rounding: unchecked, angles not wrapped, some twice where the
-    arm is singular.  In order of theta_1, then theta_5, then psi, then theta_3.
+    They give a pose within reach up to rounding. The function does not check them or wrap angles, and repeats
+    some at a singularity. They are in order of theta_1, then theta_5, then psi, then theta_3.
     """
     wx, wy, wz = _wrist(arm, pose, 0), _wrist(arm, pose, 1), _wrist(arm, pose, 2)
     radius = hypot(wy, wz)
@@ -145,7 +149,7 @@ def candidate_branches(arm: ArmGeometry, pose: Array4x4, out: ArrayNx6) -> int:
     for side in (-1.0, 1.0):
         theta_1 = atan2(-wy, wz) + side * half
         c, s = cos(theta_1), sin(theta_1)
-        # u = R^T E_1 h, and its parts across axis 5 and along it
+        # u = R^T E_1 h, with its components across axis 5 and along it
         ux = c * _turn(arm, pose, 2, 0) - s * _turn(arm, pose, 1, 0)
         uy = c * _turn(arm, pose, 2, 1) - s * _turn(arm, pose, 1, 1)
         uz = c * _turn(arm, pose, 2, 2) - s * _turn(arm, pose, 1, 2)
@@ -175,27 +179,28 @@ def _with_wrist(
     out: ArrayNx6,
     count: int,
 ) -> int:
-    """Append to the ``count`` rows of ``out`` (AT_ONCE, 6) those with these angles; returns the new count.
+    """Append the solutions with these angles to the ``count`` rows of ``out`` (AT_ONCE, 6).
 
-    Beside the singularity psi is ill determined: where it leaves joints 2 and 3 a way that they cannot
-    bridge, the nearest that they can is taken.  At it, the two psi in the middle of what they can as well.
+    Return the new count. Beside the singularity psi is ill determined. If it leaves joints 2 and 3 a distance
+    that they cannot bridge, the function takes the nearest psi with a possible distance. At the singularity
+    it adds the two psi in the middle of the possible range.
     """
     k = arm.wrist_m * np.exp(1j * psi)
-    way, apart = abs(z - k), np.angle(k / z)
+    distance, angle_apart = abs(z - k), np.angle(k / z)
     shortest, longest = abs(abs(arm.upper_m) - abs(arm.lower_m)), abs(arm.upper_m) + abs(arm.lower_m)
     sine = abs(sin(theta_5))
-    if shortest <= way <= longest:
+    if shortest <= distance <= longest:
         best = psi
-    elif sine < NEAR:
-        angle = _angle_for(z, k, min(max(way, shortest), longest))
-        best = psi - apart + np.copysign(angle, apart)
-    elif shortest - EDGE_M <= way <= longest + EDGE_M:
+    elif sine < NEAR_SINE:
+        angle = _angle_for(z, k, min(max(distance, shortest), longest))
+        best = psi - angle_apart + np.copysign(angle, angle_apart)
+    elif shortest - EDGE_M <= distance <= longest + EDGE_M:
         best = psi
     else:
         return count
     least, most = max(shortest, abs(abs(z) - abs(k))), min(longest, abs(z) + abs(k))
     middle = _angle_for(z, k, 0.5 * (least + most))
-    straight = psi - apart
+    straight = psi - angle_apart
     for tried in (best, straight + middle, straight - middle):
         y = z - arm.wrist_m * np.exp(1j * tried)
         bend = (abs(y) ** 2 - abs(arm.upper_m) ** 2 - abs(arm.lower_m) ** 2) / (
@@ -216,7 +221,7 @@ def _with_wrist(
 
 @inlined
 def _turn(arm: ArmGeometry, pose: Array4x4, i: int, j: int) -> float:
-    """Entry (i, j) of the pose's rotation since zero, in the plane's frame.  ``pose`` (4, 4)."""
+    """Return entry (i, j) of the pose's rotation since zero, in the plane's frame; ``pose`` (4, 4)."""
     total = 0.0
     for m in range(3):
         for n in range(3):
@@ -226,7 +231,7 @@ def _turn(arm: ArmGeometry, pose: Array4x4, i: int, j: int) -> float:
 
 @inlined
 def _wrist(arm: ArmGeometry, pose: Array4x4, i: int) -> float:
-    """Entry i of the place where axes 5 and 6 meet [m], from joint 1, in the plane's frame.
+    """Return entry i of the point where axes 5 and 6 meet [m], from joint 1, in the plane's frame.
 
     ``pose`` (4, 4).
     """
@@ -240,7 +245,7 @@ def _wrist(arm: ArmGeometry, pose: Array4x4, i: int) -> float:
 
 
 @inlined
-def _angle_for(z: complex, k: complex, way: float) -> float:
-    """The angle between z and k with which their difference is ``way`` long, or as nearly as can be."""
-    cosine = (abs(z) ** 2 + abs(k) ** 2 - way * way) / (2.0 * abs(z) * abs(k))
+def _angle_for(z: complex, k: complex, distance: float) -> float:
+    """Return the angle between z and k at which |z - k| is ``distance``, or as near to it as possible."""
+    cosine = (abs(z) ** 2 + abs(k) ** 2 - distance * distance) / (2.0 * abs(z) * abs(k))
     return float(np.arccos(min(max(cosine, -1.0), 1.0)))

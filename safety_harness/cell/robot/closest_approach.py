@@ -1,6 +1,6 @@
-"""How near a hand and the arm come to each other between two instants: guaranteed from below, met from above.
+"""The closest approach of a hand and the arm between two instants: a guaranteed lower bound and a sample.
 
-Hand, arm and distance are those of ``distance``.
+Hand, arm and distance have the meaning of ``distance``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MAX_BISECTIONS = 48  # halvings of an interval: far below any tolerance that flo
 @compiled
 def closest_approach_between(
     arm: Arm,
-    room: NDArray[np.float64],  # (MAX_BISECTIONS + 1, n, 2, 3), overwritten
+    scratch: NDArray[np.float64],  # (MAX_BISECTIONS + 1, n, 2, 3), overwritten
     q0: ArrayN,
     q1: ArrayN,
     hand0: Array3,
@@ -36,20 +36,20 @@ def closest_approach_between(
     tolerance_m: float,
     not_below_m: float,
 ) -> tuple[float, float, float, float]:
-    """Guaranteed lower bound [m] of ``hand_distance`` while joints and hand move linearly.
+    """Return a guaranteed lower bound [m] of ``hand_distance`` while joints and hand move linearly.
 
-    Joints go from ``q0`` to ``q1`` [rad] and the hand's two points from state 0 to state 1 [m, base frame],
-    in the same parameter t from 0 to 1.  Returns (bound, t of the least distance that was sampled, that
-    distance, distance at t = 1).  The bound is never above the true minimum, and at most ``tolerance_m`` > 0
-    below it; where it exceeds ``not_below_m``, it may be farther below, for less work.  NaN if the distance
-    at either end is.
+    Joints go from ``q0`` to ``q1`` [rad]. The hand's two points go from state 0 to state 1 [m, base frame],
+    in the same parameter t from 0 to 1. Returns (bound, t of the least sampled distance, that distance,
+    distance at t = 1). The bound is never above the true minimum, and at most ``tolerance_m`` > 0 below it. A
+    bound above ``not_below_m`` may be farther below, for less work. NaN if the distance at either end is NaN.
 
-    Branch and bound, from left to right: an interval [a, b] is halved until its bound is good enough,
+    Branch and bound, from left to right. The function halves an interval [a, b] until its bound is good
+    enough,
 
         min d >= min d_linear - B (b - a)^2 / 8,
 
-    d_linear the distance if all axis ends moved linearly from a to b (``_linear_bound``) and B of ``_bend``:
-    what a curve with |p''| <= B leaves of its chord.
+    with d_linear the distance if all axis ends moved linearly from a to b (``_linear_bound``), and B of
+    ``_bend``. A curve with |p''| <= B leaves its chord by at most the last term.
     """
     if not tolerance_m > 0.0:
         raise ValueError("tolerance_m must be positive")
@@ -57,7 +57,7 @@ def closest_approach_between(
     n = arm.chain[0].joint_axes.shape[0]
     transforms = np.empty((n + 2, 4, 4))
     # capsules at the left end, and at the right ends still to be reached
-    left_m, right_m = room[MAX_BISECTIONS], room[:MAX_BISECTIONS]
+    left_m, right_m = scratch[MAX_BISECTIONS], scratch[:MAX_BISECTIONS]
     at = np.empty(MAX_BISECTIONS)
     joints = np.empty(n)
     hands = np.empty((3, 2, 3))  # hand and elbow at the left end, at the right end, in between
@@ -84,7 +84,7 @@ def closest_approach_between(
             continue
         if t_next == 1.0:
             last = distance
-            # From either end to anywhere in between nothing moves farther than its chord and its bend.
+            # Between the two ends every point stays within its chord and its bend.
             chord = _longest_chord(left_m, sample)
             chord += max(segment_length(hand0, hand1), segment_length(elbow0, elbow1))
             coarse = 0.5 * (first + last - chord) - bend / 8.0
@@ -115,7 +115,7 @@ def closest_approach_between(
 
 @inlined
 def _longest_chord(left: ArrayNx2x3, right: ArrayNx2x3) -> float:
-    """The farthest [m] that any end of a capsule's axis is from where it was."""
+    """Return the longest distance [m] between an axis end of a capsule in ``left`` and in ``right``."""
     longest = 0.0
     for capsule in range(left.shape[0]):
         for i in range(2):
@@ -130,7 +130,7 @@ def _longest_chord(left: ArrayNx2x3, right: ArrayNx2x3) -> float:
 def _hand_at(
     t: float, hand0: Array3, hand1: Array3, elbow0: Array3, elbow1: Array3, hand_out: Array2x3
 ) -> None:
-    """Fill hand and elbow (2, 3) at the part t of the way from state 0 to state 1."""
+    """Fill hand and elbow (2, 3) at the share t of the path from state 0 to state 1."""
     for i in range(3):
         hand_out[0, i] = hand0[i] + t * (hand1[i] - hand0[i])
         hand_out[1, i] = elbow0[i] + t * (elbow1[i] - elbow0[i])
@@ -138,12 +138,12 @@ def _hand_at(
 
 @njit_no_nrt
 def _bend(reach_m: ArrayN, q0: ArrayN, q1: ArrayN) -> float:
-    """Bound on |d^2 p / dt^2| [m] of every point p on a capsule's axis, t from 0 to 1.
+    """Return a bound on |d^2 p / dt^2| [m] of every point p on a capsule's axis, t from 0 to 1.
 
-    B = sum over joints i, j of |dq_i dq_j| l_max(i, j), with l of ``chain_lengths``.  For i <= j, d^2 p /
-    dq_i dq_j = a_i x (a_j x (p - p_j)) is at most |p - p_j|, which no joint position can make longer than the
-    chain of links from joint j to p.  A point that bends by no more than b leaves the chord of an interval of
-    length h by at most b h^2 / 8.
+    B = sum over joints i, j of |dq_i dq_j| l_max(i, j), with l of ``chain_lengths``. For i <= j, d^2 p / dq_i
+    dq_j = a_i x (a_j x (p - p_j)) is at most |p - p_j|. The chain of links from joint j to p is at least as
+    long in every joint position. A point with this bound b leaves the chord of an interval of length h by at
+    most b h^2 / 8.
 
     ``reach_m``, ``q0`` and ``q1`` (n,).
     """
@@ -163,11 +163,11 @@ def _linear_bound(
     hand_radius_m: float,
     forearm_radius_m: float,
 ) -> float:
-    """Lower bound [m] of the hand distance if all axis ends moved linearly from left to right.
+    """Return a lower bound [m] of the hand distance if all axis ends moved linearly from left to right.
 
-    min over capsules and both bodies of ``_linear_pair_bound`` less the two radii.
-    ``left`` and ``right`` (n, 2, 3): the capsules; ``hands`` (3, 2, 3): hand and elbow at the left
-    end, at the right end, and room for the middle.
+    min over capsules and both bodies of ``_linear_pair_bound`` less the two radii. ``left`` and ``right`` (n,
+    2, 3): the capsules. ``hands`` (3, 2, 3): hand and elbow at the left end, at the right end, and at the
+    middle, which the function writes.
     """
     for i in range(2):
         for j in range(3):
@@ -176,14 +176,14 @@ def _linear_bound(
     bound = np.inf
     forearm = segment_length(hands[2, 0], hands[2, 1])
     thickest = max(hand_radius_m, forearm_radius_m)
-    for capsule in range(capsules.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
+    for capsule in range(capsules.shape[0] - 1, -1, -1):  # the arm's end first: usually the nearest
         squared, displacement, radius_m = 0.0, 0.0, capsules[capsule].radius_m
         for i in range(2):
             for j in range(3):
                 middle[i, j] = 0.5 * (left[capsule, i, j] + right[capsule, i, j])
         for j in range(3):
-            apart = 0.5 * (hands[2, 0, j] + hands[2, 1, j]) - 0.5 * (middle[0, j] + middle[1, j])
-            squared += apart * apart
+            offset = 0.5 * (hands[2, 0, j] + hands[2, 1, j]) - 0.5 * (middle[0, j] + middle[1, j])
+            squared += offset * offset
         for i in range(2):
             for k in range(2):
                 total = 0.0
@@ -191,8 +191,8 @@ def _linear_bound(
                     moved = right[capsule, i, j] - left[capsule, i, j] - (hands[1, k, j] - hands[0, k, j])
                     total += moved * moved
                 displacement = max(displacement, total)
-        # What ``_linear_pair_bound`` gives of this capsule is no less: no point is farther from a middle
-        # than half the length.
+        # ``_linear_pair_bound`` of this capsule is no less than this, since every point of a segment is
+        # within half the length of its middle.
         halves = 0.5 * (forearm + segment_length(middle[0], middle[1]) + sqrt(displacement))
         if sqrt(squared) - halves - thickest - radius_m - ROUNDING_M > bound:  # never of a NaN
             continue
@@ -207,16 +207,18 @@ def _linear_bound(
 def _linear_pair_bound(
     left: Array2x3, right: Array2x3, middle: Array2x3, hands: NDArray[np.float64], points: int
 ) -> float:
-    """Lower bound [m] of the distance of two segments whose ends move linearly, over the interval.
+    """Return a lower bound [m] of the distance of two segments whose ends move linearly, over the interval.
 
-    The capsule's at either end and half-way; ``hands`` (3, 2, 3) and ``points`` as in ``_linear_bound``.
+    ``left``, ``right`` and ``middle`` (2, 3) are the capsule's segment at either end and half-way; ``hands``
+    (3, 2, 3) as in ``_linear_bound``. ``points`` is 1 for the hand's centre and 2 for the forearm.
 
-    max(0, |m| - max |u_ij(1) - u_ij(0)|/2, min over ends i, j and t in {0, 1} of u_ij(t) . m/|m|), with u_ij
-    from an end of the hand's to one of the capsule's and m the shortest vector at half-way.
-    The larger of two bounds, and of 0.  (1) Half-way's distance, less half of the longest
-    relative displacement of two ends.  (2) The gap between the segments along one fixed
-    direction, that of the half-way's nearest points: a least one of functions that are linear
-    in time, so it is smallest at the interval's ends.
+    max(0, |m| - max |u_ij(1) - u_ij(0)|/2, min over ends i, j and t in {0, 1} of u_ij(t) . m/|m|). u_ij goes
+    from an end of the hand's segment to an end of the capsule's, and m is the shortest vector at half-way.
+
+    The result is the largest of 0 and two bounds. (1) The distance at half-way, less half of the longest
+    relative displacement of two ends. (2) The gap between the segments along a fixed direction, from nearest
+    point to nearest point at half-way. It is a minimum of functions that are linear in time, so it is
+    smallest at an end of the interval.
     """
     x, y, z = segment_segment_vector(hands[2, 0], hands[2, points - 1], middle[0], middle[1])
     distance = sqrt(x * x + y * y + z * z)

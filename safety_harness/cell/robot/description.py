@@ -1,6 +1,6 @@
-"""The arm as numbers: joint frames, axes and limits, and the shapes of its links, read from a URDF.
+"""The arm as numbers: joint frames, axes, limits and link shapes, read from a URDF.
 
-The shipped robot descriptions lie in ``data`` beside this file, which says where they come from.
+The shipped robot descriptions, and their sources, lie in ``data`` beside this file.
 """
 
 from __future__ import annotations
@@ -20,16 +20,19 @@ from safety_harness.cell.robot.joint_data import Lack, Use, joint_data
 from safety_harness.cell.robot.urdf import ArmFileError, Urdf, read_bytes
 
 DATA = Path(__file__).with_name("data")
-PACKAGES = {"example-robot-data/robots": DATA}  # what the shipped URDFs call that folder
+PACKAGES = {"example-robot-data/robots": DATA}  # the name of that folder in the shipped URDFs
 BASE_LINK = "base_link"
 TCP_LINK = "tool0"
 FEWEST, MOST = 3, 8  # turning joints
-BEYOND = 1.2  # of a principal moment over the others' sum: published ones are off, the xArm6's by 1.16
+MOMENT_EXCESS = 1.2  # of a principal moment over the sum of the rest: published URDFs reach 1.16 (xArm6)
 SIZES = {"mesh": "scale", "box": "size", "cylinder": "radius length", "sphere": "radius"}
 
 
 def chain_of(joints: int) -> np.dtype[np.void]:
-    """The record of a chain of so many joints: its size is part of the type of code compiled for it."""
+    """Return the record type of a chain of ``joints`` joints.
+
+    Its size is part of the type, so that numba compiles code for each number of joints.
+    """
     return np.dtype(
         [
             ("joint_origins", np.float64, (joints, 4, 4)),
@@ -44,7 +47,7 @@ ChainRecords = NDArray[np.void]  # (1,) of chain_of(n)
 
 
 class Chain(Protocol):
-    """One record of a chain, as compiled code reads it; the arrays are those of ``ArmModel``."""
+    """A record of a chain, as compiled code reads it; its arrays have the meaning of ``ArmModel``."""
 
     joint_origins: NDArray[np.float64]  # (n, 4, 4)
     joint_axes: NDArray[np.float64]  # (n, 3)
@@ -53,10 +56,11 @@ class Chain(Protocol):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Shape:
-    """A shape of a link, and where it sits in the link's frame.
+    """A shape of a link, with its place in the link's frame.
 
-    ``size`` is a mesh's scale (3,), a box's edges (3,), a cylinder's radius and length (2,), along z, or a
-    sphere's radius (1,) [m].  Of a mesh there are ``uri``, its name in the URDF, and ``file``.
+    ``size`` depends on ``kind``: a mesh's scale (3,), a box's edges (3,) [m], a cylinder's radius and length
+    (2,) [m] along z, or a sphere's radius (1,) [m]. A mesh also has ``uri``, its name in the URDF, and
+    ``file``.
     """
 
     kind: str  # of SIZES
@@ -68,7 +72,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinkShapes:
-    """The shapes of one link and of all that is fixed to it; ``index`` counts the base as 0."""
+    """The shapes of a link and of everything fixed to it; ``index`` counts the base as 0."""
 
     link: str
     index: int
@@ -80,12 +84,12 @@ class LinkShapes:
 class ArmModel:
     """An arm of n turning joints from its base to its tcp; arrays are read-only.
 
-    ``joint_origins`` (n, 4, 4): frame of link i + 1 at q = 0 to the frame of link i.
-    ``joint_axes`` (n, 3): unit axis of joint i in the frame of the link that it moves.
-    ``flange`` (4, 4): from the tcp to the last moving link.
-    The limits are (n,); ``effort_limit`` is in N m.  A joint without an end (continuous) has the position
-    limits -inf and inf.  ``left_out`` names the links with shapes that are not fixed to any of the arm's.
-    ``transform_seat`` (4, 4): from the base link's frame to the base frame, one until the arm is ``seated``.
+    ``joint_origins`` (n, 4, 4): frame of link i + 1 at q = 0 to the frame of link i. ``joint_axes`` (n, 3):
+    unit axis of joint i in the frame of the link that it moves. ``flange`` (4, 4): from the tcp to the last
+    moving link. The limits are (n,); ``effort_limit`` is in N m. A joint without an end (continuous) has the
+    position limits -inf and inf. ``left_out`` names the links with shapes that are not fixed to any link of
+    the arm. ``transform_seat`` (4, 4): from the base link's frame to the base frame, the identity until the
+    arm is ``seated``.
     """
 
     name: str
@@ -117,7 +121,7 @@ class ArmModel:
 
     @cached_property
     def chain(self) -> ChainRecords:
-        """(1,) of ``chain_of(n)``: joint frames, axes and flange for compiled code, read-only."""
+        """The record (1,) of ``chain_of(n)``: joint frames, axes and flange for compiled code, read-only."""
         chain = np.zeros(1, chain_of(len(self.joint_names)))
         for name in chain.dtype.names or ():
             chain[name] = getattr(self, name)
@@ -125,48 +129,57 @@ class ArmModel:
         return chain
 
     def seated(self, transform: NDArray[np.float64]) -> ArmModel:
-        """The same arm elsewhere: ``transform`` (4, 4) leads from its base link to the base frame."""
+        """Return the same arm with its base at another place.
+
+        ``transform`` (4, 4) leads from its base link to the base frame.
+        """
         origins = np.concatenate(((transform @ self.joint_origins[0])[None], self.joint_origins[1:]))
         return replace(self, joint_origins=origins, transform_seat=transform @ self.transform_seat)
 
     @property
     def lacks(self) -> tuple[Lack, ...]:
-        """What the URDF does not state, with who needs it."""
+        """The numbers that the URDF does not state, with the uses that need them."""
         missing = [
             (self._joints(self.velocity_limit_radps), "speed", (Use.RUN,), "joint speed limits"),
             (self._joints(self.effort_limit), "effort", (Use.TORQUES, Use.PYBULLET), "joint torque limits"),
         ]
         lacks = [
-            Lack(f"the {what} of {names}", uses, f"the arm's key `{key}`")
-            for names, what, uses, key in missing
+            Lack(f"the {quantity} of {names}", uses, f"the arm's key `{key}`")
+            for names, quantity, uses, key in missing
             if names
         ]
         if self.in_degrees:
             supply = "the arm's key `angles: rad`; else write them in rad (180 deg is 3.14159)"
             lacks.append(Lack("the unit of the limits, which look like degrees", (Use.RUN,), supply))
         if self.without_inertia:
-            what = f"a mass and inertia that a body can have, of {', '.join(self.without_inertia)}"
-            lacks.append(Lack(what, (Use.TORQUES, Use.PYBULLET), "<inertial> in the URDF"))
+            quantity = f"a mass and inertia that a body can have, of {', '.join(self.without_inertia)}"
+            lacks.append(Lack(quantity, (Use.TORQUES, Use.PYBULLET), "<inertial> in the URDF"))
         return tuple(lacks)
 
     def _joints(self, numbers: NDArray[np.float64]) -> str:
         return ", ".join(np.array(self.joint_names)[np.isnan(numbers)])
 
     def require(self, use: Use) -> None:
-        """Raise ``ArmFileError`` if the arm lacks something that ``use`` needs."""
+        """Raise ``ArmFileError`` if the arm lacks a number that ``use`` needs."""
         for lack in self.lacks:
             if use in lack.uses:
                 raise ArmFileError.of_file(self.file, f"{lack.what}, for {use}", "none", lack.supply)
 
     @property
     def farthest_reach_m(self) -> float:
-        """No pose takes the tcp farther than this [m] from the second joint: the frames' distances, added."""
+        """A bound [m] of the distance of the tcp from the second joint in every pose.
+
+        It is the sum of the distances between the frames.
+        """
         frames = np.concatenate((self.joint_origins[2:], self.flange[None]))
         return float(np.linalg.norm(frames[:, :3, 3], axis=1).sum())
 
 
 def urdf_file(name: str) -> Path:
-    """The URDF of the shipped arm ``name`` ("ur3", "ur5", "ur10")."""
+    """Return the URDF of the shipped arm ``name`` ("ur3", "ur5", "ur10").
+
+    ``ArmModelError`` for another name.
+    """
     folder = DATA / "ur_description" / "urdf"
     file = folder / f"{name}_robot.urdf"
     if not file.is_file():
@@ -176,14 +189,14 @@ def urdf_file(name: str) -> Path:
 
 
 def resolved_urdf(arm: ArmModel, *, visuals: bool) -> str:
-    """An arm's URDF with absolute mesh paths, and without what is not fixed to its links.
+    """Return an arm's URDF with absolute mesh paths, without the links that are not fixed to the arm.
 
-    The root is the arm's base.  Without ``visuals`` it has no <visual> elements.
+    The root is the arm's base. Without ``visuals`` it has no <visual> elements.
     """
     urdf = Urdf.read(arm.file, arm.text)
     for joint in urdf.root.findall("joint"):
-        below = urdf.text(urdf.child(joint, "child"), "link")
-        if urdf.carrier(below, arm.link_names)[0] is None or below == arm.link_names[0]:
+        child = urdf.text(urdf.child(joint, "child"), "link")
+        if urdf.carrier(child, arm.link_names)[0] is None or child == arm.link_names[0]:
             urdf.root.remove(joint)
     for name, link in urdf.links.items():
         if urdf.carrier(name, arm.link_names)[0] is None:
@@ -199,7 +212,7 @@ def resolved_urdf(arm: ArmModel, *, visuals: bool) -> str:
 
 @lru_cache
 def load_arm(name: str = "ur10") -> ArmModel:
-    """The shipped arm ``name``."""
+    """Return the shipped arm ``name``."""
     return read_arm(urdf_file(name), base=BASE_LINK, tcp=TCP_LINK, packages=PACKAGES)
 
 
@@ -212,13 +225,20 @@ def read_arm(
     text: bytes | None = None,
     meshes: bool = True,
 ) -> ArmModel:
-    """Read the arm between two links of a URDF: three to eight turning joints, any number of fixed ones.
+    """Read the arm between two links of a URDF: three to eight turning joints, any number of fixed joints.
 
-    ``base`` stands still, and ``tcp`` ends the arm; by default the only link without a joint above it, and
-    the only one without a joint below it.  ``packages`` has the folders of names in package://NAME/PATH;
-    others are looked for in the URDF's folder and those above it: NAME/PATH first, then PATH.
-    ``text`` is read in place of the file, and without ``meshes`` one that is not there stays without a file.
-    ``ArmFileError``, with file and line, for what is no such arm or cannot be used.
+    Args:
+        file: The URDF.
+        base: The link that stands still. By default the only link without a joint above it.
+        tcp: The link that ends the arm. By default the only link without a joint below it.
+        packages: The folders of names in package://NAME/PATH. Other packages are in the URDF's folder or a
+            folder above it, as NAME/PATH or else as PATH.
+        text: The URDF's bytes, read in place of the file.
+        meshes: False accepts a missing mesh file; its shape then has no ``file``.
+
+    Raises:
+        ArmFileError: With file and line, if the file has no such arm or the arm cannot be used.
+
     """
     text = read_bytes(file) if text is None else text
     urdf = Urdf.read(file, text)
@@ -235,7 +255,7 @@ def read_arm(
     if not FEWEST <= len(moving) <= MOST:
         expected = f"{FEWEST} to {MOST} turning joints from {base!r} to {tcp!r}"
         raise urdf.error(urdf.links[tcp], expected, str(len(moving)))
-    axes = np.array([one.axis for one in data])
+    axes = np.array([numbers.axis for numbers in data])
     names = (base, *(urdf.child(joint, "child").get("link", "") for joint in moving))
     shapes = _Shapes(urdf, names, packages or {}, meshes)
     return ArmModel(
@@ -247,16 +267,16 @@ def read_arm(
         joint_origins=np.array(origins),
         joint_axes=axes / np.linalg.norm(axes, axis=1, keepdims=True),
         flange=reduce(np.matmul, since) if since else np.eye(4),
-        position_lower_rad=np.array([one.lower_rad for one in data]),
-        position_upper_rad=np.array([one.upper_rad for one in data]),
-        velocity_limit_radps=np.array([one.speed_radps for one in data]),
-        effort_limit=np.array([one.effort_nm for one in data]),
-        soft_limits_rad=np.array([one.soft_rad for one in data]),
-        in_degrees=any(one.degrees for one in data),
+        position_lower_rad=np.array([numbers.lower_rad for numbers in data]),
+        position_upper_rad=np.array([numbers.upper_rad for numbers in data]),
+        velocity_limit_radps=np.array([numbers.speed_radps for numbers in data]),
+        effort_limit=np.array([numbers.effort_nm for numbers in data]),
+        soft_limits_rad=np.array([numbers.soft_rad for numbers in data]),
+        in_degrees=any(numbers.degrees for numbers in data),
         links=shapes.links(),
         left_out=tuple(shapes.left_out),
         without_inertia=tuple(shapes.without_inertia),
-        notes=(*(one.note for one in data if one.note), *shapes.notes, *_below(urdf, base)),
+        notes=(*(numbers.note for numbers in data if numbers.note), *shapes.notes, *_below(urdf, base)),
         text=text,
         packages=packages or {},
     )
@@ -273,7 +293,7 @@ def _below(urdf: Urdf, base: str) -> Iterator[str]:
 
 
 class _Shapes:
-    """The shapes of the links ``names`` and of what is fixed to them, and what is left out of the others."""
+    """The shapes of the links ``names`` and of everything fixed to them, with the names of links left out."""
 
     def __init__(
         self, urdf: Urdf, names: tuple[str, ...], packages: Mapping[str, Path], meshes: bool
@@ -281,26 +301,26 @@ class _Shapes:
         self._names, self._found = names, dict[tuple[str, str], list[Shape]]()
         self.left_out, self.without_inertia, self.notes = list[str](), list[str](), list[str]()
         for name, link in urdf.links.items():
-            carrier, way = urdf.carrier(name, names)
+            carrier, frames = urdf.carrier(name, names)
             if carrier is None:
-                shown = link.find("visual") is not None or link.find("collision") is not None
-                self.left_out += [name] if shown else []
+                has_shapes = link.find("visual") is not None or link.find("collision") is not None
+                self.left_out += [name] if has_shapes else []
                 continue
             try:
                 inertial(urdf, link)
-            except ArmFileError:  # said by those who need it; the base stands still
+            except ArmFileError:  # reported by the uses that need it; the base stands still
                 self.without_inertia += [name] if carrier != names[0] else []
             for kind in ("collision", "visual"):
                 for part in link.findall(kind):
                     if is_empty(urdf, part):
                         self.notes.append(f"an empty <{kind}> of {name} is left out: its size is 0")
                         continue
-                    frame = reduce(np.matmul, [*way, urdf.origin(part)])
+                    frame = reduce(np.matmul, [*frames, urdf.origin(part)])
                     shape = _shape(urdf, part, frame, packages, meshes)
                     self._found.setdefault((carrier, kind), []).append(shape)
 
     def links(self) -> tuple[LinkShapes, ...]:
-        """The base and the moving links, each with its shapes."""
+        """Return the base and the moving links, each with its shapes."""
         return tuple(
             LinkShapes(
                 link=name,
@@ -313,7 +333,7 @@ class _Shapes:
 
 
 def is_empty(urdf: Urdf, part: ElementTree.Element) -> bool:
-    """Is the shape of a <collision> or <visual> nothing at all, a box of size "0 0 0" say?"""
+    """Return whether a <collision> or <visual> has size 0, a box of size "0 0 0" for example."""
     for element in urdf.child(part, "geometry"):
         if (keys := SIZES.get(element.tag)) and all(element.get(key) for key in keys.split()):
             sizes = [urdf.numbers(element, key, 3 if key in ("scale", "size") else 1) for key in keys.split()]
@@ -328,6 +348,7 @@ def _shape(
     packages: Mapping[str, Path],
     meshes: bool,
 ) -> Shape:
+    """Read a <collision> or <visual>; ``frame`` (4, 4) leads from the shape to the link."""
     inside = list(urdf.child(part, "geometry"))
     if len(inside) != 1 or inside[0].tag not in SIZES:
         tags = [element.tag for element in inside]
@@ -354,9 +375,10 @@ def _shape(
 def inertial(
     urdf: Urdf, link: ElementTree.Element
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]] | None:
-    """A link's mass, the frame (4, 4) of its centre, the inertia (3, 3) about it; None if it says nothing.
+    """Return a link's mass [kg], the frame (4, 4) of its centre, and the inertia (3, 3) about it [kg m^2].
 
-    ``ArmFileError`` unless the inertia is one that a body of that mass can have; what has no mass may.
+    None without an <inertial>. ``ArmFileError`` unless a body of that mass can have the inertia. A link
+    without mass may have any.
     """
     if link.find("inertial") is None:
         return None
@@ -369,7 +391,7 @@ def inertial(
         raise urdf.error(urdf.child(inertial, "mass"), "a mass of 0 kg or more", f"{mass:g}")
     matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     least, middle, most = np.linalg.eigvalsh(matrix)
-    if mass > 0.0 and not (least > 0.0 and most <= BEYOND * (least + middle)):
+    if mass > 0.0 and not (least > 0.0 and most <= MOMENT_EXCESS * (least + middle)):
         expected = "an inertia that a body can have: moments above 0, none far above the others' sum"
         raise urdf.error(inertia, expected, f"{least:.4g}, {middle:.4g}, {most:.4g}")
     return mass, frame, matrix

@@ -1,7 +1,7 @@
-"""Surface-to-surface distance between a hand and the arm's capsules, at an instant.
+"""Surface-to-surface distance between a hand and the arm's capsules at an instant.
 
-A hand is a sphere about ``hand`` and a capsule about the segment from ``hand`` to ``elbow``, its
-forearm.  A distance is that of the axes less both radii: negative in penetration.
+A hand is a sphere about ``hand`` and a capsule about the segment from ``hand`` to ``elbow``, its forearm. A
+distance is the distance of the axes less both radii: negative in penetration.
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ def hand_distance(
     hand_radius_m: float,
     forearm_radius_m: float,
 ) -> tuple[float, int]:
-    """Least distance [m] of a hand and its forearm from all capsules, and the nearest capsule's index.
+    """Return the least distance [m] of a hand and its forearm from all capsules, and the nearest capsule.
 
-    min over capsules c of min(|h, c| - r_h, |h e, c| - r_f) - r_c, with |., .| the distance of a point or
-    segment from an axis.  ``capsules`` (n,) CAPSULE, ``capsule_endpoints_in_base_m`` (n, 2, 3) as
-    ``place_capsules`` fills it, ``hand`` h and ``elbow`` e (3,) [m] in the base frame.  NaN (with the
-    capsule that gave it) if anything read is NaN.
+    The second result is the capsule's index. The distance is min over capsules c of min(|h, c| - r_h, |h e,
+    c| - r_f) - r_c. |., .| is the distance of a point or segment from an axis. ``capsules`` (n,) CAPSULE,
+    ``capsule_endpoints_in_base_m`` (n, 2, 3) as ``place_capsules`` fills it, ``hand`` h and ``elbow`` e (3,)
+    [m] in the base frame. NaN, with the index of its capsule, if any number read is NaN.
     """
-    last = capsules.shape[0] - 1  # the hand end first: usually the nearest
+    last = capsules.shape[0] - 1  # the arm's end first: usually the nearest
     return hand_distance_from(
         capsules, capsule_endpoints_in_base_m, hand, elbow, hand_radius_m, forearm_radius_m, last
     )
@@ -78,7 +78,10 @@ def hand_distance_from(
     forearm_radius_m: float,
     likely: int,
 ) -> tuple[float, int]:
-    """``hand_distance``, sooner if the capsule ``likely`` is the nearest: then most are passed over."""
+    """Return ``hand_distance``, sooner if the capsule ``likely`` is the nearest.
+
+    A bound then skips most of the capsules.
+    """
     best = np.inf
     nearest = -1
     thickest = max(hand_radius_m, forearm_radius_m)
@@ -88,15 +91,15 @@ def hand_distance_from(
         if turn == likely or capsule < 0:
             continue
         # No point of a segment is farther from its middle than half its length.
-        between, squared = 0.0, 0.0
+        centres_squared, squared = 0.0, 0.0
         for i in range(3):
             start_i = capsule_endpoints_in_base_m[capsule, 0, i]
             end_i = capsule_endpoints_in_base_m[capsule, 1, i]
-            between += (0.5 * (hand[i] + elbow[i]) - 0.5 * (start_i + end_i)) ** 2
+            centres_squared += (0.5 * (hand[i] + elbow[i]) - 0.5 * (start_i + end_i)) ** 2
             squared += (end_i - start_i) * (end_i - start_i)
         radius_m = capsules[capsule].radius_m
         reach = best + forearm_half + 0.5 * sqrt(squared) + thickest + radius_m
-        if reach < 0.0 or between > reach * reach:  # never true of a NaN
+        if reach < 0.0 or centres_squared > reach * reach:  # never true of a NaN
             continue
         start, end = capsule_endpoints_in_base_m[capsule, 0], capsule_endpoints_in_base_m[capsule, 1]
         to_hand = point_segment_distance(hand, start, end) - hand_radius_m
@@ -105,7 +108,7 @@ def hand_distance_from(
         if isnan(to_hand + to_forearm + distance):
             if turn < capsules.shape[0]:
                 return nan, capsule
-            likely = -1  # the first one that is NaN is to be found in turn
+            likely = -1  # search in order, so that the first capsule with NaN is returned
         elif distance < best or (distance == best and capsule > nearest):
             best = distance
             nearest = capsule
@@ -114,18 +117,18 @@ def hand_distance_from(
 
 @inlined
 def segment_length(start: Array3, end: Array3) -> float:
-    """The length [m] of a segment."""
+    """Return the length [m] of a segment."""
     x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     return sqrt(x * x + y * y + z * z)
 
 
 @compiled
 def chain_lengths(chains: ChainRecords, capsules: CapsuleRecords) -> NDArray[np.float64]:
-    """(n,) lengths [m] of the chain of links from each joint to the farthest capsule axis that it moves.
+    """Return the lengths (n,) [m] of the chain from each joint to the farthest capsule axis that it moves.
 
-    l_j = max over capsules and their ends p of |p| + sum of |o_i| over the joints i between j and the link,
-    with o_i the step from joint i - 1 to i: no joint position takes p farther from joint j.  ``chains`` (1,)
-    of n joints, ``capsules`` (n,) CAPSULE.
+    l_j = max over capsules and their ends p of |p| + sum of |o_i| over the joints i between j and the link.
+    Here o_i is the step from joint i - 1 to i. Joint positions cannot take p farther from joint j. ``chains``
+    (1,) of n joints, ``capsules`` (m,) CAPSULE.
     """
     origins, flange = chains[0].joint_origins, chains[0].flange
     n = origins.shape[0]

@@ -1,13 +1,13 @@
 """The arm's drives: they follow a demanded joint velocity, and a protective stop takes time.
 
-Both worlds put this between the controller's command and their motors.  A protective stop is the
-robot's own: for the reaction time the drives go on with the velocity they had, then they brake
-uniformly to zero within T_s(v) = base + slope v, v being the TCP speed when braking begins.  Once
-begun it is carried through to standstill, whatever the controller asks for meanwhile.
+Both worlds put the drives between the controller's command and their motors. The robot performs a protective
+stop by itself. During the reaction time the drives keep their velocity. Then they brake uniformly to zero
+within T_s(v) = base + slope v, where v is the TCP speed when braking begins. A stop that has begun ends at
+standstill, whichever commands the controller sends meanwhile.
 
-Drives with a ``DriveModel`` follow a demand after a dead time and with a lag, and no joint gets more torque
-than there is: the wanted change of all set points is scaled back by one factor, braking as well.  With a lag
-or such a limit velocities change over a control period, not at its start, and motors are told the mean.
+Drives with a ``DriveModel`` follow a demand after a dead time and with a lag. A joint never gets more torque
+than its limit: one factor scales back the wanted change of all set points, also while braking. Drives with a
+lag or a torque limit change their velocity over a control period, not at its start. Motors then get the mean.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ MOST_DELAY_TICKS = 100  # the longest dead time in the shortest control periods
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DriveModel:
-    """How drives follow a demand: ``lag_s`` is the time constant; without ``masses`` torque has no limit.
+    """The way in which drives follow a demand.
 
-    ``torque_limit_nm`` (n,).
+    ``lag_s`` is the time constant. ``torque_limit_nm`` (n,) needs ``masses``; without masses torque has no
+    limit.
     """
 
     dead_time_s: float = 0.0
@@ -44,14 +45,14 @@ class DriveModel:
 
 @lru_cache
 def drive_dtype(joints: int) -> np.dtype[Any]:
-    """DRIVE of an arm with so many joints."""
+    """Return the record type DRIVE of an arm with ``joints`` joints."""
     return np.dtype(
         [
             ("control_period_s", np.float64),
             ("reaction_time_s", np.float64),
             ("stop_time_base_s", np.float64),
             ("stop_time_per_speed_s2pm", np.float64),
-            ("setpoint_radps", np.float64, (joints,)),  # what the drives were told last
+            ("setpoint_radps", np.float64, (joints,)),  # the last set point of the drives
             ("stopping", np.bool_),
             ("requested_at_s", np.float64),
             ("braking", np.bool_),  # the reaction time is over
@@ -74,12 +75,15 @@ def drive_dtype(joints: int) -> np.dtype[Any]:
 
 
 def delay_ticks(dead_time_s: float, period_s: float) -> int:
-    """A dead time in whole control periods, rounded up."""
-    return ceil(dead_time_s / period_s - 1e-9)
+    """Return ``dead_time_s`` in whole control periods of ``period_s``, rounded up."""
+    return ceil(dead_time_s / period_s - 1e-9)  # 1e-9, because 0.07 / 0.01 is above 7 in float64
 
 
 def settled_s(model: DriveModel | None, period_s: float) -> float:
-    """After how long a demand is carried out: a lag but for a thousandth, torques if they suffice."""
+    """Return the time [s] after which drives have carried out a demand; 0 without a model.
+
+    A lag has then covered all except a thousandth of the change. The torques must suffice.
+    """
     if model is None:
         return 0.0
     gradual = model.lag_s > 0.0 or model.masses is not None
@@ -90,7 +94,14 @@ DriveRecords = NewType("DriveRecords", NDArray[np.void])  # (1,) DRIVE
 
 
 def drive(settings: Settings, joints: int, model: DriveModel | None = None) -> DriveRecords:
-    """Drives of so many joints, at rest; without a ``model`` they follow what is demanded at once."""
+    """Return a record DRIVE (1,) at rest.
+
+    Args:
+        settings: Its clock and braking times.
+        joints: The number of joints.
+        model: The dynamics of the drives. Without a model they follow a demand at once.
+
+    """
     drives = np.zeros(1, drive_dtype(joints))
     drives["control_period_s"] = settings.clock.control_period_s
     for name in ("reaction_time_s", "stop_time_base_s", "stop_time_per_speed_s2pm"):
@@ -111,18 +122,17 @@ def drive(settings: Settings, joints: int, model: DriveModel | None = None) -> D
 def drive_tick(
     drives: DriveRecords, demanded_radps: ArrayN, protective_stop: bool, tcp_speed_mps: float, time_s: float
 ) -> bool:
-    """Set ``setpoint_radps`` for the tick that begins at ``time_s``; True while braking acts.
+    """Set ``setpoint_radps`` for the tick that begins at ``time_s``; return True while braking acts.
 
-    While braking q' = q'_b max(0, 1 - (t + dt/2 - t_b)/T_s), with q'_b [rad/s] the set point when braking
-    began at t_b = t_requested + T_r, and T_s = base + slope v of the TCP's speed v then.  The set point of a
-    braking tick is the ramp's value at the middle of the tick, so that the distance covered is the integral
-    of the ramp.
+    While braking q' = q'_b max(0, 1 - (t + dt/2 - t_b)/T_s). Here q'_b [rad/s] is the set point when braking
+    began, at t_b = t_requested + T_r. T_s = base + slope v, with the TCP's speed v at that time. A braking
+    tick uses the ramp's value at the middle of the tick. So the covered distance is the integral of the ramp.
     """
     d = drives[0]
     copy_vector(d.setpoint_radps, d.before_radps)
     if protective_stop and not d.stopping:
         d.stopping = True
-        for row in range(d.delay_ticks):  # what is on its way does not outlive the stop
+        for row in range(d.delay_ticks):  # delayed demands do not outlive the stop
             for i in range(d.setpoint_radps.shape[0]):
                 d.delayed_radps[row, i] = 0.0
         d.braking = False
@@ -138,8 +148,8 @@ def drive_tick(
     if d.braking:
         left = 1.0 - (time_s + 0.5 * d.control_period_s - d.braking_from_s) / d.stop_time_s
         if left <= 0.0 and not protective_stop and _stand_still(drives):
-            # At standstill and released: this tick obeys.  The controller takes its demand for done, and
-            # one tick later the arm would start with twice the step.
+            # At standstill and released: this tick obeys.  The controller assumes that the drives execute
+            # its demand.  If they obeyed one tick later, the arm would start with twice the step.
             d.stopping = False
             _follow(drives, demanded_radps)
             return False
@@ -150,7 +160,7 @@ def drive_tick(
 
 @inlined
 def _stand_still(drives: DriveRecords) -> bool:
-    """Is every set point zero?"""
+    """Return whether every set point is zero."""
     stand, setpoint_radps = True, drives[0].setpoint_radps
     for i in range(setpoint_radps.shape[0]):
         stand = stand and setpoint_radps[i] == 0.0
@@ -159,9 +169,9 @@ def _stand_still(drives: DriveRecords) -> bool:
 
 @inlined
 def _follow(drives: DriveRecords, demanded_radps: ArrayN) -> None:
-    """Set ``setpoint_radps`` by the demand of a dead time ago: u + (1 - exp(-dt/T)) (d - u), u the last one.
+    """Set ``setpoint_radps`` by the demand d of a dead time ago: u + (1 - exp(-dt/T)) (d - u).
 
-    That is what a first-order lag of time constant T reaches within the tick.
+    u is the last set point. A first-order lag of time constant T reaches this value within the tick.
     """
     d = drives[0]
     row = d.oldest
@@ -179,20 +189,21 @@ def _follow(drives: DriveRecords, demanded_radps: ArrayN) -> None:
 
 @inlined
 def tell_motors(drives: DriveRecords, commanded_radps: ArrayN) -> None:
-    """Fill ``commanded_radps`` with the set points, or with their mean over a tick in which they change."""
+    """Fill ``commanded_radps`` (n,) with the set points, or with their mean if they change over the tick."""
     d = drives[0]
     for i in range(commanded_radps.shape[0]):
-        after = d.setpoint_radps[i]
-        commanded_radps[i] = 0.5 * (d.before_radps[i] + after) if d.gradual else after
+        setpoint = d.setpoint_radps[i]
+        commanded_radps[i] = 0.5 * (d.before_radps[i] + setpoint) if d.gradual else setpoint
 
 
 @compiled
 def limit_torques(drives: DriveRecords, joint_axes: ArrayNx3, transforms: ArrayNx4x4) -> None:
-    """Take back as much of the tick's change of ``setpoint_radps`` as no joint has the torque for.
+    """Scale back the tick's change of ``setpoint_radps`` so that every joint has the torque for it.
 
-    One factor for all joints keeps the direction.  What holds the arm against gravity comes first; where
-    that alone is beyond a limit, the change is made if it brings the torque back within it, and else not at
-    all.  ``transforms`` (n + 2, 4, 4) are those of ``forward_kinematics`` where the arm is.
+    One factor for all joints keeps the direction. The torque that holds the arm against gravity comes first.
+    If this torque alone exceeds a limit, the function makes the change only if it brings the torque back
+    within the limit. ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics`` at the arm's position;
+    ``joint_axes`` (n, 3).
     """
     d = drives[0]
     n = joint_axes.shape[0]

@@ -1,4 +1,4 @@
-"""What an arm's motion takes: the torque of each joint, from the masses of its URDF and a payload."""
+"""The torque of each joint for a motion, from the masses of the arm's URDF and a payload."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Triple = tuple[float, float, float]
 
 @lru_cache
 def masses_dtype(joints: int) -> np.dtype[Any]:
-    """What the links of an arm with so many joints weigh, each in the frame of the link."""
+    """Return the record type of the masses of ``joints`` links, each in the frame of its link."""
     return np.dtype(
         [
             ("mass_kg", np.float64, (joints,)),
@@ -32,20 +32,28 @@ def masses_dtype(joints: int) -> np.dtype[Any]:
 
 
 def link_masses(arm: ArmModel, payload_kg: float = 0.0, payload_in_link_m: Array3 | None = None) -> np.void:
-    """The masses of the moving links, each with what is fixed to it; the last one carries a point mass.
+    """Return the record of the masses of the moving links, each with everything fixed to it.
 
-    ``payload_in_link_m`` (3,) in the frame of the last link.  What has no mass has no inertia either,
-    whatever the URDF says.  ``ArmFileError`` for a moving link without a mass.
+    A link without mass has no inertia, even if the URDF states one.
+
+    Args:
+        arm: The arm.
+        payload_kg: A point mass that the last link carries.
+        payload_in_link_m: Its place (3,) in the frame of the last link. None: no payload.
+
+    Raises:
+        ArmFileError: A moving link has no mass.
+
     """
     n, urdf = len(arm.joint_names), Urdf.read(arm.file, arm.text)
     mass, first, second = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))  # the moments about its origin
     for name, link in urdf.links.items():
-        carrier, way = urdf.carrier(name, arm.link_names)
-        if carrier in (None, arm.link_names[0]) or (found := inertial(urdf, link)) is None:
+        carrier, frames = urdf.carrier(name, arm.link_names)
+        if carrier in (None, arm.link_names[0]) or (link_inertial := inertial(urdf, link)) is None:
             continue
         k = arm.link_names.index(str(carrier)) - 1
-        kg, pose, inertia = found
-        for frame in reversed(way):
+        kg, pose, inertia = link_inertial
+        for frame in reversed(frames):
             pose = frame @ pose
         mass[k] += kg
         first[k] += kg * pose[:3, 3]
@@ -66,7 +74,7 @@ def link_masses(arm: ArmModel, payload_kg: float = 0.0, payload_in_link_m: Array
 
 
 def _spread(at_m: Array3) -> NDArray[np.float64]:
-    """(3, 3) inertia about the origin of 1 kg at ``at_m``: the parallel axis theorem."""
+    """Return the inertia (3, 3) about the origin of 1 kg at ``at_m``: the parallel axis theorem."""
     return float(at_m @ at_m) * np.eye(3) - np.outer(at_m, at_m)
 
 
@@ -81,13 +89,13 @@ def joint_torques(
 ) -> None:
     """Fill ``torques_out`` (n,) [N m] with M(q) q'' + C(q, q') q' + g(q), by recursive Newton-Euler.
 
-    All in the base frame, whose z points up: that the base accelerates upwards by g stands for gravity.
-    From the base outwards, link i turns with w_i = w_(i-1) + a_i q'_i, its origin accelerates with the
-    link before it, and force and moment at its centre of mass are m c'' and I w' + w x I w; from the TCP
-    inwards they add up, and a joint's torque is their moment about its axis a_i.  (Luh, Walker and Paul
-    1980; Lynch and Park, Modern Robotics, 2017, 8.3.)
+    All vectors are in the base frame, whose z points up. An upward acceleration g of the base stands for
+    gravity. The first pass goes outwards from the base. Link i turns with w_i = w_(i-1) + a_i q'_i, and its
+    origin accelerates with the link before it. Force and moment at its centre of mass are m c'' and I w' + w
+    x I w. The second pass adds them inwards from the TCP. A joint's torque is their moment about its axis
+    a_i. (Luh, Walker and Paul 1980; Lynch and Park, Modern Robotics, 2017, 8.3.)
 
-    ``transforms`` (n + 2, 4, 4) are those of ``forward_kinematics``, ``joint_axes`` (n, 3).
+    ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics``; ``joint_axes`` (n, 3).
     """
     n = joint_axes.shape[0]
     axes, forces, moments = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
@@ -117,7 +125,14 @@ def joint_torques(
 
 
 def holding_torques(arm: ArmModel, masses: np.void, joint_position_rad: ArrayN) -> ArrayN:
-    """(n,) [N m] what holds ``arm`` still at ``joint_position_rad`` (n,)."""
+    """Return the torques (n,) [N m] that hold an arm still.
+
+    Args:
+        arm: The arm.
+        masses: Its record of ``link_masses``.
+        joint_position_rad: Its joint position (n,).
+
+    """
     still, torques = np.zeros((2, len(joint_position_rad)))
     joint_torques(arm.joint_axes, links_in_base(arm, joint_position_rad), masses, still, still, torques)
     return torques
@@ -125,46 +140,48 @@ def holding_torques(arm: ArmModel, masses: np.void, joint_position_rad: ArrayN) 
 
 @compiled
 def torque_share(bias: ArrayN, wanted: ArrayN, limit: ArrayN) -> float:
-    """The largest s in [0, 1] for which |bias + s (wanted - bias)| <= limit in every joint.
+    """Return the largest s in [0, 1] for which |bias + s (wanted - bias)| <= limit in every joint.
 
-    All (n,) [N m]: ``bias`` holds the arm as it moves, ``wanted`` accelerates it as well.  0 where there is
-    no such s; a joint whose torque is the same for every s does not count.
+    All are (n,) [N m]. ``bias`` holds the arm in its present motion; ``wanted`` accelerates it as well. 0 if
+    no such s exists. A joint does not count if its torque is the same for every s.
     """
     least, most = 0.0, 1.0
     for i in range(bias.shape[0]):
         added = wanted[i] - bias[i]
         if added != 0.0:
-            one, other = (-limit[i] - bias[i]) / added, (limit[i] - bias[i]) / added
-            least, most = max(least, min(one, other)), min(most, max(one, other))
+            at_lower, at_upper = (-limit[i] - bias[i]) / added, (limit[i] - bias[i]) / added
+            least, most = max(least, min(at_lower, at_upper)), min(most, max(at_lower, at_upper))
     return most if least <= most else 0.0
 
 
 @inlined
 def _cross(a: Triple, b: Triple) -> Triple:
+    """Return a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @inlined
 def _plus(a: Triple, factor: float, b: Triple) -> Triple:
+    """Return a + factor b."""
     return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
 
 
 @inlined
 def _carried(turn: Triple, turn_change: Triple, lever: Triple) -> Triple:
-    """How much more a point accelerates than another of the same body: w' x r + w x (w x r)."""
+    """Return the acceleration of a point relative to another of the same body: w' x r + w x (w x r)."""
     return _plus(_cross(turn_change, lever), 1.0, _cross(turn, _cross(turn, lever)))
 
 
 @inlined
 def _from_to(transforms: ArrayNx4x4, k: int, j: int) -> Triple:
-    """From the origin of frame k to that of frame j; ``transforms`` (n + 2, 4, 4)."""
+    """Return the vector from the origin of frame k to that of frame j; ``transforms`` (n + 2, 4, 4)."""
     a, b = transforms[k], transforms[j]
     return b[0, 3] - a[0, 3], b[1, 3] - a[1, 3], b[2, 3] - a[2, 3]
 
 
 @inlined
 def _turned(pose: Array4x4, vector: Array3) -> Triple:
-    """The ``vector`` (3,) of a link in the base frame; ``pose`` (4, 4)."""
+    """Return the ``vector`` (3,) of a link in the base frame; ``pose`` (4, 4)."""
     x, y, z = vector[0], vector[1], vector[2]
     return (
         pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z,
@@ -175,7 +192,7 @@ def _turned(pose: Array4x4, vector: Array3) -> Triple:
 
 @inlined
 def _inertia_times(pose: Array4x4, inertia: NDArray[np.float64], v: Triple) -> Triple:
-    """R I R^T v: ``inertia`` (3, 3) in the link, v in the base frame; ``pose`` (4, 4)."""
+    """Return R I R^T v, with ``inertia`` (3, 3) in the link, v in the base frame and ``pose`` (4, 4)."""
     x = pose[0, 0] * v[0] + pose[1, 0] * v[1] + pose[2, 0] * v[2]
     y = pose[0, 1] * v[0] + pose[1, 1] * v[1] + pose[2, 1] * v[2]
     z = pose[0, 2] * v[0] + pose[1, 2] * v[1] + pose[2, 2] * v[2]

@@ -1,4 +1,4 @@
-"""Inverse kinematics: the branches of a pose, the nearest one, and the straight ways of the TCP."""
+"""Inverse kinematics: the branches of a pose, the nearest branch, and straight paths of the TCP."""
 
 from __future__ import annotations
 
@@ -36,17 +36,18 @@ from safety_harness.cell.robot.numeric_inverse import (
     wrapped_rad,
 )
 
-MENDED_POSE = 1e-6  # by which a branch may miss its pose to be polished
+MENDED_POSE = 1e-6  # the largest error of a branch's pose that is polished
 MOST_POLISHING = 4  # steps
-POLISH_DAMPING = 1e-6  # where the arm is singular, directions below this are left alone
+POLISH_DAMPING = 1e-6  # of a singular arm: steps do not use directions with a smaller singular value
 REACH_RESOLUTION_M = 1e-4
 MOST_STEPS = 4000  # of ``straight_way``
 
 
 class InverseKinematics:
-    """Joint positions of poses, in closed form where the arm's wrist is that of the UR family, else numeric.
+    """Joint positions of poses: in closed form for the wrist of the UR family, numeric for other arms.
 
-    An arm of more than six joints can take a pose in infinitely many ways, one of fewer only some poses.
+    An arm of more than six joints has infinitely many joint positions for a pose. An arm of fewer than six
+    can take some poses only.
     """
 
     def __init__(self, arm: ArmModel) -> None:
@@ -55,16 +56,18 @@ class InverseKinematics:
         self._starts = starts_of(arm)
 
     def branches(self, transform_tcp_to_base: Array4x4) -> NDArray[np.float64]:
-        """All joint positions (k, n) [rad] of a pose, wrapped into (-pi, pi]; (0, n) out of reach.
+        """Return all joint positions (k, n) [rad] of a pose, wrapped into (-pi, pi]; (0, n) out of reach.
 
-        Each is checked with forward kinematics to 1e-9 (metres, and entries of the rotation).  Two shoulders,
-        two wrists and two elbows, in the order of ``candidate_branches``; those that are less than 1e-6
-        apart, as at a singularity, are one.  Position limits are not considered.  At a wrist singularity
-        (|sin theta_5| below 5e-10) joints can move while the TCP stays, and what is returned are some of
-        those positions.  Numeric ones are those that 200 starts led to, of more than six joints some of
-        infinitely many.
+        Forward kinematics checks each of them to 1e-9 (metres, and entries of the rotation). The closed form
+        gives two shoulders, two wrists and two elbows, in the order of ``candidate_branches``. Positions less
+        than 1e-6 apart, as at a singularity, count as the same. The method ignores position limits. At a
+        wrist singularity (|sin theta_5| below 5e-10) joints can move while the TCP stays. The result then has
+        some of these positions. The numeric inverse returns the positions that 200 starts led to. For more
+        than six joints they are some of infinitely many.
 
-        ``transform_tcp_to_base`` (4, 4).
+        Args:
+            transform_tcp_to_base: The pose (4, 4).
+
         """
         pose = np.array(transform_tcp_to_base, dtype=np.float64)
         if self._geometry is None:
@@ -74,13 +77,16 @@ class InverseKinematics:
     def nearest(
         self, transform_tcp_to_base: Array4x4, reference_joint_position: Array6
     ) -> NDArray[np.float64] | None:
-        """The solution (n,) within the position limits that is nearest to a joint position (n,).
+        """Return the joint position (n,) of a pose that is nearest to a reference; None without any.
 
-        Distance is Euclidean in joint angles; full turns of each joint are tried.  None when no
-        solution is within the limits.  Numeric: the nearest of those that were found, each carried along its
-        self-motion to where its distance is least; one within 0.5 rad ends the search.
+        The solution is within the position limits. The distance is Euclidean in joint angles. The method
+        tries full turns of each joint. The numeric inverse carries each solution along its self-motion to the
+        least distance. A solution within 0.5 rad ends the search.
 
-        ``transform_tcp_to_base`` (4, 4), ``reference_joint_position`` (n,).
+        Args:
+            transform_tcp_to_base: The pose (4, 4).
+            reference_joint_position: The reference (n,).
+
         """
         (solution,) = self.nearest_of_each(np.array([transform_tcp_to_base]), reference_joint_position)
         return None if np.isnan(solution[0]) else solution
@@ -90,9 +96,12 @@ class InverseKinematics:
         transforms_tcp_to_base: NDArray[np.float64],  # (m, 4, 4)
         reference_joint_position: Array6,
     ) -> NDArray[np.float64]:
-        """``nearest`` of many poses (m, 4, 4): (m, n), NaN where no solution is within the limits.
+        """Return ``nearest`` of many poses: (m, n), NaN for a pose without a solution within the limits.
 
-        ``reference_joint_position`` (n,).
+        Args:
+            transforms_tcp_to_base: The poses (m, 4, 4).
+            reference_joint_position: The joint position (n,) to be near to.
+
         """
         poses = np.array(transforms_tcp_to_base, dtype=np.float64)
         reference = np.array(reference_joint_position, dtype=np.float64)
@@ -106,20 +115,24 @@ class InverseKinematics:
         transforms_tcp_to_base: NDArray[np.float64],  # (m, 4, 4)
         joint_position_rad: Array6,
     ) -> NDArray[np.float64]:
-        """``nearest`` of poses (m, 4, 4) in turn, each to that of the one before: (m, n).
+        """Return ``nearest`` of poses in turn, each near to the solution of the pose before: (m, n).
 
-        NaN from the first on that has none within the limits.
-        ``joint_position_rad`` (n,): what the first is nearest to.
+        Rows are NaN from the first pose without a solution within the limits.
+
+        Args:
+            transforms_tcp_to_base: The poses (m, 4, 4).
+            joint_position_rad: The joint position (n,) that the first solution is near to.
+
         """
         poses, joints = np.array(transforms_tcp_to_base), np.array(joint_position_rad)
         if self._geometry is not None:
             return _followed(self.arm.chain, self._geometry, poses, joints)
-        found = np.full((len(poses), len(joints)), np.nan)
+        solutions = np.full((len(poses), len(joints)), np.nan)
         for k, pose in enumerate(poses):
-            (joints,) = found[k : k + 1] = self.nearest_of_each(pose[None], joints)
+            (joints,) = solutions[k : k + 1] = self.nearest_of_each(pose[None], joints)
             if np.isnan(joints[0]):
                 break
-        return found
+        return solutions
 
     def reach_along(
         self,
@@ -130,13 +143,22 @@ class InverseKinematics:
         step_m: float = 0.005,
         min_singular_value: float,
     ) -> float:
-        """How far (at most ``length_m``) the TCP can go straight along a direction, not turning.
+        """Return how far [m] the TCP can go straight along a direction without turning, at most ``length_m``.
 
-        The joints follow continuously from ``joint_position_rad`` (n,), more than six with the least steps,
-        within the position limits and with every singular value of the Jacobian above
-        ``min_singular_value``, which is looked at every ``step_m`` at least.  The answer is at most 0.1 mm
-        short; it is 0 when the start itself is outside these bounds.  ``ValueError`` for a direction without
-        length.
+        The joints follow continuously within the position limits; more than six take the least steps. Every
+        singular value of the Jacobian stays above ``min_singular_value``. The result is at most 0.1 mm too
+        short. It is 0 if the start itself violates these bounds.
+
+        Args:
+            joint_position_rad: The start (n,).
+            direction_in_base: The direction (3,), of any length above 0.
+            length_m: The longest path of interest.
+            step_m: The longest distance between two checks.
+            min_singular_value: The bound of the singular values, above 0.
+
+        Raises:
+            ValueError: The direction has no length, or a number is not valid.
+
         """
         direction = np.array(direction_in_base, dtype=np.float64)
         length = float(np.linalg.norm(direction))
@@ -153,22 +175,22 @@ class InverseKinematics:
 
 @compiled
 def _branches(chains: ChainRecords, geometries: ArmGeometryRecords, pose: Array4x4) -> ArrayNx6:
-    """The candidates that give ``pose``, those that are the same but for rounding once."""
-    found, transforms = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4))
+    """Return the candidates (k, 6) that give ``pose`` (4, 4), without repetitions up to rounding."""
+    candidates, transforms = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4))
     kept = 0
-    for k in range(candidate_branches(geometries[0], pose, found)):
-        copy_vector(found[k], found[kept])
-        if _gives(chains, pose, found[kept], transforms):
-            kept += not is_among(found[kept], found[:kept])
-    return found[:kept].copy()
+    for k in range(candidate_branches(geometries[0], pose, candidates)):
+        copy_vector(candidates[k], candidates[kept])
+        if _gives(chains, pose, candidates[kept], transforms):
+            kept += not is_among(candidates[kept], candidates[:kept])
+    return candidates[:kept].copy()
 
 
 @compiled
 def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: ArrayNx4x4) -> bool:
-    """Whether ``joints`` (6,), wrapped and if need be polished, give ``pose`` to EXACT_POSE in every entry.
+    """Return whether ``joints`` (6,) give ``pose`` to EXACT_POSE in every entry, once wrapped and polished.
 
-    Near a singularity rounding of the pose moves joints by its root: the steps of ``_polish`` mend that.
-    ``transforms`` are written.
+    Near a singularity the rounding of the pose moves joints by its square root. Steps of ``_polish`` correct
+    this. The function writes ``joints`` and ``transforms``.
     """
     for _ in range(MOST_POLISHING):
         exact = nearly = True
@@ -177,8 +199,8 @@ def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: Arr
         forward_kinematics(chains[0], joints, transforms)
         for i in range(4):
             for j in range(4):
-                off = abs(transforms[TCP, i, j] - pose[i, j])
-                exact, nearly = exact and off <= EXACT_POSE, nearly and off <= MENDED_POSE
+                difference = abs(transforms[TCP, i, j] - pose[i, j])
+                exact, nearly = exact and difference <= EXACT_POSE, nearly and difference <= MENDED_POSE
         if exact or not nearly or not _polish(chains, pose, joints, transforms):
             return exact
     return False
@@ -186,9 +208,10 @@ def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: Arr
 
 @compiled
 def _polish(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: ArrayNx4x4) -> bool:
-    """A damped Newton step of ``joints`` towards ``pose``: (J^T J + d^2 I) dq = J^T e.
+    """Move ``joints`` by a damped Newton step towards ``pose``: (J^T J + d^2 I) dq = J^T e.
 
-    e = (p* - p, log(R* R^T)) as in ``follow_pose``; ``transforms`` are those of ``joints``.
+    e = (p* - p, log(R* R^T)) as in ``follow_pose``. ``transforms`` belong to ``joints``. Return False if the
+    equation has no solution.
     """
     jacobian, matrix = np.empty((6, 6)), np.empty((6, 6))
     error, step = np.empty(6), np.empty(6)
@@ -216,14 +239,14 @@ def _nearest_of_each(
     poses: NDArray[np.float64],  # (n, 4, 4)
     reference: Array6,
 ) -> ArrayNx6:
-    """(n, 6): of the branches of each pose and their full turns within the limits the nearest, or NaN.
+    """Return for each pose the nearest of its branches and their full turns within the limits (n, 6), or NaN.
 
     argmin over branches q and turns k of |q + 2 pi k - reference|, joint by joint in [lower, upper].
     """
     solutions = np.full((poses.shape[0], 6), np.nan)
-    found, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
+    candidates, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
     for n in range(poses.shape[0]):
-        _nearest(chains, geometries, poses[n], reference, found, transforms, turned, solutions[n])
+        _nearest(chains, geometries, poses[n], reference, candidates, transforms, turned, solutions[n])
     return solutions
 
 
@@ -234,12 +257,15 @@ def _followed(
     poses: NDArray[np.float64],  # (n, 4, 4)
     reference: Array6,
 ) -> ArrayNx6:
-    """(n, 6): the nearest of the first pose to ``reference``, of each other to the one before it, or NaN."""
+    """Return the nearest solution for each pose to the solution of the pose before (n, 6), or NaN.
+
+    The first solution is the nearest to ``reference``.
+    """
     solutions = np.full((poses.shape[0], 6), np.nan)
-    found, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
+    candidates, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
     joints = reference.copy()
     for n in range(poses.shape[0]):
-        if not _nearest(chains, geometries, poses[n], joints, found, transforms, turned, solutions[n]):
+        if not _nearest(chains, geometries, poses[n], joints, candidates, transforms, turned, solutions[n]):
             break
         copy_vector(solutions[n], joints)
     return solutions
@@ -251,19 +277,19 @@ def _nearest(
     geometries: ArmGeometryRecords,
     pose: Array4x4,
     reference: Array6,
-    found: ArrayNx6,  # these three to work with
+    candidates: ArrayNx6,  # overwritten, like the next two
     transforms: ArrayNx4x4,
     turned: Array6,
     solution: Array6,  # written, if there is one
 ) -> bool:
-    """One of ``_nearest_of_each``; False without a solution."""
+    """Fill ``solution`` for one pose of ``_nearest_of_each``; return False without a solution."""
     best = np.inf
-    for k in range(candidate_branches(geometries[0], pose, found)):
-        # first how near it is, then, which takes longer, whether it gives the pose
-        if not _turned_towards(geometries, reference, found[k], turned) < best:
+    for k in range(candidate_branches(geometries[0], pose, candidates)):
+        # The distance first: the check of the pose takes longer.
+        if not _turned_towards(geometries, reference, candidates[k], turned) < best:
             continue
-        if _gives(chains, pose, found[k], transforms):
-            distance = _turned_towards(geometries, reference, found[k], turned)
+        if _gives(chains, pose, candidates[k], transforms):
+            distance = _turned_towards(geometries, reference, candidates[k], turned)
             if distance < best:
                 best = distance
                 copy_vector(turned, solution)
@@ -272,9 +298,9 @@ def _nearest(
 
 @compiled
 def _turned_towards(geometries: ArmGeometryRecords, reference: Array6, joints: Array6, out: Array6) -> float:
-    """Fill ``out`` with those full turns of ``joints`` that are nearest to ``reference`` within the limits.
+    """Fill ``out`` with the full turns of ``joints`` within the limits that are nearest to ``reference``.
 
-    Returns how far that is [rad], infinity if a joint has none.
+    Return their distance [rad], infinity if a joint has no turn within its limits.
     """
     total = 0.0
     for i in range(6):
@@ -299,9 +325,9 @@ def _straight_reach(
     step_m: float,
     min_singular_value: float,
 ) -> float:
-    """How far [m] the TCP follows p + s d, its orientation kept, from the joints ``start_rad``.
+    """Return how far [m] the TCP follows p + s d, its orientation constant, from the joints ``start_rad``.
 
-    In steps of s: halved at each failure of ``follow_pose`` or ``_acceptable``, doubled at each success.
+    Each failure of ``follow_pose`` or ``_acceptable`` halves the step of s; each success doubles it.
     """
     n = start_rad.shape[0]
     transforms = np.empty((n + 2, 4, 4))
@@ -337,7 +363,7 @@ def _straight_reach(
 def _acceptable(
     joints: Array6, lower_rad: Array6, upper_rad: Array6, jacobian: Array6x6, min_singular_value: float
 ) -> bool:
-    """Are joints (n,) within their limits, and all singular values of their Jacobian large enough?"""
+    """Return whether joints (n,) are within their limits and the Jacobian's singular values large enough."""
     for i in range(joints.shape[0]):
         if not (lower_rad[i] <= joints[i] <= upper_rad[i]):
             return False
@@ -348,14 +374,14 @@ def _acceptable(
 def follow_pose(
     chains: ChainRecords, target: Array4x4, joints: Array6, transforms: ArrayNx4x4, jacobian: Array6x6
 ) -> bool:
-    """Newton's method from ``joints`` (overwritten) to the pose ``target`` on the same branch.
+    """Carry ``joints`` (overwritten) to the pose ``target`` on the same branch, by Newton's method.
 
-    J dq = (p* - p, log(R* R^T)), q <- q + dq, with the pose (R, p) at q and (R*, p*) wanted, both in the base
-    frame [m], and log a rotation's vector [rad].  (Lynch and Park, Modern Robotics, 2017, 6.2.)  The first
-    Newton step predicts; the later ones together may only correct it by half of its own size, else the
-    prediction was no good and the solution may be another branch's.  Of more than six joints dq is the least
-    one, J^T (J J^T)^-1 e; fewer do not follow.  ``transforms`` and ``jacobian`` are written; on success they
-    are those of the solution.
+    J dq = (p* - p, log(R* R^T)), q <- q + dq, with the pose (R, p) at q and the target (R*, p*). Both are in
+    the base frame [m]; log is a rotation's vector [rad]. (Lynch and Park, Modern Robotics, 2017, 6.2.) The
+    first Newton step predicts. The later steps together may correct it by at most half of its own size.
+    Otherwise the prediction was poor, and the solution may belong to another branch. For more than six joints
+    dq is the least step J^T (J J^T)^-1 e; fewer joints cannot follow. The function writes ``transforms`` and
+    ``jacobian``. On success they belong to the solution.
     """
     n = joints.shape[0]
     step, twist = np.empty(n), np.empty(6)
@@ -394,10 +420,17 @@ def follow_pose(
 def straight_way(
     arm: ArmModel, joint_position_rad: Array6, position_in_base_m: Array3, *, step_m: float
 ) -> NDArray[np.float64]:
-    """(k, n) joints from ``joint_position_rad`` (n,) straight to ``position_in_base_m`` (3,), k >= 1.
+    """Return joints (k, n) along a straight path of the TCP, k >= 1, the orientation constant.
 
-    Neighbouring rows are at most ``step_m`` of way apart (more on a way of over 4000 steps).  The rows
-    end where the arm cannot follow continuously; position limits and singularities are not looked at.
+    Neighbouring rows are at most ``step_m`` apart, or more on a path of over 4000 steps. The rows end where
+    the arm cannot follow continuously. The function ignores position limits and singularities.
+
+    Args:
+        arm: The arm.
+        joint_position_rad: The start (n,).
+        position_in_base_m: The end of the path (3,).
+        step_m: The distance between rows.
+
     """
     start, end = (np.array(given, dtype=np.float64) for given in (joint_position_rad, position_in_base_m))
     return _straight_way(arm.chain, start, end, step_m)
@@ -405,7 +438,7 @@ def straight_way(
 
 @compiled
 def _straight_way(chains: ChainRecords, start_rad: Array6, end_in_base_m: Array3, step_m: float) -> ArrayNx6:
-    """(k, joints) at p + i/n (p* - p), i = 0 to n, as far as ``follow_pose`` can follow."""
+    """Return joints (k, n) at p + i/m (p* - p), i = 0 to m, until ``follow_pose`` fails."""
     joint_count = start_rad.shape[0]
     transforms, jacobian = np.empty((joint_count + 2, 4, 4)), np.empty((6, joint_count))
     forward_kinematics(chains[0], start_rad, transforms)

@@ -1,8 +1,9 @@
-"""What a URDF states about a turning joint: its axis and limits, and what it leaves unknown.
+"""The axis and limits of a turning joint of a URDF, and the numbers that the URDF leaves unknown.
 
-A URDF that is written for display leaves numbers out or sets them to 0: efforts and speeds in most files of
-industrial arms.  Such a number is unknown (NaN) here; the command that needs it asks for it (``Lack``).
-Source: the specification of the URDF's <joint> element (an axis, a lower and an upper limit have defaults).
+A URDF for display leaves out numbers or sets them to 0, such as efforts and speeds in most files of
+industrial arms. Such a number is unknown (NaN) here, and a command that needs it asks the user for it
+(``Lack``). Source: the specification of the URDF's <joint> element. It gives an axis, a lower and an upper
+limit a default.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ LARGEST_LIMIT = 1e300
 
 
 class Use(StrEnum):
-    """Who needs a number of an arm."""
+    """The use of an arm's number."""
 
     RUN = "a run"
     TORQUES = "drives with a torque limit"
@@ -32,7 +33,7 @@ class Use(StrEnum):
 
 @dataclass(frozen=True)
 class Lack:
-    """What an arm's URDF does not state, who needs it, and how the user supplies it."""
+    """A quantity that an arm's URDF does not state, its uses, and the way in which the user supplies it."""
 
     what: str
     uses: tuple[Use, ...]
@@ -41,10 +42,10 @@ class Lack:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointData:
-    """One turning joint.  Unknown numbers are NaN; a joint without ends has the limits -inf and inf.
+    """A turning joint; unknown numbers are NaN, and a joint without ends has the limits -inf and inf.
 
-    ``axis`` (3,) has any length above 0.  ``soft_rad`` (lower, upper) are those of <safety_controller>.
-    ``degrees`` says that the position limits look like degrees.
+    ``axis`` (3,) has any length above 0. ``soft_rad`` (lower, upper) are the limits of <safety_controller>.
+    ``degrees`` states whether the position limits look like degrees.
     """
 
     axis: NDArray[np.float64]
@@ -58,7 +59,10 @@ class JointData:
 
 
 def joint_data(urdf: Urdf, joint: Element) -> JointData:
-    """Read a turning joint; ``ArmFileError`` for another type, a mimic joint, or limits that cannot be."""
+    """Read a turning joint.
+
+    ``ArmFileError`` for another type, a mimic joint, or impossible limits.
+    """
     kind = joint.get("type")
     if kind not in ("revolute", "continuous"):
         raise urdf.error(joint, "revolute, continuous or fixed joints in the arm", f"{kind!r}")
@@ -94,7 +98,7 @@ def joint_data(urdf: Urdf, joint: Element) -> JointData:
 
 
 def _known(urdf: Urdf, limit: Element, key: str) -> float:
-    """A speed or effort; NaN, unknown, if there is none or it is 0."""
+    """Return a speed or effort; NaN, which means unknown, if it is missing or 0."""
     number = urdf.number(limit, key, "0")
     if number < 0.0:
         raise urdf.error(limit, f"{key} 0, which is unknown, or above", f"{number:g}")
@@ -102,7 +106,10 @@ def _known(urdf: Urdf, limit: Element, key: str) -> float:
 
 
 def _ends(urdf: Urdf, limit: Element) -> tuple[float, float]:
-    """Lower and upper position limit [rad], to ``LARGEST``; -inf and inf if both are beyond ``NO_LIMIT``."""
+    """Return the lower and upper position limit [rad], within ``LARGEST``.
+
+    They are -inf and inf if both exceed ``NO_LIMIT``.
+    """
     lower, upper = (float(urdf.numbers(limit, key, 1, "0", LARGEST_LIMIT)[0]) for key in ("lower", "upper"))
     if not lower < upper:
         raise urdf.error(limit, "a lower limit below the upper one", f"{lower:g} and {upper:g}")
@@ -112,7 +119,7 @@ def _ends(urdf: Urdf, limit: Element) -> tuple[float, float]:
 
 
 def _soft_limits(urdf: Urdf, joint: Element) -> tuple[float, float]:
-    """The limits [rad] of <safety_controller>; NaN where there are none."""
+    """Return the limits [rad] of <safety_controller>; NaN without them."""
     if joint.find("safety_controller") is None:
         return np.nan, np.nan
     controller = urdf.child(joint, "safety_controller")

@@ -1,7 +1,7 @@
 """Forward kinematics, geometric Jacobian, distance to singularity and joint velocities, compiled.
 
-Frames are counted as 0 = base, 1 to n = the links that n joints move, n + 1 = tcp throughout.  The number
-of joints is that of the arrays handed over: a record of a chain has it in its type.
+Frames count as 0 = base, 1 to n = the links that n joints move, n + 1 = tcp. The arrays determine the number
+of joints: the type of a chain's record contains it.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ TWIST = 6  # numbers of a twist (v, w): the rows of a Jacobian
 def forward_kinematics(chain: Chain, joint_position_rad: ArrayN, transforms_out: ArrayNx4x4) -> None:
     """Fill ``transforms_out`` (n + 2, 4, 4) with link-to-base transforms: base, n links, tcp.
 
-    T_0 = I, T_i = T_(i-1) O_i R(a_i, q_i), T_(n+1) = T_n F, with ``chain.joint_origins`` O (n, 4, 4) [m],
-    ``chain.joint_axes`` a (n, 3), ``chain.flange`` F (4, 4) and ``joint_position_rad`` q (n,): the product
-    of transforms along the chain of a URDF.  (Lynch and Park, Modern Robotics, 2017, 4.2.)
+    T_0 = I, T_i = T_(i-1) O_i R(a_i, q_i), T_(n+1) = T_n F: the product of transforms along the chain of a
+    URDF. ``chain.joint_origins`` is O (n, 4, 4) [m], ``chain.joint_axes`` a (n, 3), ``chain.flange`` F (4, 4)
+    and ``joint_position_rad`` q (n,). (Lynch and Park, Modern Robotics, 2017, 4.2.)
     """
     n = chain.joint_axes.shape[0]
     for i in range(4):
@@ -58,7 +58,10 @@ def forward_kinematics(chain: Chain, joint_position_rad: ArrayN, transforms_out:
 
 
 def links_in_base(arm: ArmModel, joint_position_rad: ArrayN) -> ArrayNx4x4:
-    """(n + 2, 4, 4) what ``forward_kinematics`` fills, of ``arm`` at ``joint_position_rad`` (n,)."""
+    """Return the transforms (n + 2, 4, 4) of ``forward_kinematics`` for ``arm``.
+
+    ``joint_position_rad`` (n,).
+    """
     transforms = np.empty((len(arm.joint_names) + 2, 4, 4))
     forward_kinematics(arm.chain[0], joint_position_rad, transforms)
     return transforms
@@ -66,9 +69,9 @@ def links_in_base(arm: ArmModel, joint_position_rad: ArrayN) -> ArrayNx4x4:
 
 @inlined
 def _compose(transforms: ArrayNx4x4, k: int, inner: Array4x4) -> None:
-    """Fill transform k + 1 with transform k times ``inner`` (4, 4); by index, for views cost time.
+    """Fill transform k + 1 with transform k times ``inner`` (4, 4); ``transforms`` (n + 2, 4, 4).
 
-    ``transforms`` (n + 2, 4, 4).
+    The loops use indices, because array views cost time.
     """
     for i in range(3):
         x, y, z = transforms[k, i, 0], transforms[k, i, 1], transforms[k, i, 2]
@@ -83,10 +86,8 @@ def _compose(transforms: ArrayNx4x4, k: int, inner: Array4x4) -> None:
 def geometric_jacobian(joint_axes: ArrayNx3, transforms: ArrayNx4x4, jacobian_out: Array6xN) -> None:
     """Fill ``jacobian_out`` (6, n): joint velocities to the TCP origin's twist (v, w) in the base frame.
 
-    Column i is (a_i x (p_tcp - p_i), a_i) with joint i's axis a_i and a point p_i on it, both in
-    the base frame; ``transforms`` (n + 2, 4, 4) are those of ``forward_kinematics``.
-
-    ``joint_axes`` (n, 3).
+    Column i is (a_i x (p_tcp - p_i), a_i) with joint i's axis a_i and a point p_i on it, both in the base
+    frame. ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics``; ``joint_axes`` (n, 3).
     """
     for joint in range(joint_axes.shape[0]):
         ax, ay, az, vx, vy, vz = _joint_twist(joint_axes, transforms, joint)
@@ -102,7 +103,7 @@ def geometric_jacobian(joint_axes: ArrayNx3, transforms: ArrayNx4x4, jacobian_ou
 def tcp_velocity(
     joint_axes: ArrayNx3, transforms: ArrayNx4x4, joint_velocity_radps: ArrayN
 ) -> tuple[float, float, float]:
-    """(x, y, z) [m/s] of the TCP in the base frame: the first three rows of the Jacobian times q' (n,)."""
+    """Return (x, y, z) [m/s] of the TCP in the base frame: the Jacobian's first three rows times q' (n,)."""
     x = y = z = 0.0
     for joint in range(joint_axes.shape[0]):
         _, _, _, vx, vy, vz = _joint_twist(joint_axes, transforms, joint)
@@ -116,7 +117,7 @@ def tcp_velocity(
 def _joint_twist(
     joint_axes: ArrayNx3, transforms: ArrayNx4x4, joint: int
 ) -> tuple[float, float, float, float, float, float]:
-    """A joint's axis a, and a x (p_tcp - p) with a point p on it; all in the base frame.
+    """Return a joint's axis a, and a x (p_tcp - p) with a point p on it, all in the base frame.
 
     ``joint_axes`` (n, 3), ``transforms`` (n + 2, 4, 4).
     """
@@ -138,10 +139,10 @@ def link_twists(
     rates_radps: NDArray[np.float64],  # (joints,)
     twists: NDArray[np.float64],  # (joints + 1, 6), written
 ) -> None:
-    """Of each link: its angular velocity, and the velocity of its point at the base's origin.
+    """Fill ``twists`` with each link's angular velocity and the velocity of its point at the base's origin.
 
     w_j = w_(j-1) + q'_j a_j and v_j = v_(j-1) - q'_j a_j x p_j, with the axis a_j and a point p_j on it, in
-    the base frame.  (Spatial velocities: Featherstone, Rigid Body Dynamics Algorithms, 2008.)
+    the base frame. (Spatial velocities: Featherstone, Rigid Body Dynamics Algorithms, 2008.)
     """
     twists[0] = 0.0
     for joint in range(joint_axes.shape[0]):
@@ -160,7 +161,7 @@ def link_twists(
 
 @inlined
 def point_velocity(twist: Array6, point: Array3) -> tuple[float, float, float]:
-    """The velocity v + w x p [m/s] of a point p of a link, both in the base frame."""
+    """Return the velocity v + w x p [m/s] of a point p of a link, both in the base frame."""
     x, y, z = point[0], point[1], point[2]
     return (
         twist[3] + twist[1] * z - twist[2] * y,
@@ -171,7 +172,7 @@ def point_velocity(twist: Array6, point: Array3) -> tuple[float, float, float]:
 
 @inlined
 def fastest_end(twist: Array6, ends: Array2x3) -> float:
-    """The speed [m/s] of the faster of two points of a link."""
+    """Return the speed [m/s] of the faster of two points of a link."""
     fastest = 0.0
     for end in range(2):
         x, y, z = point_velocity(twist, ends[end])
@@ -183,10 +184,11 @@ def fastest_end(twist: Array6, ends: Array2x3) -> float:
 
 @compiled
 def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
-    """Smallest singular value of ``jacobian`` (m, n), metres and radians mixed as they come.
+    """Return the smallest singular value of ``jacobian`` (m, n), which mixes metres and radians.
 
-    One-sided Jacobi rotations (Hestenes 1958) make the columns, or the rows if they are fewer, orthogonal;
-    their lengths are then the singular values, small ones as accurate as large ones.  NaN if an entry is NaN.
+    One-sided Jacobi rotations (Hestenes 1958) make the columns orthogonal, or the rows if they are fewer.
+    Their lengths are then the singular values, small values as accurate as large values. NaN if an entry is
+    NaN.
     """
     m, length = min(jacobian.shape), max(jacobian.shape)
     wide = jacobian.shape[1] > jacobian.shape[0]
@@ -221,7 +223,7 @@ def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
         squared = 0.0
         for k in range(length):
             squared += columns[p, k] * columns[p, k]
-        if not squared >= least:  # a NaN is taken over
+        if not squared >= least:  # true of NaN too, which becomes the result
             least = squared
             if np.isnan(squared):
                 break
@@ -230,11 +232,11 @@ def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
 
 @compiled
 def is_well_conditioned(jacobian: Array6xN, min_singular_value: float) -> bool:
-    """Whether every singular value of ``jacobian`` (6, n) exceeds ``min_singular_value`` > 0.
+    """Return whether every singular value of ``jacobian`` (6, n) exceeds ``min_singular_value`` > 0.
 
-    A tenth of the work of ``smallest_singular_value``: J^T J - s^2 I (J J^T - s^2 I for more than six joints)
-    is positive definite, that is, has a Cholesky factor, exactly when all singular values exceed s.  Resolves
-    a difference of about 1e-15 / s.  False if an entry is NaN.
+    This is a tenth of the work of ``smallest_singular_value``. All singular values exceed s exactly if J^T J
+    - s^2 I is positive definite, that is, has a Cholesky factor. For more than six joints the matrix is J J^T
+    - s^2 I. It resolves a difference of about 1e-15 / s. False if an entry is NaN.
     """
     m = min(TWIST, jacobian.shape[1])
     factor = np.empty((m, m))
@@ -256,7 +258,7 @@ def is_well_conditioned(jacobian: Array6xN, min_singular_value: float) -> bool:
 
 @inlined
 def _product(jacobian: Array6xN, i: int, j: int) -> float:
-    """Entry (i, j) of J^T J, or of J J^T if J (6, n) has more columns than rows."""
+    """Return entry (i, j) of J^T J, or of J J^T if J (6, n) has more columns than rows."""
     total = 0.0
     if jacobian.shape[1] > TWIST:
         for k in range(jacobian.shape[1]):
@@ -274,14 +276,14 @@ def joint_velocity(
     min_singular_value: float,
     joint_velocity_out: ArrayN,
 ) -> bool:
-    """Solve J q' = (v, w); False (and zeros) nearer to a singularity than ``min_singular_value``.
+    """Solve J q' = (v, w); return False, with zeros, nearer to a singularity than ``min_singular_value``.
 
-    J of ``geometric_jacobian``, q' [rad/s], v [m/s] and w [rad/s] in its frame.  1/|J^-1|_F is never above
-    the least singular value and costs nothing; only where it is below the bound is the singular value itself
-    computed.  Another number of joints than six takes ``_pseudo_inverse_velocity``.
+    J comes from ``geometric_jacobian``; q' [rad/s], v [m/s] and w [rad/s] are in its frame. The inverse gives
+    1/|J^-1|_F, which is never above the least singular value. Only if it is below the bound, the function
+    computes the singular value itself. An arm without six joints uses ``_pseudo_inverse_velocity``.
     """
-    room = np.empty((TWIST, TWIST))
-    return joint_velocity_with(jacobian, twist, min_singular_value, room, joint_velocity_out)
+    scratch = np.empty((TWIST, TWIST))
+    return joint_velocity_with(jacobian, twist, min_singular_value, scratch, joint_velocity_out)
 
 
 @njit_no_nrt
@@ -289,13 +291,16 @@ def joint_velocity_with(
     jacobian: Array6xN,
     twist: Array6,  # v, w in the Jacobian's frame
     min_singular_value: float,
-    room: Array6x6,  # overwritten
+    scratch: Array6x6,  # overwritten
     joint_velocity_out: ArrayN,
 ) -> bool:
-    """``joint_velocity`` with room to work in: making some costs as much as using it."""
+    """Fill ``joint_velocity_out`` as ``joint_velocity`` does, with a given array to work in.
+
+    An allocation costs as much time as the computation in it.
+    """
     if jacobian.shape[1] != TWIST:
         return _pseudo_inverse_velocity(jacobian, twist, min_singular_value, joint_velocity_out)
-    n, inverse = TWIST, room  # a constant: loops are laid open
+    n, inverse = TWIST, scratch  # a constant n, so that the compiler unrolls the loops
     regular = invert_with(jacobian, n, inverse)
     norm2 = 0.0
     for i in range(n):
@@ -315,11 +320,11 @@ def joint_velocity_with(
 def _pseudo_inverse_velocity(
     jacobian: Array6xN, twist: Array6, min_singular_value: float, joint_velocity_out: ArrayN
 ) -> bool:
-    """As ``joint_velocity`` for any number n of joints but six: q' = J^+ (v, w), without damping.
+    """Fill ``joint_velocity_out`` with q' = J^+ (v, w), without damping, for any number n of joints but six.
 
-    More than six: of all q' with J q' = (v, w) the one of least norm, J^T (J J^T)^-1 (v, w).  Fewer: that
-    whose twist is nearest, (J^T J)^-1 J^T (v, w), metres and radians mixed as they come; no q' gives another
-    twist than those in the columns' span.  (Golub and Van Loan, 2013, 5.5.)
+    More than six: the q' of least norm with J q' = (v, w), which is J^T (J J^T)^-1 (v, w). Fewer: the q'
+    whose twist is nearest, (J^T J)^-1 J^T (v, w), which mixes metres and radians. Every q' gives a twist in
+    the columns' span. (Golub and Van Loan, 2013, 5.5.) Return False, with zeros, near a singularity.
     """
     n = jacobian.shape[1]
     m = min(TWIST, n)
@@ -337,7 +342,7 @@ def _pseudo_inverse_velocity(
 
 @inlined
 def _back(jacobian: Array6xN, i: int, vector: Array6) -> float:
-    """Entry i of J^T times ``vector`` (6,), with J (6, n)."""
+    """Return entry i of J^T times ``vector`` (6,), with J (6, n)."""
     total = 0.0
     for k in range(TWIST):
         total += jacobian[k, i] * vector[k]

@@ -4,13 +4,13 @@ A step from the joints q towards the pose (R*, p*), with e = (p* - p, log(R* R^T
 
     dq = d + J^T (J J^T + l^2 I)^-1 (e - J d),        l^2 = DAMPING |e|^2
 
-without d the damped least squares of Nakamura and Hanafusa (1986), which is Newton's method near a solution.
-With d a share of q_r - q it also descends the distance to the joints q_r along the self-motions of an arm of
-more than six joints, to a place where that distance is stationary.  A joint that a step takes beyond its
-limit is put there, and the others make the step.  The starts are of a sequence that fills the limits evenly
-(Roberts, 2018), the same ones every time.
+Without d this is the damped least squares of Nakamura and Hanafusa (1986), which is Newton's method near a
+solution. A share d of q_r - q makes it also descend the distance to the joints q_r. An arm of more than six
+joints then moves along its self-motions to a place where that distance is stationary. If a step takes a joint
+beyond its limit, the joint goes to the limit and the rest make the step. The starts are a sequence that fills
+the limits evenly (Roberts, 2018), the same every time.
 
-Nothing is proven to be complete: docs/kinematics.md says what share of all branches was found.
+The search is not proven complete: docs/kinematics.md states the share of branches that it finds.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ from safety_harness.base.geometry.rotations import vector_from_rotation
 from safety_harness.cell.robot.description import ArmModel, Chain, ChainRecords
 from safety_harness.cell.robot.kinematics import TWIST, forward_kinematics, geometric_jacobian
 
-STARTS = 200  # for all branches
-GIVEN_UP = 96  # starts before a pose counts as out of reach
+# The figures are in docs/kinematics.md.
+STARTS = 200  # for all branches: they find all those of the closed form for the UR family
+GIVEN_UP = 96  # starts before a pose counts as out of reach: 1 in 1,000 of a Panda's needs more
 ENOUGH = 48  # starts for the nearest solution, once there is one
-NEAR_RAD = 0.5  # a solution so near to the reference, reached from there, is taken for the nearest
+NEAR_RAD = 0.5  # a solution so near to the reference, reached from there, counts as the nearest
 MOST_STEPS = 80
 MOST_SLIDES = 60  # steps along a self-motion
 DAMPING = 0.01
@@ -51,7 +52,10 @@ SAME_RAD = 1e-6
 
 
 def starts_of(arm: ArmModel) -> NDArray[np.float64]:
-    """(STARTS, n) joint positions that fill the position limits evenly, of a wider joint one full turn."""
+    """Return joint positions (STARTS, n) that fill the position limits evenly.
+
+    A joint with a range above one full turn gets one full turn.
+    """
     lower, upper = arm.position_lower_rad, arm.position_upper_rad
     wide = ~(upper - lower < 2.0 * np.pi)
     lower, upper = np.where(wide, -np.pi, lower), np.where(wide, np.pi, upper)
@@ -66,7 +70,10 @@ def starts_of(arm: ArmModel) -> NDArray[np.float64]:
 
 @compiled
 def pose_error(target: Array4x4, reached: Array4x4, error_out: Array6) -> None:
-    """Fill ``error_out`` (6,) with (p* - p, log(R* R^T)) of two poses (4, 4), p* and R* the ``target``'s."""
+    """Fill ``error_out`` (6,) with (p* - p, log(R* R^T)) of two poses (4, 4).
+
+    p* and R* belong to ``target``.
+    """
     error_rotation = np.empty((3, 3))
     for i in range(3):
         error_out[i] = target[i, 3] - reached[i, 3]
@@ -79,9 +86,10 @@ def pose_error(target: Array4x4, reached: Array4x4, error_out: Array6) -> None:
 
 @compiled
 def least_step(jacobian: Array6xN, twist: Array6, matrix: Array6x6, step_out: ArrayN) -> bool:
-    """Fill ``step_out`` (n,) with the least dq that J dq = (v, w) allows, J^T (J J^T)^-1 (v, w).
+    """Fill ``step_out`` (n,) with the least dq for which J dq = (v, w): J^T (J J^T)^-1 (v, w).
 
-    ``twist`` (6,) and ``matrix`` (6, 6) are used up.  False where J (6, n) has no six independent rows.
+    The function overwrites ``twist`` (6,) and ``matrix`` (6, 6). It returns False if J (6, n) has fewer than
+    six independent rows.
     """
     for i in range(TWIST):
         for j in range(TWIST):
@@ -107,9 +115,9 @@ def solve_from(
     transforms: ArrayNx4x4,
     jacobian: Array6xN,
 ) -> bool:
-    """Carry ``joints`` (n,) to the pose (4, 4), within limits (n,); False if the steps do not end there.
+    """Carry ``joints`` (n,) to the pose (4, 4), within limits (n,); return whether the steps converge.
 
-    ``transforms`` and ``jacobian`` are written.
+    The function writes ``transforms`` and ``jacobian``.
     """
     n = joints.shape[0]
     step, pull, error = np.empty(n), np.zeros(n), np.empty(TWIST)
@@ -123,7 +131,10 @@ def solve_from(
 
 @inlined
 def _is_same(pose: Array4x4, reached: Array4x4) -> bool:
-    """Do two (4, 4) agree to EXACT_POSE?  One that is no pose is never reached."""
+    """Return whether two matrices (4, 4) agree to EXACT_POSE.
+
+    A ``pose`` that is not a valid transform never agrees with a reached pose.
+    """
     for i in range(4):
         for j in range(4):
             if not abs(pose[i, j] - reached[i, j]) <= EXACT_POSE:
@@ -142,10 +153,10 @@ def slide(
     transforms: ArrayNx4x4,
     jacobian: Array6xN,
 ) -> float:
-    """Carry a solution, ``joints`` (n,), along its self-motion and full turns to where it is nearest.
+    """Carry a solution, ``joints`` (n,), along its self-motion and full turns to the least distance.
 
-    Each step is a share of the way down the distance to the reference (n,), and is then brought back to the
-    pose; one that has not come nearer is taken back and made shorter.  Returns the distance [rad].
+    Each step goes a share of the way down the distance to the reference (n,), then back to the pose. If it
+    has not come nearer, the function undoes it and makes it shorter. Returns the distance [rad].
     """
     n = joints.shape[0]
     step, pull, error, trial = np.empty(n), np.empty(n), np.empty(TWIST), joints.copy()
@@ -181,7 +192,7 @@ def _error_at(
     jacobian: Array6xN,
     error: Array6,
 ) -> float:
-    """Fill transforms, Jacobian and e at the joints; the largest entry of e."""
+    """Fill transforms, Jacobian and e at the joints; return the largest entry of e."""
     forward_kinematics(chains[0], joints, transforms)
     geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
     pose_error(pose, transforms[joints.shape[0] + 1], error)
@@ -201,9 +212,10 @@ def _step(
     upper_rad: ArrayN,
     step: ArrayN,
 ) -> bool:
-    """Move ``joints`` (n,) by a damped step; ``step`` is what they moved.  False where it is not finite.
+    """Move ``joints`` (n,) by a damped step and fill ``step`` with it; return False if it is not finite.
 
-    A joint that the step takes beyond a limit goes to the limit, and the step is made anew without it.
+    If the step takes a joint beyond a limit, the joint goes to the limit. The function then computes the step
+    again without it.
     """
     n = joints.shape[0]
     fixed, rest = np.zeros(n, np.bool_), np.empty(TWIST)
@@ -253,29 +265,29 @@ def _damped(jacobian: Array6xN, error: Array6, rest: Array6, fixed: NDArray[np.b
 
 @compiled
 def all_found(chains: ChainRecords, starts: NDArray[np.float64], pose: Array4x4) -> NDArray[np.float64]:
-    """(k, n) the solutions for ``pose`` (4, 4) from ``starts`` (m, n), each once, wrapped into (-pi, pi]."""
+    """Return the different solutions (k, n) for ``pose`` (4, 4) from ``starts`` (m, n), in (-pi, pi]."""
     n = starts.shape[1]
     transforms, jacobian = np.empty((n + 2, 4, 4)), np.empty((TWIST, n))
     free = np.full(n, np.inf)
-    found, kept, joints = np.empty(starts.shape), 0, np.empty(n)
+    solutions, kept, joints = np.empty(starts.shape), 0, np.empty(n)
     for s in range(starts.shape[0]):
         copy_vector(starts[s], joints)
         if solve_from(chains, -free, free, pose, joints, transforms, jacobian):
             for i in range(n):
                 joints[i] = wrapped_rad(joints[i])
-            if not is_among(joints, found[:kept]):
-                copy_vector(joints, found[kept])
+            if not is_among(joints, solutions[:kept]):
+                copy_vector(joints, solutions[kept])
                 kept += 1
-    return found[:kept].copy()
+    return solutions[:kept].copy()
 
 
 @compiled
-def is_among(joints: ArrayN, others: ArrayNx6) -> bool:
-    """Is (n,) less than SAME_RAD in every joint from one of (k, n), whole turns aside?"""
-    for k in range(others.shape[0]):
+def is_among(joints: ArrayN, known: ArrayNx6) -> bool:
+    """Return whether (n,) is less than SAME_RAD from a row of (k, n) in every joint, up to whole turns."""
+    for k in range(known.shape[0]):
         same = True
         for i in range(joints.shape[0]):
-            same = same and abs(wrapped_rad(joints[i] - others[k, i])) < SAME_RAD
+            same = same and abs(wrapped_rad(joints[i] - known[k, i])) < SAME_RAD
         if same:
             return True
     return False
@@ -283,9 +295,9 @@ def is_among(joints: ArrayN, others: ArrayNx6) -> bool:
 
 @inlined
 def wrapped_rad(angle: float) -> float:
-    """The angle [rad] in (-pi, pi]."""
+    """Return the angle [rad] in (-pi, pi]."""
     wrapped = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
-    return float(wrapped if wrapped > -np.pi else np.pi)  # a remainder may be rounded to the whole
+    return float(wrapped if wrapped > -np.pi else np.pi)  # np.mod may round up to the whole turn
 
 
 @compiled
@@ -297,7 +309,10 @@ def nearest_found(
     poses: NDArray[np.float64],  # (m, 4, 4)
     reference_rad: ArrayN,
 ) -> NDArray[np.float64]:
-    """(m, n): for each pose the solution within limits that was found nearest to the reference, or NaN."""
+    """Return for each pose the solution within limits that is nearest to the reference, (m, n); else NaN.
+
+    The nearest is among the solutions that the search found.
+    """
     n = starts.shape[1]
     transforms, jacobian, joints = np.empty((n + 2, 4, 4)), np.empty((TWIST, n)), np.empty(n)
     solutions = np.full((poses.shape[0], n), np.nan)
@@ -323,7 +338,7 @@ def nearest_found(
 
 @inlined
 def _is_beyond(chain: Chain, pose: Array4x4) -> bool:
-    """Is the pose (4, 4) farther from the first joint than all frames from there on are long together?"""
+    """Return whether the pose (4, 4) is farther from the first joint than the sum of all later frames."""
     reach_m, away_m = 0.0, 0.0
     for joint in range(1, chain.joint_origins.shape[0]):
         reach_m += _length_m(chain.joint_origins[joint])
@@ -334,12 +349,16 @@ def _is_beyond(chain: Chain, pose: Array4x4) -> bool:
 
 @inlined
 def _length_m(frame: Array4x4) -> float:
+    """Return the length [m] of a frame's position."""
     return sqrt(frame[0, 3] ** 2 + frame[1, 3] ** 2 + frame[2, 3] ** 2)
 
 
 @inlined
 def _turned_towards(lower_rad: ArrayN, upper_rad: ArrayN, reference_rad: ArrayN, joints: ArrayN) -> float:
-    """Give each joint the full turns within its limits that are nearest to the reference; how far that is."""
+    """Give each joint the full turns within its limits that are nearest to the reference.
+
+    Return the distance [rad] from the reference.
+    """
     total = 0.0
     for i in range(joints.shape[0]):
         aim = min(max(reference_rad[i], lower_rad[i]), upper_rad[i])

@@ -1,4 +1,4 @@
-"""How near the arm is to the boxes that stand in its cell."""
+"""The distance of the arm from the boxes that stand in its cell."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ GOLDEN = 0.5 * (sqrt(5.0) - 1.0)
 
 
 def box_records(obstacles: Sequence[Obstacle]) -> BoxRecords:
-    """(n,) BOX, read-only."""
+    """Return a read-only record BOX for each obstacle, (n,)."""
     boxes = np.zeros(len(obstacles), BOX)
     for box, obstacle in zip(boxes, obstacles, strict=True):
         turn = rotation_from_vector(np.array([0.0, 0.0, obstacle.yaw_rad]))
@@ -39,7 +39,15 @@ def box_records(obstacles: Sequence[Obstacle]) -> BoxRecords:
 def distance_from(
     boxes: BoxRecords, arm: ArmModel, capsules: CapsuleSet, joint_position_rad: ArrayN
 ) -> float:
-    """``obstacle_distance`` [m] of ``arm`` at ``joint_position_rad`` (n,)."""
+    """Return the ``obstacle_distance`` [m] of an arm; infinity without boxes.
+
+    Args:
+        boxes: Records BOX (n,) of ``box_records``.
+        arm: The arm.
+        capsules: The capsules that enclose it.
+        joint_position_rad: Its joint position (n,).
+
+    """
     if len(boxes) == 0:
         return np.inf
     (distance_m,) = distances_m(arm_with(arm, capsules), boxes, np.array(joint_position_rad)[None])
@@ -48,25 +56,29 @@ def distance_from(
 
 @compiled
 def distances_m(arm: Arm, boxes: BoxRecords, joints_rad: NDArray[np.float64]) -> ArrayN:
-    """(n,) ``obstacle_distance`` [m] at each of ``joints_rad`` (n, joints), NaN where one is."""
-    found = np.full(joints_rad.shape[0], np.nan)
+    """Return the ``obstacle_distance`` (n,) [m] at each row of ``joints_rad`` (n, joints).
+
+    A row with NaN gives NaN.
+    """
+    distances = np.full(joints_rad.shape[0], np.nan)
     transforms, ends = np.empty((arm.reach_m.shape[0] + 2, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
     for k in range(joints_rad.shape[0]):
         forward_kinematics(arm.chain[0], joints_rad[k], transforms)
         place_capsules(arm.capsules, transforms, ends)
         if not np.isnan(joints_rad[k].sum()):
-            found[k] = obstacle_distance(boxes, arm.capsules, ends)
-    return found
+            distances[k] = obstacle_distance(boxes, arm.capsules, ends)
+    return distances
 
 
 @compiled
 def obstacle_distance(
     boxes: BoxRecords, capsules: CapsuleRecords, capsule_endpoints_in_base_m: ArrayNx2x3
 ) -> float:
-    """Least distance [m] of a moving link's capsule from a box; infinity without boxes, NaN if any is.
+    """Return the least distance [m] of a moving link's capsule from a box; infinity without boxes.
 
-    min over capsules and boxes of |axis, box| - r, which in a box is -r and no less.  The base stands and
-    does not count.  ``capsules`` (n,) CAPSULE, ``capsule_endpoints_in_base_m`` (n, 2, 3).
+    The distance is min over capsules and boxes of |axis, box| - r. An axis inside a box gives -r and no less.
+    The base stands still and does not count. NaN if any distance is NaN. ``capsules`` (n,) CAPSULE,
+    ``capsule_endpoints_in_base_m`` (n, 2, 3).
     """
     least = np.inf
     for b in range(boxes.shape[0]):
@@ -84,32 +96,33 @@ def obstacle_distance(
 
 @compiled
 def segment_box_distance(boxes: BoxRecords, b: int, start: Array3, end: Array3) -> float:
-    """Distance [m] of a segment, ends (3,) in the base frame, from box ``b``; 0 where it is within.
+    """Return the distance [m] of a segment from box ``b``; 0 where the segment is within the box.
 
-    The distance from a convex body is convex along a segment, so that a search by golden sections ends at its
-    least, after 60 of them to 1e-12 of the length.  (Boyd and Vandenberghe, Convex Optimization, 2004, 3.2.)
+    ``start`` and ``end`` (3,) are in the base frame. The distance from a convex body is convex along a
+    segment. So a search by 60 golden sections finds its least value, to 1e-12 of the length. (Boyd and
+    Vandenberghe, Convex Optimization, 2004, 3.2.)
     """
     low, high = 0.0, 1.0
-    one, other = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-    at_one, at_other = _away(boxes, b, start, end, one), _away(boxes, b, start, end, other)
+    inner, outer = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    at_inner, at_outer = _away(boxes, b, start, end, inner), _away(boxes, b, start, end, outer)
     least = min(_away(boxes, b, start, end, 0.0), _away(boxes, b, start, end, 1.0))
     for _ in range(HALVINGS):
-        if at_one <= at_other:
-            high, other, at_other = other, one, at_one
-            one = high - GOLDEN * (high - low)
-            at_one = _away(boxes, b, start, end, one)
+        if at_inner <= at_outer:
+            high, outer, at_outer = outer, inner, at_inner
+            inner = high - GOLDEN * (high - low)
+            at_inner = _away(boxes, b, start, end, inner)
         else:
-            low, one, at_one = one, other, at_other
-            other = low + GOLDEN * (high - low)
-            at_other = _away(boxes, b, start, end, other)
-    if np.isnan(at_one + at_other):
+            low, inner, at_inner = inner, outer, at_outer
+            outer = low + GOLDEN * (high - low)
+            at_outer = _away(boxes, b, start, end, outer)
+    if np.isnan(at_inner + at_outer):
         return np.nan
-    return float(min(least, at_one, at_other))
+    return float(min(least, at_inner, at_outer))
 
 
 @inlined
 def _away(boxes: BoxRecords, b: int, start: Array3, end: Array3, share: float) -> float:
-    """|p - nearest point of the box| [m] with p so far along the segment."""
+    """Return |p - nearest point of the box| [m], with p at ``share`` of the segment."""
     squared = 0.0
     for i in range(3):
         local = boxes[b].transform_base_to_box[i, 3]

@@ -1,4 +1,4 @@
-"""The numbers of the arm that a scenario names, each made once."""
+"""The model, capsules, drives and inverse kinematics of a scenario's arm, each computed once."""
 
 from __future__ import annotations
 
@@ -31,12 +31,15 @@ from safety_harness.cell.robot.urdf import ArmFileError
 from safety_harness.scenario.robots import AnyRobot, EquippedArm, OwnRobot, Piece, Robot, Seat, Tool, YesNo
 
 Made = TypeVar("Made")
-# A gap in which a finger fits: a tool that ends sooner leaves room for a part that no distance knows of.
+# A gap in which a finger fits: beyond a shorter tool there may be a part that no distance includes.
 TCP_BEYOND_M = 0.02
 
 
 class _OnceEach(Generic[Made]):
-    """Cached by the robot and where its files are, which are no part of what makes two robots the same."""
+    """A function with a cache; its key is the robot and the paths of its files.
+
+    The paths do not take part in the comparison of two robots.
+    """
 
     def __init__(self, make: Callable[[AnyRobot], Made]) -> None:
         update_wrapper(self, make)
@@ -49,9 +52,10 @@ class _OnceEach(Generic[Made]):
 
 @_OnceEach
 def arm_model(robot: AnyRobot) -> ArmModel:
-    """The arm in the base frame of the scenario; ``ArmFileError`` for an own one that cannot be used.
+    """Return the arm in the base frame of the scenario.
 
-    Of an own arm its files' texts are used, which a trace carries: meshes need not be there.
+    For an own arm this uses the texts of its files, which a trace carries. The meshes need not exist.
+    ``ArmFileError`` for an own arm that a run cannot use.
     """
     if isinstance(robot, Robot):
         return load_arm(robot.arm_name)
@@ -67,7 +71,7 @@ def arm_model(robot: AnyRobot) -> ArmModel:
 
 @_OnceEach
 def arm_capsules(robot: AnyRobot) -> CapsuleSet:
-    """The capsules of the arm; ``ArmFileError`` for those of another arm."""
+    """Return the capsules of the arm; ``ArmFileError`` if they belong to another arm."""
     if isinstance(robot, Robot):
         return load_capsules(robot.arm_name)
     if isinstance(robot, EquippedArm):
@@ -87,9 +91,9 @@ def arm_capsules(robot: AnyRobot) -> CapsuleSet:
 
 @_OnceEach
 def drive_model(robot: AnyRobot) -> DriveModel | None:
-    """How an own arm's drives follow a demand; None for those that do so at once.
+    """Return the dynamics of an own arm's drives; None for drives that follow a demand at once.
 
-    ``ArmFileError`` where their torques are limited and a link has no mass.
+    ``ArmFileError`` if their torques are limited and a link has no mass.
     """
     if not isinstance(robot, OwnRobot) or robot.drives is None:
         return None
@@ -106,7 +110,10 @@ def drive_model(robot: AnyRobot) -> DriveModel | None:
 
 
 def transform_seat(seat: Seat) -> NDArray[np.float64]:
-    """(4, 4) from the arm's base link to the base frame: Rz(yaw) R(tilt), then the position."""
+    """Return the transform (4, 4) from the arm's base link to the base frame.
+
+    It is Rz(yaw) R(tilt), then the position.
+    """
     turn = rotation_from_vector(np.array([0.0, 0.0, seat.yaw_rad]))
     return transform_from(
         turn @ rotation_from_vector(np.array(seat.tilt_rad)), np.array(seat.position_in_base_m)
@@ -114,7 +121,7 @@ def transform_seat(seat: Seat) -> NDArray[np.float64]:
 
 
 def transform_tool(tool: Tool) -> NDArray[np.float64]:
-    """(4, 4) from the TCP to the link's frame that the tool is fixed to."""
+    """Return the transform (4, 4) from the TCP to the frame of the link that carries the tool."""
     return transform_from(rotation_from_vector(np.array(tool.tilt_rad)), np.array(tool.position_m))
 
 
@@ -127,27 +134,33 @@ def _with_pieces(capsules: CapsuleSet, name: str, pieces: Sequence[Piece]) -> Ca
 
 @_OnceEach
 def inverse_kinematics(robot: AnyRobot) -> InverseKinematics:
-    """The inverse kinematics of the arm."""
+    """Return the inverse kinematics of the arm."""
     return InverseKinematics(arm_model(robot))
 
 
 @_OnceEach
 def refuse_unfit(robot: AnyRobot) -> None:
-    """``ArmFileError`` unless an own arm's files are as they were read, its meshes those of its capsules."""
+    """Raise ``ArmFileError`` if an own arm's files have changed since the scenario was read.
+
+    It also raises for meshes that its capsules were not fitted to, and as ``refuse_unenclosed`` does.
+    """
     refuse_unenclosed(robot)
     if not isinstance(robot, OwnRobot):
         return
-    found = _sha256_of(robot.files[0])
-    if found != robot.urdf_sha256:
+    sha256 = _sha256_of(robot.files[0])
+    if sha256 != robot.urdf_sha256:
         expected = f"the URDF that the scenario was read with (sha256 {str(robot.urdf_sha256)[:12]}...)"
-        got = "a file that has changed since" if found else "no file of that name"
+        got = "a file that has changed since" if sha256 else "no file of that name"
         raise ArmFileError.of_file(robot.files[0], expected, got)
     read_capsules(robot.files[1], _own(robot, meshes=True), text=robot.capsules_text)
 
 
 @_OnceEach
 def refuse_unenclosed(robot: AnyRobot) -> None:
-    """``ArmFileError`` for a link, or a TCP, that no capsule encloses and the arm's file does not accept."""
+    """Raise ``ArmFileError`` for a link or a TCP outside of all capsules.
+
+    The arm's file may accept it.
+    """
     if isinstance(robot, Robot):
         return
     arm, capsules = arm_model(robot), arm_capsules(robot)
@@ -172,7 +185,7 @@ def refuse_unenclosed(robot: AnyRobot) -> None:
 
 @_OnceEach
 def urdf_sha256_of(robot: AnyRobot) -> str:
-    """SHA-256 of the arm's URDF."""
+    """Return the SHA-256 of the arm's URDF."""
     if isinstance(robot, OwnRobot):
         return str(robot.urdf_sha256)
     return _sha256_of(urdf_file((robot if isinstance(robot, Robot) else robot.arm).arm_name))
@@ -183,7 +196,7 @@ def _sha256_of(file: Path) -> str:
 
 
 def _own(robot: OwnRobot, *, meshes: bool) -> ArmModel:
-    """The arm of the URDF, with the limits that the arm's file states in place of the URDF's."""
+    """Return the arm of the URDF; limits in the arm's file replace the URDF's."""
     arm = read_arm(
         robot.files[0],
         base=robot.base,
@@ -202,7 +215,10 @@ def _own(robot: OwnRobot, *, meshes: bool) -> ArmModel:
 
 
 def _of_each(arm: ArmModel, key: str, numbers: tuple[float, ...]) -> NDArray[np.float64]:
-    """One number (n,) a joint; ``ArmFileError``, naming the ``key``, for another count."""
+    """Return ``numbers`` as an array (n,), one for each joint.
+
+    ``ArmFileError``, with the ``key``, for another count.
+    """
     if len(numbers) != len(arm.joint_names):
         expected = f"{key} of its {len(arm.joint_names)} joints"
         raise ArmFileError.of_file(arm.file, expected, str(len(numbers)))
@@ -210,7 +226,7 @@ def _of_each(arm: ArmModel, key: str, numbers: tuple[float, ...]) -> NDArray[np.
 
 
 def _softly_limited(arm: ArmModel) -> ArmModel:
-    """The same arm, whose joints end where its <safety_controller> says."""
+    """Return the same arm with the position limits of its <safety_controller>."""
     lower, upper = arm.soft_limits_rad.T
     if np.isnan(lower).all():
         expected = "a <safety_controller> with soft limits"

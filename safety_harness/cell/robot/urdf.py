@@ -1,4 +1,4 @@
-"""A URDF as a tree that knows its lines: links, joints, numbers and files, and what is wrong with them."""
+"""A URDF as a tree with line numbers: links, joints, numbers, files, and errors about them."""
 
 from __future__ import annotations
 
@@ -20,23 +20,26 @@ from safety_harness.base.geometry.rotations import rotation_about
 from safety_harness.base.geometry.transforms import transform_from
 
 MAX_BYTES = 200_000_000
-DEEPEST = 100  # elements within each other: Python's writer of XML takes a call for each
+DEEPEST = 100  # elements within each other: Python's writer of XML is recursive
 LARGEST = 1e9  # of any number in SI units: products of these stay finite
-_WORDS = {1: "a number", 3: "three numbers"}
+_COUNTED = {1: "a number", 3: "three numbers"}
 
 
 class ArmFileError(InputError, ArmModelError):
-    """A file that describes an arm (URDF, mesh or capsules) cannot be used: it says file, line and field."""
+    """A file that describes an arm (URDF, mesh or capsules) is unusable.
+
+    The error states file, line and field.
+    """
 
 
 def expand_by_xacro(file: Path) -> str:
-    """The command that makes a URDF of a file which is written for xacro."""
+    """Return the hint with the command that makes a URDF of a xacro file."""
     name = file.name.removesuffix(".xacro").removesuffix(".urdf")
     return f"xacro expands it: xacro {file.name} > {name}-expanded.urdf"
 
 
 def read_bytes(file: Path) -> bytes:
-    """What a file holds; ``ArmFileError`` if it cannot be read or is larger than any of ours."""
+    """Return the bytes of a file; ``ArmFileError`` if it is unreadable or above MAX_BYTES."""
     try:
         if not os.path.isfile(file):
             raise ArmFileError.of_file(file, "a file", "none of that name")
@@ -49,7 +52,7 @@ def read_bytes(file: Path) -> bytes:
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
-    """A URDF whose joints form a tree or several; ``above`` has the joint above a link, by its name."""
+    """A URDF whose joints form one or several trees; ``above`` maps a link's name to the joint above it."""
 
     file: Path
     root: Element
@@ -74,38 +77,47 @@ class Urdf:
             urdf.parent(joint)
             child = urdf._end(joint, "child")
             if urdf.above.setdefault(child, joint) is not joint:
-                other = urdf.above[child].get("name")
-                raise urdf.error(joint, f"one joint above the link {child!r}", f"a second, after {other!r}")
+                first = urdf.above[child].get("name")
+                raise urdf.error(joint, f"one joint above the link {child!r}", f"a second, after {first!r}")
         urdf._refuse_loops()
         return urdf
 
     def _refuse_loops(self) -> None:
+        """Raise ``ArmFileError`` for a closed loop of joints."""
         settled: set[str] = set()
         for link in self.above:
-            way: set[str] = set()
+            visited: set[str] = set()
             while link in self.above and link not in settled:
-                if link in way:
+                if link in visited:
                     raise self.error(self.above[link], "joints that form a tree", "a closed loop")
-                way.add(link)
+                visited.add(link)
                 link = self.parent(self.above[link])
-            settled |= way
+            settled |= visited
 
     def error(self, element: Element, expected: str, got: str, hint: str = "") -> ArmFileError:
-        """What is wrong with an element, with its line."""
+        """Return an error about an element, with its line.
+
+        Args:
+            element: The element.
+            expected: The expected content, in words.
+            got: The content, in words.
+            hint: Advice, if any.
+
+        """
         name = element.get("name")
         field = f"<{element.tag}>" if name is None else f"{element.tag} {name!r}"
         place = Place(self.file, self.lines.get(element), field)
         return ArmFileError(place=place, expected=expected, got=got, hint=hint)
 
     def child(self, element: Element, tag: str) -> Element:
-        """The one child of that tag."""
-        found = element.findall(tag)
-        if len(found) != 1:
-            raise self.error(element, f"one <{tag}> in it", f"{len(found)}")
-        return found[0]
+        """Return the only child with ``tag``; ``ArmFileError`` for another number of them."""
+        children = element.findall(tag)
+        if len(children) != 1:
+            raise self.error(element, f"one <{tag}> in it", f"{len(children)}")
+        return children[0]
 
     def text(self, element: Element, key: str) -> str:
-        """An attribute that is not empty."""
+        """Return the attribute ``key`` of an element; ``ArmFileError`` if it is empty."""
         text = element.get(key, "")
         if not text.strip():
             raise self.error(element, f"an attribute {key!r}", "none")
@@ -114,24 +126,36 @@ class Urdf:
     def numbers(
         self, element: Element, key: str, count: int, default: str | None = None, largest: float = LARGEST
     ) -> NDArray[np.float64]:
-        """An attribute of ``count`` numbers (count,), none beyond ``largest``."""
+        """Return an attribute of ``count`` numbers (count,); ``ArmFileError`` for another text.
+
+        Args:
+            element: The element.
+            key: The attribute's name.
+            count: The expected number of numbers, 1 or 3.
+            default: The text of an absent attribute. None: it must be there.
+            largest: The largest absolute value.
+
+        """
         text = element.get(key, default)
         try:
-            numbers = [float(word) for word in (text or "").split()]
+            numbers = [float(number_text) for number_text in (text or "").split()]
         except ValueError:
             numbers = []
         if len(numbers) != count or not all(abs(number) <= largest for number in numbers) or "_" in str(text):
             hint = expand_by_xacro(self.file) if "$" in (text or "") else ""
             got = "none" if text is None else repr(text)
-            raise self.error(element, f"{_WORDS[count]} for {key!r}", got, hint)
+            raise self.error(element, f"{_COUNTED[count]} for {key!r}", got, hint)
         return np.array(numbers)
 
     def number(self, element: Element, key: str, default: str | None = None) -> float:
-        """An attribute that is one finite number."""
+        """Return an attribute that is one finite number, as ``numbers`` does."""
         return float(self.numbers(element, key, 1, default)[0])
 
     def origin(self, element: Element) -> NDArray[np.float64]:
-        """The (4, 4) transform of an <origin>: fixed-axis roll, pitch, yaw, so R = Rz Ry Rx."""
+        """Return the transform (4, 4) of an <origin>: fixed-axis roll, pitch, yaw, so R = Rz Ry Rx.
+
+        The identity without an <origin>.
+        """
         if element.find("origin") is None:
             return np.eye(4)
         origin = self.child(element, "origin")
@@ -143,33 +167,40 @@ class Urdf:
         return transform_from(rotation, self.numbers(origin, "xyz", 3, "0 0 0"))
 
     def parent(self, joint: Element) -> str:
-        """The link that a joint hangs on."""
+        """Return the link above a joint."""
         return self._end(joint, "parent")
 
     def _end(self, joint: Element, tag: str) -> str:
+        """Return the link of a joint's <parent> or <child>."""
         end = self.child(joint, tag)
         return self.known(self.text(end, "link"), end)
 
     def known(self, link: str, element: Element) -> str:
-        """``link``; ``ArmFileError`` at ``element``, with the nearest names, unless there is one."""
+        """Return ``link`` if the file has it; otherwise raise ``ArmFileError`` with the nearest names.
+
+        The error points at ``element``.
+        """
         if link not in self.links:
-            near = difflib.get_close_matches(link, self.links, n=3, cutoff=0.4) or list(self.links)[:20]
-            raise self.error(element, "a link of the file", repr(link), f"there is {', '.join(near)}")
+            similar = difflib.get_close_matches(link, self.links, n=3, cutoff=0.4) or list(self.links)[:20]
+            raise self.error(element, "a link of the file", repr(link), f"there is {', '.join(similar)}")
         return link
 
-    def only(self, what: str, links: Iterable[str]) -> str:
-        """The one of these links; ``ArmFileError`` if there are others."""
-        found = list(links)
-        if len(found) != 1:
+    def only(self, role: str, links: Iterable[str]) -> str:
+        """Return the only link of ``links``; ``ArmFileError`` for another number of them.
+
+        ``role`` is its role in the error message.
+        """
+        candidates = list(links)
+        if len(candidates) != 1:
             raise self.error(
                 self.root,
-                f"the name of the {what}, or one link that can be it",
-                ", ".join(found[:20]) or "none",
+                f"the name of the {role}, or one link that can be it",
+                ", ".join(candidates[:20]) or "none",
             )
-        return found[0]
+        return candidates[0]
 
     def chain(self, base: str | None, tcp: str | None) -> tuple[str, str, list[Element]]:
-        """Base, tcp and the joints between them, base first; by default the only root and the only leaf."""
+        """Return base, tcp and the joints between them, base first; None stands for the only root or leaf."""
         if base is None:
             base = self.only("base", (link for link in self.links if link not in self.above))
         if tcp is None:
@@ -185,17 +216,20 @@ class Urdf:
         return base, tcp, joints[::-1]
 
     def carrier(self, link: str, among: Collection[str]) -> tuple[str | None, list[NDArray[np.float64]]]:
-        """Which link of ``among`` a link is, or is fixed to, and those joints' (4, 4) frames on the way."""
-        way: list[NDArray[np.float64]] = []
+        """Return the link of ``among`` that ``link`` is or is fixed to, and the frames (4, 4) in between.
+
+        The frames belong to the fixed joints. (None, []) without such a link.
+        """
+        frames: list[NDArray[np.float64]] = []
         while link not in among:
             joint = self.above.get(link)
             if joint is None or joint.get("type") != "fixed":
                 return None, []
-            link, way = self.parent(joint), [self.origin(joint), *way]
-        return link, way
+            link, frames = self.parent(joint), [self.origin(joint), *frames]
+        return link, frames
 
     def mesh_file(self, mesh: Element, packages: Mapping[str, Path]) -> Path:
-        """The file of a <mesh>: relative to the URDF, file://, or package:// (see ``read_arm``)."""
+        """Return the file of a <mesh>: relative to the URDF, file://, or package:// (see ``read_arm``)."""
         uri = self.text(mesh, "filename")
         scheme, _, rest = uri.rpartition("://")
         name, _, inner = rest.partition("/")
@@ -220,7 +254,10 @@ class Urdf:
 
 
 def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
-    """The root of a file with that ``text``, and the line at which each element begins; ``ArmFileError``."""
+    """Return the root of a file with that ``text``, and the line at which each element begins.
+
+    ``ArmFileError`` for other content.
+    """
     builder, lines = ElementTree.TreeBuilder(), dict[Element, int]()
     parser, open_tags = expat.ParserCreate(), list[str]()
 

@@ -1,4 +1,4 @@
-"""The control law v = -lambda L^+ e (eq. 1) and the desired view that it drives the camera to."""
+"""The control law v = -lambda L^+ e (eq. 1) and the desired view, to which it drives the camera."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from safety_harness.cell.perception.moments import MOMENT_COUNT, XG, YG, point_m
 from safety_harness.cell.servoing.features import A_N, area, brackets, features
 from safety_harness.cell.servoing.interaction import interaction_matrix
 
-# InteractionChoice, as compiled code takes it.
+# Numbers of InteractionChoice for compiled code.
 DESIRED, CURRENT, MEAN = range(3)
 
 # A bracket pair or a singular value this much smaller than the largest is rounding, not geometry.
@@ -25,16 +25,16 @@ NEGLIGIBLE = 1e-6
 
 
 def choice_code(choice: InteractionChoice) -> int:
-    """``choice`` as the number that ``camera_twist`` takes."""
+    """Return the number of ``choice`` for ``camera_twist``."""
     return (InteractionChoice.DESIRED, InteractionChoice.CURRENT, InteractionChoice.MEAN).index(choice)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DesiredView:
-    """What the camera sees at the desired pose, and L* there; arrays are read-only.
+    """The camera's view at the desired pose, and L* there; arrays are read-only.
 
-    ``area`` is the a* of eq. 3, ``depth_m`` the depth Z* of the object's centroid, ``plane`` its
-    (A, B, C) and ``condition_number`` the ratio of the largest to the smallest singular value of L*.
+    ``area`` is the a* of eq. 3, ``depth_m`` the depth Z* of the object's centroid, ``plane`` its (A, B, C).
+    ``condition_number`` is the ratio of the largest to the smallest singular value of L*.
     """
 
     dense: bool
@@ -59,11 +59,20 @@ def desired_view(
     *,
     place: Place = Place(field="object.polygon"),  # noqa: B008 (frozen)
 ) -> DesiredView:
-    """The desired view of a flat object given in its own frame.
+    """Return the desired view of a flat object that is given in its own frame.
 
-    Raises SettingsError, at ``place``, if the object cannot be seen from there or is too symmetric
-    to servo on: an isosceles triangle's mirror symmetry makes two rows of L* dependent (rank 5), and
-    an equilateral triangle makes gamma 0/0.
+    An isosceles triangle's mirror symmetry makes two rows of L* dependent (rank 5). An equilateral triangle
+    makes gamma 0/0.
+
+    Args:
+        polygon_m: The object's vertices (n, 2).
+        transform_object_to_camera: The object's pose (4, 4) at the desired pose of the camera.
+        object_kind: Dense (a region) or discrete (points).
+        place: The place of an error.
+
+    Raises:
+        SettingsError: The camera cannot see the object from there, or it is too symmetric to servo on.
+
     """
     dense = object_kind is ObjectKind.DENSE
     points_in_camera = np.empty((len(polygon_m), 3))
@@ -109,7 +118,10 @@ def desired_view(
 
 
 def _refuse_threefold_symmetry(moments: Array31, place: Place) -> None:
-    """Raise SettingsError if In3 of ``moments`` (31,) is only rounding: gamma and delta are 0/0 or x/0."""
+    """Raise ``SettingsError`` if In3 of ``moments`` (31,) is only rounding.
+
+    gamma and delta are then 0/0 or x/0.
+    """
     pairs = np.empty((3, 2))
     brackets(moments, pairs)
     sizes = np.hypot(pairs[:, 0], pairs[:, 1])
@@ -136,15 +148,15 @@ def camera_twist(
     error: Array6,  # e = f - f*
     out: Array6,
 ) -> bool:
-    """(v, w) of the camera in its own frame [m/s, rad/s] by eq. 1; False if it is not finite.
+    """Fill ``out`` with the twist (v, w) of the camera in its own frame [m/s, rad/s] by eq. 1.
 
         (v, w) = -lambda L^+ e,   L = L* (desired), L_f (current) or (L* + L_f)/2 (mean)
 
-    with lambda the ``gain`` and e the ``error``; three choices of Chaumette and Hutchinson (2006).  The
-    current matrix is eq. 2: the object's plane is taken to be parallel to the image, at the depth a_n, since
-    the camera does not know better.  "Mean" inverts the mean of L and L*.  Where a square matrix has full
-    rank its pseudoinverse is its inverse, so these two solve L v = -lambda e; an exactly singular one gives
-    False.
+    with lambda the ``gain`` and e the ``error``; three choices of Chaumette and Hutchinson (2006). The
+    current matrix is eq. 2. It assumes that the object's plane is parallel to the image, at the depth a_n,
+    since the camera has no better estimate. "Mean" inverts the mean of L and L*. A square matrix of full rank
+    has its inverse as pseudoinverse, so the last two choices solve L v = -lambda e. Return False for an
+    exactly singular matrix or a result that is not finite.
     """
     if choice == DESIRED:
         for row in range(6):
@@ -175,7 +187,7 @@ def _solve(
     mean: bool,
     vector: Array6,  # overwritten
 ) -> bool:
-    """Solve L x = ``vector`` with L that of now, at ``depth_m``, or its ``mean`` with L*."""
+    """Solve L x = ``vector``, with L the current matrix at ``depth_m``, or its ``mean`` with L*."""
     parallel, matrix = np.zeros(3), np.empty((6, 6))
     parallel[2] = 1.0 / depth_m
     if not interaction_matrix(moments, parallel, desired_area, desired_depth_m, dense, matrix):

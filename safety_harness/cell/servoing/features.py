@@ -16,7 +16,10 @@ X_N, Y_N, A_N, GAMMA, DELTA, ALPHA = range(6)
 
 @njit_no_nrt
 def area(moments: Array31, dense: bool) -> float:
-    """The a of eq. 3 from ``moments`` (31,): m00 of a dense object, mu20 + mu02 (eq. 5) of a discrete one."""
+    """Return the a of eq. 3 from ``moments`` (31,).
+
+    It is m00 of a dense object, and mu20 + mu02 (eq. 5) of a discrete object.
+    """
     return float(moments[M00] if dense else moments[mu_index(2, 0)] + moments[mu_index(0, 2)])
 
 
@@ -25,14 +28,14 @@ def brackets(
     moments: Array31,
     out: NDArray[np.float64],  # (3, 2)
 ) -> None:
-    """The bracket pairs (c_k, s_k) whose sums of squares are In1, In2 and In3 of eq. 5.
+    """Fill ``out`` with the bracket pairs (c_k, s_k) whose sums of squares are In1, In2 and In3 of eq. 5.
 
         c_1 = mu50 + 2 mu32 + mu14         s_1 = mu05 + 2 mu23 + mu41
         c_2 = mu50 - 2 mu32 - 3 mu14       s_2 = mu05 - 2 mu23 - 3 mu41
         c_3 = mu50 - 10 mu32 + 5 mu14      s_3 = mu05 - 10 mu23 + 5 mu41
 
-    They are real and imaginary parts of the complex moments of order five with the rotational
-    symmetries 1, 3 and 5, which is why the sums of squares are invariant to a turn of the image.
+    They are real and imaginary parts of the complex moments of order five with the rotational symmetries 1, 3
+    and 5. So the sums of squares are invariant to a turn of the image.
     """
     c_1, s_1, c_2, s_2, c_3, s_3 = bracket_pairs(moments)
     out[0, 0], out[0, 1] = c_1, s_1
@@ -42,7 +45,7 @@ def brackets(
 
 @inlined
 def bracket_pairs(moments: Array31) -> tuple[float, float, float, float, float, float]:
-    """(c_1, s_1, c_2, s_2, c_3, s_3) of ``brackets``."""
+    """Return (c_1, s_1, c_2, s_2, c_3, s_3) of ``brackets``."""
     mu50, mu32, mu14 = moments[mu_index(5, 0)], moments[mu_index(3, 2)], moments[mu_index(1, 4)]
     mu05, mu23, mu41 = moments[mu_index(0, 5)], moments[mu_index(2, 3)], moments[mu_index(4, 1)]
     return (
@@ -57,15 +60,15 @@ def bracket_pairs(moments: Array31) -> tuple[float, float, float, float, float, 
 
 @njit_no_nrt
 def features(moments: Array31, desired_area: float, desired_depth_m: float, dense: bool, out: Array6) -> bool:
-    """(x_n, y_n, a_n) [m], gamma, delta [-], alpha [rad] by eqs. 3 to 5; False if one is not finite.
+    """Fill ``out`` with (x_n, y_n, a_n) [m], gamma, delta [-], alpha [rad] by eqs. 3 to 5.
 
         a_n = Z* sqrt(a*/a)    x_n = a_n x_g    y_n = a_n y_g
         gamma = In1/In3        delta = In2/In3  alpha = atan2(2 mu11, mu20 - mu02)/2
 
-    with ``desired_area`` a*, ``desired_depth_m`` Z* and the a of ``area``.
-    Over a plane parallel to the image (a_n x_g, a_n y_g, a_n) is the object's centroid in the camera
-    frame.  alpha is the direction of the object's long axis, in (-pi/2, pi/2]; written with
-    atan2 it has no jump at 45 degrees.
+    with ``desired_area`` a*, ``desired_depth_m`` Z* and the a of ``area``. Over a plane parallel to the
+    image, (a_n x_g, a_n y_g, a_n) is the object's centroid in the camera frame. alpha is the direction of the
+    object's long axis, in (-pi/2, pi/2]. The form with atan2 has no jump at 45 degrees. Return False if a
+    feature is not finite.
     """
     c_1, s_1, c_2, s_2, c_3, s_3 = bracket_pairs(moments)
     in1, in2, in3 = c_1**2 + s_1**2, c_2**2 + s_2**2, c_3**2 + s_3**2
@@ -85,9 +88,9 @@ def features(moments: Array31, desired_area: float, desired_depth_m: float, dens
 
 @njit_no_nrt
 def feature_error(current: Array6, desired: Array6, out: Array6) -> float:
-    """Fill ``out`` with e = f - f*; returns |e|^2, the squared error of eq. 15 in metres and radians.
+    """Fill ``out`` with e = f - f*; return |e|^2, the squared error of eq. 15 in metres and radians.
 
-    An axis has no head: the error of alpha is taken modulo pi, in (-pi/2, pi/2].
+    An axis has no head, so the error of alpha is modulo pi, in (-pi/2, pi/2].
     """
     total = 0.0
     for k in range(6):

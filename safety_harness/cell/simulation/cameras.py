@@ -1,4 +1,4 @@
-"""The cameras of one episode: their records, their noise and the frames that are under way."""
+"""The cameras of an episode: their records, their noise and the frames under way."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RING = 64  # frames under way at a time
 SENSORS = np.dtype(
     [
         ("transform_mount_to_tcp", np.float64, (4, 4)),  # the true mount
-        ("transform_camera_to_tcp", np.float64, (4, 4)),  # where the camera sits, knocked out of it or not
+        ("transform_camera_to_tcp", np.float64, (4, 4)),  # the present one, knocked out of the mount or not
         ("object_focal_px", np.float64),
         ("object_width_px", np.int64),
         ("object_height_px", np.int64),
@@ -52,7 +52,7 @@ SENSORS = np.dtype(
         ("pixel_noise_px", np.float64),
         ("depth_noise_per_m", np.float64),
         ("dropout_probability", np.float64),
-        # what a picture is made with
+        # for the computation of a frame
         ("transform_camera_to_base", np.float64, (4, 4)),
         ("transform_base_to_camera", np.float64, (4, 4)),
         ("transform_hand_sensor_to_base", np.float64, (4, 4)),
@@ -75,7 +75,7 @@ OBJECT_FRAME = np.dtype(
 
 @lru_cache
 def hand_frame_dtype(hands: int) -> np.dtype[Any]:
-    """HAND_FRAME with room for TRACKS_PER_HAND boxes for each of so many hands."""
+    """Return the record type HAND_FRAME with TRACKS_PER_HAND boxes for each of ``hands`` hands."""
     boxes = TRACKS_PER_HAND * hands
     return np.dtype(
         [
@@ -94,7 +94,7 @@ HandFrames = NewType("HandFrames", NDArray[np.void])  # (RING,) HAND_FRAME
 
 
 class Sensors(NamedTuple):
-    """One episode's cameras and the frames that are under way."""
+    """An episode's cameras and the frames under way."""
 
     state: SensorRecords
     object_frames: ObjectFrames
@@ -105,12 +105,13 @@ class Sensors(NamedTuple):
 
 
 def object_polygon_in_base(settings: Settings) -> NDArray[np.float64]:
-    """(n, 3) vertices of the object on its plane."""
+    """Return the vertices (n, 3) of the object on its plane, in the base frame [m]."""
     return _polygon_in_base(settings.object).copy()
 
 
 @lru_cache(maxsize=16)
 def _polygon_in_base(shape: Object) -> NDArray[np.float64]:
+    """Return the vertices of ``object_polygon_in_base``, cached."""
     c, s = np.cos(shape.yaw_rad), np.sin(shape.yaw_rad)
     polygon = np.array(shape.polygon_m)
     flat = polygon @ np.array([[c, s], [-s, c]])
@@ -124,9 +125,15 @@ def sensors(
     transform_sensor_to_base: Array4x4,
     hand_slots: int = HAND_SLOTS[0],
 ) -> Sensors:
-    """The cameras before their first frame.  Noise is drawn beforehand, by frame and detection.
+    """Return the cameras before their first frame, with their noise, by frame and detection.
 
-    ``transform_sensor_to_base`` (4, 4).
+    Args:
+        settings: The settings of cameras and object.
+        seed: The scenario's seed.
+        ticks: The number of ticks, for the noise of every frame.
+        transform_sensor_to_base: The pose (4, 4) of a fixed hand sensor.
+        hand_slots: The scenario's number of hands.
+
     """
     hand = settings.hand_sensor
     state = SensorRecords(camera_state(settings).copy())
@@ -134,7 +141,7 @@ def sensors(
     noisy = hand.pixel_noise_px > 0.0 or hand.depth_noise_per_m > 0.0 or hand.dropout_probability > 0.0
     boxes = TRACKS_PER_HAND * hand_slots
     normals, uniforms = np.zeros((1, boxes, 3)), np.zeros((1, boxes))
-    if noisy:  # drawn for four boxes at a time: that of the first four does not hang on the room for more
+    if noisy:  # in streams of four boxes, so that the first four have the same noise with any hand_slots
         streams = [generator(seed, Branch.HAND_SENSOR_NOISE, k) for k in range(boxes // 2)]
         normals = np.hstack([noise.standard_normal((ticks + 1, 4, 3)) for noise in streams[::2]])
         uniforms = np.hstack([misses.random((ticks + 1, 4)) for misses in streams[1::2]])
@@ -150,7 +157,7 @@ def sensors(
 
 @lru_cache(maxsize=16)  # many episodes differ in their hands and starts alone
 def camera_state(settings: Settings) -> SensorRecords:
-    """(1,) SENSORS before the first frame, but for where a fixed one stands; not to be written."""
+    """Return the read-only record SENSORS (1,) before the first frame, without a fixed sensor's pose."""
     state = np.zeros(1, SENSORS)
     camera, hand = settings.camera, settings.hand_sensor
     state["transform_mount_to_tcp"] = transform_camera_to_tcp(camera, calibrated=False)
@@ -180,7 +187,7 @@ def camera_state(settings: Settings) -> SensorRecords:
 
 
 def _timing(field: str, rate_hz: float | None, latency_s: float, settings: Settings) -> tuple[float, float]:
-    """(period, latency) in seconds; refuses more frames under way than the ring holds."""
+    """Return (period, latency) [s]; raise ``SettingsError`` for more frames under way than the ring holds."""
     period_s = 0.0 if rate_hz is None else 1.0 / rate_hz
     under_way = latency_s / max(period_s, settings.clock.control_period_s) + 2.0
     if under_way > RING:

@@ -1,4 +1,4 @@
-"""The PyBullet side of the cell: robot, table, object and hands as bodies of one client, and its images."""
+"""The PyBullet side of the cell: robot, table, object and hands as bodies of a client, and its images."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from safety_harness.cell.simulation.engine import pybullet
 
 TABLE_HALF_M = (1.5, 1.5, 0.02)
 OBJECT_THICKNESS_M = 0.0005
-OUT_OF_VIEW_M = (0.0, 0.0, -9.0)  # where hands are until they are placed
+OUT_OF_VIEW_M = (0.0, 0.0, -9.0)  # the position of hands until ``place_hands``
 OBJECT_COLOUR_RGBA = (*(value / 255.0 for value in OBJECT_RGB), 1.0)
 TABLE_COLOUR_RGBA = (*(value / 255.0 for value in TABLE_RGB), 1.0)
 
 
 @dataclass(frozen=True)
 class Bodies:
-    """PyBullet's numbers for what stands in the cell; hands only exist where images are made."""
+    """PyBullet's numbers of the bodies in the cell; hands exist only if images are rendered."""
 
     robot: int
     joints: tuple[int, ...]
@@ -50,7 +50,7 @@ class Bodies:
 
 @lru_cache(maxsize=16)
 def urdf_file(arm: ArmModel, visuals: bool) -> Path:
-    """The resolved URDF as a file that PyBullet can read, written once a process and removed with it."""
+    """Write the resolved URDF to a file for PyBullet, once per process, and remove it at the end."""
     handle, path = tempfile.mkstemp(prefix="safety_harness_", suffix=".urdf")
     atexit.register(Path(path).unlink, missing_ok=True)
     with os.fdopen(handle, "w") as file:
@@ -59,9 +59,16 @@ def urdf_file(arm: ArmModel, visuals: bool) -> Path:
 
 
 def load_robot(client: int, arm: ArmModel, *, visuals: bool) -> tuple[int, tuple[int, ...]]:
-    """PyBullet's numbers for an arm where it is seated, and for its joints.
+    """Return PyBullet's numbers of an arm, at its seat, and of its joints.
 
-    ``ArmFileError`` if the arm lacks an effort or an inertia.
+    Args:
+        client: PyBullet's client.
+        arm: The arm.
+        visuals: Whether to load its visual meshes.
+
+    Raises:
+        ArmFileError: The arm lacks an effort or an inertia.
+
     """
     arm.require(Use.PYBULLET)
     tilt = vector_from_rotation(arm.transform_seat[:3, :3])
@@ -88,9 +95,16 @@ def build_cell(
     rendered: bool,
     hands: int = 2,
 ) -> Bodies:
-    """Load everything into ``client``; visual meshes, and ``hands``, only when images are ``rendered``.
+    """Load the cell into a client of PyBullet.
 
-    ``joint_position_rad`` (n,).
+    Args:
+        client: The client.
+        settings: The settings.
+        arm: The arm.
+        joint_position_rad: Its joint position (n,).
+        rendered: Whether images are rendered; only then the cell has visual meshes, object and hands.
+        hands: The number of hands.
+
     """
     pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
     pybullet.setTimeStep(
@@ -106,7 +120,7 @@ def build_cell(
         robot, joints, [[q] for q in joint_position_rad], [[0.0]] * len(joints), physicsClientId=client
     )
     for joint in range(-1, pybullet.getNumJoints(robot, physicsClientId=client)):
-        # the drives are modelled, friction and air are not
+        # the model includes the drives, but neither friction nor air
         pybullet.changeDynamics(
             robot, joint, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=client
         )
@@ -121,13 +135,14 @@ def build_cell(
 
 
 def _table(client: int, settings: Settings, *, rendered: bool) -> None:
+    """Load the table."""
     height_m = settings.cell.table_height_m
     collision = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=TABLE_HALF_M, physicsClientId=client
     )
     visual = -1
     if rendered:
-        # as thin as the object is, it lies above what is painted of the table
+        # the visible table lies lower than the thin object, which is therefore above it
         visual = pybullet.createVisualShape(
             pybullet.GEOM_BOX,
             halfExtents=TABLE_HALF_M,
@@ -141,7 +156,7 @@ def _table(client: int, settings: Settings, *, rendered: bool) -> None:
 
 
 def _paint_object(client: int, settings: Settings) -> None:
-    """The object as a thin painted prism; its upper face is the plane that servoing sees."""
+    """Load the object as a thin painted prism; its upper face is the plane that servoing sees."""
     top = object_polygon_in_base(settings)
     n = len(top)
     if np.cross(top[1] - top[0], top[2] - top[0])[2] < 0.0:
@@ -167,18 +182,22 @@ def _painted(
     kind: int = pybullet.GEOM_MESH,
     **shape: Any,
 ) -> int:
-    """A body that is only seen."""
+    """Load a body that is visible but has no collisions."""
     visual = pybullet.createVisualShape(kind, rgbaColor=colour, physicsClientId=client, **shape)
     return int(pybullet.createMultiBody(0.0, -1, visual, basePosition=at, physicsClientId=client))
 
 
 def _hand(client: int, settings: Settings) -> int:
-    vertices, faces = _round_mesh(settings.hand.radius_m)  # PyBullet's own sphere is up to 9 px off
+    """Load a hand's sphere."""
+    vertices, faces = _round_mesh(settings.hand.radius_m)  # PyBullet's own sphere errs by up to 9 px
     return _painted(client, HAND_COLOUR_RGBA, vertices=vertices, indices=faces, normals=vertices)
 
 
 def _round_mesh(radius_m: float, rings: int = 24) -> tuple[list[list[float]], list[int]]:
-    """A sphere of ``rings`` parallels and twice as many meridians: vertices and triangle indices."""
+    """Return the vertices and triangle indices of a sphere.
+
+    It has ``rings`` parallels and twice as many meridians.
+    """
     around = 2 * rings
     polar = np.pi * np.arange(rings + 1) / rings
     azimuth = 2.0 * np.pi * np.arange(around) / around
@@ -195,6 +214,7 @@ def _round_mesh(radius_m: float, rings: int = 24) -> tuple[list[list[float]], li
 
 
 def _forearm(client: int, settings: Settings) -> int:
+    """Load a forearm's capsule."""
     hand, kind = settings.hand, pybullet.GEOM_CAPSULE
     return _painted(
         client, SLEEVE_COLOUR_RGBA, kind=kind, radius=hand.forearm_radius_m, length=hand.forearm_length_m
@@ -202,7 +222,7 @@ def _forearm(client: int, settings: Settings) -> int:
 
 
 def place_hands(client: int, bodies: Bodies, hands: NDArray[np.void]) -> None:
-    """Put the painted hands where they are; a forearm lies between hand and elbow.
+    """Move the painted hands to their positions; a forearm lies between hand and elbow.
 
     ``hands`` (hands,) HAND.
     """
@@ -219,14 +239,14 @@ def place_hands(client: int, bodies: Bodies, hands: NDArray[np.void]) -> None:
 
 
 def _turn_by(vector: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """The quaternion (x, y, z, w) of a rotation vector (3,)."""
+    """Return the quaternion (x, y, z, w) of a rotation vector (3,)."""
     half = 0.5 * float(np.linalg.norm(vector))
     x, y, z = 0.5 * np.sinc(half / np.pi) * vector
     return (x, y, z, float(np.cos(half)))
 
 
 def _turn_z_to(direction: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """The quaternion (x, y, z, w) that turns z into ``direction``."""
+    """Return the quaternion (x, y, z, w) that turns z into ``direction``."""
     unit = direction / np.linalg.norm(direction)
     if unit[2] < -1.0 + 1e-12:
         return (1.0, 0.0, 0.0, 0.0)
@@ -241,9 +261,17 @@ NEAR_M, FAR_M = 0.02, 5.0
 def render(
     client: int, transform_camera_to_base: Array4x4, focal_px: float, width_px: int, height_px: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Colour (h, w, 3) and depth along the optical axis (h, w) [m]; pixels hit by nothing are +inf deep.
+    """Return colour (h, w, 3) and depth along the optical axis (h, w) [m], +inf for an empty pixel.
 
     OpenGL's camera looks along -z with y up; ours looks along z with y down.
+
+    Args:
+        client: PyBullet's client.
+        transform_camera_to_base: The camera's pose (4, 4).
+        focal_px: Its focal length.
+        width_px: The image's width w.
+        height_px: The image's height h.
+
     """
     eye = transform_camera_to_base[:3, 3]
     view = pybullet.computeViewMatrix(
@@ -273,7 +301,7 @@ def render(
 
 
 def rendered_object(colour: NDArray[np.uint8], focal_px: float) -> tuple[bool, NDArray[np.float64]]:
-    """(visible, moments (31,)) of the thresholded object in a rendered image.
+    """Return (visible, moments (31,)) of the thresholded object in a rendered image.
 
     ``colour`` (height, width, 3).
     """

@@ -1,8 +1,8 @@
 """Users' controllers in the kinematic world: one episode, or many in lanes, a tick of all at a time.
 
-It is the loop of ``simulate``, without what numba looks up a call.  In lanes all controllers answer
-together: in one call of their ``act_many``, in one turn of the pipe to the process that they share, or one
-after another.
+This is the loop of ``simulate`` without numba's look-up at each call. In lanes all controllers answer
+together: in one call of their ``act_many``, in one exchange with the process that they share, or one after
+another.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from safety_harness.cell.simulation.lanes import look_lanes, obey_lanes, placed,
 from safety_harness.cell.simulation.records import WorldRecords
 from safety_harness.trace.records import as_compiled
 
-_PADDED = {"moves", "samples", "normals", "uniforms"}  # of a lane that has fewer, the rest is never read
+_PADDED = {"moves", "samples", "normals", "uniforms"}  # a lane never reads beyond its own rows of these
 
 
 @dataclass(eq=False)
 class Lane:
-    """An episode: its ``ticks`` (n,) TICK, ``done`` of them filled, and why it broke off, if it did."""
+    """An episode: its ``ticks`` (n,) TICK, the number ``done`` of filled ticks, and its error, if any."""
 
     world: KinematicWorld
     controller: DrivenController
@@ -42,39 +42,40 @@ class Lane:
 
     @property
     def kind(self) -> object:
-        """Those of one kind may run together: they differ in hands, noise and values alone."""
-        named = self.world.records._asdict().items()
-        shapes = tuple((record.dtype, record.shape) for name, record in named if name not in _PADDED)
+        """A key of the lanes that may run together: they differ only in hands, noise and values."""
+        records = self.world.records._asdict().items()
+        shapes = tuple((record.dtype, record.shape) for name, record in records if name not in _PADDED)
         return shapes, self.controller.sees, self.controller.reports, self.controller.period_s
 
 
 def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -> None:
-    """Run them all, of one kind, as ``simulate`` does, bit for bit; what breaks off is said in its lane.
+    """Run all lanes of a kind as ``simulate`` does, bit for bit; ``Lane.failed`` receives an error of a lane.
 
-    Of one lane that is raised, and so is for many what hinders them together: then nothing of them counts.
+    The function raises the error of a single lane. It also raises an error that stops many lanes together.
+    Then their results do not count.
     """
     first, n = lanes[0].controller, len(lanes)
     worlds, controllers, questions = _together(lanes)
     most = max(len(lane.ticks) for lane in lanes)
     own = lanes[0].ticks
-    room = own[None] if n == 1 else np.zeros((n, most), own.dtype)
-    ticks, lasts = as_compiled(room), np.array([len(lane.ticks) - 1 for lane in lanes])
+    records = own[None] if n == 1 else np.zeros((n, most), own.dtype)
+    ticks, lasts = as_compiled(records), np.array([len(lane.ticks) - 1 for lane in lanes])
     answers = first.answers if n == 1 else LaneAnswers(n, first.answers.joints.shape[1], first.reports)
     finite, modes = np.zeros(n, np.bool_), answers.modes
-    rows = room.view(np.uint8).reshape(n, most, own.dtype.itemsize)
+    rows = records.view(np.uint8).reshape(n, most, own.dtype.itemsize)
     of_truth = worlds.truth.view(np.uint8).reshape(n, own.dtype.itemsize)
     looks = worlds, controllers, lasts
     obeys = worlds.observation, controllers, lasts
     steps = worlds, controllers, questions, ticks, lasts
     acts = answers.twists, answers.joints, answers.by_joints, answers.stop, finite
-    look = entry_of(look_lanes, *looks, 0, *first.wants)
+    entry_look = entry_of(look_lanes, *looks, 0, *first.wants)
     obey = entry_of(obey_lanes, *obeys, 0, *acts)
     step = entry_of(step_lanes, *steps, 0, modes)
     ask = _Asking(lanes, controllers, answers) if n > 1 else None
     shielded = any(len(lane.controller.guard.shield) for lane in lanes)
     for k in range(most):
         rows[:, k] = of_truth  # bytes: else the padding between fields would be anything
-        look(*looks, k, *first.wants)
+        entry_look(*looks, k, *first.wants)
         if ask is None:
             first.ask()
         else:
@@ -92,17 +93,20 @@ def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -
             on_tick(k + 1)
         if ask is not None and not (lasts > k).any():
             break
-    for lane, one in enumerate(lanes):
-        if ask is not None and one.failed is None:
-            one.ticks = room[lane, : len(one.ticks)]
-            one.controller.answers_took_s = ask.took_s[: len(one.ticks)]
-            one.done = len(one.ticks)
+    for lane, episode in enumerate(lanes):
+        if ask is not None and episode.failed is None:
+            episode.ticks = records[lane, : len(episode.ticks)]
+            episode.controller.answers_took_s = ask.took_s[: len(episode.ticks)]
+            episode.done = len(episode.ticks)
 
 
 def _refuse(
     lanes: Sequence[Lane], finite: NDArray[np.bool_], answers: LaneAnswers, lasts: NDArray[np.int64], k: int
 ) -> None:
-    """The lanes whose action is not finite; ``finite`` (lanes,), ``lasts`` (lanes,)."""
+    """Store the error of each lane whose action is not finite; ``finite`` (lanes,), ``lasts`` (lanes,).
+
+    The error of a single lane is raised.
+    """
     for lane in lanes_of(~finite & (lasts >= k)):
         by_joints = answers.by_joints[lane]
         wanted = answers.joints[lane] if by_joints else answers.twists[lane]
@@ -114,9 +118,9 @@ def _refuse(
 
 
 class _Asking:
-    """The controllers of many lanes, asked together.
+    """The controllers of many lanes, called together.
 
-    ``took_s`` is the mean time [s] of an answer at each tick; empty where one call answers for all.
+    ``took_s`` is the mean time [s] of an answer at each tick; empty if a single call answers for all.
     """
 
     def __init__(self, lanes: Sequence[Lane], controllers: DrivenRecords, answers: LaneAnswers) -> None:
@@ -131,7 +135,7 @@ class _Asking:
         )
 
     def __call__(self, tick: int, lasts: NDArray[np.int64]) -> None:
-        """At that tick, those whose last one is not over."""
+        """Call the controllers of the lanes that have not ended at ``tick``."""
         own = lanes_of(lasts >= tick)
         rows = self._numbers[own]
         rows.flags.writeable = False
@@ -142,12 +146,12 @@ class _Asking:
         else:
             why = ask_together(users, own, rows, self._period_s, self._layout, self._answers)
         self.took_s += [(time.perf_counter() - begun_s) / len(own)] * self._timed
-        for lane, words in why.items():
-            self._lanes[lane].failed, lasts[lane] = self._lanes[lane].controller.failed(words), -1
+        for lane, reason in why.items():
+            self._lanes[lane].failed, lasts[lane] = self._lanes[lane].controller.failed(reason), -1
 
 
 def _together(lanes: Sequence[Lane]) -> tuple[WorldRecords, DrivenRecords, NDArray[np.void]]:
-    """The records of all of them, and the controllers' now lie in these."""
+    """Return the stacked records of all lanes; the controllers' records now lie in them."""
     first = lanes[0]
     worlds = stacked(first.world.records, len(lanes))
     controllers = stacked(first.controller.records, len(lanes))

@@ -1,6 +1,6 @@
-"""What the cameras see, exactly: the projected object's moments and the hands' bounding boxes, compiled.
+"""The exact views of the cameras: the projected object's moments and the hands' bounding boxes, compiled.
 
-``cell`` holds the ones that work on rendered pixels.
+``cell`` has the functions for rendered pixels.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ from safety_harness.cell.simulation.hand_motion import HandRecords
 def exact_object(
     sensors: SensorRecords, polygon_in_base_m: ArrayNx3, transform_tcp_to_base: Array4x4, moments_out: Array31
 ) -> bool:
-    """Moments of the projected polygon, in closed form or at pixel centres; False if out of view."""
+    """Fill ``moments_out`` with the moments of the projected polygon; return False if it is out of view.
+
+    They are in closed form or at pixel centres. ``polygon_in_base_m`` (n, 3).
+    """
     s = sensors[0]
     n = polygon_in_base_m.shape[0]
     base_to_camera = s.transform_base_to_camera
@@ -54,7 +57,7 @@ def exact_object(
 
 @compiled
 def sensor_pose(sensors: SensorRecords, transform_tcp_to_base: Array4x4) -> Array4x4:
-    """The hand sensor's true pose ``transform_sensor_to_base``: fixed, or carried by the hand-eye camera."""
+    """Return the hand sensor's true pose ``transform_sensor_to_base``: fixed, or of the hand-eye camera."""
     pose = np.empty((4, 4))
     put_sensor_pose(sensors, transform_tcp_to_base, pose)
     return pose
@@ -77,9 +80,9 @@ def hand_box(
     position_in_base_m: Array3,
     box_out: Array5,
 ) -> bool:
-    """The box of a hand whose view nothing bars; False where the sensor could not see one.
+    """Fill ``box_out`` with the box of an unhidden hand; return False if the sensor cannot see it.
 
-    The ideal sensor sees beyond the image; it still has to have the hand in front of it.
+    The ideal sensor also sees beyond the image, but only hands in front of it.
     """
     s = sensors[0]
     centre = s.hand_in_sensor
@@ -111,9 +114,9 @@ def exact_boxes(
     transform_tcp_to_base: Array4x4,
     capsules: CapsuleRecords,
     capsule_endpoints_in_base_m: ArrayNx2x3,
-    boxes_out: NDArray[np.float64],  # (n, 5), n no less than the hands
+    boxes_out: NDArray[np.float64],  # (n, 5), n at least the number of hands
 ) -> int:
-    """Bounding boxes of the hands that the sensor sees; returns how many.
+    """Fill ``boxes_out`` with the bounding boxes of the visible hands; return their number.
 
     The ideal sensor sees through the robot.
     """
@@ -141,7 +144,7 @@ def _blocked(
     capsules: CapsuleRecords,
     capsule_endpoints_in_base_m: ArrayNx2x3,
 ) -> bool:
-    """Is a part of the arm between the hand sensor and a hand?"""
+    """Return whether part of the arm is between the hand sensor and a hand."""
     s = sensors[0]
     eye = s.transform_hand_sensor_to_base[:3, 3].copy()
     return line_of_sight_blocked(

@@ -1,10 +1,10 @@
-"""Faults of sensors and joints, compiled for both worlds: each function says which faults acted, as bits.
+"""Faults of sensors and joints, compiled for both worlds: each function returns the acting faults as bits.
 
-A fault acts where it changes something: a blind sensor that had no hand before it does not.
+A fault acts if it changes something: a blind sensor without a hand in view does not act.
 
-A world calls ``mount_camera`` before its cameras look, ``spoil_object_frame`` and ``spoil_hand_frame``
-on each frame that was just put on its way, and ``hold_joints`` on what the motors are told.  Without
-faults they change nothing.  Noise is drawn by frame: a fault never shifts it.
+A world calls ``mount_camera`` before its cameras take frames. It calls ``spoil_object_frame`` and
+``spoil_hand_frame`` on each new frame, and ``hold_joints`` on the motors' set points. Without faults they
+change nothing. The noise depends on the frame's number, so a fault never shifts it.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from safety_harness.scenario.faults import FaultKind
 
 @compiled
 def mount_camera(faults: FaultRecords, sensors: SensorRecords, time_s: float) -> int:
-    """Put the hand-eye camera where it sits at ``time_s``: in its mount, or knocked out of it."""
+    """Set the hand-eye camera's pose at ``time_s``: in its mount, or knocked out of it."""
     s = sensors[0]
     bits = acting(faults, FaultKind.CAMERA_KNOCKED, time_s)
     copy_matrix(s.transform_mount_to_tcp, s.transform_camera_to_tcp)
     if bits == 0:
         return 0
-    before = np.empty((3, 3))
+    mounted = np.empty((3, 3))
     for k in range(faults.shape[0]):
         if not acts(faults, k, FaultKind.CAMERA_KNOCKED, time_s):
             continue
-        copy_matrix(s.transform_camera_to_tcp[:3, :3], before)
+        copy_matrix(s.transform_camera_to_tcp[:3, :3], mounted)
         turned = rotation_from_vector(faults[k].turned_rad.copy())
         for i in range(3):
             for j in range(3):
                 s.transform_camera_to_tcp[i, j] = (
-                    before[i, 0] * turned[0, j] + before[i, 1] * turned[1, j] + before[i, 2] * turned[2, j]
+                    mounted[i, 0] * turned[0, j] + mounted[i, 1] * turned[1, j] + mounted[i, 2] * turned[2, j]
                 )
             s.transform_camera_to_tcp[i, 3] += faults[k].vector_m[i]
     return bits
@@ -59,7 +59,7 @@ def spoil_object_frame(
     transform_tcp_to_base: Array4x4,
     time_s: float,
 ) -> int:
-    """What the faults make of the object's newest frame; a frozen camera shows the frame before it."""
+    """Apply the faults to the object's newest frame; a frozen camera repeats the frame before it."""
     s = sensors[0]
     frame = frames[(s.object_frames - 1) % RING]
     bits = 0
@@ -74,9 +74,9 @@ def spoil_object_frame(
     if frozen:
         frame.visible = False
         if s.object_frames > 1:
-            before = frames[(s.object_frames - 2) % RING]
-            frame.visible = before.visible
-            copy_vector(before.moments, frame.moments)
+            earlier = frames[(s.object_frames - 2) % RING]
+            frame.visible = earlier.visible
+            copy_vector(earlier.moments, frame.moments)
     frame.late_s = delay_s(faults, FaultKind.CAMERA_LATE, time_s)
     return bits | blind | frozen | acting(faults, FaultKind.CAMERA_LATE, time_s)
 
@@ -85,7 +85,7 @@ def spoil_object_frame(
 def hides_object(
     sensors: SensorRecords, polygon_in_base_m: ArrayNx3, hands: HandRecords, transform_tcp_to_base: Array4x4
 ) -> bool:
-    """Is any part of a hand or forearm between the hand-eye camera's lens and any part of the object?"""
+    """Return whether part of a hand or forearm is between the camera's lens and part of the object."""
     s = sensors[0]
     camera_to_base = np.empty((4, 4))
     compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, camera_to_base)
@@ -109,17 +109,17 @@ def spoil_hand_frame(
     transform_tcp_to_base: Array4x4,
     time_s: float,
 ) -> int:
-    """What the faults make of the newest frame of boxes.
+    """Apply the faults to the newest frame of boxes.
 
-    In this order: hands are measured off, false ones join them, a blind sensor drops them all, a
-    frozen one shows the frame before.
+    The order is: measurement errors shift hands, false hands join them, a blind sensor drops all of them, a
+    frozen sensor repeats the frame before.
     """
     s = sensors[0]
     frame = frames[(s.hand_frames - 1) % RING]
-    off = acting(faults, FaultKind.HAND_SENSOR_OFF, time_s) if frame.count else 0
+    shifted = acting(faults, FaultKind.HAND_SENSOR_OFF, time_s) if frame.count else 0
     false = acting(faults, FaultKind.FALSE_HAND, time_s)
-    bits = off
-    if off or false:
+    bits = shifted
+    if shifted or false:
         pose = sensor_pose(sensors, transform_tcp_to_base)
         base_to_sensor = inverse_transform(pose)
         for k in range(faults.shape[0]):
@@ -140,12 +140,12 @@ def spoil_hand_frame(
     if frozen:
         frame.count = 0
         if s.hand_frames > 1:
-            before = frames[(s.hand_frames - 2) % RING]
-            frame.count = before.count
-            copy_matrix(before.boxes, frame.boxes)
+            earlier = frames[(s.hand_frames - 2) % RING]
+            frame.count = earlier.count
+            copy_matrix(earlier.boxes, frame.boxes)
     if seen == 0 and frame.count == 0:
         frozen = 0
-    if frame.count:  # an empty frame that comes late is none the later
+    if frame.count:  # an empty frame makes no difference if it is late
         bits |= acting(faults, FaultKind.HAND_SENSOR_LATE, time_s)
     frame.late_s = delay_s(faults, FaultKind.HAND_SENSOR_LATE, time_s)
     return bits | blind | frozen
@@ -159,21 +159,22 @@ def shift_boxes(
     boxes: NDArray[np.float64],  # (n, 5), changed in place
     count: int,
 ) -> int:
-    """Boxes of hands whose fronts are shifted; returns how many are left in front of the sensor.
+    """Shift the fronts of hands in ``boxes``; return how many remain in front of the sensor.
 
-    The point at a box's centre and depth is moved; the size in the image goes with the depth.
+    The point at a box's centre and depth moves by ``by_in_base_m``. The size in the image changes with the
+    depth.
     """
     s = sensors[0]
-    by = np.zeros(3)
+    shift = np.zeros(3)
     for i in range(3):
         for j in range(3):
-            by[i] += transform_sensor_to_base[j, i] * by_in_base_m[j]
+            shift[i] += transform_sensor_to_base[j, i] * by_in_base_m[j]
     kept = 0
     for k in range(count):
         depth = boxes[k, 2]
-        x = (boxes[k, 0] - s.hand_c_u) / s.hand_focal_px * depth + by[0]
-        y = (boxes[k, 1] - s.hand_c_v) / s.hand_focal_px * depth + by[1]
-        z = depth + by[2]
+        x = (boxes[k, 0] - s.hand_c_u) / s.hand_focal_px * depth + shift[0]
+        y = (boxes[k, 1] - s.hand_c_v) / s.hand_focal_px * depth + shift[1]
+        z = depth + shift[2]
         if not z > 0.0:
             continue
         boxes[kept, 0] = s.hand_focal_px * x / z + s.hand_c_u
@@ -187,7 +188,7 @@ def shift_boxes(
 
 @compiled
 def hold_joints(faults: FaultRecords, velocity_radps: ArrayN, time_s: float) -> int:
-    """Set what the motors of stuck joints are told to zero."""
+    """Set the motors' set points of stuck joints to zero."""
     bits = 0
     for k in range(faults.shape[0]):
         if acts(faults, k, FaultKind.JOINT_STUCK, time_s) and velocity_radps[faults[k].joint] != 0.0:

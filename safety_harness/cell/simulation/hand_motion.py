@@ -1,8 +1,8 @@
-"""Hands that move as the scenario says: an interpreter of hand moves, compiled for both worlds.
+"""Hands that move as the scenario states: an interpreter of hand moves, compiled for both worlds.
 
-The velocity of a hand that moves is continuous, and changes by at most its acceleration times the
-time: straight ways are closed form from rest to rest (``follow_leg``), a hand that heads for the TCP
-turns its velocity towards it (``pursue``), and whoever is stopped brakes along its way (``brake``).
+The velocity of a moving hand is continuous. It changes by at most its acceleration times the time. Straight
+paths are in closed form from rest to rest (``follow_leg``). A hand that heads for the TCP turns its velocity
+towards it (``pursue``). A hand that must stop brakes along its path (``brake``).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from safety_harness.base.compiled import njit_no_nrt
 from safety_harness.base.geometry.arrays import Array3
 
-LEG, WAIT, REACH_FOR_TCP, FOLLOW_TCP = range(4)  # what a compiled move does
+LEG, WAIT, REACH_FOR_TCP, FOLLOW_TCP = range(4)  # kinds of compiled moves
 
 # A move of a scenario is a group of one or more of these, with one time limit.
 MOVE = np.dtype(
@@ -73,9 +73,10 @@ def advance_hands(
     time_s: float,
     dt_s: float,
 ) -> None:
-    """Move every hand from ``time_s`` to ``time_s + dt_s``; what is left of a move's tick flows on.
+    """Move every hand from ``time_s`` to ``time_s + dt_s``.
 
-    Hands that head for the TCP aim at where it was at ``time_s``.
+    If a move ends within the tick, the next move gets the rest of it. Hands that head for the TCP aim at its
+    position at ``time_s``.
     """
     for k in range(hands.shape[0]):
         hand = hands[k]
@@ -95,11 +96,11 @@ def advance_hands(
             left_s = advance_move(hands, k, moves, tcp_position_in_base_m, left_s)
         brake(hands, k, left_s)
         for i in range(3):
-            off_m = 0.0
+            tremor_m = 0.0
             if hand.tremor_m != 0.0:
                 angle = hand.tremor_radps * (time_s + dt_s) + hand.tremor_phase_rad[i]
-                off_m = hand.tremor_m * np.sin(angle)
-            hand.position_in_base_m[i] = hand.steady_in_base_m[i] + off_m
+                tremor_m = hand.tremor_m * np.sin(angle)
+            hand.position_in_base_m[i] = hand.steady_in_base_m[i] + tremor_m
         point_forearm(hands, k)
 
 
@@ -107,25 +108,25 @@ def advance_hands(
 def advance_move(
     hands: HandRecords, k: int, moves: MoveRecords, tcp_position_in_base_m: Array3, left_s: float
 ) -> float:
-    """Spend up to ``left_s`` on the current move; returns what is left of it."""
+    """Spend up to ``left_s`` on the current move; return the rest of it [s]."""
     hand = hands[k]
     move = moves[hand.first + hand.current]
     allowed_s = min(left_s, move.within_s - hand.spent_s)
     if move.kind == WAIT:
         used_s = min(allowed_s, move.duration_s - hand.elapsed_s)
         brake(hands, k, used_s)
-        over = used_s >= move.duration_s - hand.elapsed_s
+        done = used_s >= move.duration_s - hand.elapsed_s
     elif move.kind == LEG:
-        used_s, over = follow_leg(hands, k, move.target_in_base_m, move.distance_m, move.speed_mps, allowed_s)
+        used_s, done = follow_leg(hands, k, move.target_in_base_m, move.distance_m, move.speed_mps, allowed_s)
     else:
-        used_s, over = pursue(hands, k, tcp_position_in_base_m, move.distance_m, move.speed_mps, allowed_s)
-        if over and move.kind == FOLLOW_TCP:
+        used_s, done = pursue(hands, k, tcp_position_in_base_m, move.distance_m, move.speed_mps, allowed_s)
+        if done and move.kind == FOLLOW_TCP:
             brake(hands, k, allowed_s)
-            used_s, over = allowed_s, False
+            used_s, done = allowed_s, False
     group_over = used_s >= move.within_s - hand.spent_s
     hand.elapsed_s += used_s
     hand.spent_s += used_s
-    if over or group_over:
+    if done or group_over:
         hand.current = move.after if group_over else hand.current + 1
         hand.elapsed_s = 0.0
         hand.on_leg = False
@@ -136,7 +137,7 @@ def advance_move(
 
 @njit_no_nrt
 def brake(hands: HandRecords, k: int, dt_s: float) -> float:
-    """Slow down along the way, for at most ``dt_s``; returns the time until the hand is at rest."""
+    """Slow down along the path, for at most ``dt_s``; return the time [s] that this takes."""
     hand = hands[k]
     squared = 0.0
     for i in range(3):
@@ -157,9 +158,9 @@ def brake(hands: HandRecords, k: int, dt_s: float) -> float:
 def follow_leg(
     hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: float, speed_mps: float, dt_s: float
 ) -> tuple[float, bool]:
-    """Straight until ``distance_m`` from the target, from rest to rest; (time used, whether it is there).
+    """Move straight until ``distance_m`` from the target, from rest to rest; return (time used, arrived).
 
-    The speed is a trapezoid over time, or a triangle where the way is too short for ``speed_mps``.
+    The speed is a trapezoid over time, or a triangle if the path is too short for ``speed_mps``.
     """
     hand = hands[k]
     used_s = 0.0
@@ -169,13 +170,13 @@ def follow_leg(
             if hand.velocity_in_base_mps[i] != 0.0:
                 return dt_s, False
         begin_leg(hands, k, target_in_base_m, distance_m)
-    acceleration, way = hand.max_acceleration_mps2, hand.leg_way_m
-    peak = min(speed_mps, np.sqrt(acceleration * way))
+    acceleration, path_m = hand.max_acceleration_mps2, hand.leg_way_m
+    peak = min(speed_mps, np.sqrt(acceleration * path_m))
     ramp_s = peak / acceleration
-    total_s = way / peak + ramp_s if peak > 0.0 else 0.0
+    total_s = path_m / peak + ramp_s if peak > 0.0 else 0.0
     if hand.leg_s + (dt_s - used_s) >= total_s:
         for i in range(3):
-            hand.steady_in_base_m[i] = hand.leg_start_in_base_m[i] + way * hand.leg_direction_in_base[i]
+            hand.steady_in_base_m[i] = hand.leg_start_in_base_m[i] + path_m * hand.leg_direction_in_base[i]
             hand.velocity_in_base_mps[i] = 0.0
             if distance_m == 0.0:
                 hand.steady_in_base_m[i] = target_in_base_m[i]  # exactly, whatever the rounding
@@ -185,7 +186,7 @@ def follow_leg(
     if hand.leg_s < ramp_s:
         gone, rate = 0.5 * acceleration * hand.leg_s**2, acceleration * hand.leg_s
     elif to_end_s < ramp_s:
-        gone, rate = way - 0.5 * acceleration * to_end_s**2, acceleration * to_end_s
+        gone, rate = path_m - 0.5 * acceleration * to_end_s**2, acceleration * to_end_s
     else:
         gone, rate = peak * (hand.leg_s - 0.5 * ramp_s), peak
     for i in range(3):
@@ -196,7 +197,7 @@ def follow_leg(
 
 @njit_no_nrt
 def begin_leg(hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: float) -> None:
-    """Fix where the leg leads, from where the hand rests now."""
+    """Set the leg's start, direction and length, from the hand's present position."""
     hand = hands[k]
     hand.on_leg = True
     hand.leg_s = 0.0
@@ -215,10 +216,10 @@ def begin_leg(hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: 
 def pursue(
     hands: HandRecords, k: int, goal_in_base_m: Array3, distance_m: float, speed_mps: float, dt_s: float
 ) -> tuple[float, bool]:
-    """Turn the velocity towards the goal for ``dt_s``; (time used, whether it is ``distance_m`` near).
+    """Turn the velocity towards the goal for ``dt_s``; return (time used, within ``distance_m`` of it).
 
-    The hand closes in at the largest speed w from which it can still stop on the gap g that is left:
-    with v now and a to brake, (v + w)/2 dt + w^2/2a = g.
+    The hand approaches at the largest speed w from which it can still stop within the remaining gap g. The
+    present speed v and the deceleration a give (v + w)/2 dt + w^2/2a = g.
     """
     hand = hands[k]
     total, closing = 0.0, 0.0
@@ -231,10 +232,10 @@ def pursue(
     if gap <= ARRIVED_M:
         return 0.0, True
     change = hand.max_acceleration_mps2 * dt_s
-    room = 4.0 * hand.max_acceleration_mps2 * gap - 2.0 * change * closing / away
-    if room <= 0.0:
+    discriminant = 4.0 * hand.max_acceleration_mps2 * gap - 2.0 * change * closing / away
+    if discriminant <= 0.0:
         return brake(hands, k, dt_s), False
-    wanted = min(speed_mps, room / (change + np.sqrt(change**2 + 2.0 * room)))
+    wanted = min(speed_mps, discriminant / (change + np.sqrt(change**2 + 2.0 * discriminant)))
     squared = 0.0
     for i in range(3):
         direction = (goal_in_base_m[i] - hand.steady_in_base_m[i]) / away
@@ -265,7 +266,7 @@ def point_forearm(hands: HandRecords, k: int) -> None:
 
 @njit_no_nrt
 def follow_recording(hands: HandRecords, k: int, samples: NDArray[np.float64], time_s: float) -> None:
-    """Put hand and elbow where the recording has them; straight between samples, at rest after it.
+    """Put hand and elbow at their recorded positions: linear between samples, at rest after the last one.
 
     ``samples`` (s, 7).
     """
@@ -278,7 +279,7 @@ def follow_recording(hands: HandRecords, k: int, samples: NDArray[np.float64], t
     span_s = samples[row + 1, 0] - samples[row, 0]
     fraction = min(max((time_s - samples[row, 0]) / span_s, 0.0), 1.0)
     for i in range(3):
-        before, after = samples[row, 1 + i], samples[row + 1, 1 + i]
-        hand.position_in_base_m[i] = before + fraction * (after - before)
-        before, after = samples[row, 4 + i], samples[row + 1, 4 + i]
-        hand.elbow_in_base_m[i] = before + fraction * (after - before)
+        earlier, later = samples[row, 1 + i], samples[row + 1, 1 + i]
+        hand.position_in_base_m[i] = earlier + fraction * (later - earlier)
+        earlier, later = samples[row, 4 + i], samples[row + 1, 4 + i]
+        hand.elbow_in_base_m[i] = earlier + fraction * (later - earlier)

@@ -1,6 +1,6 @@
 """A scenario's hands as records for the interpreter: each move becomes legs, waits and pursuits.
 
-A wander's points are drawn here, from the scenario's seed, the hand's number and the move's.
+The points of a wander come from the scenario's seed, the hand's number and the move's number.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ FIRST_DRAWN = 256
 
 @dataclass(frozen=True, eq=False)
 class Hands:
-    """The hands of one episode: their state and their programs.
+    """The hands of an episode: their state and their programs.
 
     ``samples`` (s, 7): time, hand, elbow.
     """
@@ -55,7 +55,7 @@ class Hands:
 
 
 class Step(NamedTuple):
-    """One entry of a program: a MOVE, in the order of its fields."""
+    """An entry of a program: a MOVE, in the order of its fields."""
 
     kind: int = LEG
     target_in_base_m: Vector3 = NOWHERE
@@ -67,11 +67,11 @@ class Step(NamedTuple):
 
 
 def hands_at_start(scenario: Scenario) -> Hands:
-    """The hands as the scenario begins."""
+    """Return the hands at the start of the scenario."""
     state = np.zeros(scenario.hand_slots, HAND)
     state["position_in_base_m"] = state["elbow_in_base_m"] = np.nan
     state["leader"] = -1
-    moves: list[Step] = [Step()]  # never empty: compiled code wants its type
+    moves: list[Step] = [Step()]  # never empty: compiled code needs its type
     samples: list[NDArray[np.float64]] = [np.zeros((1, 7))]
     for number, (record, hand) in enumerate(zip(state, scenario.hands, strict=False)):
         record["present"] = True
@@ -86,7 +86,7 @@ def hands_at_start(scenario: Scenario) -> Hands:
         record["elbow_towards_in_base_m"] = hand.elbow_towards_in_base_m
         if isinstance(hand, JoinedHand):
             leader = scenario.leader(hand)
-            assert leader is not None  # admission sees to it
+            assert leader is not None  # admission checks this
             record["leader"] = scenario.hands.index(leader)
             record["apart_in_base_m"] = hand.apart_in_base_m
             continue
@@ -100,7 +100,7 @@ def hands_at_start(scenario: Scenario) -> Hands:
 
 
 def _begin(record: np.void, hand: MovingHand, number: int, scenario: Scenario) -> None:
-    """A moving hand at rest at its start, and its tremor."""
+    """Set a moving hand's start, at rest, and its tremor."""
     record["steady_in_base_m"] = shifted(hand.starts_at_in_base_m, hand.shift_in_base_m)
     record["max_acceleration_mps2"] = hand.max_acceleration_mps2
     if hand.tremor is not None:
@@ -111,7 +111,7 @@ def _begin(record: np.void, hand: MovingHand, number: int, scenario: Scenario) -
 
 
 def _program(hand: MovingHand, number: int, scenario: Scenario) -> list[Step]:
-    """Every move that can begin within the scenario's duration."""
+    """Return the steps of every move that can begin within the scenario's duration."""
     program: list[Step] = []
     least_s = hand.delay_s
     if hand.delay_s > 0.0:
@@ -124,14 +124,14 @@ def _program(hand: MovingHand, number: int, scenario: Scenario) -> list[Step]:
             group = _wander(move, hand, scenario.duration_s, rng)
         else:
             group = _group(move, hand, scenario)
-        after = len(program) + len(group)
-        program += [step._replace(after=after) for step in group]
+        next_group = len(program) + len(group)
+        program += [step._replace(after=next_group) for step in group]
         least_s += _least_s(move, hand)
     return program
 
 
 def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> list[Step]:
-    """The steps of one move, but for a wander."""
+    """Return the steps of a move other than a wander."""
     shift = hand.shift_in_base_m
     if isinstance(move, Wait):
         return [Step(WAIT, duration_s=move.duration_s)]
@@ -149,7 +149,7 @@ def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> list[Step]:
 
 
 def _reach(move: Reach, object_position_in_base_m: Vector3) -> list[Step]:
-    """To the TCP or to the object, in one go or with a hesitation on the way."""
+    """Return the steps to the TCP or to the object, with or without a hesitation on the way."""
     kind, near_m = REACH_FOR_TCP if isinstance(move, ReachForTcp) else LEG, move.until_distance_m
     go = Step(kind, object_position_in_base_m, move.speed_mps, near_m, within_s=move.at_most_s)
     if move.hesitation is None:
@@ -159,31 +159,31 @@ def _reach(move: Reach, object_position_in_base_m: Vector3) -> list[Step]:
 
 
 def _wander(move: Wander, hand: MovingHand, longest_s: float, rng: np.random.Generator) -> list[Step]:
-    """As many legs as fill its duration, or the run's, however near the first point is."""
+    """Return enough legs for the duration of the move or of the run, however near the first points are."""
     corners = np.sort(np.array(move.corners_in_base_m) + hand.shift_in_base_m, axis=0)
     points, filled_s = np.empty((0, 3)), 0.0
     while filled_s < min(move.duration_s, longest_s):
         more = rng.uniform(corners[0], corners[1], (max(FIRST_DRAWN, len(points)), 3))
         points = np.concatenate([points, more])
-        way_m = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        filled_s = float(_leg_s(way_m, move.speed_mps, hand.max_acceleration_mps2).sum())
+        path_m = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        filled_s = float(_leg_s(path_m, move.speed_mps, hand.max_acceleration_mps2).sum())
     return [
         Step(target_in_base_m=(x, y, z), speed_mps=move.speed_mps, within_s=move.duration_s)
         for x, y, z in points.tolist()
     ]
 
 
-def _leg_s(way_m: NDArray[np.float64], speed_mps: float, acceleration_mps2: float) -> NDArray[np.float64]:
-    """How long straight ways take from rest to rest."""
-    peak = np.minimum(speed_mps, np.sqrt(acceleration_mps2 * way_m))
-    return np.divide(way_m, peak, out=np.zeros_like(way_m), where=peak > 0.0) + peak / acceleration_mps2
+def _leg_s(path_m: NDArray[np.float64], speed_mps: float, acceleration_mps2: float) -> NDArray[np.float64]:
+    """Return the durations [s] of straight paths from rest to rest."""
+    peak = np.minimum(speed_mps, np.sqrt(acceleration_mps2 * path_m))
+    return np.divide(path_m, peak, out=np.zeros_like(path_m), where=peak > 0.0) + peak / acceleration_mps2
 
 
 def _least_s(move: HandMove, hand: MovingHand) -> float:
-    """A time that a move cannot be done sooner in."""
+    """Return a lower bound [s] of a move's duration."""
     if isinstance(move, Wait | FollowTcp | Wander):
         return move.duration_s
     if isinstance(move, Sweep):
-        way_m = np.linalg.norm(np.subtract(move.to_in_base_m, move.from_in_base_m))
-        return 2 * move.times * float(_leg_s(np.array(way_m), move.speed_mps, hand.max_acceleration_mps2))
+        path_m = np.linalg.norm(np.subtract(move.to_in_base_m, move.from_in_base_m))
+        return 2 * move.times * float(_leg_s(np.array(path_m), move.speed_mps, hand.max_acceleration_mps2))
     return 0.0

@@ -1,9 +1,9 @@
-"""The second world: the joints do exactly what the drives are told, and nothing has mass.
+"""The second world: the joints follow the set points exactly, and bodies have no mass.
 
-Everything but the motion of the arm is the reference world's own compiled steps.  There the velocity
-motors reach what they are told within the first physics sub-step, to 1e-9 rad/s, unless their torque
-limit holds them back, so that over a tick each joint turns by its set point times the period: here it
-always does.  Joints have no stops, and the arm meets neither the table nor itself.
+Everything except the motion of the arm uses the reference world's own compiled steps. In the reference world
+the velocity motors reach their set points within the first physics sub-step, to 1e-9 rad/s, unless their
+torque limit prevents it. So each joint turns by its set point times the period over a tick, as it always does
+here. Joints have no stops, and the arm meets neither the table nor itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from safety_harness.base.compiled import njit_no_nrt
 from safety_harness.base.geometry.arrays import ArrayNx2x3
 from safety_harness.base.geometry.linear import copy_matrix
-from safety_harness.cell.controller.cycle import ControllerRecords, act, look, report
+from safety_harness.cell.controller.cycle import ControllerRecords, act, report, watch
 from safety_harness.cell.controller.records import CommandRecords, FaultRecords, ParameterRecords
 from safety_harness.cell.robot.distance import CapsuleRecords
 from safety_harness.cell.robot.drive import DriveRecords
@@ -37,19 +37,22 @@ BRAKING = int(Limit.BRAKING)
 
 
 class KinematicWorld(RecordedWorld):
-    """One scenario without an engine, for any controller, tick by tick; ``advance`` is it with our own."""
+    """A scenario without an engine, for any controller, tick by tick; ``advance`` runs our own controller."""
 
     name = "kinematic"
 
     def advance(
         self, controller: ControllerRecords, ticks: NDArray[np.void], decided: bool
     ) -> NDArray[np.void] | None:
-        """As ``BatchWorld.advance``: the loop of ``simulate``, compiled."""
+        """Run the loop of ``simulate``, compiled, as ``BatchWorld.advance`` describes.
+
+        ``ticks`` (n,) TICK.
+        """
         more = advance(self.records, controller, as_compiled(ticks), decided)
         return self.records.observation if more else None
 
     def step(self, command: NDArray[np.void]) -> bool:
-        """Drives, joints and hands for one control period.  ``command`` (1,) COMMAND."""
+        """Move drives, joints and hands by a control period with ``command`` (1,) COMMAND."""
         return step(*self.records[:10], CommandRecords(command))
 
 
@@ -67,13 +70,13 @@ def step(
     faults: FaultRecords,
     commands: CommandRecords,
 ) -> bool:
-    """One control period with a command (1,) COMMAND; True while the brakes act."""
-    told, joints = clocks[0].commanded_radps, clocks[0].joint_position_rad
+    """Run a control period with a command (1,) COMMAND; return True while the brakes act."""
+    rates, joints = clocks[0].commanded_radps, clocks[0].joint_position_rad
     truth, period_s = truths[0], clocks[0].control_period_s
-    braking = drive_on(drives, arms, truths, clocks, faults, commands, told)
+    braking = drive_on(drives, arms, truths, clocks, faults, commands, rates)
     for i in range(joints.shape[0]):
-        joints[i] = truth.joint_position_rad[i] + told[i] * period_s
-    move_on(moves, samples, arms, truths, hands, capsules, capsule_endpoints_in_base_m, clocks, joints, told)
+        joints[i] = truth.joint_position_rad[i] + rates[i] * period_s
+    move_on(moves, samples, arms, truths, hands, capsules, capsule_endpoints_in_base_m, clocks, joints, rates)
     return braking
 
 
@@ -84,9 +87,9 @@ def advance(
     ticks: Records,  # (n,) ``as_compiled``, those from now on written
     decided: bool,
 ) -> bool:
-    """On to the next decision (True) or the end of the run (False): the loop of ``simulate``, compiled.
+    """Go on to the next decision (True) or the end of the run (False): the loop of ``simulate``, compiled.
 
-    ``decided``: the run stands at a decision, and the controller's answer has it.
+    ``decided``: the run is at a decision, and the controller has its answer.
     """
     w, c = world, controller
     last, alike = ticks.shape[0] - 1, same_chain(w.arm, c.parameters)
@@ -100,7 +103,7 @@ def advance(
                 for i in range(w.arm[0].link_transforms.shape[0]):
                     copy_matrix(w.arm[0].link_transforms[i], c.state[0].link_transforms[i])
                 c.state[0].placed = True
-            if look(*c[:7], w.observation):
+            if watch(*c[:7], w.observation):
                 return True
         decided = False
         act(*c[4:], w.observation)
@@ -115,14 +118,14 @@ def advance(
 
 @njit_no_nrt
 def same_chain(arms: ArmRecords, parameters: ParameterRecords) -> bool:
-    """Is the world's arm the one that the controller reckons with?"""
-    one, other, same = arms[0].chain, parameters[0].chain, True
+    """Return whether the world's arm equals the arm that the controller computes with."""
+    own, assumed, same = arms[0].chain, parameters[0].chain, True
     for i in range(4):
         for j in range(4):
-            same = same and one.flange[i, j] == other.flange[i, j]
-            for k in range(one.joint_origins.shape[0]):
-                same = same and one.joint_origins[k, i, j] == other.joint_origins[k, i, j]
-    for k in range(one.joint_axes.shape[0]):
+            same = same and own.flange[i, j] == assumed.flange[i, j]
+            for k in range(own.joint_origins.shape[0]):
+                same = same and own.joint_origins[k, i, j] == assumed.joint_origins[k, i, j]
+    for k in range(own.joint_axes.shape[0]):
         for i in range(3):
-            same = same and one.joint_axes[k, i] == other.joint_axes[k, i]
+            same = same and own.joint_axes[k, i] == assumed.joint_axes[k, i]
     return same

@@ -1,8 +1,8 @@
-"""Kinematic episodes side by side, all of them a tick on in a few compiled calls.
+"""Kinematic episodes side by side: a few compiled calls take all of them a tick further.
 
-Each record of ``WorldRecords`` and ``DrivenRecords`` is stacked: a lane is a row of it, as long as the
-longest of its kind so far.  What is beyond a lane's own end is zero: no move begins there, no fault is in
-force, no noise is read.  The functions are those of the kinematic world and of a user's controller.
+Each record of ``WorldRecords`` and ``DrivenRecords`` is stacked. A lane is a row of it, as long as the
+longest of its kind so far. Entries beyond a lane's own end are zero: moves do not begin there, faults do not
+act, and the noise is not read. The functions come from the kinematic world and from a user's controller.
 """
 
 from __future__ import annotations
@@ -27,40 +27,41 @@ Stacked = TypeVar("Stacked", WorldRecords, DrivenRecords)
 
 
 def stacked(like: Stacked, lanes: int) -> Stacked:
-    """Room for so many lanes, each record (lanes, ...) of what one episode has."""
+    """Return zero records for ``lanes`` lanes, each (lanes, ...) of an episode's record."""
 
-    def room(record: Any) -> Any:
+    def zeros(record: Any) -> Any:
         return np.zeros((lanes, *record.shape), record.dtype)
 
-    return type(like)(*map(room, like))
+    return type(like)(*map(zeros, like))
 
 
 def placed(lanes: Stacked, lane: int, own: Stacked) -> Stacked:
-    """``lanes`` with an episode's ``own`` records in one of them; in new arrays where it needs more room."""
+    """Return ``lanes`` with an episode's records ``own`` in row ``lane``, in new arrays if necessary."""
     pairs: Any = zip(lanes, own, strict=True)
-    rooms: Any = (_placed(rows, lane, one) for rows, one in pairs)
-    return type(lanes)(*rooms)
+    filled: Any = (_placed(rows, lane, record) for rows, record in pairs)
+    return type(lanes)(*filled)
 
 
 def _placed(rows: NDArray[np.void], lane: int, own: NDArray[np.void]) -> NDArray[np.void]:
-    """``rows`` (lanes, k, ...), ``own`` (m, ...)."""
+    """Return ``rows`` (lanes, k, ...) with ``own`` (m, ...) in row ``lane``, wider if m > k."""
     if len(own) > rows.shape[1]:
         wider = np.zeros((len(rows), len(own), *rows.shape[2:]), rows.dtype)
         wider[:, : rows.shape[1]] = rows
         rows = wider
-    _bytes(rows[lane, : len(own)])[:] = _bytes(own)  # else padding between fields would be anything
+    _bytes(rows[lane, : len(own)])[:] = _bytes(own)  # as bytes, so that the padding is the same too
     _bytes(rows[lane, len(own) :])[:] = 0
     return rows
 
 
 def _bytes(records: Any) -> NDArray[np.uint8]:
-    """Where they lie, for they lie together."""
-    found: NDArray[np.uint8] = records.reshape(-1).view(np.uint8)
-    return found
+    """Return a view of contiguous records as bytes."""
+    view: NDArray[np.uint8] = records.reshape(-1).view(np.uint8)
+    return view
 
 
 @inlined
 def _world_of(w: WorldRecords, lane: int) -> WorldRecords:
+    """Return the records of one lane."""
     return WorldRecords(
         w.drives[lane],
         w.moves[lane],
@@ -91,10 +92,7 @@ def look_lanes(
     objects: bool,
     predicts: bool,
 ) -> None:
-    """The sensors see, and the controllers what they have delivered.
-
-    Of the lanes whose last tick, of ``lasts``, is not over.
-    """
+    """Let sensors deliver and controllers see in each lane whose last tick, of ``lasts``, is not over."""
     c = controllers
     for lane in range(lasts.shape[0]):
         if tick > lasts[lane]:
@@ -125,7 +123,7 @@ def obey_lanes(
     stop: Flags,  # (lanes,)
     finite: Flags,  # (lanes,), filled
 ) -> None:
-    """A command for the action of each lane; ``finite`` is false of one that is none."""
+    """Make a command of the action of each lane; ``finite`` is False for an action that is not finite."""
     c = controllers
     for lane in range(lasts.shape[0]):
         if tick > lasts[lane]:
@@ -147,16 +145,16 @@ def step_lanes(
     tick: int,
     modes: Numbers,  # (lanes,), negative: not reported
 ) -> None:
-    """Write down what the controllers saw and said; then a control period with their commands."""
+    """Record the controllers' views and answers, then execute their commands for a control period."""
     for lane in range(lasts.shape[0]):
         if tick > lasts[lane]:
             continue
-        w, c, one = _world_of(worlds, lane), controllers, ticks[lane, tick : tick + 1]
-        report(c.state[lane], questions[lane], c.command[lane], one)
+        w, c, record = _world_of(worlds, lane), controllers, ticks[lane, tick : tick + 1]
+        report(c.state[lane], questions[lane], c.command[lane], record)
         questions[lane, 0].tick += 1
         if modes[lane] >= 0:
-            one[0].mode = modes[lane]
+            record[0].mode = modes[lane]
         if tick < lasts[lane] and step(*w[:10], c.command[lane]):
-            one[0].limits |= BRAKING
+            record[0].limits |= BRAKING
         if w.faults.shape[0] > 0:
-            one[0].faults |= w.clock[0].acted_faults
+            record[0].faults |= w.clock[0].acted_faults

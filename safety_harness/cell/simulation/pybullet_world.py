@@ -38,16 +38,16 @@ from safety_harness.seams.contract import Image
 from safety_harness.trace.records import as_compiled
 from safety_harness.trace.trace import Trace
 
-UNNOTICED_RADPS = 1e-7  # by which motors miss the speeds that they are told without being saturated
-AMPLE = 1e4  # times the torque limits: within a sub-step, of several times the mass
+UNNOTICED_RADPS = 1e-7  # motors miss their speeds by less than this unless they are saturated
+AMPLE = 1e4  # times the torque limits: enough for several times the mass within a sub-step
 
 
 class PyBulletWorld(RecordedWorld):
-    """One scenario in a PyBullet client of its own; use it as a context manager, once.
+    """A scenario in a PyBullet client of its own; use it as a context manager, once.
 
-    The drives follow velocity motors with the torque limits of the URDF; a control period is
-    ``physics_substeps`` steps of the engine.  Hands touch nothing: a contact is a distance below
-    zero, not a push.
+    The drives follow velocity motors with the torque limits of the URDF. A control period is
+    ``physics_substeps`` steps of the engine. Hands do not push anything: a contact is only a distance below
+    zero.
     """
 
     name, renders = "pybullet", True
@@ -67,7 +67,7 @@ class PyBulletWorld(RecordedWorld):
         self._render_hands = settings.hand_sensor.detector is DetectorKind.RENDERED
         self._detector = detector or SkinColourDetector(self.records.observation["boxes"].shape[1])
         self._commanded_radps = np.empty(len(arm.joint_names))
-        self.overshoot_radps = np.zeros((scenario.ticks + 1, len(arm.joint_names)))  # as a trace has it
+        self.overshoot_radps = np.zeros((scenario.ticks + 1, len(arm.joint_names)))  # for the trace
         self._pictures: dict[int, NDArray[np.uint8]] = {}  # of the object, by the number of the frame
         self._client = int(pybullet.connect(pybullet.DIRECT))
         if self._client < 0:
@@ -82,7 +82,7 @@ class PyBulletWorld(RecordedWorld):
                 hands=len(self.records.hands),
             )
             self._robot, self._joints = self._bodies.robot, list(self._bodies.joints)
-            # Drives that know their torque are limited by the model, and the engine does what that says.
+            # The model of the drives limits their torque, so the engine must not limit it a second time.
             more = AMPLE if self.records.drives[0]["limited"] else 1.0
             self._efforts = [more * float(effort) for effort in arm.effort_limit]
         except BaseException:
@@ -90,13 +90,16 @@ class PyBulletWorld(RecordedWorld):
             raise
 
     def close(self) -> None:
-        """Give the client back; a second call does nothing."""
+        """Disconnect the client; a second call has no effect."""
         if self._client >= 0:
             pybullet.disconnect(physicsClientId=self._client)
             self._client = -1
 
     def observe(self) -> NDArray[np.void]:
-        """Let the cameras take what is due and deliver what has arrived; encoders are exact."""
+        """Let the cameras take each frame that is due and deliver each that has arrived.
+
+        Encoders are exact.
+        """
         r = self.records
         if not (self._render_object or self._render_hands):
             return super().observe()
@@ -116,9 +119,9 @@ class PyBulletWorld(RecordedWorld):
         return r.observation
 
     def step(self, command: NDArray[np.void]) -> bool:
-        """Drives, motors and physics for one control period; hands move meanwhile.
+        """Run drives, motors and physics for a control period, in which the hands move too.
 
-        ``command`` (1,) COMMAND.
+        ``command`` (1,) COMMAND. Return True while the brakes act.
         """
         r = self.records
         braking = drive_on(
@@ -148,7 +151,7 @@ class PyBulletWorld(RecordedWorld):
         return braking
 
     def image(self) -> Image:
-        """The last rendered image of the object that was delivered by now."""
+        """Return the last rendered image of the object that has been delivered."""
         r = self.records
         number = int(r.sensors[0]["object_delivered"]) - 1
         if number < 0:
@@ -158,8 +161,11 @@ class PyBulletWorld(RecordedWorld):
         return Image(time_s=float(time_s), new=bool(new), pixels=self._pictures[number])
 
     def images_of(self, trace: Trace) -> Iterator[Image]:
-        """What the object's camera showed in a run of this scenario, rendered where arm and hands were."""
-        self._render_hands = False  # nobody looks for them
+        """Yield the images of the object's camera in a run of this scenario.
+
+        The method renders them at the recorded poses of arm and hands.
+        """
+        self._render_hands = False  # these images need no boxes of hands
         r, robot = self.records, (self._robot, self._joints)
         for number, tick in enumerate(as_compiled(trace.ticks)):
             r.truth[0], r.clock[0]["tick"] = tick, number
@@ -171,7 +177,7 @@ class PyBulletWorld(RecordedWorld):
                 yield self.image()
 
     def _keep(self, colour: NDArray[np.uint8]) -> None:
-        """The newest frame's pixels, as the faults leave them; a frozen camera shows those of the one before.
+        """Store the newest frame's pixels, after the faults; a frozen camera repeats the frame before.
 
         ``colour`` (height, width, 3).
         """
@@ -183,10 +189,10 @@ class PyBulletWorld(RecordedWorld):
             colour = self._pictures.get(newest - 1, _black(colour.shape))
         colour.setflags(write=False)
         oldest = min(int(r.sensors[0]["object_delivered"]), newest) - 1
-        self._pictures = {k: one for k, one in self._pictures.items() if k >= oldest} | {newest: colour}
+        self._pictures = {k: pixels for k, pixels in self._pictures.items() if k >= oldest} | {newest: colour}
 
     def _picture(self) -> NDArray[np.uint8]:
-        """(height, width, 3) what the object's camera sees, rendered."""
+        """Return the rendered image (height, width, 3) of the object's camera."""
         camera, r = self._settings.camera, self.records
         pose, camera_to_base = r.truth[0]["transform_tcp_to_base"], np.empty((4, 4))
         compose_into(pose, r.sensors[0]["transform_camera_to_tcp"], camera_to_base)
@@ -195,7 +201,10 @@ class PyBulletWorld(RecordedWorld):
         return colour
 
     def _object(self, colour: NDArray[np.uint8] | None) -> tuple[bool, NDArray[np.float64]]:
-        """Is the object in view, and its moments, in a rendered image (height, width, 3) or exactly."""
+        """Return whether the object is in view, with its moments, from a rendered image or exactly.
+
+        ``colour`` (height, width, 3); None for an exact view.
+        """
         r = self.records
         if colour is not None:
             return rendered_object(colour, self._settings.camera.focal_px)
@@ -203,7 +212,7 @@ class PyBulletWorld(RecordedWorld):
         return exact_object(r.sensors, r.polygon_in_base_m, pose, moments), moments
 
     def _boxes(self) -> tuple[NDArray[np.float64], int]:
-        """Bounding boxes of the hands, in a rendered image or exactly, and how many."""
+        """Return the bounding boxes of the hands, from a rendered image or exactly, and their number."""
         sensor, r = self._settings.hand_sensor, self.records
         pose = r.truth[0]["transform_tcp_to_base"]
         boxes = np.zeros_like(r.observation["boxes"][0])
@@ -219,6 +228,7 @@ class PyBulletWorld(RecordedWorld):
 
 
 def _black(shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return a read-only black image."""
     pixels = np.zeros(shape, np.uint8)
     pixels.setflags(write=False)
     return pixels

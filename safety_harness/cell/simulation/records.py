@@ -1,4 +1,4 @@
-"""The records of one episode's world: all of it but what moves the arm, which is each world's own."""
+"""The records of an episode's world, except those with which each world moves the arm."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from safety_harness.trace.records import as_compiled, tick_dtype
 
 @lru_cache
 def clock_dtype(joints: int) -> np.dtype[Any]:
-    """CLOCK of a world whose arm has so many joints."""
+    """Return the record type CLOCK of a world whose arm has ``joints`` joints."""
     return np.dtype(
         [
             ("tick", np.int64),
             ("control_period_s", np.float64),
-            ("acted_faults", np.int64),  # bits, since the last observation was asked for
-            # what a step works with
+            ("acted_faults", np.int64),  # bits, since the last observation
+            # of a step
             ("tcp_in_base_m", np.float64, (3,)),  # before it
             ("commanded_radps", np.float64, (joints,)),  # the motors
             ("joint_position_rad", np.float64, (joints,)),  # after it
@@ -46,10 +46,10 @@ def clock_dtype(joints: int) -> np.dtype[Any]:
 
 
 class WorldRecords(NamedTuple):
-    """One episode's hands, cameras, drives and faults, and the truth of now.
+    """An episode's hands, cameras, drives, faults and present truth.
 
-    In an order in which what a step takes stands together: ``step`` of the kinematic world the first ten,
-    ``move_on`` all of them but the first and the last, ``sense`` those from ``truth`` on.
+    The order keeps the arguments of a step together. ``step`` of the kinematic world takes the first ten.
+    ``move_on`` takes these without the first and the last. ``sense`` takes all from ``truth`` on.
     """
 
     drives: DriveRecords  # (1,) DRIVE
@@ -72,7 +72,7 @@ class WorldRecords(NamedTuple):
 
 
 def world_records(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> WorldRecords:
-    """As the scenario begins, the arm at rest at ``joint_position_rad`` (n,)."""
+    """Return the records at the start of the scenario, the arm at rest at ``joint_position_rad`` (n,)."""
     settings, slots = scenario.settings, scenario.hand_slots
     joints = len(arm.joint_names)
     clock = np.zeros(1, clock_dtype(joints))

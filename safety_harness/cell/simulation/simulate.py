@@ -1,6 +1,6 @@
 """The whole system on one page: a world and a controller, tick by tick, into a trace.
 
-Or many episodes in one world: all of them to their next decision, then the avoider once for all.
+It also runs many episodes in one world: all go to their next decision, then one call of the avoider.
 """
 
 from __future__ import annotations
@@ -34,10 +34,17 @@ INTERRUPTED = "interrupted by the user"
 def simulate(
     world: World, controller: Controller, scenario: Scenario, *, on_tick: Callable[[int], None] | None = None
 ) -> Trace:
-    """Run ``scenario`` to its end; both ends of its duration are recorded.
+    """Run a scenario to its end and record both ends of its duration.
 
-    ``on_tick`` is told the number of ticks done, for progress.  Ctrl-C between ticks ends the run
-    early: the trace then says that it was interrupted, and no property takes it for a safe one.
+    Ctrl-C between ticks ends the run early. The trace then states the interruption, and no property counts it
+    as safe.
+
+    Args:
+        world: The open world.
+        controller: The controller.
+        scenario: The scenario of both.
+        on_tick: A receiver of the number of finished ticks, for progress.
+
     """
     ticks = no_ticks(scenario)
     done, ended = 0, "complete"
@@ -66,16 +73,17 @@ def simulate(
                 on_tick(done)
     except KeyboardInterrupt:
         ended = INTERRUPTED
-    # no copy of the ticks: that would fill the padding between fields with anything
+    # without a copy of the ticks, which would leave arbitrary bytes in the padding between fields
     return trace_of(scenario, world, controller, ticks[:done], ended)
 
 
 def simulate_driven(
     episodes: Sequence[tuple[Scenario, KinematicWorld, DrivenController]],
 ) -> list[Trace | ControllerError]:
-    """Run many with users' controllers in lanes, to their ends or to what broke them off.
+    """Run many episodes with users' controllers in lanes, to their ends or to their errors.
 
-    Each trace is that of ``simulate``, bit for bit.  ControllerError for what hinders all of them together.
+    Each trace equals that of ``simulate``, bit for bit. ``ControllerError`` for an error that stops all of
+    them together.
     """
     lanes = [Lane(world, controller, no_ticks(scenario)) for scenario, world, controller in episodes]
     kinds: dict[object, list[Lane]] = {}
@@ -90,7 +98,7 @@ def simulate_driven(
 
 
 def no_ticks(scenario: Scenario) -> NDArray[np.void]:
-    """(n,) TICK of its hands and its arm, to be filled."""
+    """Return empty records TICK (n,) for a scenario's hands and arm."""
     joints = len(arm_model(scenario.robot).joint_names)
     return np.zeros(scenario.ticks + 1, tick_dtype(scenario.hand_slots, joints))
 
@@ -98,9 +106,18 @@ def no_ticks(scenario: Scenario) -> NDArray[np.void]:
 def trace_of(
     scenario: Scenario, world: World, controller: Controller, ticks: NDArray[np.void], ended: str = "complete"
 ) -> Trace:
-    """What happened in ``ticks`` (n,) TICK."""
+    """Return the trace of a run.
+
+    Args:
+        scenario: The scenario.
+        world: Its world, for the provenance and measurements.
+        controller: Its controller, for the decisions.
+        ticks: The ticks (n,) TICK.
+        ended: The way in which the run ended.
+
+    """
     decisions = controller.decisions
-    decisions = decisions[decisions["tick"] < len(ticks)]  # not one of a tick that Ctrl-C cut short
+    decisions = decisions[decisions["tick"] < len(ticks)]  # without that of a tick that Ctrl-C interrupted
     trace = Trace(
         scenario=scenario,
         ticks=ticks,
@@ -117,15 +134,15 @@ def trace_of(
 
 
 def _interventions(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
-    """(n,) INTERVENTION of a controller that admission made; ControllerError for one past the shield."""
-    found: NDArray[np.void] = getattr(controller, "interventions", no_interventions())
-    if scenario.shield is not None and len(found) == 0:
+    """Return the INTERVENTION (n,) of the shield; ``ControllerError`` for a controller that bypasses it."""
+    interventions: NDArray[np.void] = getattr(controller, "interventions", no_interventions())
+    if scenario.shield is not None and len(interventions) == 0:
         raise ControllerError(f"{controller.name!r} drives the arm past the shield of its scenario")
-    return found
+    return interventions
 
 
 def _system(scenario: Scenario, controller: Controller) -> SystemUnderTest:
-    """Of the run; the hash of a user's file is for whoever has read it."""
+    """Return the system under test of a run; the reader of a user's file adds its hash."""
     part = Component(name=controller.name)
     asks = isinstance(controller, AvoidingServo | ControllerWrapper)
     own = {"avoider" if asks else "controller": part}
@@ -140,33 +157,33 @@ class Episode:
     world: BatchWorld
     controller: AvoidingServo
     ticks: NDArray[np.void] = field(init=False)  # (n,) TICK
-    observation: NDArray[np.void] | None = field(init=False, default=None)  # to be decided on
+    observation: NDArray[np.void] | None = field(init=False, default=None)  # of the pending decision
 
     def __post_init__(self) -> None:
         self.ticks = no_ticks(self.scenario)
 
     def advance(self) -> bool:
-        """On to the next decision (True) or to the end (False)."""
+        """Go on to the next decision (True) or to the end (False)."""
         decided = self.observation is not None
         self.observation = self.world.advance(self.controller.records, self.ticks, decided)
         return self.observation is not None
 
     def trace(self) -> Trace:
-        """What happened, when it has come to its end."""
+        """Return the trace of the finished run."""
         return trace_of(self.scenario, self.world, self.controller, self.ticks)
 
 
 def simulate_many(episodes: Sequence[Episode]) -> list[Trace]:
-    """Run them all to their ends; each trace is that of ``simulate`` in the same world, bit for bit.
+    """Run all episodes to their ends; each trace equals that of ``simulate`` in the same world, bit for bit.
 
-    But for their latency: that of decisions that are made together is NaN, not timed (``ask_many``).
+    Only the latency differs: it is NaN for joint decisions, which are not timed (``ask_many``).
     """
     under_way = list(episodes)
     while under_way:
         under_way = [episode for episode in under_way if episode.advance()]
         pilots = [episode.controller for episode in under_way]
-        queries = [one.controller.query(one.observation) for one in under_way if one.observation is not None]
-        answers = ask_many([pilot.asked() for pilot in pilots], queries)
+        queries = [run.controller.query(run.observation) for run in under_way if run.observation is not None]
+        answers = ask_many([pilot.answerer() for pilot in pilots], queries)
         for pilot, query, answer in zip(pilots, queries, answers, strict=True):
             pilot.decide(query, pilot.gate.rule_on(answer, query))
     return [episode.trace() for episode in episodes]

@@ -1,12 +1,12 @@
-"""What both worlds do in a control tick, compiled: cameras, drives, hands and the truth.
+"""The compiled parts of a control tick in both worlds: cameras, drives, hands and the truth.
 
-A world calls ``sense``, gives the observation to the controller, then ``drive_on``; it moves the arm in
-its own way, and tells ``move_on`` what the joints do now.  The arrays are those of ``WorldRecords``, in
-its order; they are handed over one by one, for a tuple of them costs more than the steps themselves, and
-each kind of record has a type of its own, so that a type checker sees two that are swapped.
+A world calls ``sense``, gives the observation to the controller, then calls ``drive_on``. It moves the arm in
+its own way and passes the new joint state to ``move_on``. The functions take the arrays of ``WorldRecords``,
+in its order. These are separate arguments, because a tuple of them costs more than the steps themselves. Each
+kind of record has a type of its own, so that a type checker notices two swapped arguments.
 
-A frame is taken at the first control tick at or after its due time, and delivered at the first
-tick at or after that plus the latency; one that a fault holds back holds back those behind it.
+A camera takes a frame at the first control tick at or after its due time. It delivers the frame at the first
+tick at or after that plus the latency. If a fault delays a frame, the frames behind it wait too.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ TruthRecords = NewType("TruthRecords", Records)  # (1,) of a tick ``as_compiled`
 
 @inlined
 def now_s(clocks: ClockRecords) -> float:
-    """The start of the coming control tick: a multiple of the period, never a running sum."""
+    """Return the start of the coming control tick [s]: a multiple of the period, never a running sum."""
     return float(clocks[0].tick * clocks[0].control_period_s)
 
 
@@ -64,11 +64,11 @@ def sense(
     normals: Floats,  # (frames, boxes, 3)
     uniforms: Floats,  # (frames, boxes)
 ) -> None:
-    """Let the exact cameras take what is due, and give the controller what has arrived by now."""
+    """Let the exact cameras take each frame that is due; give the controller each that has arrived."""
     mount(clocks, faults, sensors)
     pose = truths[0].transform_tcp_to_base
     if object_frame_due(clocks, sensors):
-        moments = object_frames[sensors[0].object_frames % RING].moments  # they are made where they will lie
+        moments = object_frames[sensors[0].object_frames % RING].moments  # filled in place, without a copy
         for i in range(MOMENT_COUNT):
             moments[i] = np.nan
         visible = exact_object(sensors, polygon_in_base_m, pose, moments)
@@ -84,13 +84,13 @@ def sense(
 
 @inlined
 def mount(clocks: ClockRecords, faults: FaultRecords, sensors: SensorRecords) -> None:
-    """Before the cameras look: the hand-eye camera sits where it sits, and the tick's faults begin."""
+    """Set the hand-eye camera's pose before the cameras take frames, and start the tick's bits of faults."""
     clocks[0].acted_faults = mount_camera(faults, sensors, now_s(clocks)) if faults.shape[0] > 0 else 0
 
 
 @inlined
 def object_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
-    """Whether the object's camera takes a frame at this tick; asking advances its clock."""
+    """Return whether the object's camera takes a frame at this tick; the call advances its clock."""
     s = sensors[0]
     due, s.object_due_s = take_due(now_s(clocks), s.object_period_s, s.object_due_s)
     return due
@@ -98,7 +98,7 @@ def object_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
 
 @inlined
 def hand_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
-    """Whether the hand sensor takes a frame at this tick; asking advances its clock."""
+    """Return whether the hand sensor takes a frame at this tick; the call advances its clock."""
     s = sensors[0]
     due, s.hand_due_s = take_due(now_s(clocks), s.hand_period_s, s.hand_due_s)
     return due
@@ -106,7 +106,7 @@ def hand_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
 
 @inlined
 def take_due(time_s: float, period_s: float, due_s: float) -> tuple[bool, float]:
-    """Is a frame due at ``time_s``, and when is the one after it?"""
+    """Return whether a frame is due at ``time_s``, and the due time of the next frame."""
     if period_s <= 0.0:
         return True, time_s
     if time_s < due_s - TIME_EPS_S:
@@ -126,7 +126,7 @@ def send_object_frame(
     visible: bool,
     moments: Array31,
 ) -> None:
-    """Put a frame of the object on its way, as the faults leave it."""
+    """Put a frame of the object on its way, after the faults."""
     s, time_s = sensors[0], now_s(clocks)
     frame = object_frames[s.object_frames % RING]
     frame.time_s, frame.late_s = time_s, 0.0
@@ -152,10 +152,10 @@ def send_hand_frame(
     boxes: Floats,  # (n, 5)
     count: int,
 ) -> None:
-    """Put a frame of boxes on its way, as noise and the faults leave it; ``boxes`` may lie in it.
+    """Put a frame of boxes on its way, after noise and faults.
 
-    Some hands are missed, the others get pixel and depth noise.  Depth noise grows with the square of the
-    depth, as a stereo camera's does.
+    ``boxes`` may be the frame's own array. The sensor misses some hands. The rest get pixel and depth noise.
+    Depth noise grows with the square of the depth, as a stereo camera's does.
     """
     s, time_s = sensors[0], now_s(clocks)
     frame = hand_frames[s.hand_frames % RING]
@@ -187,10 +187,7 @@ def hand_over(
     object_frames: ObjectFrames,
     hand_frames: HandFrames,
 ) -> None:
-    """Give the controller what has arrived by now; with several frames at once, the newest.
-
-    Encoders are exact.
-    """
+    """Give the controller the newest frames that have arrived by now; encoders are exact."""
     s, o, truth, time_s = sensors[0], observations[0], truths[0], now_s(clocks)
     o.time_s = time_s
     o.image_new = False
@@ -226,7 +223,7 @@ def drive_on(
     commands: CommandRecords,
     commanded_radps: ArrayN,
 ) -> bool:
-    """Fill what the motors are told, ``commanded_radps``, by a command; True while the brakes act."""
+    """Fill the motors' set points, ``commanded_radps``, from a command; return True while the brakes act."""
     command, time_s = commands[0], now_s(clocks)
     braking = drive_tick(
         drives, command.joint_velocity_radps, command.protective_stop, truths[0].tcp_speed_mps, time_s
@@ -252,7 +249,7 @@ def move_on(
     joints_rad: ArrayN,
     joints_radps: ArrayN,
 ) -> None:
-    """A control period later: the hands have moved, the joints are there; write the truth of then."""
+    """Move the hands by a control period, and write the truth at its end with the given joint state."""
     clock = clocks[0]
     for i in range(3):
         clock.tcp_in_base_m[i] = truths[0].transform_tcp_to_base[i, 3]

@@ -21,25 +21,26 @@ from safety_harness.cell.simulation.hand_motion import HandRecords
 
 @lru_cache
 def arm_dtype(joints: int) -> np.dtype[Any]:
-    """ARM with so many joints."""
+    """Return the record type ARM with ``joints`` joints."""
     return np.dtype(
         [
             ("chain", chain_of(joints)),
             ("hand_radius_m", np.float64),
             ("forearm_radius_m", np.float64),
-            ("link_transforms", np.float64, (joints + 2, 4, 4)),  # the arm's true pose, as of the last tick
+            ("link_transforms", np.float64, (joints + 2, 4, 4)),  # the arm's true pose at the last tick
         ],
         align=True,
     )
 
 
 def arm_record(arm: ArmModel, settings: Settings) -> NDArray[np.void]:
-    """(1,) ARM."""
+    """Return a record ARM (1,)."""
     return _arm_record(arm, settings.hand).copy()
 
 
 @lru_cache(maxsize=16)
 def _arm_record(arm: ArmModel, hand: Hand) -> NDArray[np.void]:
+    """Return the record of ``arm_record``, cached."""
     record = np.zeros(1, arm_dtype(len(arm.joint_names)))
     record["chain"] = arm.chain
     record["hand_radius_m"] = hand.radius_m
@@ -48,16 +49,17 @@ def _arm_record(arm: ArmModel, hand: Hand) -> NDArray[np.void]:
 
 
 def cell_capsules(capsules: CapsuleSet, settings: Settings) -> CapsuleSet:
-    """The arm's capsules and one for the body of the hand-eye camera.
+    """Return the arm's capsules with a further capsule for the body of the hand-eye camera.
 
-    A D435 is 90 mm wide, 25 mm high and 25 mm deep (Intel's data sheet); its capsule, about the
-    optical centre and along the image's u axis, has half the diagonal of its section as radius.
+    A D435 is 90 mm wide, 25 mm high and 25 mm deep (Intel's data sheet). Its capsule is about the optical
+    centre and along the image's u axis. The radius is half the diagonal of its section.
     """
     return _with_camera(capsules, settings.camera)
 
 
 @lru_cache(maxsize=16)
 def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
+    """Return the capsules of ``cell_capsules``, cached."""
     offset = np.array(camera.mount_offset_in_tcp_m)
     along = np.array([np.cos(camera.mount_yaw_rad), np.sin(camera.mount_yaw_rad), 0.0])
     radius_m = 0.0177
@@ -94,13 +96,13 @@ def fill_truth(
         for i in range(3):
             tick.hand_position_in_base_m[k, i] = hand.position_in_base_m[i] if hand.present else 0.0
             tick.elbow_position_in_base_m[k, i] = hand.elbow_in_base_m[i] if hand.present else 0.0
-        before = min(
+        likely = min(
             tick.hand_distance_capsule[k], capsules.shape[0] - 1
-        )  # of the tick before, if it was there
+        )  # the nearest one of the tick before, if the hand was there: likely the nearest again
         tick.hand_distance_m[k] = np.inf
         tick.hand_distance_capsule[k] = -1
         if hand.present:
             at, elbow, radius_m = hand.position_in_base_m, hand.elbow_in_base_m, arm.hand_radius_m
             tick.hand_distance_m[k], tick.hand_distance_capsule[k] = hand_distance_from(
-                capsules, capsule_endpoints_in_base_m, at, elbow, radius_m, arm.forearm_radius_m, before
+                capsules, capsule_endpoints_in_base_m, at, elbow, radius_m, arm.forearm_radius_m, likely
             )

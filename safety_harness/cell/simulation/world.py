@@ -1,4 +1,4 @@
-"""What every world offers to the loop of ``simulate``: a truth, an observation and a step."""
+"""The interface of every world for the loop of ``simulate``: a truth, an observation and a step."""
 
 from __future__ import annotations
 
@@ -22,39 +22,46 @@ if TYPE_CHECKING:
 
 
 class World(Protocol):
-    """One episode of one scenario; used once, closed on every path (a context manager)."""
+    """An episode of a scenario; use it once and close it on every path (a context manager)."""
 
     @property
     def name(self) -> str:
-        """How traces and reports call it."""
+        """Its name in traces and reports."""
 
     @property
     def time_s(self) -> float:
-        """Now: the start of the coming control tick."""
+        """The present time [s]: the start of the coming control tick."""
 
     @property
     def acted_faults(self) -> int:
-        """Bits of the scenario's faults that acted since the last observation was asked for."""
+        """Bits of the scenario's faults that have acted since the last observation."""
 
     def true_state(self, tick: NDArray[np.void]) -> None:
         """Write the truth into ``tick`` (1,) TICK."""
 
     def observe(self) -> NDArray[np.void]:
-        """(1,) OBSERVATION: what the sensors have delivered by now."""
+        """Return the OBSERVATION (1,) that the sensors have delivered by now."""
 
     def step(self, command: NDArray[np.void]) -> bool:
-        """Obey ``command`` (1,) COMMAND for one control period; True while the brakes act."""
+        """Execute ``command`` (1,) COMMAND for a control period; return True while the brakes act."""
 
 
 class BatchWorld(World, Protocol):
-    """A world in which many episodes run together: each to its next decision, then all are decided."""
+    """A world in which many episodes run together.
+
+    Each goes to its next decision, then all of them decide.
+    """
 
     def advance(
         self, controller: ControllerRecords, ticks: NDArray[np.void], decided: bool
     ) -> NDArray[np.void] | None:
-        """On to the next decision, with its (1,) OBSERVATION, or to the end (None).
+        """Go on to the next decision and return its OBSERVATION (1,), or to the end and return None.
 
-        Writes ``ticks`` (n,) TICK.  ``decided``: the run stands at a decision, which the controller has made.
+        Args:
+            controller: The controller's records.
+            ticks: The ticks to fill, (n,) TICK.
+            decided: Whether the run is at a decision that the controller has made.
+
         """
 
 
@@ -63,27 +70,28 @@ class ShowsImages(Protocol):
     """A world with a renderer."""
 
     def image(self) -> Image:
-        """The last rendered image of the object's camera that was delivered by now."""
+        """Return the last rendered image of the object's camera that has been delivered."""
 
 
 def refuse_rendered(scenario: Scenario, world: str) -> None:
-    """InadmissibleError for what only a world with a renderer can do, and ``world`` has none."""
+    """Raise ``InadmissibleError`` if the scenario needs rendered images, which ``world`` does not have."""
     settings = scenario.settings
     rendered = {
         "camera.source": settings.camera.source is ImageSource.RENDERED,
         "hand sensor.detector": settings.hand_sensor.detector is DetectorKind.RENDERED,
     }
-    for key, asked in rendered.items():
-        if asked:
+    for key, is_rendered in rendered.items():
+        if is_rendered:
             expected = f"exact or raster images in the {world} world, which has no renderer"
             hint = "the PyBullet world renders"
             raise InadmissibleError(place=scenario.place(key), expected=expected, got="rendered", hint=hint)
 
 
 class RecordedWorld:
-    """What worlds share whose state is in ``WorldRecords``: clock, truth, exact cameras, nothing to close.
+    """The common part of worlds whose state is in ``WorldRecords``: clock, truth and exact cameras.
 
-    A world adds its ``name`` and its ``step``.  InadmissibleError for rendered images unless it ``renders``.
+    A world adds its ``name`` and its ``step``. ``InadmissibleError`` for rendered images unless it
+    ``renders``.
     """
 
     name: str
@@ -108,23 +116,26 @@ class RecordedWorld:
         self.close()
 
     def close(self) -> None:
-        """Give back what the world holds; a second call does nothing."""
+        """Release the world's resources; a second call has no effect."""
 
     @property
     def time_s(self) -> float:
-        """The start of the coming control tick."""
+        """The start of the coming control tick [s]."""
         return now_s(self.records.clock)
 
     @property
     def acted_faults(self) -> int:
-        """Bits of the scenario's faults that have acted on this tick's pictures and, after it, its step."""
+        """Bits of the scenario's faults that have acted on this tick's frames and, after it, on its step."""
         return int(self.records.clock[0]["acted_faults"])
 
     def true_state(self, tick: NDArray[np.void]) -> None:
-        """Write the truth part of ``tick``; the rest is the controller's to fill.  ``tick`` (1,) TICK."""
+        """Write the truth part of ``tick`` (1,) TICK; the controller fills the rest."""
         tick.view(self.records.truth.dtype)[0] = self.records.truth[0]
 
     def observe(self) -> NDArray[np.void]:
-        """Let the cameras take what is due and deliver what has arrived; encoders are exact."""
+        """Let the cameras take each frame that is due and deliver each that has arrived.
+
+        Encoders are exact.
+        """
         sense(*self.records[4:])
         return self.records.observation

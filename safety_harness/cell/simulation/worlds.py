@@ -1,8 +1,8 @@
-"""The worlds that there are, in one table: what each is called, what it can do, and what confirms it.
+"""The table of all worlds: their names, their abilities and the worlds that confirm them.
 
-A new one is a class (``RecordedWorld`` has what worlds share) and an entry of ``WORLDS``; a program may
-append an entry of its own.  Other modules receive an entry and ask it what they need.  Only names and labels
-in files are looked up here.  Importing this loads no engine.
+A new world is a class (``RecordedWorld`` has the common part) and an entry of ``WORLDS``. A program may
+append an entry of its own. Other modules receive an entry and call it. Only names and labels in files are
+looked up here. The import of this module loads no engine.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ class OpensWorld(Protocol):
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> AbstractContextManager[World]:
-        """One scenario with the arm at joints (n,) [rad]; ``detector`` is for rendered images of hands."""
+        """Open a scenario with the arm at joints (n,) [rad]; ``detector`` is for rendered images of hands."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldEntry:
-    """One world.  ``name`` is its own in traces, ``label`` that in plans and on pages.
+    """A world. ``name`` is its name in traces, ``label`` its name in plans and on pages.
 
-    ``load`` imports its class, and its engine with it: of the ``libraries``, named in traces beside those of
-    every run.  ``renders``: has it a camera's pictures, pixel by
-    pixel?  ``substeps``: does it divide a control period by ``physics_substeps``?  ``batch``: is it a
-    ``BatchWorld``, of which a great many run together?  ``known_to_radps``: by how much a joint's recorded
-    speed may miss what its motor was told because the engine's solver stops there.  What it shows is of the
-    model only, bounds too, until ``confirmed_by`` shows it; None for a reference.
+    ``load`` imports its class, and its engine with it. Traces list its ``libraries`` beside the libraries of
+    every run. ``renders``: it has a camera's images, pixel by pixel. ``substeps``: it divides a control
+    period by ``physics_substeps``. ``batch``: it is a ``BatchWorld``, so many episodes run together.
+    ``known_to_radps``: a joint's recorded speed may miss its motor's set point by this much, because the
+    engine's solver stops there. ``confirmed_by`` is the world that must show a result or a bound before it
+    counts for more than the model. It is None for a reference.
     """
 
     name: str
@@ -69,12 +69,12 @@ class WorldEntry:
 
     @property
     def model_only(self) -> bool:
-        """Whether it says something of the model only, and nothing of the reference."""
+        """Whether its results hold for the model only, and not for the reference."""
         return self.confirmed_by is not None
 
     @property
     def is_installed(self) -> bool:
-        """Whether its engine can be loaded, which this does."""
+        """Whether its engine can be loaded; this property loads it."""
         try:
             self.opener()
         except InstallationError:
@@ -82,7 +82,7 @@ class WorldEntry:
         return True
 
     def opener(self) -> OpensWorld:
-        """Its class; InstallationError if its engine is not installed."""
+        """Return its class; ``InstallationError`` without its engine."""
         try:
             return self.load()
         except ModuleNotFoundError as error:
@@ -97,14 +97,35 @@ class WorldEntry:
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> AbstractContextManager[World]:
-        """As ``OpensWorld``; InadmissibleError as of ``refuse``, InstallationError as of ``opener``."""
+        """Open a scenario in this world.
+
+        Args:
+            scenario: The scenario, which admission has accepted.
+            arm: The arm's model.
+            joint_position_rad: The arm's first joint position (n,).
+            detector: A detector of hands in rendered images. None: by skin colour.
+
+        Returns:
+            The world, a context manager; use it once.
+
+        Raises:
+            InadmissibleError: The scenario needs rendered images and the world has no renderer.
+            InstallationError: The world's engine is not installed.
+
+        """
         self.refuse(scenario)
         return self.opener()(scenario, arm, joint_position_rad, detector=detector)
 
     def refuse(self, scenario: Scenario) -> None:
-        """InadmissibleError for rendered images in a world that has no renderer.
+        """Raise an error if this world cannot make a scenario's images.
 
-        MissingPackageError for them where OpenCV is missing.
+        Args:
+            scenario: The scenario.
+
+        Raises:
+            InadmissibleError: It needs rendered images and the world has no renderer.
+            MissingPackageError: It needs rendered images and OpenCV is not installed.
+
         """
         if not self.renders:
             from safety_harness.cell.simulation.world import refuse_rendered
@@ -115,6 +136,7 @@ class WorldEntry:
 
 
 def _pybullet() -> OpensWorld:
+    """Import the class of the PyBullet world."""
     with PYBULLET_EXTRA.needed("the world PyBullet"):
         from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
 
@@ -122,6 +144,7 @@ def _pybullet() -> OpensWorld:
 
 
 def _kinematic() -> OpensWorld:
+    """Import the class of the kinematic world."""
     from safety_harness.cell.simulation.kinematic_world import KinematicWorld
 
     return KinematicWorld
@@ -143,34 +166,37 @@ Its motors miss their speeds by at most 4e-9 rad/s with UR arms, iiwa and xArm, 
 KINEMATIC = WorldEntry(
     name="kinematic", label="kinematic", load=_kinematic, batch=True, confirmed_by=PYBULLET
 )
-"""Joints do what the drives are told; many episodes run together."""
-REFERENCE = PYBULLET  # where no world is named
+"""Joints follow the drives exactly; many episodes run together."""
+REFERENCE = PYBULLET  # the default
 WORLDS = Registry([PYBULLET, KINEMATIC], ExtensionPoint.WORLDS, WorldEntry)
-"""Every world; another is a class and an entry here, or an entry point of a package."""
+"""Every world. A new one is a class and an entry here, or an entry point of a package."""
 
 
 def has_rendered_images(scenario: Scenario) -> bool:
-    """Whether any of its images are a renderer's."""
+    """Return whether any image of a scenario comes from a renderer."""
     settings = scenario.settings
     source, detector = settings.camera.source, settings.hand_sensor.detector
     return source is ImageSource.RENDERED or detector is DetectorKind.RENDERED
 
 
 def libraries_of(world: str, scenario: Scenario) -> tuple[str, ...]:
-    """What a run of ``scenario`` uses beside the libraries of every run, in the world of this ``name``."""
-    engines = next((one.libraries for one in WORLDS if one.name == world), ())
+    """Return the libraries that a run of ``scenario`` uses in ``world``, beside the libraries of every run.
+
+    ``world`` is a name as in traces.
+    """
+    engines = next((entry.libraries for entry in WORLDS if entry.name == world), ())
     images = ("cv2",) if has_rendered_images(scenario) else ()
     in_onnx = names_onnx(scenario.under_test) or scenario.controller == LEARNED
     return (*engines, *images, *(("onnxruntime",) if in_onnx else ()))
 
 
 def worlds_by_label() -> dict[str, WorldEntry]:
-    """As plans and ledgers name them."""
+    """Return the worlds by their labels, as plans and ledgers name them."""
     return {world.label: world for world in WORLDS}
 
 
 def world_named(label: str, option: str) -> WorldEntry:
-    """The world that an option of a command names; ScenarioError for one that is not there."""
+    """Return the world with the ``label`` of a command's ``option``; ``ScenarioError`` for another label."""
     worlds = worlds_by_label()
     for known, world in worlds.items():
         if known.casefold() == label.casefold():
@@ -179,7 +205,7 @@ def world_named(label: str, option: str) -> WorldEntry:
 
 
 def world_of_trace(name: str) -> WorldEntry:
-    """The world that a trace names; TraceError for one that is not there."""
+    """Return the world with the ``name`` that a trace gives; ``TraceError`` for another name."""
     for world in WORLDS:
         if world.name == name:
             return world

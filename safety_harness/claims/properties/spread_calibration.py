@@ -132,7 +132,7 @@ def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
 
 def target_in_base_m(decision: np.void, settings: Settings, target: Target) -> NDArray[np.float64]:
     """(3,) eq. 13 for the question of a decision; candidates are drawn from a seed below the decision's."""
-    oracle = NearestCandidate.of(settings)
+    oracle = NearestCandidate.for_cell(settings)
     hand, tcp = decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]
     if target is Target.LABEL:
         fresh = seed(int(decision["seed"]), Branch.DECISION, 1)

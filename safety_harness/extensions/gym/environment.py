@@ -234,7 +234,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         self._tick = tick
         self._world.true_state(self._ticks[tick : tick + 1])
         self._observation = self._world.observe()
-        self._seen = self._controller.look(self._observation)
+        self._seen = self._controller.perceive(self._observation)
 
     def _command(self, wanted: NDArray[np.float64], *, last: bool) -> None:
         """What ``simulate`` does between two looks, and after the last one.  ``wanted`` (6,) or (n,)."""

@@ -334,7 +334,7 @@ def _at_default(group: str, name: str) -> Callable[[Altered], Altered]:
         if isinstance(avoider, OppositePose):
             avoider = OppositePose(settings.avoidance.radius_m)
         elif isinstance(avoider, NearestCandidate):
-            avoider = NearestCandidate.of(settings)
+            avoider = NearestCandidate.for_cell(settings)
         return replace(system.with_scenario(replace(system.scenario, settings=settings)), avoider=avoider)
 
     return alter

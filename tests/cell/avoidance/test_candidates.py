@@ -9,7 +9,7 @@ from safety_harness.base.exceptions import SettingsError
 from safety_harness.base.settings import DEFAULTS, Settings
 from safety_harness.cell.avoidance.candidates import CandidateCap, continuous_optimum
 
-CAP = CandidateCap.of(DEFAULTS)
+CAP = CandidateCap.from_settings(DEFAULTS)
 MANY = replace(CAP, count=40_000)
 
 
@@ -78,7 +78,7 @@ def test_one_seed_is_one_set_of_candidates() -> None:
 @pytest.mark.parametrize("below", [1.0, -1.0])
 def test_a_vertical_axis_is_an_axis_like_any_other(below: float) -> None:
     x, y, z = DEFAULTS.cell.desired_tcp_position_in_base_m
-    cap = CandidateCap.of(with_avoidance(nominal_hand_position_in_base_m=(x, y, z - below)))
+    cap = CandidateCap.from_settings(with_avoidance(nominal_hand_position_in_base_m=(x, y, z - below)))
     offsets = drawn(cap)
     assert np.linalg.norm(offsets, axis=1) == pytest.approx(cap.radius_m, abs=1e-15)
     assert angles(cap, offsets).max() <= cap.cone_rad + 1e-7
@@ -89,10 +89,10 @@ def test_a_vertical_axis_is_an_axis_like_any_other(below: float) -> None:
 def test_what_can_never_be_drawn_is_refused() -> None:
     desired = DEFAULTS.cell.desired_tcp_position_in_base_m
     with pytest.raises(SettingsError, match="nominal hand position"):
-        CandidateCap.of(with_avoidance(nominal_hand_position_in_base_m=desired))
+        CandidateCap.from_settings(with_avoidance(nominal_hand_position_in_base_m=desired))
     with pytest.raises(SettingsError, match="candidate cone"):
-        CandidateCap.of(with_avoidance(candidate_cone_rad=1e-6))
-    narrow = CandidateCap.of(with_avoidance(candidate_cone_rad=np.radians(1.5)))
+        CandidateCap.from_settings(with_avoidance(candidate_cone_rad=1e-6))
+    narrow = CandidateCap.from_settings(with_avoidance(candidate_cone_rad=np.radians(1.5)))
     assert angles(narrow, drawn(narrow)).max() <= np.radians(1.5) + 1e-7
 
 

@@ -16,7 +16,7 @@ KINDS = [(Dropout.NONE, 1), (Dropout.NONE, 5), (Dropout.INTER, 1), (Dropout.FULL
 
 @pytest.mark.parametrize(("dropout", "members"), KINDS)
 def test_one_proposal_and_a_batch_of_them_are_the_same_bits(dropout: Dropout, members: int) -> None:
-    avoider = LearnedAvoider.of(random_model(dropout, members=members))
+    avoider = LearnedAvoider.from_model(random_model(dropout, members=members))
     hands, tcps, seeds = random_inputs(33, seed=1)
     positions, spreads = avoider.propose_many(hands, tcps, seeds)
     for n in range(33):
@@ -29,7 +29,7 @@ def test_one_proposal_and_a_batch_of_them_are_the_same_bits(dropout: Dropout, me
 
 
 def test_the_layout_of_what_is_given_does_not_matter_and_it_is_left_alone() -> None:
-    avoider = LearnedAvoider.of(random_model(Dropout.INTER))
+    avoider = LearnedAvoider.from_model(random_model(Dropout.INTER))
     hands, tcps, seeds = random_inputs(8, seed=2)
     expected = avoider.propose_many(hands, tcps, seeds)
     for array in (hands, tcps, seeds):
@@ -40,7 +40,7 @@ def test_the_layout_of_what_is_given_does_not_matter_and_it_is_left_alone() -> N
 
 
 def test_no_decision_at_all_is_a_batch_too() -> None:
-    positions, spreads = LearnedAvoider.of(random_model(Dropout.INTER)).propose_many(
+    positions, spreads = LearnedAvoider.from_model(random_model(Dropout.INTER)).propose_many(
         *random_inputs(0, seed=3)
     )
     assert positions.shape == spreads.shape == (0, 3)
@@ -54,13 +54,13 @@ def test_arrays_that_do_not_belong_together_are_refused(
     hands: tuple[int, ...], tcps: tuple[int, ...], seeds: int
 ) -> None:
     with pytest.raises(ValueError, match="expected hands"):
-        LearnedAvoider.of(random_model(Dropout.INTER)).propose_many(
+        LearnedAvoider.from_model(random_model(Dropout.INTER)).propose_many(
             np.zeros(hands), np.zeros(tcps), np.zeros(seeds, dtype=np.uint64)
         )
 
 
 def test_a_hand_that_is_not_a_number_is_a_fault_and_no_proposal() -> None:
-    proposal = LearnedAvoider.of(random_model(Dropout.FULL)).propose(
+    proposal = LearnedAvoider.from_model(random_model(Dropout.FULL)).propose(
         hand_position_in_base_m=np.array([0.8, np.nan, 0.1]),
         tcp_position_in_base_m=np.array([0.7, 0.0, 0.3]),
         seed=1,
@@ -70,14 +70,14 @@ def test_a_hand_that_is_not_a_number_is_a_fault_and_no_proposal() -> None:
 
 
 def test_names_tell_the_kinds_apart() -> None:
-    names = [LearnedAvoider.of(random_model(kind, members=m)).name for kind, m in KINDS]
+    names = [LearnedAvoider.from_model(random_model(kind, members=m)).name for kind, m in KINDS]
     assert len(set(names)) == len(KINDS)
 
 
 def test_the_spread_threshold_is_that_of_the_calibration() -> None:
     model = random_model(Dropout.INTER)
-    assert spread_threshold_of(LearnedAvoider.of(model)) is None
+    assert spread_threshold_of(LearnedAvoider.from_model(model)) is None
     calibration = Calibration(
         interval_multiplier=3.0, spread_threshold_m=0.02, residual_std_m=(0.01, 0.01, 0.01), samples=100
     )
-    assert spread_threshold_of(LearnedAvoider.of(replace(model, calibration=calibration))) == 0.02
+    assert spread_threshold_of(LearnedAvoider.from_model(replace(model, calibration=calibration))) == 0.02

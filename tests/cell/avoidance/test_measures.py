@@ -18,7 +18,7 @@ def test_no_candidate_of_the_paper_is_nearer_to_the_desired_tcp_than_the_optimum
     desired = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
     pull = DEFAULTS.avoidance.hand_pull * (tcps - hands)
     optimum = optimum_in_base_m(DEFAULTS, hands, tcps) - pull
-    labels, _ = NearestCandidate.of(DEFAULTS).propose_many(hands, tcps, np.arange(200, dtype=np.uint64))
+    labels, _ = NearestCandidate.for_cell(DEFAULTS).propose_many(hands, tcps, np.arange(200, dtype=np.uint64))
     nearer = off_m(labels - pull, np.tile(desired, (200, 1))) - off_m(optimum, np.tile(desired, (200, 1)))
     assert nearer.min() >= -1e-12
     assert nearer.max() > 0.005  # the noise of the labels

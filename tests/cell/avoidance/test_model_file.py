@@ -89,9 +89,9 @@ def test_a_model_comes_back_as_it_was_saved(model: Model, tmp_path: Path) -> Non
 
 
 def test_what_a_decision_costs_stands_on_the_card(tmp_path: Path) -> None:
-    assert LearnedAvoider.of(MODEL).decision_time_s == 0.0
+    assert LearnedAvoider.from_model(MODEL).decision_time_s == 0.0
     save_model(replace(MODEL, card={"decision_time_s": 0.04}), tmp_path / "slow.safetensors")
-    assert LearnedAvoider.of(load_model(tmp_path / "slow.safetensors")).decision_time_s == 0.04
+    assert LearnedAvoider.from_model(load_model(tmp_path / "slow.safetensors")).decision_time_s == 0.04
 
 
 def test_the_tensors_of_a_model_cannot_be_written_into(tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ from safety_harness.cell.servoing.features import feature_error, features
 from safety_harness.cell.simulation.cameras import sensors
 from safety_harness.cell.simulation.exact_views import exact_object
 
-ORACLE = NearestCandidate.of(DEFAULTS)
-CAP = CandidateCap.of(DEFAULTS)
+ORACLE = NearestCandidate.for_cell(DEFAULTS)
+CAP = CandidateCap.from_settings(DEFAULTS)
 DESIRED = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
 PULL = DEFAULTS.avoidance.hand_pull
 

@@ -97,7 +97,7 @@ def test_an_answer_has_the_bits_that_it_has_at_home(tmp_path: Path) -> None:
     made = counts_kept(exported())
     path = written(tmp_path, made)
     there, seen = isolated_onnx(path, DEFAULTS), exported_use(path).seen
-    here = OnnxAvoider.of(tmp_path / "mine.onnx", made.SerializeToString(), hand=HAND, tcp=TCP)
+    here = OnnxAvoider.load(tmp_path / "mine.onnx", made.SerializeToString(), hand=HAND, tcp=TCP)
     for seed in (0, 3, 2**64 - 1):
         assert asked(there, seed) == asked(here, seed)
     assert there.spread_threshold_m == here.spread_threshold_m == 0.02

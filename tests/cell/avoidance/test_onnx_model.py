@@ -53,7 +53,7 @@ def model(
 
 def load(path: Path, made: onnx.ModelProto | bytes) -> OnnxAvoider:
     data = made if isinstance(made, bytes) else made.SerializeToString()
-    return OnnxAvoider.of(path / "mine.onnx", data, hand=HAND, tcp=TCP)
+    return OnnxAvoider.load(path / "mine.onnx", data, hand=HAND, tcp=TCP)
 
 
 def ask(avoider: OnnxAvoider, *, seed: int = 1, hand: np.ndarray = HAND) -> Proposal:

@@ -43,7 +43,7 @@ def columns(
 
 
 def load(data: bytes, layout: str = "") -> OnnxAvoider:
-    return OnnxAvoider.of(Path("mine.onnx"), data, hand=HAND, tcp=TCP, layout=layout)
+    return OnnxAvoider.load(Path("mine.onnx"), data, hand=HAND, tcp=TCP, layout=layout)
 
 
 def position(avoider: OnnxAvoider) -> list[float]:

@@ -38,7 +38,7 @@ NAMES = [f"{layer}.{part}" for layer in ("fc1", "fc2", "fc_out") for part in ("w
 def test_answers_are_those_of_plain_numpy(members: int) -> None:
     model = random_perceptron(members=members, seed=members)
     hands, tcps, seeds = random_inputs(50, seed=1)
-    positions, spreads = LearnedAvoider.of(model).propose_many(hands, tcps, seeds)
+    positions, spreads = LearnedAvoider.from_model(model).propose_many(hands, tcps, seeds)
     for n in range(50):
         expected = by_numpy(model, hands[n], tcps[n])
         assert positions[n] == pytest.approx(expected.mean(axis=0), abs=1e-12)
@@ -47,7 +47,7 @@ def test_answers_are_those_of_plain_numpy(members: int) -> None:
 
 
 def test_one_question_and_many_are_the_same_bits_and_nan_is_no_answer() -> None:
-    avoider = LearnedAvoider.of(random_perceptron())
+    avoider = LearnedAvoider.from_model(random_perceptron())
     hands, tcps, seeds = random_inputs(9, seed=2)
     many, _ = avoider.propose_many(hands, tcps, seeds)
     one, _ = avoider.propose_many(hands[4:5], tcps[4:5], seeds[4:5])
@@ -89,7 +89,7 @@ def test_the_student_ships_and_is_near_the_optimum_of_what_it_has_seen() -> None
     model = load_model(shipped_model("student"))
     assert (model.kind, model.members) == (PERCEPTRON, 1)
     hands, tcps, seeds = random_inputs(20_000, seed=3)
-    positions, _ = LearnedAvoider.of(model).propose_many(hands, tcps, seeds)
+    positions, _ = LearnedAvoider.from_model(model).propose_many(hands, tcps, seeds)
     wanted = continuous_optimum(DEFAULTS, tcps) + DEFAULTS.avoidance.hand_pull * (tcps - hands)
     off_m = np.linalg.norm(positions - wanted, axis=1)
     assert np.median(off_m) < 0.003

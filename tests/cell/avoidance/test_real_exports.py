@@ -28,7 +28,7 @@ OF_SKLEARN = {
 
 
 def answered(path: Path, layout: str = "") -> np.ndarray:
-    avoider = OnnxAvoider.of(path, path.read_bytes(), hand=HAND, tcp=TCP, layout=layout)
+    avoider = OnnxAvoider.load(path, path.read_bytes(), hand=HAND, tcp=TCP, layout=layout)
     asked = {"hand_position_in_base_m": HAND, "tcp_position_in_base_m": TCP, "seed": 1}
     return np.asarray(avoider.propose(**asked).position_in_base_m, np.float64)  # type: ignore[arg-type]
 

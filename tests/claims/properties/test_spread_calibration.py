@@ -46,7 +46,7 @@ def asked(visit: Trace, avoider: str, count: int, off_m: float = 0.0) -> list[Tr
     rng = np.random.default_rng(5)
     hands, tcps = (rng.uniform(LOW[k], HIGH[k], (count, 3)) for k in range(2))
     seeds = rng.integers(0, 2**62, count, dtype=np.uint64)
-    positions, spreads = LearnedAvoider.of(load_model(shipped_model(avoider))).propose_many(
+    positions, spreads = LearnedAvoider.from_model(load_model(shipped_model(avoider))).propose_many(
         hands, tcps, seeds
     )
     scene = replace(visit.scenario, avoider=avoider)
@@ -136,7 +136,7 @@ def test_several_avoiders_or_one_without_intervals_are_no_evidence(
 
 
 def test_the_exact_target_is_the_best_of_a_million_candidates_and_the_pull(exact: Sequence[Trace]) -> None:
-    cap = replace(CandidateCap.of(DEFAULTS), count=1_000_000)
+    cap = replace(CandidateCap.from_settings(DEFAULTS), count=1_000_000)
     offsets = cap.draw(np.random.default_rng(1))
     for trace in exact[:5]:
         decision = trace.decisions[0]

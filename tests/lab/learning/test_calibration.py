@@ -53,7 +53,9 @@ def test_intervals_cover_all_axes_and_spreads_stay_below_the_threshold_as_promis
     pairs = np.arange(N) * (N + 1)
     inputs, targets = fresh.inputs(pairs), fresh.targets(pairs)
     seeds = np.arange(N, dtype=np.uint64)
-    predictions, spreads = LearnedAvoider.of(shipped).propose_many(inputs[:, :3], inputs[:, 3:], seeds)
+    predictions, spreads = LearnedAvoider.from_model(shipped).propose_many(
+        inputs[:, :3], inputs[:, 3:], seeds
+    )
     found = calibration_of(shipped)
     half_width = found.interval_multiplier * interval_scale(spreads, np.array(found.residual_std_m))
     covered = (np.abs(predictions - targets) <= half_width).all(axis=1).mean()

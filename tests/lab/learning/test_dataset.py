@@ -25,7 +25,7 @@ from safety_harness.extensions.lab.learning.dataset import (
 from safety_harness.extensions.lab.learning.image_error import ImageErrors
 
 SEEN = seen(DEFAULTS)
-CAP = CandidateCap.of(DEFAULTS)
+CAP = CandidateCap.from_settings(DEFAULTS)
 DESIRED = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
 SMALL = generate(DEFAULTS, SEEN, seed=3, tcps=300, hands=7)
 
@@ -204,7 +204,7 @@ def test_the_continuous_optimum_is_the_nearest_point_of_the_cap(cone_deg: float)
     settings = replace(
         DEFAULTS, avoidance=replace(DEFAULTS.avoidance, candidate_cone_rad=np.radians(cone_deg))
     )
-    cap = CandidateCap.of(settings)
+    cap = CandidateCap.from_settings(settings)
     tcps = SEEN.tcp.draw(np.random.default_rng(9), 200)
     optimum = continuous_optimum(settings, tcps)
     offsets = optimum - tcps

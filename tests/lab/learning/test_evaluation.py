@@ -193,7 +193,7 @@ def test_a_model_for_labels_without_noise_is_measured_on_such(sets: list[Evaluat
 def test_intervals_and_threshold_are_the_calibration_s(sets: list[EvaluationSet]) -> None:
     model = random_model(Dropout.INTER)
     one = sets[0]
-    positions, spreads = LearnedAvoider.of(model).propose_many(
+    positions, spreads = LearnedAvoider.from_model(model).propose_many(
         one.hands_in_base, one.tcps_in_base, one.decision_seeds
     )
     threshold_m = float(np.median(spreads.max(axis=1)))
@@ -249,7 +249,7 @@ def test_the_shipped_model_keeps_its_promises_on_new_tcps_and_notices_unseen_one
 def test_an_auroc_tells_each_unseen_set_from_the_first(
     shipped: Model, sets: list[EvaluationSet], figures: list[Figures]
 ) -> None:
-    avoider = LearnedAvoider.of(shipped)
+    avoider = LearnedAvoider.from_model(shipped)
     scores = [
         avoider.propose_many(one.hands_in_base, one.tcps_in_base, one.decision_seeds)[1].max(axis=1)
         for one in sets
@@ -317,7 +317,7 @@ def test_figures_of_a_model_agree_with_the_toolbox(
 ) -> None:
     assert shipped.calibration is not None
     for one, found in zip(sets, figures, strict=True):
-        positions, spreads = LearnedAvoider.of(shipped).propose_many(
+        positions, spreads = LearnedAvoider.from_model(shipped).propose_many(
             one.hands_in_base, one.tcps_in_base, one.decision_seeds
         )
         scale = np.sqrt(spreads**2 + np.array(shipped.calibration.residual_std_m) ** 2)

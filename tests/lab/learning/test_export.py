@@ -71,10 +71,10 @@ def test_an_export_is_the_original_to_a_thousandth_of_a_millimetre(exports: Expo
 
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_an_exported_avoider_proposes_what_the_learned_one_does(exports: Exports, kind: str) -> None:
-    learned = LearnedAvoider.of(KINDS[kind])
+    learned = LearnedAvoider.from_model(KINDS[kind])
     file = exports.files[kind]
     hands, tcps, seeds = random_inputs(20, seed=5)
-    avoider = OnnxAvoider.of(file, file.read_bytes(), hand=hands[0], tcp=tcps[0])
+    avoider = OnnxAvoider.load(file, file.read_bytes(), hand=hands[0], tcp=tcps[0])
     assert avoider.spread_threshold_m == learned.spread_threshold_m
     for hand, tcp, seed in zip(hands, tcps, seeds, strict=True):
         ours, theirs = (
@@ -99,7 +99,9 @@ def test_masks_matter_and_are_those_of_each_row_s_own_seed(exports: Exports) -> 
     positions, _ = function(hands, tcps, drawn_masks(model, seeds))
     others, _ = function(hands, tcps, drawn_masks(model, seeds[::-1].copy()))
     assert np.abs(positions - others).max() > 1e-4
-    assert positions == pytest.approx(LearnedAvoider.of(model).propose_many(hands, tcps, seeds)[0], abs=1e-6)
+    assert positions == pytest.approx(
+        LearnedAvoider.from_model(model).propose_many(hands, tcps, seeds)[0], abs=1e-6
+    )
 
 
 def test_an_onnx_file_holds_the_model_s_metadata_and_no_path_of_this_machine(exports: Exports) -> None:

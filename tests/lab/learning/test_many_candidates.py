@@ -11,7 +11,7 @@ from safety_harness.base.settings import DEFAULTS
 from safety_harness.cell.avoidance.candidates import CandidateCap
 from safety_harness.extensions.lab.learning.many_candidates import draw_many
 
-CAP = CandidateCap.of(DEFAULTS)
+CAP = CandidateCap.from_settings(DEFAULTS)
 
 
 def drawn(cap: CandidateCap, seed: int) -> np.ndarray:
@@ -21,7 +21,7 @@ def drawn(cap: CandidateCap, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("cone_deg", [5.0, 60.0, 170.0])
 def test_many_sets_at_once_are_the_sets_drawn_one_by_one(cone_deg: float) -> None:
     """A narrow cone leaves most sets short after the first draw, so that the refill is compared too."""
-    cap = CandidateCap.of(
+    cap = CandidateCap.from_settings(
         replace(DEFAULTS, avoidance=replace(DEFAULTS.avoidance, candidate_cone_rad=np.radians(cone_deg)))
     )
     many = draw_many(cap, [np.random.default_rng(seed) for seed in range(20)])

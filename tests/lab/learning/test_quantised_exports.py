@@ -45,7 +45,7 @@ def test_a_quantised_network_answers_to_its_own_digits(
     if ours:
         model, layout, path = random_model(Dropout.INTER, seed=3), "", tmp_path / "ours.onnx"
         write_export(model, b"a file", path, seed=0)
-        own = LearnedAvoider.of(model).propose(
+        own = LearnedAvoider.from_model(model).propose(
             hand_position_in_base_m=HAND, tcp_position_in_base_m=TCP, seed=1
         )
         wanted = own.position_in_base_m

@@ -56,7 +56,7 @@ def contradicted(
     model: Model, claim: DecisionClaim, boxes: Boxes, codes: Codes, region: ProofRegion, n: int
 ) -> int:
     """How many of n random questions of each decided box, its corners among them, are not as was said."""
-    avoider, rng, wrong = LearnedAvoider.of(model), np.random.default_rng(0), 0
+    avoider, rng, wrong = LearnedAvoider.from_model(model), np.random.default_rng(0), 0
     for code in (PROVEN, REFUTED, OUTSIDE):
         low, high = (side[codes == code][:, None] for side in boxes)
         place = rng.random((len(low), n, 6))
@@ -122,7 +122,7 @@ def test_a_single_question_is_decided_as_the_network_answers_it(claim: DecisionC
     model = load_model(shipped_model("student"))
     asked, _ = random_boxes(SEEN_REGION, 500, 0.5, seed=9)
     codes = codes_of(model, claim, SEEN_REGION, (asked, asked.copy()))
-    margins = margins_of(LearnedAvoider.of(model), claim, asked)
+    margins = margins_of(LearnedAvoider.from_model(model), claim, asked)
     clear = np.abs(margins) > 10.0 * MARGIN
     assert clear.sum() > 490
     assert np.array_equal(codes[clear] == PROVEN, margins[clear] > 0.0)

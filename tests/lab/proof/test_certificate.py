@@ -107,7 +107,7 @@ def test_the_checker_shares_no_code_and_is_short() -> None:
 
 
 def test_its_own_numbers_are_those_of_the_settings() -> None:
-    cap = CandidateCap.of(DEFAULTS)
+    cap = CandidateCap.from_settings(DEFAULTS)
     assert check.DESIRED.tolist() == list(DEFAULTS.cell.desired_tcp_position_in_base_m)
     assert check.NOMINAL.tolist() == list(DEFAULTS.avoidance.nominal_hand_position_in_base_m)
     assert (cap.radius_m, cap.cone_rad) == (check.RADIUS, check.CONE)

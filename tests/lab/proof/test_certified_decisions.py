@@ -54,7 +54,7 @@ def test_what_is_known_from_other_masks_changes_nothing(name: str, passes: int) 
 @pytest.mark.parametrize("name", RESNETS)
 def test_bounds_of_a_residual_network_hold_its_own_answer_and_hardly_more(name: str) -> None:
     model, seed = load_model(shipped_model(name)), 5
-    answers, spreads = LearnedAvoider.of(model).propose_many(
+    answers, spreads = LearnedAvoider.from_model(model).propose_many(
         HAND[None], TCP[None], np.array([seed], np.uint64)
     )
     network, region = network_of(model, seed), ProofRegion.around(TCP, HAND, HAND)
@@ -91,7 +91,10 @@ def test_a_seed_has_its_own_masks() -> None:
 
 @pytest.mark.parametrize("half_m", [0.01, 0.03])
 def test_no_hand_in_the_box_contradicts_what_is_called_the_same(half_m: float) -> None:
-    rng, avoider = np.random.default_rng(3), LearnedAvoider.of(load_model(shipped_model("mc-dropout")))
+    rng, avoider = (
+        np.random.default_rng(3),
+        LearnedAvoider.from_model(load_model(shipped_model("mc-dropout"))),
+    )
     found = []
     for seed in range(4):
         hand = TCP + rng.uniform(-0.25, 0.25, 3)

@@ -26,7 +26,7 @@ from safety_harness.testing.watching import kept_for
 def onnx_read(path: Path) -> object:
     """As the process of the file does it, which would take too long to begin for each of these."""
     data = onnx_bytes(path)
-    return OnnxAvoider.of(path, data, hand=np.array([0.8, -0.3, 0.1]), tcp=np.array([0.7, 0.0, 0.35]))
+    return OnnxAvoider.load(path, data, hand=np.array([0.8, -0.3, 0.1]), tcp=np.array([0.7, 0.0, 0.35]))
 
 
 @lru_cache

@@ -1,7 +1,7 @@
 """Avoiders in the process of a user's file.
 
-The same functions ask here as at home, so that an answer and a fault are the same in both.
-It must start quickly: nothing imported here waits for a compiler.
+Both processes call the avoider by the same functions, so that an answer and a fault are the same in both.
+This module must start quickly: its imports do not wait for a compiler.
 """
 
 from __future__ import annotations
@@ -30,12 +30,15 @@ from safety_harness.seams.isolation.messages import Make
 
 
 class _Avoiders(ServedKind):
+    """The avoiders that this process serves."""
+
     what = "an avoider"
     told = to_the_child
 
-    def make(self, told: Make, path: Path, wanted: dict[str, Any]) -> Made:
-        avoider = _avoider(path, told.source, wanted)
-        self.made[told.number] = avoider, str(path)
+    def make(self, message: Make, path: Path, wanted: dict[str, Any]) -> Made:
+        """Load the avoider and return its properties."""
+        avoider = _avoider(path, message.source, wanted)
+        self.made[message.number] = avoider, str(path)
         return Made(
             str(avoider.name),
             spread_threshold_of(avoider),
@@ -44,34 +47,35 @@ class _Avoiders(ServedKind):
             shown_to(avoider),
         )
 
-    def answers(self, told: Ask) -> Iterator[Answered]:
-        """All together if that is asked and it can, else each as soon as it is there."""
-        avoider, file = self.made[told.number]
-        questions, found = told.asked, []
-        if told.together:
+    def answers(self, message: Ask) -> Iterator[Answered]:
+        """Yield the answers of one call if the message wants that and it works, otherwise each in turn."""
+        avoider, file = self.made[message.number]
+        questions, joint = message.unpacked_questions, []
+        if message.together:
             try:
-                found = answers_together(avoider, questions)
-            except BaseException:  # what raises shows when they are asked in turn
-                found = []
-        for k, answer in enumerate(found or (_answer(avoider, question, file) for question in questions)):
-            words = answer.fault.encode(errors="replace")[:MOST_ANSWER_WORDS].decode(errors="ignore")
-            yield Answered(k, replace(answer, fault=words))
+                joint = answers_together(avoider, questions)
+            except BaseException:  # calls in turn show which question raises
+                joint = []
+        for k, answer in enumerate(joint or (_answer(avoider, question, file) for question in questions)):
+            fault = answer.fault.encode(errors="replace")[:MOST_ANSWER_WORDS].decode(errors="ignore")
+            yield Answered(k, replace(answer, fault=fault))
 
 
 def _avoider(path: Path, source: bytes, wanted: dict[str, Any]) -> Avoider:
-    """What a program has under a name, or what a model is."""
+    """Return the avoider of a Python file, by its name, or of an ONNX file."""
     if not wanted["onnx"]:
         return avoider_in(path, source, wanted["name"])
-    from safety_harness.cell.avoidance.onnx_model import OnnxAvoider  # no program waits for its runtime
+    from safety_harness.cell.avoidance.onnx_model import OnnxAvoider  # a Python file does not need it
 
     hand, tcp = np.array(wanted["hand"]), np.array(wanted["tcp"])
-    return OnnxAvoider.of(path, source, hand=hand, tcp=tcp, layout=wanted["name"])
+    return OnnxAvoider.load(path, source, hand=hand, tcp=tcp, layout=wanted["name"])
 
 
 def _answer(avoider: Avoider, question: Question, file: str) -> Answer:
+    """Return the avoider's answer, or a fault for anything that it raises."""
     try:
-        return ask(avoider, question._replace(limit_s=np.inf))  # the other side keeps it
-    except BaseException as error:  # SystemExit, or the user's own: no reason to end
+        return ask(avoider, question._replace(limit_s=np.inf))  # the other process has the limit
+    except BaseException as error:  # SystemExit, or the user's own, must not end this process
         return Answer(fault=described(error, file))
 
 

@@ -1,9 +1,8 @@
-"""An avoider of a user's file, asked in a process of its own: whatever it does there, we go on.
+"""An avoider of a user's file, called in a process of its own: the harness survives its failures.
 
-It keeps its memory, if it has one, as long as its process lives.  What does not answer within the wall
-limit is killed with all that it forked, and ends the run.  One whose process ends by itself has not
-answered, a decision fault; the next question goes to a new process, in which the avoider is made anew from
-the same text.
+An avoider with a memory keeps it as long as its process lives. If it does not answer within the wall limit,
+the harness kills it with all its forks, and the run ends. If its process ends by itself, that is a decision
+fault. The next question goes to a new process, which makes the avoider anew from the same text.
 """
 
 from __future__ import annotations
@@ -62,19 +61,19 @@ from safety_harness.seams.isolation.process import Process
 from safety_harness.seams.isolation.python_file import source_of
 
 SEND_S = 10.0
-KEPT = 2  # processes that are kept though no avoider lives in them
+KEPT = 2  # processes that stay ready without an avoider
 LOGGER = logging.getLogger("safety_harness.avoider")
 CHILD = "safety_harness.cell.avoidance.isolation.child"
 ATTEMPTS = 3  # to make it anew, one after another
-PROGRAM_S = 300.0  # to be imported, and to answer for the first time
-ONNX_S = 60.0  # to be loaded and asked twice: the runtime computes at once what depends on no input
+PROGRAM_S = 300.0  # for its import and its first answer
+ONNX_S = 60.0  # for its loading and two answers: the runtime computes constant parts at once
 
 
 class IsolatedAvoider(OutOfProcessAvoider):
-    """One avoider in the process of its file."""
+    """An avoider in the process of its file."""
 
     def __init__(self, connection: Connection, make: Callable[[int], Make], within_s: float) -> None:
-        """Make it there; RefusedError, or GoneError if the process does not live to say so."""
+        """Make it there; ``RefusedError``, or ``GoneError`` if the process dies before it replies."""
         self._number = next(connection.numbers)
         with connection.lock:
             made = connection.introduce(make(self._number), Made, within_s)
@@ -99,7 +98,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
         seed: int,
         seen: Seen | None = None,
     ) -> Proposal:
-        """As any avoider; AvoiderError says what was wrong there."""
+        """Return the avoider's proposal; ``AvoiderError`` with the fault's text."""
         question = Question(hand_position_in_base_m, tcp_position_in_base_m, seed, WALL_LIMIT_S, seen)
         answer = self.answers([question], together=False)[0]
         if answer.fault:
@@ -107,18 +106,21 @@ class IsolatedAvoider(OutOfProcessAvoider):
         return answer.proposal
 
     def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
-        """As ``OutOfProcessAvoider`` has it.  What is asked together and not answered is asked in turn."""
-        found: list[Answer] = []
+        """Return the answers, as ``OutOfProcessAvoider`` does.
+
+        If a joint call does not answer, the questions go there in turn.
+        """
+        received: list[Answer] = []
         with self._connection.lock:
             together = together and self.takes_many
             survived = True
-            while len(found) < len(questions):
-                rest = list(questions[len(found) :])
+            while len(received) < len(questions):
+                rest = list(questions[len(received) :])
                 begun_s = time.perf_counter()
                 try:
                     self._be_there()
                     for answer in self._answered(rest, together=together):
-                        found.append(_looked_at(answer))
+                        received.append(_looked_at(answer))
                         begun_s = time.perf_counter()
                 except GoneError as gone:
                     self._connection.end()
@@ -126,27 +128,30 @@ class IsolatedAvoider(OutOfProcessAvoider):
                     if not together and gone.hung:
                         raise NoAnswerError(self.name, rest[0].limit_s) from None
                     if not together:
-                        found.append(Answer(fault=str(gone), latency_s=time.perf_counter() - begun_s))
+                        received.append(Answer(fault=str(gone), latency_s=time.perf_counter() - begun_s))
                     together = False
-                except BaseException:  # Ctrl-C: its answer would be taken for that to the next question
+                except BaseException:  # Ctrl-C: its late answer would count for the next question
                     self._connection.end()
                     raise
             if not self._asked:
                 self._asked = True
                 self._rehearsal = questions[0] if survived else None
-        return found
+        return received
 
     def _answered(self, questions: list[Question], *, together: bool) -> Iterator[Answer]:
-        """The answers as they come, as they were sent; GoneError at the one that does not."""
-        self._connection.say(Ask.of(self._number, questions, together), SEND_S)
+        """Yield the answers as they come, unchecked; ``GoneError`` at one that does not come."""
+        self._connection.say(Ask.from_questions(self._number, questions, together), SEND_S)
         for k, question in enumerate(questions):
-            said = self._connection.hear(limit_of(questions) if together else question.limit_s)
-            if not isinstance(said, Answered) or said.number != k:
+            message = self._connection.hear(limit_of(questions) if together else question.limit_s)
+            if not isinstance(message, Answered) or message.number != k:
                 raise NonsenseError
-            yield said.answer
+            yield message.answer
 
     def _be_there(self) -> None:
-        """Made anew if need be, and asked its first question again, so that no decision pays for that."""
+        """Make the avoider anew if necessary, and repeat its first question.
+
+        So no decision pays for that.
+        """
         if self._connection.alive and self._generation == self._connection.generation:
             return
         why = ""
@@ -168,7 +173,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
 
 
 def _looked_at(answer: Answer) -> Answer:
-    """What came from there, believed no more than what an avoider returns here."""
+    """Check an answer from the other process as strictly as an answer of an avoider in this process."""
     latency_s = answer.latency_s if answer.latency_s >= 0.0 else np.nan
     if answer.fault:
         return Answer(fault=printable(answer.fault), latency_s=latency_s)
@@ -179,18 +184,22 @@ def _looked_at(answer: Answer) -> Answer:
 
 
 def _connected(path: Path, source: bytes, *, silent: bool = False) -> Connection:
+    """Return a connection to a new process for a file."""
     start = process_of(path, source, LOGGER, partial(Process.python, CHILD), silent=silent)
     return Connection(start, binary_wire(from_the_child.decode, MOST_ANSWER_BYTES))
 
 
-# By the file and its text; the last of these are in use.  A few stay ready though nobody uses them at the
-# moment: the process of another ends when its last avoider is gone.
+# By the file and its text; the last cache of the list is in use.  A cache holds the last KEPT connections;
+# the process of any other connection ends with its last avoider.
 _connections = [lru_cache(KEPT)(_connected)]
 
 
 @contextmanager
 def processes_apart() -> Iterator[None]:
-    """Avoiders made within share no process, and no memory, with those made before; nobody hears them."""
+    """Let avoiders made in this context share no process or memory with earlier avoiders.
+
+    Their processes run silently.
+    """
     _connections.append(lru_cache(KEPT)(partial(_connected, silent=True)))
     try:
         yield
@@ -199,9 +208,16 @@ def processes_apart() -> Iterator[None]:
 
 
 def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
-    """The avoider called ``name`` in a Python file, which is executed in another process.
+    """Return an avoider of a Python file, which runs in another process.
 
-    InadmissibleError at ``place`` if there is none, or the process does not live to say so.
+    Args:
+        path: The file.
+        name: The avoider's name in it.
+        place: The place of an error.
+
+    Raises:
+        InadmissibleError: There is no such avoider, or the process dies before it replies.
+
     """
     source, expected = source_of(path, place), f"{path.name} to give an avoider {name}"
     make = partial(Make.of, path, source, name)
@@ -210,10 +226,17 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
 
 
 def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedAvoider:
-    """The avoider of an ONNX file, which may loop or fill the memory; ModelError says what is wrong.
+    """Return the avoider of an ONNX file, which may loop or fill the memory.
 
-    MissingPackageError without onnxruntime.  It is tried with the cell's own desired TCP and nominal hand.
-    ``layout`` says what its inputs and outputs hold (``onnx_names``).
+    Args:
+        path: The file.
+        settings: The settings; their desired TCP and nominal hand are the question of a first try.
+        layout: The quantities of its inputs and outputs whose names are not ours (``onnx_names``).
+
+    Raises:
+        ModelError: The file cannot be used.
+        MissingPackageError: onnxruntime is not installed.
+
     """
     ONNX.require(f"the avoider {path.name}")
     source, expected = onnx_bytes(path), "an ONNX file that can be loaded and answers twice"

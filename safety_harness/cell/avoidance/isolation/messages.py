@@ -17,26 +17,26 @@ MOST_ANSWER_WORDS = 960  # bytes; a trace keeps 240 characters
 
 
 class Ask(ProcessMessage, tag="ask"):
-    """Questions to the avoider of that number, packed; ``together``: in one call if it takes many."""
+    """Questions to the avoider ``number``, packed; ``together`` asks for one call if it takes many."""
 
     number: int
     questions: list[tuple[Vector, Vector, int, float, PackedSeen | None]]
     together: bool
 
     @classmethod
-    def of(cls, number: int, questions: list[Question], together: bool) -> Ask:
-        """Pack what is seen."""
-        packed = [(*one[:4], None if one.seen is None else packed_seen(one.seen)) for one in questions]
+    def from_questions(cls, number: int, questions: list[Question], together: bool) -> Ask:
+        """Pack the views of the questions."""
+        packed = [(*q[:4], None if q.seen is None else packed_seen(q.seen)) for q in questions]
         return cls(number, packed, together)
 
     @property
-    def asked(self) -> list[Question]:
+    def unpacked_questions(self) -> list[Question]:
         """The questions as they were."""
-        return [Question(*one[:4], None if one[4] is None else unpacked(one[4])) for one in self.questions]
+        return [Question(*q[:4], None if q[4] is None else unpacked(q[4])) for q in self.questions]
 
 
 class Made(ProcessMessage, tag="made"):
-    """What an avoider says of itself."""
+    """The properties of an avoider."""
 
     name: str
     spread_threshold_m: Annotated[float, Meta(ge=0.0, le=LARGEST)] | None
@@ -46,7 +46,7 @@ class Made(ProcessMessage, tag="made"):
 
 
 class Answered(ProcessMessage, tag="answered"):
-    """The answer to the question of that number, among those asked for, not yet looked at."""
+    """The answer to the question ``number`` of the message, not yet checked."""
 
     number: int
     answer: Answer

@@ -1,6 +1,6 @@
 """Controllers in the process of a user's file, one for each lane, episode after episode.
 
-It must start quickly: nothing imported here waits for a compiler.
+This module must start quickly: its imports do not wait for a compiler.
 """
 
 from __future__ import annotations
@@ -35,53 +35,60 @@ Another = Callable[[], UserController]
 
 
 class _Controllers(ServedKind):
+    """The controllers that this process serves."""
+
     what = "a controller"
     told = to_the_process
     made: dict[int, UserController]  # by lane
     another: Another | None
     image: Image | None = None
 
-    def make(self, told: Make, path: Path, wanted: dict[str, Any]) -> MadeController:
-        controller, self.another = _controller(path, told.source, wanted["name"], wanted["onnx"])
+    def make(self, message: Make, path: Path, wanted: dict[str, Any]) -> MadeController:
+        """Load the first controller and describe it."""
+        controller, self.another = _controller(path, message.source, wanted["name"], wanted["onnx"])
         self.made, self.file = {0: controller}, str(path)
         sees, reports = sees_of(controller), reports_of(controller)
         self.reports = reports
         many = self.another is not None and IMAGE not in sees and DECISIONS not in reports
         return MadeController(PROTOCOL, controller.name, sees, reports, many, answers_many(controller))
 
-    def answers(self, told: Reset | ActOnRows) -> Iterator[Ready | SaidRow | SaidRows]:
-        yield self._reset(told) if isinstance(told, Reset) else self._act(told)
+    def answers(self, message: Reset | ActOnRows) -> Iterator[Ready | SaidRow | SaidRows]:
+        """Yield the answer to a message."""
+        yield self._reset(message) if isinstance(message, Reset) else self._act(message)
 
-    def _reset(self, told: Reset) -> Ready:
+    def _reset(self, message: Reset) -> Ready:
+        """Begin an episode in a lane, with a new controller if the lane is new."""
         self.image = None
-        while len(self.made) <= told.lane:
+        while len(self.made) <= message.lane:
             assert self.another is not None
             self.made[len(self.made)] = self.another()
-        controller, seed = self.made[told.lane], int(told.seed)
-        controller.reset(settings=told.settings, arm=told.arm, start=told.start, seed=seed)
-        self._answers = LaneAnswers(len(self.made), len(told.arm.joint_names), self.reports)
+        controller, seed = self.made[message.lane], int(message.seed)
+        controller.reset(settings=message.settings, arm=message.arm, start=message.start, seed=seed)
+        self._answers = LaneAnswers(len(self.made), len(message.arm.joint_names), self.reports)
         return Ready()
 
-    def _act(self, told: ActOnRows) -> SaidRow | SaidRows:
-        own, answers = told.lanes, self._answers
+    def _act(self, message: ActOnRows) -> SaidRow | SaidRows:
+        """Return the answers of the lanes of a message."""
+        own, answers = message.lanes, self._answers
         controllers = [self.made[lane] for lane in own]
-        if not told.together:
-            action, (lane,) = self._alone(controllers[0], told), own
+        if not message.together:
+            action, (lane,) = self._alone(controllers[0], message), own
             answers.take(lane, action)
             by_joints, stop = bool(answers.by_joints[lane]), bool(answers.stop[lane])
             wanted = (answers.joints if by_joints else answers.twists)[lane].tobytes()
             decision = getattr(action.report, "decision", None) if DECISIONS in self.reports else None
-            return SaidRow(told.tick, wanted, by_joints, stop, int(answers.modes[lane]), decision)
-        period_s, *layout, sent = told.seen
+            return SaidRow(message.tick, wanted, by_joints, stop, int(answers.modes[lane]), decision)
+        period_s, *layout, sent = message.seen
         rows = np.frombuffer(sent).reshape(len(own), -1)
         why = ask_together(controllers, own, rows, period_s, layout_of(*layout), answers, self.file)
-        words = {lane: printable(why[lane])[:MOST_WORDS] for lane in why}
-        return SaidRows(told.tick, [one[own].tobytes() for one in answers.columns], words)
+        reasons = {lane: printable(why[lane])[:MOST_WORDS] for lane in why}
+        return SaidRows(message.tick, [column[own].tobytes() for column in answers.columns], reasons)
 
-    def _alone(self, controller: UserController, told: ActOnRows) -> Action:
-        seen = unpacked(told.seen)
-        if told.image is not None:
-            time_s, new, width, sent = told.image
+    def _alone(self, controller: UserController, message: ActOnRows) -> Action:
+        """Call a single controller, which may see an image."""
+        seen = unpacked(message.seen)
+        if message.image is not None:
+            time_s, new, width, sent = message.image
             pixels = np.frombuffer(sent, np.uint8).reshape(-1, max(width, 1), 3)
             pixels = pixels if new or self.image is None else self.image.pixels
             seen.__dict__["image"] = self.image = Image(time_s=time_s, new=new, pixels=pixels)
@@ -89,14 +96,14 @@ class _Controllers(ServedKind):
 
 
 def _controller(path: Path, source: bytes, name: str, onnx: bool) -> tuple[UserController, Another | None]:
-    """What a program has under a name, or what a policy is; and what makes another, if anything."""
+    """Return the controller of a file, and the maker of a further one, if any."""
     if not onnx:
-        found = controller_in(path, source, name, Place(field="controller"))
-        kind = type(found)
+        controller = controller_in(path, source, name, Place(field="controller"))
+        kind = type(controller)
         named = getattr(sys.modules.get(kind.__module__), name, None)
-        return found, kind if named is kind else None
+        return controller, kind if named is kind else None
     from safety_harness.cell.controller.out_of_process.onnx_policy import (
-        OnnxPolicy,  # no program waits for it
+        OnnxPolicy,  # a Python file does not need it
     )
 
     policy = OnnxPolicy(path, source, name)

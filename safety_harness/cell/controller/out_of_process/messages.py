@@ -1,7 +1,7 @@
-"""Messages between the harness and a controller elsewhere, one a turn; docs/controller-protocol.md.
+"""Messages between the harness and a controller in another process, one a turn.
 
-To a program they are JSON, an object a line.  To a process of ours, which runs a Python file or an ONNX
-policy, they are MessagePack in frames, with what is seen and what is answered as rows of numbers.
+docs/controller-protocol.md has the protocol. A program gets JSON, an object a line. Our own process for a
+Python file or an ONNX policy gets MessagePack in frames. In these, views and answers are rows of numbers.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from safety_harness.seams.rows import PackedSeen, packed_seen
 from safety_harness.trace.records import DecisionOutcome, Mode, Trigger
 
 PROTOCOL = "safety-harness controller 1"
-MOST_BYTES = 65_536  # of what a controller says
+MOST_BYTES = 65_536  # of a controller's message
 WANTS_ACTION = "it has to say how to move"
 
 Numbers = list[float]
@@ -44,12 +44,12 @@ class Hello(ProcessMessage, tag="hello"):
     """The first message to a program."""
 
     protocol: str = PROTOCOL
-    sights: tuple[str, ...] = tuple(one.word for one in SIGHTS)
-    reports: tuple[str, ...] = tuple(one.word for one in REPORTS)
+    sights: tuple[str, ...] = tuple(entry.word for entry in SIGHTS)
+    reports: tuple[str, ...] = tuple(entry.word for entry in REPORTS)
 
 
 class Reset(ProcessMessage, tag="reset"):
-    """Begin an episode; ``seed`` is digits, since many readers of JSON keep 53 bits of a number."""
+    """The start of an episode; ``seed`` is digits, since many readers of JSON keep 53 bits of a number."""
 
     call: ClassVar[str] = "reset"
     wants: ClassVar[str] = 'after a reset it has to say "ready"'
@@ -57,11 +57,11 @@ class Reset(ProcessMessage, tag="reset"):
     arm: DrivenArm
     start: Start
     seed: str
-    lane: int = 0  # of a process that has a controller for each
+    lane: int = 0  # the number of the controller in its process
 
 
 class Act(ProcessMessage, tag="act"):
-    """What is seen at that tick, to a program: the fields of ``Seen``."""
+    """The view at a tick, for a program: the fields of ``Seen``."""
 
     call: ClassVar[str] = "act"
     wants: ClassVar[str] = WANTS_ACTION
@@ -70,9 +70,9 @@ class Act(ProcessMessage, tag="act"):
 
 
 class ActOnRows(ProcessMessage, tag="rows"):
-    """What the controllers of those lanes see at that tick, to a process of ours: a row each.
+    """The views of the controllers of ``lanes`` at a tick, for our own process: a row each.
 
-    ``together``: in one call, if they take many; else there is one lane.
+    ``together`` asks for one call if they take many; otherwise there is one lane.
     """
 
     call: ClassVar[str] = "act"
@@ -85,11 +85,11 @@ class ActOnRows(ProcessMessage, tag="rows"):
 
 
 class Ready(ProcessMessage, tag="ready", forbid_unknown_fields=True):
-    """The episode may begin."""
+    """The answer that the episode may begin."""
 
 
 class Welcome(ProcessMessage, tag="hello", forbid_unknown_fields=True):
-    """What a controller says of itself."""
+    """A controller's description of itself."""
 
     protocol: str
     name: str
@@ -98,9 +98,9 @@ class Welcome(ProcessMessage, tag="hello", forbid_unknown_fields=True):
 
 
 class MadeController(Welcome, tag="made", forbid_unknown_fields=True):
-    """That of a process of ours.
+    """The description by a process of ours.
 
-    ``many``: it can make a controller for each of many lanes; ``together``: one call answers for them all.
+    ``many``: it can make a controller for each of many lanes. ``together``: one call answers for all of them.
     """
 
     many: bool = False
@@ -108,7 +108,7 @@ class MadeController(Welcome, tag="made", forbid_unknown_fields=True):
 
 
 class SaidDecision(Struct, forbid_unknown_fields=True):
-    """A decision to give way: positions (3,) [m], None for none, and words of two vocabularies."""
+    """A decision to retreat: positions (3,) [m], None if absent, and words of two vocabularies."""
 
     hand_position_in_base_m: Numbers
     proposed_position_in_base_m: Numbers | None = None
@@ -120,14 +120,14 @@ class SaidDecision(Struct, forbid_unknown_fields=True):
 
 
 class SaidReport(Struct, forbid_unknown_fields=True):
-    """What a controller says of itself at a tick."""
+    """A controller's report of a tick."""
 
     mode: str | None = None
     decision: SaidDecision | None = None
 
 
 class SaidMove(ProcessMessage, tag="move", forbid_unknown_fields=True):
-    """How to move from that tick to the next."""
+    """The motion from a tick to the next."""
 
     tick: int
     tcp_velocity_mps: Numbers | None = None
@@ -137,7 +137,7 @@ class SaidMove(ProcessMessage, tag="move", forbid_unknown_fields=True):
 
 
 class SaidStop(ProcessMessage, tag="stop", forbid_unknown_fields=True):
-    """A protective stop at that tick."""
+    """A protective stop at a tick."""
 
     tick: int
     report: SaidReport | None = None
@@ -155,9 +155,9 @@ class SaidRow(ProcessMessage, tag="row", forbid_unknown_fields=True):
 
 
 class SaidRows(ProcessMessage, tag="rows", forbid_unknown_fields=True):
-    """The answers of all lanes that were asked at that tick: the columns of ``LaneAnswers``, a row each.
+    """The answers of all lanes of a tick: the columns of ``LaneAnswers``, a row each.
 
-    ``why`` has the lanes that cannot go on.
+    ``why`` has the reason of each lane that cannot go on.
     """
 
     tick: int
@@ -172,80 +172,84 @@ to_the_process = decoder_of(Make | Reset | ActOnRows)
 
 
 def fields_of(seen: Seen, sees: tuple[str, ...]) -> dict[str, Any]:
-    """All that is seen, as a program is told it: the pixels of an image once, when it is new."""
-    found: dict[str, Any] = {"time_s": seen.time_s, "period_s": seen.period_s}
+    """Return the view for a program, with the pixels of an image once, when it is new."""
+    fields: dict[str, Any] = {"time_s": seen.time_s, "period_s": seen.period_s}
     for sight in SIGHTS:
         if sight.word in sees:
-            found |= {name: getattr(seen, name) for name in sight.fields}
-    image = found.get("image")
+            fields |= {name: getattr(seen, name) for name in sight.fields}
+    image = fields.get("image")
     if image is not None:
         pixels = image.pixels if image.new else None
-        found["image"] = {"time_s": image.time_s, "new": image.new, "pixels": pixels}
-    return found
+        fields["image"] = {"time_s": image.time_s, "new": image.new, "pixels": pixels}
+    return fields
 
 
 def seen_at(tick: int, seen: Seen, lane: int) -> ActOnRows:
-    """What is seen at that tick, to a process of ours; ControllerError if the harness did not make it."""
+    """Return the view for a process of ours at a tick; ``ControllerError`` unless the harness made it."""
     image = seen.__dict__.get("image")
-    told = None
+    sent = None
     if image is not None:
         pixels = image.pixels.tobytes() if image.new or tick == 0 else b""
-        told = (image.time_s, image.new, image.pixels.shape[1], pixels)
-    return ActOnRows(tick, [lane], packed_seen(seen), image=told)
+        sent = (image.time_s, image.new, image.pixels.shape[1], pixels)
+    return ActOnRows(tick, [lane], packed_seen(seen), image=sent)
 
 
-def action_in(said: SaidRow) -> Action:
-    """The action of a single lane; ValueError for what is none."""
-    report, wanted = None, np.frombuffer(said.wanted)
-    if said.mode != NOT_REPORTED or said.decision is not None:
-        mode = None if said.mode == NOT_REPORTED else Mode(said.mode)
-        report = Report(mode=mode, decision=said.decision)
-    if said.stop:
+def action_in(row: SaidRow) -> Action:
+    """Return the action of a single lane; ``ValueError`` for an invalid row."""
+    report, wanted = None, np.frombuffer(row.wanted)
+    if row.mode != NOT_REPORTED or row.decision is not None:
+        mode = None if row.mode == NOT_REPORTED else Mode(row.mode)
+        report = Report(mode=mode, decision=row.decision)
+    if row.stop:
         return Stop(report=report)
-    if said.by_joints:
+    if row.by_joints:
         return Move(joint_velocity_radps=wanted, report=report)
     return Move(tcp_velocity_mps=wanted[:3], tcp_angular_velocity_radps=wanted[3:], report=report)
 
 
-def action_of(said: SaidMove | SaidStop) -> Action:
-    """What a controller said, as its action; ValueError for a word that is in no vocabulary."""
-    report = None if said.report is None else _report_of(said.report)
-    if isinstance(said, SaidStop):
+def action_of(message: SaidMove | SaidStop) -> Action:
+    """Return the action of a controller's message; ``ValueError`` for a word outside of its vocabulary."""
+    report = None if message.report is None else _report_of(message.report)
+    if isinstance(message, SaidStop):
         return Stop(report=report)
     return Move(
-        tcp_velocity_mps=_floats(said.tcp_velocity_mps),
-        tcp_angular_velocity_radps=_floats(said.tcp_angular_velocity_radps),
-        joint_velocity_radps=_floats(said.joint_velocity_radps),
+        tcp_velocity_mps=_floats(message.tcp_velocity_mps),
+        tcp_angular_velocity_radps=_floats(message.tcp_angular_velocity_radps),
+        joint_velocity_radps=_floats(message.joint_velocity_radps),
         report=report,
     )
 
 
 def _floats(value: Numbers | None) -> Any:
+    """Return numbers as an array, None without numbers."""
     return None if value is None else np.array(value, dtype=np.float64)
 
 
-def _report_of(said: SaidReport) -> Report:
-    mode = None if said.mode is None else _meant(Mode, said.mode, "mode")
-    return Report(mode=mode, decision=None if said.decision is None else _decision_of(said.decision))
+def _report_of(report: SaidReport) -> Report:
+    """Return the report of a message."""
+    mode = None if report.mode is None else _meant(Mode, report.mode, "mode")
+    return Report(mode=mode, decision=None if report.decision is None else _decision_of(report.decision))
 
 
-def _decision_of(said: SaidDecision) -> Decision:
-    told = {
-        name: _floats(value) if isinstance(value, list) else value for name, value in asdict(said).items()
+def _decision_of(decision: SaidDecision) -> Decision:
+    """Return the decision of a message."""
+    fields = {
+        name: _floats(value) if isinstance(value, list) else value for name, value in asdict(decision).items()
     }
-    told["outcome"] = _meant(DecisionOutcome, said.outcome, "outcome")
-    told["trigger"] = _meant(Trigger, said.trigger, "trigger")
+    fields["outcome"] = _meant(DecisionOutcome, decision.outcome, "outcome")
+    fields["trigger"] = _meant(Trigger, decision.trigger, "trigger")
     nowhere = dict.fromkeys(("proposed_position_in_base_m", "chosen_position_in_base_m"), np.full(3, np.nan))
-    return Decision(**nowhere | {name: value for name, value in told.items() if value is not None})
+    return Decision(**nowhere | {name: value for name, value in fields.items() if value is not None})
 
 
 def word_of(value: IntEnum) -> str:
-    """How the protocol calls a value: PROTECTIVE_STOP is "protective stop"."""
+    """Return the protocol's word for a value: PROTECTIVE_STOP is "protective stop"."""
     return value.name.lower().replace("_", " ")
 
 
-def _meant(kind: type[AnEnum], word: str, name: str) -> AnEnum:
+def _meant(kind: type[AnEnum], text: str, name: str) -> AnEnum:
+    """Return the value of ``kind`` with the word ``text``; ``ValueError`` for another word."""
     for value in kind:
-        if word_of(value) == word:
+        if word_of(value) == text:
             return value
-    raise ValueError(f"{name} must be one of: {', '.join(map(word_of, kind))}; got {word[:80]!r}")
+    raise ValueError(f"{name} must be one of: {', '.join(map(word_of, kind))}; got {text[:80]!r}")

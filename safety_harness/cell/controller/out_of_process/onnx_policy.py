@@ -1,17 +1,17 @@
 """A policy in an ONNX file as a controller; it runs in a process of its own.
 
-Inputs and outputs have these names, or others that a layout explains (``onnx_names``).
+Inputs and outputs have these names, or other names that a layout explains (``onnx_names``).
 
 Inputs
-    Any of the arrays of ``arrays.observed``, by their names, with a first axis of 1: what it takes it sees.
+    Any of the arrays of ``arrays.observed``, by their names, with a first axis of 1: the policy sees these.
     ``image``: (1, height, width, 3), the pixels of the last image.
-    NAME, where there is an output ``next_NAME``: what the policy carries from tick to tick; zeros at first.
+    NAME, with an output ``next_NAME``: the policy's memory from tick to tick; zeros at first.
 Outputs
     tcp_velocity_mps (1, 3), tcp_angular_velocity_radps (1, 3), joint_velocity_radps (1, n): as of ``Move``.
-    stop (1,), if there is one: above one half it is a protective stop.
+    stop (1,), optional: a protective stop above one half.
 Metadata
-    name, if it is to be called otherwise than by its file; ticks, how long each action is held, 1 by default;
-    training, what it was trained on, which only evidence reports read.
+    name, optional: its name in place of the file's; ticks: the duration of each action, 1 by default;
+    training: its training data, which only evidence reports read.
 """
 
 from __future__ import annotations
@@ -48,26 +48,26 @@ class OnnxPolicy:
     reports = ()
 
     def __init__(self, path: Path, data: bytes, layout: str = "") -> None:
-        """Load and check it; ModelError for what is no policy.
+        """Load and check the file; ``ModelError`` unless it is a policy.
 
-        ``layout`` says what inputs and outputs hold whose names do not (``onnx_names``).
+        ``layout`` describes inputs and outputs whose names are not ours (``onnx_names``).
         """
         self._file = file = OnnxFile(path, data, layout)
         own, session = file.metadata, file.session
         name = on_one_line(own.get(NAME, f"ONNX policy {path.name}"))
         self.name = f"{name}:{layout}" if layout else name
         self._hold = _ticks(path, own.get(TICKS, "1"))
-        given = {name for one in session.get_outputs() for name in file.layout.get(one.name, (one.name,))}
-        carried = [one for one in session.get_inputs() if NEXT + one.name in given]
-        states = {one.name: NamedQuantity(None, TYPES) for one in carried}
+        given = {name for arg in session.get_outputs() for name in file.layout.get(arg.name, (arg.name,))}
+        carried = [arg for arg in session.get_inputs() if NEXT + arg.name in given]
+        states = {arg.name: NamedQuantity(None, TYPES) for arg in carried}
         takes = {name: kind for name, (_, kind) in _KNOWN.items()} | states
         gives = GIVEN | {NEXT + name: kind for name, kind in states.items()}
         file.lay_out(takes, gives, set())
         if not any(name in MOVES for name in given):
             refuse(path, None, f"an output of: {', '.join(MOVES)}", f"the outputs {', '.join(given)}")
-        self._states = {one.name: _zeros(path, one) for one in carried}
-        words = {_KNOWN[name][0] for one in file.inputs for name in one.holds if name not in states}
-        self.sees = tuple(sight.word for sight in SIGHTS if sight.word in words)
+        self._states = {arg.name: _zeros(path, arg) for arg in carried}
+        sights = {_KNOWN[name][0] for arg in file.inputs for name in arg.holds if name not in states}
+        self.sees = tuple(sight.word for sight in SIGHTS if sight.word in sights)
         self._state: dict[str, NDArray[Any]] = {}
         self._joints, self._left = 0, 0
         self._action: Action = Stop()
@@ -78,27 +78,28 @@ class OnnxPolicy:
         self._state = self._states
 
     def another(self) -> OnnxPolicy:
-        """One more of the same file, for an episode beside."""
+        """Return a further policy of the same file, for an episode in another lane."""
         return copy(self)
 
     def act(self, seen: Seen) -> Action:
-        """What the file answers, held for its ticks."""
+        """Return the file's action, constant for its number of ticks."""
         if self._left == 0:
             self._action, self._left = self._answer(seen), self._hold
         self._left -= 1
         return self._action
 
     def _answer(self, seen: Seen) -> Action:
+        """Run the file, and keep its next state."""
         widths = dict.fromkeys(MOVES, 3) | {MOVES[2]: self._joints, STOP: 1}
-        found = self._file.answers(self._observed(seen), widths)
-        self._state = {name: found[NEXT + name] for name in self._states}
-        if STOP in found and not float(found[STOP].reshape(-1)[0]) <= 0.5:
+        outputs = self._file.answers(self._observed(seen), widths)
+        self._state = {name: outputs[NEXT + name] for name in self._states}
+        if STOP in outputs and not float(outputs[STOP].reshape(-1)[0]) <= 0.5:
             return Stop()
-        moves = {name: np.asarray(found[name], np.float64) for name in MOVES if name in found}
+        moves = {name: np.asarray(outputs[name], np.float64) for name in MOVES if name in outputs}
         return Move(**{name: value[0] for name, value in moves.items()})
 
     def _observed(self, seen: Seen) -> Arrays:
-        """Return what the inputs hold, of the row that ``seen`` is made of."""
+        """Return the inputs, from the row of ``seen``."""
         own = seen.__dict__
         arrays = columns_of(own["_row"][None], seen.period_s, own["_makers"])
         if IMAGE in self.sees:
@@ -107,26 +108,27 @@ class OnnxPolicy:
 
 
 def _known() -> Iterator[tuple[str, tuple[str, NamedQuantity]]]:
-    """Yield what can be seen, by name: its word, and its axes, of which hands and joints leave some open."""
+    """Yield each visible quantity by name: its word, and its axes, open for numbers of hands and joints."""
     yield IMAGE, (IMAGE, NamedQuantity((ANY, ANY, 3), TYPES))
-    for word in (sight.word for sight in SIGHTS if sight.word != IMAGE):
-        few, more = (observed(np.zeros(1, seen_dtype(n, n)), (word,)) for n in (1, 2))
+    for sight_word in (sight.word for sight in SIGHTS if sight.word != IMAGE):
+        few, more = (observed(np.zeros(1, seen_dtype(n, n)), (sight_word,)) for n in (1, 2))
         for name in few:
             pairs = zip(few[name].shape[1:], more[name].shape[1:], strict=True)
-            yield name, (word, NamedQuantity(tuple(a if a == b else ANY for a, b in pairs), TYPES))
+            yield name, (sight_word, NamedQuantity(tuple(a if a == b else ANY for a, b in pairs), TYPES))
 
 
 _KNOWN = dict(_known())
 
 
-def _zeros(path: Path, one: Any) -> NDArray[Any]:
-    """A state at first; ModelError for one that does not say all its sizes."""
-    if not all(isinstance(size, int) and size > 0 for size in one.shape):
-        refuse(path, one.name, "a state of a fixed shape", str(one.shape))
-    return np.zeros(one.shape, dtype_of(one))
+def _zeros(path: Path, tensor: Any) -> NDArray[Any]:
+    """Return the first state; ``ModelError`` if the file does not state all its sizes."""
+    if not all(isinstance(size, int) and size > 0 for size in tensor.shape):
+        refuse(path, tensor.name, "a state of a fixed shape", str(tensor.shape))
+    return np.zeros(tensor.shape, dtype_of(tensor))
 
 
 def _ticks(path: Path, text: str) -> int:
+    """Return the number of ticks of an action; ``ModelError`` for another text."""
     if not text.isdecimal() or not 0 < int(text) <= MOST_TICKS:
         refuse(path, TICKS, f"a number of ticks from 1 to {MOST_TICKS}", repr(text[:80]))
     return int(text)

@@ -1,4 +1,4 @@
-"""What a reference to a controller elsewhere means, and how it is begun.
+"""The meaning of a reference to a controller in another process, and its start.
 
 FILE.py:NAME      a Python file, executed in a process of its own
 FILE.onnx         a policy, in a process of its own
@@ -50,8 +50,8 @@ from safety_harness.seams.isolation.python_file import source_of
 
 LOOPBACK = ("localhost", "127.0.0.1")
 LOGGER = logging.getLogger("safety_harness.controller")
-PYTHON_S = 300.0  # to be imported
-BEGIN_S = 60.0  # to start, or to take the connection, and to say hello
+PYTHON_S = 300.0  # for the import
+BEGIN_S = 60.0  # for the start or the connection, and the first message
 CHILD = "safety_harness.cell.controller.out_of_process.child"
 _DECLARING = re.compile(rb"^[ \t#/;%%-]*%s *[=:] *(\[[^\]]*\]|.*)$" % DECLARED.encode(), re.MULTILINE)
 Making = Callable[[], UserController]
@@ -59,25 +59,26 @@ _BRACKETS = str.maketrans("[](),;", "      ")
 
 
 def of_file(path: Path, name: str, place: Place, *, onnx: bool) -> Making:
-    """What makes controllers of a file, each in a process of its own.
+    """Return the maker of a file's controllers, each in a process of its own.
 
-    ``name`` is the attribute of a Python file, or the layout of an ``onnx`` policy: that is a
-    MissingPackageError without onnxruntime.
+    ``name`` is the attribute of a Python file, or the layout of an ``onnx`` policy. A policy without
+    onnxruntime is a ``MissingPackageError``.
     """
     if onnx:
         ONNX.require(f"the controller {path.name}")
-        what, source = path.name, onnx_bytes(path, place, InadmissibleError)
+        subject, source = path.name, onnx_bytes(path, place, InadmissibleError)
     else:
-        what, source = f"{name} of {path.name}", source_of(path, place)
+        subject, source = f"{name} of {path.name}", source_of(path, place)
     first = partial(Make.of, path, source, name, onnx=onnx)
     made = partial(_made, binary_wire(said_by_process.decode, MOST_BYTES), first, PYTHON_S, place)
-    return lambda: made(what, process_of(path, source, LOGGER, partial(Process.python, CHILD)))
+    return lambda: made(subject, process_of(path, source, LOGGER, partial(Process.python, CHILD)))
 
 
 def of_program(reference: str, place: Place) -> Making:
-    """What makes controllers of ``exec:``, ``tcp:`` and ``unix:``, each with a process or connection.
+    """Return the maker of the controllers of ``exec:``, ``tcp:`` and ``unix:``.
 
-    InadmissibleError at ``place`` for a program that is not there, or no address; nothing is executed yet.
+    Each controller has its own process or connection. ``InadmissibleError`` at ``place`` without such a
+    program or address. This function does not execute the program.
     """
     made = partial(_made, json_wire(said_by_program.decode, MOST_BYTES), Hello, BEGIN_S, place)
     if not reference.startswith(EXEC):
@@ -95,24 +96,24 @@ def _made(
     first: Callable[[], ProcessMessage],
     within_s: float,
     place: Place,
-    what: str,
+    subject: str,
     start: Callable[[], Peer],
 ) -> UserController:
-    """The controller that is there; InadmissibleError at ``place`` if there is none."""
+    """Return the controller; ``InadmissibleError`` at ``place`` without one."""
     connection = Connection(start, wire)
     try:
-        with refusing(InadmissibleError, f"{what} to be a controller", within_s, place):
+        with refusing(InadmissibleError, f"{subject} to be a controller", within_s, place):
             controller = RemoteController(connection, first, within_s)
-        return checked_controller(controller, what, place)
+        return checked_controller(controller, subject, place)
     except BaseException:
         connection.end()
         raise
 
 
 def program_sha256(reference: str, place: Place) -> str:
-    """The hash of a program, of the files among its arguments, and of those that they declare.
+    """Return the hash of a program, of the files among its arguments, and of the files that they declare.
 
-    Empty for a program at a socket; InadmissibleError at ``place`` for a declared file that cannot be read.
+    Empty for a program at a socket. ``InadmissibleError`` at ``place`` if a declared file is unreadable.
     """
     if not reference.startswith(EXEC):
         return ""
@@ -125,25 +126,25 @@ def program_sha256(reference: str, place: Place) -> str:
 
 
 def _contents(command: list[str], executable: Path) -> bytes:
-    """The bytes of the executable and of the arguments that are files, one after another.
+    """Return the bytes of the executable and of the arguments that are files, one after another.
 
-    Of a single file they are its own, so that its hash is the file's.  The hash of each file that they
-    declare follows: ``HARNESS_FILES = ["weights.bin"]`` or ``HARNESS_FILES="weights.bin"`` at the beginning
-    of a line, or of a comment.
+    For a single file they are its own bytes, so that the hash is the file's. The hash of each declared file
+    follows. A file declares others at the beginning of a line or of a comment: ``HARNESS_FILES =
+    ["weights.bin"]`` or ``HARNESS_FILES="weights.bin"``.
     """
-    files = [executable, *(Path(word) for word in command[1:] if os.path.isfile(word))]
+    files = [executable, *(Path(item) for item in command[1:] if os.path.isfile(item))]
     parts = [file.read_bytes() for file in files]
     for file, text in zip(files, tuple(parts), strict=True):
         for names in _DECLARING.findall(text):
-            words = shlex.split(os.fsdecode(names).translate(_BRACKETS), comments=True)
+            declared = shlex.split(os.fsdecode(names).translate(_BRACKETS), comments=True)
             parts += [
-                bytes.fromhex(whole_hash(file.parent / name)) for word in words for name in word.split()
+                bytes.fromhex(whole_hash(file.parent / name)) for item in declared for name in item.split()
             ]
     return b"".join(parts)
 
 
 def _command(reference: str, place: Place) -> tuple[list[str], Path]:
-    """The words of a command, and the file that it executes."""
+    """Return the words of a command, and the file that it executes."""
     try:
         command = shlex.split(reference.removeprefix(EXEC))
     except ValueError as error:
@@ -152,18 +153,18 @@ def _command(reference: str, place: Place) -> tuple[list[str], Path]:
     if not command:
         raise InadmissibleError(place=place, expected=f"{EXEC} and a command", got=repr(reference))
     command[0] = os.path.expanduser(command[0])
-    found = shutil.which(command[0])
-    if found is None:
+    executable = shutil.which(command[0])
+    if executable is None:
         there = os.path.exists(command[0])
         got = f"{command[0]}, which may not be executed" if there else f"no such program: {command[0]}"
         hint = f"chmod +x {command[0]}" if there else "a program in this folder is named ./NAME"
         expected = "a program that can be executed"
         raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
-    return command, Path(found).absolute()
+    return command, Path(executable).absolute()
 
 
 def _address(reference: str, place: Place) -> tuple[str, int] | str:
-    """A port of this machine, or the path of a socket."""
+    """Return a port of this machine, or the path of a socket."""
     if reference.startswith(UNIX):
         path = os.path.expanduser(reference.removeprefix(UNIX))
         if not os.path.exists(path):

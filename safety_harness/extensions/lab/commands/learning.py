@@ -236,7 +236,7 @@ def metrics(
     if out is not None:
         write_evaluation(out, data)
     for model in loaded:
-        result(f"{model.label}: {LearnedAvoider.of(model.model).name}, {model.path}")
+        result(f"{model.label}: {LearnedAvoider.from_model(model.model).name}, {model.path}")
     result(f"{samples} TCPs and hands a set, drawn from seed {seed}; every TCP is in one row only")
     result(*remarks, *tables(figures))
     if out is not None:

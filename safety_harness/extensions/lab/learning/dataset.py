@@ -278,7 +278,7 @@ def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: 
 
     """
     generators = [stream(seed, Stream.CANDIDATES, int(number)) for number in numbers]
-    positions: Vectors = draw_many(CandidateCap.of(settings), generators)
+    positions: Vectors = draw_many(CandidateCap.from_settings(settings), generators)
     positions += tcp_in_base[numbers, None]
     return positions
 
@@ -322,7 +322,7 @@ def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws:
             expected="at least 2 redraws for at least one TCP",
             got=f"{redraws} for {len(tcp_in_base)}",
         )
-    cap = CandidateCap.of(settings)
+    cap = CandidateCap.from_settings(settings)
     wanted = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base
     rng = stream(seed, Stream.REDRAWS)
     variances, deviations = np.empty_like(tcp_in_base), np.empty_like(tcp_in_base)

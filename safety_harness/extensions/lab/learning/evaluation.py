@@ -284,7 +284,7 @@ def evaluate_model(
         ModelError: An answer is not finite.
 
     """
-    avoider = LearnedAvoider.of(model)
+    avoider = LearnedAvoider.from_model(model)
     seen_spread: Floats | None = None
     figures = []
     for rows in sets:

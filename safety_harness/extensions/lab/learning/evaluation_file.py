@@ -179,7 +179,7 @@ def evaluation_data(
                 "label": entry.label,
                 "file": str(entry.path),
                 "sha256": entry.sha256,
-                "name": LearnedAvoider.of(entry.model).name,
+                "name": LearnedAvoider.from_model(entry.model).name,
                 "calibration": plain(entry.model.calibration),
                 "sets": [_json_of(f) for f in figures if f.model == entry.label],
             }

@@ -142,7 +142,7 @@ def difference(model: Model, function: Function, *, seed: int) -> float:
     )
     seeds = rng.integers(0, 2**64, len(hands), dtype=np.uint64)
     masks = None if model.dropout is Dropout.NONE else drawn_masks(model, seeds)
-    own = LearnedAvoider.of(model).propose_many(hands, tcps, seeds)
+    own = LearnedAvoider.from_model(model).propose_many(hands, tcps, seeds)
     answers = function(hands, tcps, masks)
     no_answer = function(hands[:1] * np.nan, tcps[:1], None if masks is None else masks[:1])
     if np.isfinite(no_answer).any() or any(a.shape != b.shape for a, b in zip(own, answers, strict=True)):

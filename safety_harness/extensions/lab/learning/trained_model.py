@@ -144,7 +144,7 @@ def calibrate(
         samples: The number of decisions in each set.
 
     """
-    avoider = LearnedAvoider.of(model)
+    avoider = LearnedAvoider.from_model(model)
     predictions, targets, _ = _decisions(avoider, recipe, dataset, seed, _RESIDUALS, samples)
     residual_std = np.sqrt(((predictions - targets) ** 2).mean(axis=0))
     predictions, targets, spreads = _decisions(avoider, recipe, dataset, seed, _QUANTILES, samples)

@@ -138,7 +138,7 @@ def read_claim(field: Field) -> DecisionClaim:
 
 def optimum_constants() -> Floats:
     """Return the optimum's constants (10,): desired position, axis, radius, cosine, sine, pull."""
-    cap = CandidateCap.of(DEFAULTS)
+    cap = CandidateCap.from_settings(DEFAULTS)
     desired = DEFAULTS.cell.desired_tcp_position_in_base_m
     rest = (cap.radius_m, np.cos(cap.cone_rad), np.sin(cap.cone_rad), DEFAULTS.avoidance.hand_pull)
     return np.array([*desired, *cap.axis_in_base, *rest])

@@ -48,7 +48,7 @@ def certified_decisions(trace: Trace, model: Model, sha256: str, half_m: float) 
         half_m: Half the size of a box of hands [m].
 
     """
-    avoider, decisions = LearnedAvoider.of(model), [NO_ANSWER] * len(trace.decisions)
+    avoider, decisions = LearnedAvoider.from_model(model), [NO_ANSWER] * len(trace.decisions)
     for entry in asked_in(trace):
         if not difference(entry.answer, ask(avoider, entry.question)):
             decisions[entry.number - 1] = certified(avoider, entry.question, half_m)

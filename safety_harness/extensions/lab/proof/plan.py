@@ -200,7 +200,7 @@ def _network(
     model = load_model(file)
     if model.kind != PERCEPTRON:
         raise at.error(f"a {PERCEPTRON}", got=f"{name}: a {model.kind}, {model.members} member(s)")
-    return network_of(model), LearnedAvoider.of(model), model.seen
+    return network_of(model), LearnedAvoider.from_model(model), model.seen
 
 
 def seen_region(seen: SeenSpace) -> ProofRegion:
