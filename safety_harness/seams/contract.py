@@ -346,7 +346,7 @@ class ControllerOpener:
 
 def sees_of(controller: UserController) -> tuple[str, ...]:
     """Return the controller's ``sees`` in the order of ``SIGHTS``; ControllerError for an unknown word."""
-    return _known_words(controller, "sees", getattr(controller, "sees", None), SIGHTS)
+    return _words_of(controller, "sees", getattr(controller, "sees", None), SIGHTS)
 
 
 def reports_of(controller: UserController) -> tuple[str, ...]:
@@ -359,23 +359,21 @@ def reports_of(controller: UserController) -> tuple[str, ...]:
             "decision_time_s of a controller is not simulated: every answer counts in its own tick; "
             "hold the answers back in act itself"
         )
-    reports = _known_words(controller, "reports", getattr(controller, "reports", ()), REPORTS)
+    reports = _words_of(controller, "reports", getattr(controller, "reports", ()), REPORTS)
     if DOUBT in reports and DECISIONS not in reports:
         raise ControllerError('reports: "doubt" is of decisions, and "decisions" are not among them')
     return reports
 
 
-def _known_words(
-    controller: object, name: str, listed: object, table: tuple[SightWord, ...]
-) -> tuple[str, ...]:
+def _words_of(controller: object, name: str, given: object, table: tuple[SightWord, ...]) -> tuple[str, ...]:
     """Return the words of ``table`` that ``listed`` contains; ControllerError for an unknown word."""
     known = [entry.word for entry in table]
-    if isinstance(listed, str) or not isinstance(listed, tuple | list | set | frozenset):
-        raise ControllerError(f"{name} must be a tuple of: {', '.join(known)}; got {listed!r}")
-    for word in listed:
-        if word not in known:
-            hint = near_miss(str(word), known)
+    if isinstance(given, str) or not isinstance(given, tuple | list | set | frozenset):
+        raise ControllerError(f"{name} must be a tuple of: {', '.join(known)}; got {given!r}")
+    for term in given:
+        if term not in known:
+            hint = near_miss(str(term), known)
             raise ControllerError(
-                f"{name} must be words of: {', '.join(known)}; got {word!r}" + (f" ({hint})" if hint else "")
+                f"{name} must be words of: {', '.join(known)}; got {term!r}" + (f" ({hint})" if hint else "")
             )
-    return tuple(word for word in known if word in listed)
+    return tuple(term for term in known if term in given)

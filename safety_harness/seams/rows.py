@@ -85,7 +85,7 @@ class SeenLayout(dict[str, Maker]):
         dtype = seen_dtype(hand_slots, joints)
         super().__init__(_makers(dtype, sees))
         self.hand_slots, self.joints, self.sees = hand_slots, joints, sees
-        self.wanted = max([1, *(int(_part(dtype, _LAST[word])[0].stop) for word in sees)])
+        self.wanted = max([1, *(int(_part(dtype, _LAST[sight])[0].stop) for sight in sees)])
 
 
 PackedSeen = tuple[float, int, int, tuple[str, ...], bytes]  # period, hands, joints, sees, row
@@ -153,9 +153,7 @@ def _makers(dtype: np.dtype[Any], sees: tuple[str, ...]) -> Iterator[tuple[str, 
         count, centres = whole("hand_count"), array("hands")
         yield (
             "hands",
-            lambda row: tuple(
-                SeenHand(position_in_base_m=centre) for centre in centres(row)[: count(row)[0]]
-            ),
+            lambda row: tuple(SeenHand(position_in_base_m=c) for c in centres(row)[: count(row)[0]]),
         )
     if HAND_BOXES in sees:
         yield "hand_boxes", _boxes(array, whole)

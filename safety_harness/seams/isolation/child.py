@@ -73,9 +73,9 @@ def serve(kind: ServedKind, question_fd: int, answer_fd: int) -> None:
                     ends.write(answer)
         except BaseException as error:  # SystemExit, or the user's own: no reason to end
             own = isinstance(error, ControllerError)
-            words = str(error) if own else described(error, file)
-            words = words if own and words.startswith(message.call) else f"{message.call} raised: {words}"
-            ends.write(Failed(printable(words)[:MOST_WORDS]))
+            text = str(error) if own else described(error, file)
+            text = text if own and text.startswith(message.call) else f"{message.call} raised: {text}"
+            ends.write(Failed(printable(text)[:MOST_WORDS]))
 
 
 def _made(kind: ServedKind, message: Make, path: Path, wanted: dict[str, Any]) -> ProcessMessage:
@@ -84,10 +84,10 @@ def _made(kind: ServedKind, message: Make, path: Path, wanted: dict[str, Any]) -
         os.chdir(wanted["folder"])
         return kind.make(message, path, wanted)
     except InputError as error:
-        words = error.expected, error.got, error.hint, error.place.field or ""
+        reason = error.expected, error.got, error.hint, error.place.field or ""
     except BaseException as error:  # a user's code may raise anything
-        words = f"{wanted['name'] or path.name} to be {kind.what}", described(error, str(path)), "", ""
-    return Refused(*map(printable, words))
+        reason = f"{wanted['name'] or path.name} to be {kind.what}", described(error, str(path)), "", ""
+    return Refused(*map(printable, reason))
 
 
 class _Ends:

@@ -192,8 +192,8 @@ def refusing(
         at = place or Place(file=file, field=refusal.field or None)
         raise error(place=at, expected=refusal.expected, got=refusal.got, hint=refusal.hint) from refusal
     except GoneError as gone:
-        within = f" within {within_s:g} s" if gone.hung else ""
-        raise error(place=place or Place(file=file), expected=expected + within, got=str(gone)) from gone
+        limit = f" within {within_s:g} s" if gone.hung else ""
+        raise error(place=place or Place(file=file), expected=expected + limit, got=str(gone)) from gone
 
 
 def process_of(

@@ -94,14 +94,14 @@ def _hides(node: ast.AST) -> bool:
     return star or declared or bool({getattr(node, "id", ""), getattr(node, "name", "")} & _HIDDEN)
 
 
-def made_by(path: Path, source: bytes, name: str, what: str, place: Place, hint: str) -> object:
+def made_by(path: Path, source: bytes, name: str, kind: str, place: Place, hint: str) -> object:
     """Execute the file and return the object called ``name``.
 
     Args:
         path: The user's file.
         source: The bytes of the file.
         name: The attribute: an object, or a class that is instantiated without arguments.
-        what: The kind of object with its article, such as "an avoider".
+        kind: The kind of object with its article, such as "an avoider".
         place: The place of an error.
         hint: Where the user can read on.
 
@@ -124,19 +124,19 @@ def made_by(path: Path, source: bytes, name: str, what: str, place: Place, hint:
         try:
             made_object = made_object()
         except (Exception, SystemExit) as error:  # a user's code may raise anything
-            expected = f"{name}() to make {what} without any arguments"
+            expected = f"{name}() to make {kind} without any arguments"
             raise raised(path, place, expected, error) from error
     made: object = made_object
     return made
 
 
-def refuse_lacking(found: object, name: str, methods: Sequence[str], place: Place, hint: str) -> None:
+def refuse_lacking(value: object, name: str, methods: Sequence[str], place: Place, hint: str) -> None:
     """Raise InadmissibleError at ``place`` unless the object has the ``methods`` and a valid name."""
     for method in methods:
-        if not callable(getattr(found, method, None)):
-            expected, got = f"{name} to have a method {method}", f"none in a {type(found).__name__}"
+        if not callable(getattr(value, method, None)):
+            expected, got = f"{name} to have a method {method}", f"none in a {type(value).__name__}"
             raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
-    called = getattr(found, "name", None)
+    called = getattr(value, "name", None)
     if not isinstance(called, str) or not is_sentence(called):
         expected = f"{name} to have a name, {SENTENCE}"
         raise InadmissibleError(place=place, expected=expected, got=repr(called), hint=hint)
