@@ -53,7 +53,7 @@ def align(
     """
     from safety_harness.base.exceptions import LogError
     from safety_harness.extensions.field.logs.align import align as estimate
-    from safety_harness.extensions.field.logs.align import words
+    from safety_harness.extensions.field.logs.align import clock_line
     from safety_harness.extensions.field.logs.read import read_log
 
     found = read_log(log, align=True)
@@ -62,11 +62,11 @@ def align(
     if len(chosen) != 1:
         raise LogError.of_option("--body", f"one of the log's hands: {', '.join(names) or 'none'}", str(body))
     offset = estimate(found, chosen[0])
-    result(words(offset))
+    result(clock_line(offset))
     parts = ", ".join(f"{one * 1e3:.1f}" for one in offset.parts_s)
     say(
         f"by parts of the recording: {parts} ms; the arm's motion explains {offset.explained:.1%} of the "
         f"body's, and leaves {offset.off_m * 1e3:.1f} mm"
     )
-    document(offset=offset, clock=words(offset))
+    document(offset=offset, clock=clock_line(offset))
     return AS_EXPECTED

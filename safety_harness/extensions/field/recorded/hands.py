@@ -62,7 +62,8 @@ def hand_file(
     Args:
         log: The log.
         body: The hand, with its elbow if the log has one.
-        elbow_towards_in_base_m: The direction of a forearm that the log does not measure. None: not known.
+        elbow_towards_in_base_m: The point (3,) towards which an unmeasured forearm leads [m]. None: not
+            known.
         forearm_length_m: The length of the forearm [m].
 
     Raises:

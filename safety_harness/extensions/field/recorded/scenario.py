@@ -97,7 +97,8 @@ def scenario_from(log: CellLog, cell: Scenario, *, elbow_towards_in_base_m: Vect
     Args:
         log: The log.
         cell: The scenario with the parts that the log lacks.
-        elbow_towards_in_base_m: The direction of unmeasured forearms. None: as the hand in ``cell``.
+        elbow_towards_in_base_m: The point (3,) towards which unmeasured forearms lead [m]. None: as the hand
+            in ``cell``.
 
     Raises:
         LogError: A gap is longer than the log allows, the direction of a forearm is unknown, or arm,
@@ -166,7 +167,7 @@ def usual_cell(log: CellLog, desired_tcp_in_base_m: Vector3 | None = None) -> Sc
 
 
 def _elbow_towards(cell: Scenario, name: str) -> Vector3 | None:
-    """Return the forearm's direction from the cell's hand of this name, or from its only hand."""
+    """Return the forearm's point from the cell's hand of this name, or from its only hand."""
     hands = [hand for hand in cell.hands if hand.name == name] or list(cell.hands)
     if len(hands) != 1 or isinstance(hands[0], JoinedHand):
         return None
