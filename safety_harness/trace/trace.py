@@ -62,7 +62,7 @@ class Trace:
         provenance: The software that made the trace.
         ended: "complete", or the reason why the run was cut short. No property takes a shortened run for a
             safe run.
-        known: The columns that were measured, and how well. A simulated run knows all of them.
+        known: The columns that were measured, and how well.
         system: The system under test.
         interventions: (n,) INTERVENTION of the shield, one a tick; empty without a shield.
         certified: Proofs about its decisions that a user requested afterwards, or None. No verdict reads it.

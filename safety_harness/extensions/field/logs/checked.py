@@ -62,7 +62,7 @@ def _measured(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
     if there.all():
         return samples
     first, last = samples.time_ns[~there][[0, -1]] / NS
-    return samples.of(there).noted(
+    return samples.chosen(there).noted(
         f"{np.count_nonzero(~there)} of {len(there)} samples, from {first:.3f} to {last:.3f} s of its clock, "
         "show nothing (empty, NaN, zeros or one far place): not measured"
     )
