@@ -37,7 +37,7 @@ OF_HANDS = (
 
 
 def said_of_joints(given: Fields) -> Fields:
-    """Return the keys below "joints", none if the file lacks it."""
+    """Return the keys below "joints", empty if the file lacks it."""
     field = given.optional("joints")
     return Fields(given.whole, {}) if field is None else field.fields(OF_JOINTS)
 

@@ -91,8 +91,8 @@ def over_ticks(
 
     A tick has the largest bound of all intervals that touch the period before or after it. An interval is
     lost if it is longer than ``longest_ns`` or ends at a ``frozen`` sample. The ticks within a lost interval
-    are lost. If there are none, the tick before it is lost, as the way from a lost tick is lost too. A tick
-    with a sample between two lost intervals is lost as well.
+    are lost. If a lost interval contains no tick, the tick before it is lost, as the way from a lost tick is
+    lost too. A tick with a sample between two lost intervals is lost as well.
 
     Args:
         time_ns: The times (m + 1,) of the samples since tick 0.
