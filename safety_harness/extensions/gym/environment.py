@@ -81,7 +81,7 @@ class Setting:
         self.pilot = Pilot(sees)
         self.sees = sees_of(self.pilot)
         self.joints = len(first.arm.joint_names)
-        self.rewards = Rewards.of(rewards, ends, first)
+        self.rewards = Rewards.of_claims(rewards, ends, first)
         seen = np.zeros(1, seen_dtype(first.scenario.hand_slots, self.joints))
         self.observation_space = observation_space(seen, self.sees)
         self.action_space = _action_space(action, first)

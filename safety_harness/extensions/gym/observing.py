@@ -20,8 +20,8 @@ def observation_space(seen: SeenRows, sees: tuple[str, ...]) -> spaces.Dict:
 
     """
     if not sees:
-        words = ", ".join(sight.word for sight in SIGHTS if sight.word != IMAGE)
-        raise InadmissibleError.of_option("sees", f"at least one of: {words}", "none")
+        known = ", ".join(sight.word for sight in SIGHTS if sight.word != IMAGE)
+        raise InadmissibleError.of_option("sees", f"at least one of: {known}", "none")
     if IMAGE in sees:
         raise InadmissibleError.of_option("sees", "what an environment can show", repr(IMAGE))
     return spaces.Dict({name: _space(array[0]) for name, array in observed(seen, sees).items()})

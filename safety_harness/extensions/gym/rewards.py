@@ -98,7 +98,7 @@ class Rewards:
     desired_tcp_in_base_m: Floats  # (3,)
 
     @classmethod
-    def of(cls, rewards: Mapping[str, float], ends: Sequence[str], checked: Checked) -> Rewards:
+    def of_claims(cls, rewards: Mapping[str, float], ends: Sequence[str], checked: Checked) -> Rewards:
         """Return the rewards for claims by their sentences.
 
         Args:

@@ -70,14 +70,14 @@ class StableBaselinesEnv(VecEnv):
                 np.where(ended[:, None], 0.0, self._actions)
             )
             total += np.where(ended, 0.0, reward)
-            over = terminated | truncated
-            for k, lane in enumerate(np.flatnonzero(over)):
+            finished = terminated | truncated
+            for k, lane in enumerate(np.flatnonzero(finished)):
                 if not ended[lane]:
                     last = {name: array[k] for name, array in self._shown(info["final_obs"]).items()}
                     cut = bool(truncated[lane] and not terminated[lane])
                     infos[lane] = {"terminal_observation": last, "TimeLimit.truncated": cut}
                     infos[lane] |= {name: float(m[k]) for name, m in info["final_info"]["margins"].items()}
-            ended |= over
+            ended |= finished
         return self._shown(seen), total.astype(np.float32), ended, infos
 
     def close(self) -> None:

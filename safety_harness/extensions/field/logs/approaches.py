@@ -130,8 +130,8 @@ def _piece(seen: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: Arm
     for first, last, dwell_s, whole in _moves(time_s, hand_m, speed_mps):
         seen.moves += 1
         cuts = cuts[0] or first == 0, last == len(time_s) - 1
-        way = slice(first, last + 1)
-        seen.counted += max(_reaches(log, arm, time_s[way], hand_m[way]), not whole)
+        path = slice(first, last + 1)
+        seen.counted += max(_reaches(log, arm, time_s[path], hand_m[path]), not whole)
         stood_before_s, stood_s = stood_s, dwell_s
         if not whole:
             seen.cut += 1

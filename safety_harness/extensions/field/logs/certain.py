@@ -188,8 +188,8 @@ def _joints(log: CellLog) -> tuple[NDArray[np.float64], NDArray[np.float64], Sou
     off_by = joint_off_rad(slope, step_s, sample_rad=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
     reach = over_ticks(time_ns, off_by, frozen=frozen, **grid)
     bent = _bends(time_ns, slope, log.period_ns, count)
-    for first, after in reach.gaps:
-        bent[first:after] = 0.0
+    for first, end in reach.gaps:
+        bent[first:end] = 0.0
     reach = Reach(reach.within + bent, reach.gaps)
     at_ticks = np.column_stack([np.interp(tick_s, time_s, column) for column in position_rad.T])
     if np.isfinite(told_radps).all() and facts.speeds_known_to_radps is not None:

@@ -53,9 +53,9 @@ MODES = {
     "stopped": Mode.PROTECTIVE_STOP,
     "object lost": Mode.OBJECT_LOST,
 }
-FLAGS = {"none": Limit.NONE} | {one.name.lower().replace("_", " "): one for one in Limit if one.name}
-OUTCOMES = {one.name.lower(): one for one in DecisionOutcome}
-TRIGGERS = {one.name.lower().replace("_", " "): one for one in Trigger}
+FLAGS = {"none": Limit.NONE} | {kind.name.lower().replace("_", " "): kind for kind in Limit if kind.name}
+OUTCOMES = {kind.name.lower(): kind for kind in DecisionOutcome}
+TRIGGERS = {kind.name.lower().replace("_", " "): kind for kind in Trigger}
 POSITIONS = {
     "hand": "hand_position_in_base_m",
     "tcp": "tcp_position_in_base_m",
@@ -150,7 +150,7 @@ def read_told(
         keys = given.required(name).fields(KEYS_OF[name])
         own = _Reading(name, streams.required(name), keys, clock, source_of)
         if name in (MODE, LIMITS):
-            parts[name] = own.stream(own.words(keys.required("words"), MODES if name == MODE else FLAGS))
+            parts[name] = own.stream(own.codes_of(keys.required("words"), MODES if name == MODE else FLAGS))
         elif name == COMMANDS:
             parts[name] = own.commands(joints)
         elif name == DETECTIONS:
@@ -171,24 +171,24 @@ class _Reading:
     clock: ToldClock
     source_of: Callable[[Field], LogSource]
 
-    def words(self, table: Field, ours: Mapping[str, int]) -> dict[str, float]:
+    def codes_of(self, table: Field, ours: Mapping[str, int]) -> dict[str, float]:
         """Return the log's words, or numbers, with their codes; "and" joins several flags."""
-        codes_of = {}
-        for word, entry in table.entries("the log's words with ours, such as RETREAT: repulsing"):
+        meanings = {}
+        for term, entry in table.entries("the log's words with ours, such as RETREAT: repulsing"):
             text = entry.scalar("a word of ours")
             parts = text.split(" and ") if Limit.NONE in ours.values() else [text]
             codes = [ours[part] if part in ours else entry.one_of(dict(ours)) for part in parts]
-            codes_of[word] = float(reduce(or_, (int(code) for code in codes)))
-        if not codes_of:
+            meanings[term] = float(reduce(or_, (int(code) for code in codes)))
+        if not meanings:
             raise table.error("a word at least")
-        return codes_of
+        return meanings
 
-    def stream(self, words: dict[str, float]) -> ToldStream:
+    def stream(self, codes: dict[str, float]) -> ToldStream:
         """Return a stream of one word a sample."""
         source = self.source_of(self.field)
         if source.is_bag:
-            return self.told(self.read_bag(source, [Part(self.path(source), 1, 1.0, words)]))
-        return self.told(self.read(source, [TableColumn(self.column(source), 1.0, words)]))
+            return self.timed(self.read_bag(source, [Part(self.path(source), 1, 1.0, codes)]))
+        return self.timed(self.read(source, [TableColumn(self.column(source), 1.0, codes)]))
 
     def commands(self, joints: tuple[str, ...]) -> ToldStream:
         """Return (n, j) speeds of the joints."""
@@ -207,7 +207,7 @@ class _Reading:
         self.refuse(samples, ~np.isfinite(samples.values), "a speed of each joint", "none")
         fast, most = np.abs(samples.values) > FASTEST_RADPS, np.degrees(FASTEST_RADPS)
         self.refuse(samples, fast, f"joint speeds of at most {most:.0f} deg/s", "more", 'the key "unit"')
-        return self.told(samples)
+        return self.timed(samples)
 
     def tracks(self, positions: Positions) -> tuple[ToldStream, ...]:
         """Return a stream for each tracked hand; a sample without numbers means that it is not tracked."""
@@ -217,7 +217,7 @@ class _Reading:
             raise field.error("a tracked hand at least")
         streams = []
         for _, stream in parts:
-            streams.append(self.told(positions(stream, self.keys)))
+            streams.append(self.timed(positions(stream, self.keys)))
         return tuple(streams)
 
     def decisions(
@@ -231,7 +231,7 @@ class _Reading:
         for name, ours in ((OUTCOME, OUTCOMES), (TRIGGER, TRIGGERS)):
             table = None if given is None else given.optional(name)
             tables[name] = (
-                {w: float(c) for w, c in ours.items()} if table is None else self.words(table, ours)
+                {w: float(c) for w, c in ours.items()} if table is None else self.codes_of(table, ours)
             )
         names = tuple(name for name in FIELDS if name in mapped)
         if not names:
@@ -269,7 +269,7 @@ class _Reading:
             if name in POSITIONS:
                 samples = placed(self.keys.required("frame"), samples, at[name])
         self.refuse_no_decision(samples, at)
-        return self.told(samples), names
+        return self.timed(samples), names
 
     def refuse_no_decision(self, samples: LogSamples, at: Mapping[str, int]) -> None:
         """Raise LogError for a decision without numbers: only a stop has no chosen position."""

@@ -59,7 +59,7 @@ def fit_words(fit: DelayFit, joints: Sequence[str]) -> Iterator[str]:
     """Yield the effect of delay and offsets."""
     late = f"not estimated: {fit.why}" if fit.late is None else estimate(fit.late, "s")
     yield f"recorded joints later than simulated by: {late}"
-    offs = ", ".join(f"{name} {estimate(by, 'rad')}" for name, by in zip(joints, fit.offsets, strict=False))
+    offs = ", ".join(f"{name} {estimate(est, 'rad')}" for name, est in zip(joints, fit.offsets, strict=False))
     yield f"and off by: {offs}"
     yield f"which leaves {shown(fit.left, 'rad')} of {shown(fit.before, 'rad')} (root mean square)"
 
