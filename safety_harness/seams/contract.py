@@ -366,7 +366,7 @@ def reports_of(controller: UserController) -> tuple[str, ...]:
 
 
 def _words_of(controller: object, name: str, given: object, table: tuple[SightWord, ...]) -> tuple[str, ...]:
-    """Return the words of ``table`` that ``listed`` contains; ControllerError for an unknown word."""
+    """Return the words of ``table`` that ``given`` contains; ControllerError for an unknown word."""
     known = [entry.word for entry in table]
     if isinstance(given, str) or not isinstance(given, tuple | list | set | frozenset):
         raise ControllerError(f"{name} must be a tuple of: {', '.join(known)}; got {given!r}")

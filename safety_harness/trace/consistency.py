@@ -99,7 +99,7 @@ def at_first(
 
 
 def _length(trace: Trace) -> Iterator[Inconsistency]:
-    """A complete run has every tick of its scenario; a shorter run has no more."""
+    """Check that a complete run has every tick of its scenario, and a shorter run no more."""
     most, count = trace.scenario.ticks + 1, len(trace.ticks)
     if count > most or (trace.ended == "complete" and count < most):
         amount = f"{most} of them" if trace.ended == "complete" else f"at most {most} of them"
@@ -139,7 +139,7 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
 
 
 def _interventions(trace: Trace) -> Iterator[Inconsistency]:
-    """A shield has one record a tick, with a share from 0 to 1, below 1 exactly where its flag stands."""
+    """Check that a shield has a share from 0 to 1 at each tick, below 1 exactly where its flag stands."""
     done, ticks = trace.interventions, trace.ticks
     if trace.scenario.shield is None or trace.known.missing(["limits"]):
         return
@@ -241,9 +241,9 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
 
 
 def _costs(trace: Trace) -> Iterator[Inconsistency]:
-    """A question follows the previous decision.
+    """Check that a question follows the previous decision, and the times of the answers.
 
-    Its answer comes after the decision time, or at the deadline.
+    An answer comes after the decision time, or at the deadline.
     """
     decisions, settings = trace.decisions, trace.scenario.settings
     tick, question, cost_s = (decisions[name] for name in ("tick", "asked_tick", "decision_time_s"))

@@ -1,7 +1,8 @@
-"""The measured columns of a trace, with sources and uncertainties: a log is seldom a whole run.
+"""The measured columns of a trace, with sources and uncertainties.
 
-A column is a field of the ticks, by its name, or a field of the decisions, as ``decision.outcome``. An
-unmeasured value is stored as NaN, zero or -1. No code may read it: claims on it are inconclusive.
+A log seldom has all columns of a simulated run. A column is a field of the ticks, by its name, or a field of
+the decisions, as ``decision.outcome``. An unmeasured value is stored as NaN, zero or -1. No code may read it:
+claims on it are inconclusive.
 """
 
 from __future__ import annotations
@@ -239,7 +240,7 @@ def measurement(
 
     Args:
         source: The source of the column.
-        off_by: The uncertainty (n,) at each tick, in the column's SI unit.
+        off_by: The uncertainty (n,) at each tick, in the column's SI unit; it may be 0.
         gaps: The ticks at which the column was not measured.
         at_most_per_s: The largest rate of change of the true number. None: no bound.
 

@@ -121,7 +121,8 @@ def _owners(module: str) -> dict[str, metadata.Distribution]:
 def _installed() -> tuple[tuple[str, str, metadata.Distribution], ...]:
     """Return the modules of ONE_OWNER with the packages that bring them, the first package of a name.
 
-    ``metadata.packages_distributions`` gives as much, but takes a second.
+    A package's list of names or of files shows its modules. ``metadata.packages_distributions`` gives as
+    much, but takes a second.
     """
     owners: dict[tuple[str, str], metadata.Distribution] = {}
     for distribution in metadata.distributions():

@@ -19,7 +19,7 @@ from safety_harness.scenario.model import HAND_SLOTS
 
 JOINTS = 6  # of the shipped arms
 TRACKS_PER_HAND = 2  # and boxes in a frame: beside hands that are there, false ones and ones that left
-FAULT_CHARACTERS = 240
+FAULT_CHARACTERS = 240  # of the reason for a failed answer
 ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
 
 

@@ -53,7 +53,7 @@ IN_PART = "safety-harness trace 5"  # that says what is known of its columns, wh
 BEFORE = "safety-harness trace 3"  # whose decisions do not say when the avoider was asked
 HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
-ARRAY_HEADER_BYTES = 20_000
+ARRAY_HEADER_BYTES = 20_000  # room for the header of an array
 KNOWN = "known.json"
 CERTIFIED = "certified.json"  # only where somebody asked for it
 INTERVENTIONS = "interventions.npy"  # only of a scenario that has a shield
@@ -418,20 +418,18 @@ def as_now(decisions: NDArray[np.void], ticks: NDArray[np.void], faults: Sequenc
     return now
 
 
-def _asked_at(
-    made: NDArray[np.int64], acted: NDArray[np.int64], faults: Sequence[Fault]
-) -> NDArray[np.int64]:
+def _asked_at(at: NDArray[np.int64], acts: NDArray[np.int64], faults: Sequence[Fault]) -> NDArray[np.int64]:
     """Return (m,) the tick of each question.
 
     A fault that delays the answer marks the ticks from the question to the decision.
     """
     slow = sum(1 << k for k, fault in enumerate(faults) if isinstance(fault, AvoiderLate | AvoiderSilent))
-    waiting = (acted & slow) != 0
-    if len(made) == 0 or made.min() < 0 or made.max() >= len(waiting):
-        return made  # refused later, in words
+    waiting = (acts & slow) != 0
+    if len(at) == 0 or at.min() < 0 or at.max() >= len(waiting):
+        return at  # refused later, in words
     begun = np.maximum.accumulate(np.where(waiting, -1, np.arange(len(waiting)))) + 1
-    after_the_one_before = np.concatenate([[0], made[:-1] + 1])
-    return np.where(waiting[made], np.maximum(begun[made], after_the_one_before), made)
+    after_the_one_before = np.concatenate([[0], at[:-1] + 1])
+    return np.where(waiting[at], np.maximum(begun[at], after_the_one_before), at)
 
 
 def _whole(measurement: Any) -> Any:

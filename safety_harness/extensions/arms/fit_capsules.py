@@ -32,10 +32,10 @@ from safety_harness.cell.robot.capsules import StoredCapsule, StoredCapsules, ha
 from safety_harness.cell.robot.description import ArmModel, LinkShapes, Shape
 from safety_harness.cell.robot.urdf import ArmFileError
 
-PIECE_M = 0.025
-GRID_M = 0.006
-STARTS = 20
-ROUNDS = 15
+PIECE_M = 0.025  # longest edge of a piece in the first rounds
+GRID_M = 0.006  # step of the grid that measures the volume of the union
+STARTS = 20  # random starts of a fit with more than one capsule
+ROUNDS = 15  # of Lloyd's algorithm at most
 WORTH = 0.1
 MOST_CAPSULES = 4
 LONGEST_M = 4.0  # of a link: a mesh in millimetres is a thousand times as long

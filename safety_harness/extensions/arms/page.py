@@ -138,7 +138,7 @@ def _joint_ways(arm: ArmModel) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _meshes(arm: ArmModel) -> dict[str, Any] | None:
-    """Return the meshes by link, of collision shapes if there are any; None without the extra."""
+    """Return the meshes by link, of collision shapes if there are any; None without the extra or files."""
     if find_spec(FITTING.modules[0]) is None:
         return None
     from safety_harness.extensions.arms.fit_capsules import LONGEST_M, link_surface

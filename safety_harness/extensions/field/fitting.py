@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 Floats = NDArray[np.float64]
-BOOTSTRAPS = 999
-REJECTED_BELOW = 0.05
-CONFIDENCE = 0.95
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(240)
-_STEPS, _CLOSE = 60, 1e-10
+BOOTSTRAPS = 999  # samples of the parametric bootstrap, each fitted anew
+REJECTED_BELOW = 0.05  # the p-value below which a family is rejected
+CONFIDENCE = 0.95  # of the parameters' intervals, from the bootstrap's quantiles
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(240)  # for the moments of a cut normal distribution
+_STEPS, _CLOSE = 60, 1e-10  # of Newton's method: the most steps, and the largest error of a moment
+# Bounds beyond 9 std cut nothing off; a fit has at least this mass between the bounds; floor of logarithms
 _FAR_STDS, _LEAST_MASS, _LEAST_TAIL = 9.0, 1e-3, 1e-12
 
 

@@ -32,12 +32,12 @@ from safety_harness.scenario.codec import Tree, scalar_text
 from safety_harness.scenario.files import told
 from safety_harness.scenario.write import text_of
 
-LEAST_APPROACHES = 5
+LEAST_APPROACHES = 5  # fewer are refused; a quantity with fewer values is not fitted
 HARD = 0.5  # of the speed over the window: from there on an acceleration comes out too small, by a tenth
 WEAK_BELOW = 30  # values, with which a wrong family is seldom found
 MOST_VALUES = 100  # that stand for themselves in a space
 LONGEST_S, FARTHEST_M, LEAST_MPS2, HARDEST_MPS2 = 60.0, 2.0, 0.1, 50.0
-ELBOW_BEHIND_M = 0.4
+ELBOW_BEHIND_M = 0.4  # from the mean start of a hand, along the mean direction
 AXES = ("x", "y", "z")
 SPEED_OF, ACCELERATION, DWELL, PAUSE, END = "speed", "acceleration", "dwell", "pause", "distance at the end"
 FORMS = {"m/s": ("mm/s", 1e3), "m/s2": ("m/s2", 1.0), "s": ("ms", 1e3), "m": ("mm", 1e3)}

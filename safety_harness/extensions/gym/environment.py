@@ -126,8 +126,8 @@ def _lane(environment: HarnessEnv) -> int:
     """Return the number of an environment's stream before a seed is given.
 
     Neighbours in a vector get different streams. A worker process of a vector has a number in its name, and
-    the search starts there. The stream is then the lowest number that no living environment of the same title
-    uses.
+    the search starts there, in steps of 2^32. The stream is the first number that no living environment of
+    the same title uses.
     """
     title = environment.setting.episodes.first.scenario.title
     worker = re.search(r"\d+$", current_process().name) if parent_process() is not None else None

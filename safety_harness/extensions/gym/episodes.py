@@ -22,10 +22,10 @@ File = str | Path
 
 
 class Episodes:
-    """The source of episodes: draws of a ``space``, or the one ``scenario``.
+    """The source of episodes: draws of a ``space``, or of one ``scenario``.
 
-    All episodes have observations of the same size: hand slots, arm and desired pose must equal those of the
-    ``first``.
+    All episodes have observations and actions of the same size. Hand slots, arm, desired pose, motion limits
+    and clock must equal the ``first`` episode's.
     """
 
     def __init__(

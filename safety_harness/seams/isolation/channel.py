@@ -14,7 +14,7 @@ AT_ONCE = 65_536  # bytes that are read in one go
 
 
 class GoneError(Exception):
-    """The process did not answer and has to be ended. ``hung`` is true if its time was over."""
+    """The process did not answer and counts as gone. ``hung`` is true if its time was over."""
 
     def __init__(self, why: str, *, hung: bool = False) -> None:
         self.hung = hung
@@ -95,7 +95,7 @@ class Channel:
 
     @property
     def pending(self) -> bool:
-        """Is there unread input, or has the other side gone?"""
+        """Is there unread input, or has the peer gone?"""
         poll = select.poll()
         poll.register(self._receiving, select.POLLIN)
         return bool(self._come or poll.poll(0))

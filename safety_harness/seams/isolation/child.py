@@ -131,7 +131,7 @@ def limit(process: int = 0) -> None:
 
 
 def _close(*fds: int) -> None:
-    """Close our descriptors in a process that the user's file forks, so that it cannot answer for us."""
+    """Close our descriptors in a process that the user's file forks: it has no messages for us."""
     for fd in fds:
         os.closerange(fd, fd + 1)  # which minds no error
 

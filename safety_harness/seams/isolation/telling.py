@@ -9,7 +9,7 @@ from pathlib import Path
 
 from safety_harness.base.exceptions import printable
 
-MOST_LINES, MOST_CHARACTERS = 5, 200
+MOST_LINES, MOST_CHARACTERS = 5, 200  # of a file's output that a command repeats
 
 executed: dict[tuple[Path, str], str] = {}  # the files that this process had executed, in words
 

@@ -24,8 +24,8 @@ from safety_harness.extensions.field.logs.model import CellLog
 from safety_harness.extensions.field.logs.streams import NS, LogSamples
 
 Floats = NDArray[np.float64]
-WINDOW_S, MOVES_MPS, LEAST_WAY_M, LEAST_STAND_S = 0.1, 0.1, 0.05, 0.1
-NEARER_M, NEAR_M = 0.1, 0.6
+WINDOW_S, MOVES_MPS, LEAST_WAY_M, LEAST_STAND_S = 0.1, 0.1, 0.05, 0.1  # these define a move
+NEARER_M, NEAR_M = 0.1, 0.6  # these define an approach
 SHARE = 0.9  # of the greatest speed, up to which the acceleration is taken
 
 

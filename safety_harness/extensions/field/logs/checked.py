@@ -15,7 +15,7 @@ from safety_harness.extensions.field.logs.model import JointFacts
 from safety_harness.extensions.field.logs.sample_bound import SampleBound, refuse_unbounded
 from safety_harness.extensions.field.logs.streams import NS, LogSamples
 
-FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
+FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi  # a sample beyond these has another unit, or shows nothing
 MOST_APART = 0.3  # of the way, of speeds that lead along it in another unit
 LEAST_INTERVALS = 10  # of which that is asked: in fewer, noise at rest may do so
 HARDEST_TAKEN = 40.0  # rad/s2 or m/s2, where no acceleration is said

@@ -19,7 +19,7 @@ from safety_harness.scenario.nodes import Scalar
 from safety_harness.scenario.units import shown
 
 ToBase = Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]]
-STILL_M, STILL_RAD = 1e-6, 1e-6
+STILL_M, STILL_RAD = 1e-6, 1e-6  # of a transform in /tf, up to which its frame stands still
 BASE = "base"
 
 

@@ -13,8 +13,8 @@ from safety_harness.extensions.field.logs.told import Told
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.robots import AnyRobot
 
-JOINTS_KNOWN_TO_RAD = np.radians(0.1)
-JOINTS_LONGEST_GAP_S = 0.1
+JOINTS_KNOWN_TO_RAD = np.radians(0.1)  # without a statement in LOG.yaml
+JOINTS_LONGEST_GAP_S = 0.1  # without a statement in LOG.yaml
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -93,7 +93,7 @@ OF_TCP = ("known to", FORMAT, "frame", "unit", "time", REPEATS)
 NOT_MEASURED, NO_FOREARM, BASE, ELBOW = "not measured", "none", "base", "elbow"
 DEG, MM = ("deg", 180.0 / np.pi), ("mm", 1e3)
 FIELD = "a column after the track's name, or the path of a field"
-PERIOD_STEP_NS, SHORTEST_PERIOD_NS, LONGEST_PERIOD_NS = 100_000, 1_000_000, 50_000_000
+PERIOD_STEP_NS, SHORTEST_PERIOD_NS, LONGEST_PERIOD_NS = 100_000, 1_000_000, 50_000_000  # of the ticks
 
 
 def read_log(path: str | Path, *, align: bool = False) -> CellLog:

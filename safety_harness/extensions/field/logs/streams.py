@@ -24,7 +24,7 @@ from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import shown
 
 MOST_SAMPLES = 4_000_000  # of one stream within the window: 400 MB of joints
-SHORTEST_STEP_NS = 1_000
+SHORTEST_STEP_NS = 1_000  # samples nearer in time have one time
 NS = 1e9
 LATEST_S = 3e9  # of a clock, or a time that is said: nanoseconds have room for three of them
 _TOPIC = re.compile(r"(?P<topic>/[^\[\]:]*)(?:\[(?P<index>[0-9]{1,4})\])?(?::(?P<path>.+))?")

@@ -134,7 +134,7 @@ def read_told(
         source_of: Return the stream that a field names.
         positions: Read a stream of positions in the base frame, with NaN.
         placed: Move three columns of samples from a frame to the base frame.
-        to_base: Return the check of message frames against a stated frame.
+        to_base: Return the transforms of a stream's messages from a stated frame.
 
     Raises:
         LogError: A stream or key cannot be used; the error has its place.

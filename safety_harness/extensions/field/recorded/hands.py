@@ -22,7 +22,7 @@ from safety_harness.scenario.model import NOT_LOADED, RecordedHand
 from safety_harness.scenario.recording import load_recording, parse_recording
 from safety_harness.scenario.units import TIME
 
-SHORTEST_NS = 1_000
+SHORTEST_NS = 1_000  # a sample no later than this is the interpolated first instant
 LEAST_S = 0.1  # of a log that is worth being offered as a part
 HAND, ELBOW = "hand", "elbow"
 
