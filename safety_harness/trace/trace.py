@@ -51,6 +51,9 @@ class Provenance:
 class Trace:
     """The record of one run: ``ticks`` (n,) and ``decisions`` (m,), both read-only.
 
+    ``certified`` has proofs about its decisions that a user requested afterwards, or is None. No verdict
+    reads it.
+
     Args:
         scenario: The scenario of the run.
         ticks: (n,) of ``tick_dtype`` for the scenario's ``hand_slots``. A complete run has ``scenario.ticks``
@@ -65,7 +68,6 @@ class Trace:
         known: The columns that were measured, and how well.
         system: The system under test.
         interventions: (n,) INTERVENTION of the shield, one a tick; empty without a shield.
-        certified: Proofs about its decisions that a user requested afterwards, or None. No verdict reads it.
         overshoot_radps: (n, joints) by how much the joints' speeds left the speeds of the two ticks, in an
             engine's sub-steps from each tick to the next. (0, 0) if not recorded.
         answer_s: (k,) the wall-clock time of each answer of a user's controller [s]. It is not stored or
