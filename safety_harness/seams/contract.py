@@ -1,8 +1,9 @@
-"""The contract of a user's controller: what it may see, what it may do, what it may report.
+"""The contract of a user's controller: its sights, its actions and its reports.
 
-A controller says which ``sees`` it has, words of ``SIGHTS``, and gets that and nothing else: what sensors
-delivered by now, with their noise, delay and dropout, never the simulator's truth.  All is SI; ``_in_base_``
-is the robot's base frame, v and w of a twist are the TCP's, both in the base frame.
+A controller's ``sees`` lists words of ``SIGHTS``. The harness gives it those fields and no more: sensor data
+that has arrived by now, with noise, delay and missed detections. The simulator's truth stays hidden. All
+quantities are SI. ``_in_base_`` means the robot's base frame. The v and w of a twist belong to the TCP, in
+the base frame.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SightWord:
-    """A word of a vocabulary, the fields that it stands for, and what it means."""
+    """A word of a vocabulary, the fields behind it, and its meaning."""
 
     word: str
     fields: tuple[str, ...]
@@ -59,9 +60,9 @@ REPORTS = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SeenHand:
-    """A hand as the sensor measured it: its centre, for a sphere of the radius that the filter assumes.
+    """A hand as the sensor measured it: the centre of a sphere with the radius that the filter assumes.
 
-    ``position_in_base_m`` (3,), by the sensor's pose when the frame arrived.
+    ``position_in_base_m`` (3,) uses the sensor's pose at the time when the frame arrived.
     """
 
     position_in_base_m: Floats
@@ -69,10 +70,11 @@ class SeenHand:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HandBoxes:
-    """The last frame of the hand sensor; ``time_s`` is when it was taken, NaN before the first.
+    """The last frame of the hand sensor, as boxes in its image.
 
-    ``new``: it arrived at this tick.  ``boxes`` (n, 5): u, v of the centre [px], depth of the surface there
-    [m], area [px^2], width over height.  ``transform_sensor_to_base`` (4, 4) is the sensor's pose now.
+    ``time_s`` is the time of exposure, NaN before the first frame. ``new`` is true if the frame arrived at
+    this tick. ``boxes`` (n, 5): u, v of the centre [px], depth of the surface there [m], area [px^2], width
+    over height. ``transform_sensor_to_base`` (4, 4) is the sensor's present pose.
     """
 
     time_s: float
@@ -83,10 +85,11 @@ class HandBoxes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PredictedHand:
-    """A tracked hand, predicted to the time of this tick and the settings' prediction horizon.
+    """A tracked hand, predicted to the time of this tick plus the prediction horizon of the settings.
 
-    ``position_in_base_m`` (3,) and ``velocity_in_base_mps`` (3,), and the ``covariance`` (6, 6) of both, as
-    the Kalman filter has them, by the sensor's pose of now.  ``number`` stays while the hand is tracked.
+    The Kalman filter gives ``position_in_base_m`` (3,), ``velocity_in_base_mps`` (3,) and the ``covariance``
+    (6, 6) of both. They use the sensor's present pose. ``number`` stays the same while the filter tracks the
+    hand.
     """
 
     position_in_base_m: Floats
@@ -98,10 +101,11 @@ class PredictedHand:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SeenObject:
-    """The object in the last image of it; ``new``: the image arrived at this tick.
+    """The object in its last image.
 
-    ``features`` (6,) x_n, y_n, a_n [m], gamma, delta [-], alpha [rad] (eqs. 3 to 5), ``feature_error`` (6,)
-    f - f*; NaN where the object is not ``visible``.
+    ``new`` is true if the image arrived at this tick. ``features`` (6,): x_n, y_n, a_n [m], gamma, delta [-],
+    alpha [rad] (eqs. 3 to 5). ``feature_error`` (6,) is f - f*. Both are NaN unless the object is
+    ``visible``.
     """
 
     visible: bool
@@ -112,10 +116,11 @@ class SeenObject:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Image:
-    """The last image of the object's camera; ``new``: it arrived at this tick.
+    """The last image of the object's camera.
 
-    ``pixels`` (height, width, 3) uint8, red, green, blue, black before the first; ``time_s`` is when it was
-    taken, NaN before the first.
+    ``new`` is true if the image arrived at this tick. ``pixels`` (height, width, 3) are uint8 in the order
+    red, green, blue, and black before the first image. ``time_s`` is the time of exposure, NaN before the
+    first image.
     """
 
     time_s: float
@@ -124,16 +129,16 @@ class Image:
 
 
 class UnseenError(ControllerError, AttributeError):
-    """A controller touched what it did not say that it sees."""
+    """A controller touched a field that its ``sees`` does not list."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class Seen:
-    """What a controller sees at a tick: time and period, and what its ``sees`` name; all arrays read-only.
+    """A controller's sight of a tick: time, period and the fields that its ``sees`` list, read-only.
 
-    Anything else is not there, and touching it is an UnseenError that says which word of ``sees`` is missing.
-    ``joint_position_rad`` and ``joint_velocity_radps`` (n,), ``transform_tcp_to_base`` (4, 4) and
-    ``tcp_position_in_base_m`` (3,) come with "joints".
+    Any other field raises UnseenError, which gives the missing word of ``sees``. The word "joints" brings
+    ``joint_position_rad`` (n,), ``joint_velocity_radps`` (n,), ``transform_tcp_to_base`` (4, 4) and
+    ``tcp_position_in_base_m`` (3,).
     """
 
     time_s: float
@@ -155,7 +160,15 @@ class Seen:
     def of_row(
         cls, time_s: float, period_s: float, makers: Mapping[str, Callable[[Floats], Any]], row: Floats
     ) -> Seen:
-        """As the harness makes it: each field of the numbers of a ``row`` (k,), when it is touched."""
+        """Return the sight of a tick that makes each field from a row of numbers at the first touch.
+
+        Args:
+            time_s: The time of the tick [s].
+            period_s: The control period [s].
+            makers: For each visible field, the function that makes it from ``row``.
+            row: The numbers (k,) of ``rows.seen_dtype``, up to the last that a visible field needs.
+
+        """
         seen = object.__new__(cls)
         seen.__dict__.update(time_s=time_s, period_s=period_s, _makers=makers, _row=row)
         return seen
@@ -164,12 +177,12 @@ class Seen:
         own = self.__dict__
         maker = own["_makers"].get(name) if "_makers" in own else None
         if maker is not None:
-            found = own[name] = maker(own["_row"])
-            return found
+            value = own[name] = maker(own["_row"])
+            return value
         for sight in SIGHTS:
             if name in sight.fields:
                 raise UnseenError(f'{name} is not seen: "{sight.word}" is not among this controller\'s sees')
-        hint = near_miss(name, [one.name for one in fields(self)])
+        hint = near_miss(name, [known.name for known in fields(self)])
         raise AttributeError(f"nothing that is seen is called {name!r}" + (f": {hint}" if hint else ""))
 
 
@@ -177,9 +190,10 @@ class Seen:
 class Decision:
     """A decision to give way to a hand, for claims about decisions.
 
-    Positions (3,) of hand and TCP in the base frame: the hand given way to, the position proposed and the one
-    chosen, NaN for a stop.  ``spread_m`` (3,) is one standard deviation an axis, ``spread_threshold_m`` the
-    largest with which a proposal is used, NaN for none.
+    Positions (3,) [m] are in the base frame: the hand that the arm gives way to, the proposed TCP position
+    and the chosen TCP position. The chosen position is NaN for a stop. ``spread_m`` (3,) is one standard
+    deviation along each axis. ``spread_threshold_m`` is the largest spread with which the controller uses a
+    proposal, NaN without a threshold.
     """
 
     hand_position_in_base_m: Floats
@@ -193,7 +207,7 @@ class Decision:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Report:
-    """What a controller says of itself at a tick; claims on what it does not say are inconclusive."""
+    """A controller's report of itself at a tick. Claims about a missing field are inconclusive."""
 
     mode: Mode | None = None
     decision: Decision | None = None
@@ -201,12 +215,13 @@ class Report:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Move:
-    """Move so until the next tick: by the TCP, or by the joints; nothing given is to hold still.
+    """Move by the given velocities until the next tick. Without any velocity, hold still.
 
-    ``tcp_velocity_mps`` (3,) and ``tcp_angular_velocity_radps`` (3,) in the base frame, zero where only the
-    other is given: bounded to the settings' TCP speed and acceleration and to the joints' speeds, the
-    direction kept; near a singularity the arm stops.  ``joint_velocity_radps`` (n,): all slowed down alike
-    where one is beyond its limit.  Which limit acted is in the trace.
+    ``tcp_velocity_mps`` (3,) and ``tcp_angular_velocity_radps`` (3,) are in the base frame; each is zero
+    where only its counterpart is given. The harness keeps the direction and bounds them to the settings' TCP
+    speed and acceleration and to the joints' speeds. Near a singularity the arm stops.
+    ``joint_velocity_radps`` (n,): if a joint exceeds its limit, the harness slows all joints by the same
+    factor. The trace records the limit that acted.
     """
 
     tcp_velocity_mps: Floats | None = None
@@ -217,7 +232,7 @@ class Move:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stop:
-    """A protective stop: the brakes act, until the controller moves again."""
+    """A protective stop: the brakes act until the controller moves again."""
 
     report: Report | None = None
 
@@ -227,10 +242,11 @@ Action = Move | Stop
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Moves:
-    """What ``act_many`` returns: the ``Move`` or ``Stop`` of each of n episodes.
+    """The result of ``act_many``: a ``Move`` or ``Stop`` for each of n episodes.
 
-    ``tcp_velocity_mps`` (n, 3), ``tcp_angular_velocity_radps`` (n, 3) and ``joint_velocity_radps`` (n, j) as
-    of ``Move``; ``stop`` (n,) is true of those that stop.  ``mode`` (n,) is each one's, if it is reported.
+    ``tcp_velocity_mps`` (n, 3), ``tcp_angular_velocity_radps`` (n, 3) and ``joint_velocity_radps`` (n, j)
+    mean the same as in ``Move``. ``stop`` (n,) is true for an episode that stops. ``mode`` (n,) is the
+    ``Mode`` of each episode, None if the controller does not report it.
     """
 
     tcp_velocity_mps: Floats | None = None
@@ -242,11 +258,11 @@ class Moves:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DrivenArm:
-    """The arm that is driven, n turning joints; arrays are read-only.
+    """The arm that the controller drives, with n revolute joints; arrays are read-only.
 
-    ``position_lower_rad``, ``position_upper_rad`` and ``velocity_limit_radps`` (n,).  ``joint_origins``
-    (n, 4, 4) frame of link i + 1 at q = 0 to the frame of link i, ``joint_axes`` (n, 3) in the frame of the
-    link that is moved, ``flange`` (4, 4) from the TCP to the last link.
+    ``position_lower_rad``, ``position_upper_rad`` and ``velocity_limit_radps`` have shape (n,).
+    ``joint_origins`` (n, 4, 4) map the frame of link i + 1 at q = 0 to the frame of link i. ``joint_axes``
+    (n, 3) are in the frame of the link that the joint moves. ``flange`` (4, 4) maps the TCP to the last link.
     """
 
     name: str
@@ -261,7 +277,7 @@ class DrivenArm:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Start:
-    """Where an episode starts: ``joint_position_rad`` (n,), ``transform_tcp_to_base`` (4, 4)."""
+    """The start of an episode: ``joint_position_rad`` (n,), ``transform_tcp_to_base`` (4, 4)."""
 
     joint_position_rad: Floats
     transform_tcp_to_base: Floats
@@ -269,43 +285,58 @@ class Start:
 
 @runtime_checkable
 class UserController(Protocol):
-    """What a controller of a user's own has to offer.
+    """The methods and attributes of a user's own controller.
 
-    It may also have ``reports``, words of ``REPORTS``: what it says of itself in the ``report`` of each
-    action.  What it raises, and an action that is none, cost the episode: it has failed, with that reason.
+    An optional ``reports`` lists words of ``REPORTS``: the fields that the controller fills in the ``report``
+    of its actions. An exception, or a result that is not an action, fails the episode with that reason.
 
-    Its class may have ``act_many(controllers, seen)``, which gives the ``Moves`` of so many episodes at once,
-    the bits that ``act`` of each controller gives.  ``seen`` has the arrays of ``arrays.observed`` of what it
-    ``sees``, n rows each, ``time_s`` (n,) and ``period_s``.  Many episodes then run in lanes, side by side.
+    Its class may have ``act_many(controllers, seen)``. This returns the ``Moves`` of several episodes at
+    once, with the same bits as ``act`` of each controller. ``seen`` has the arrays of ``arrays.observed`` for
+    the words in ``sees``, n rows each, ``time_s`` (n,) and ``period_s``. Many episodes then run in lanes,
+    side by side.
     """
 
     @property
     def name(self) -> str:
-        """How reports call it."""
+        """The name of the controller in reports."""
         ...
 
     @property
     def sees(self) -> tuple[str, ...]:
-        """Words of ``SIGHTS``."""
+        """The sights that the controller needs, as words of ``SIGHTS``."""
         ...
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
-        """Begin an episode, with nothing left of the one before; ``seed`` is for whatever it draws."""
+        """Begin an episode, and forget the previous episode.
+
+        Args:
+            settings: The settings of the run.
+            arm: The arm that the controller drives.
+            start: The arm's position at the start of the episode.
+            seed: The seed for all random draws of the controller.
+
+        """
         ...
 
     def act(self, seen: Seen) -> Action:
-        """What to do until the next tick."""
+        """Return the action until the next tick.
+
+        Args:
+            seen: The fields of this tick that ``sees`` lists.
+
+        """
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerOpener:
-    """A way to a controller that a package adds: ``controller: NAME:REST``, with the name of its entry point.
+    """A package's way to open a controller for ``controller: NAME:REST``, where NAME is its entry point.
 
     Args:
-        open: Return a fresh controller for a whole reference, in this process or connected to another one.
-            What it raises refuses the scenario.
-        sha256: Return the hash of what the reference runs, for traces and evidence.  None: nothing is hashed.
+        open: Return a fresh controller for a whole reference, in this process or connected to another
+            process. An exception refuses the scenario.
+        sha256: Return the hash of the code behind the reference, for traces and evidence. None: no hash is
+            recorded.
 
     """
 
@@ -314,35 +345,35 @@ class ControllerOpener:
 
 
 def sees_of(controller: UserController) -> tuple[str, ...]:
-    """What it sees, in the order of ``SIGHTS``; ControllerError for a word that is none of them."""
-    return _words(controller, "sees", getattr(controller, "sees", None), SIGHTS)
+    """Return the controller's ``sees`` in the order of ``SIGHTS``; ControllerError for an unknown word."""
+    return _words_of(controller, "sees", getattr(controller, "sees", None), SIGHTS)
 
 
 def reports_of(controller: UserController) -> tuple[str, ...]:
-    """Return what it reports, in the order of ``REPORTS``.
+    """Return the controller's ``reports`` in the order of ``REPORTS``.
 
-    Raise ControllerError for a word that is none of them, or for a declared delay, which no run would have.
+    Raise ControllerError for an unknown word, or for a declared ``decision_time_s``, which no run simulates.
     """
     if getattr(controller, "decision_time_s", None):
         raise ControllerError(
             "decision_time_s of a controller is not simulated: every answer counts in its own tick; "
             "hold the answers back in act itself"
         )
-    said = _words(controller, "reports", getattr(controller, "reports", ()), REPORTS)
-    if DOUBT in said and DECISIONS not in said:
+    reports = _words_of(controller, "reports", getattr(controller, "reports", ()), REPORTS)
+    if DOUBT in reports and DECISIONS not in reports:
         raise ControllerError('reports: "doubt" is of decisions, and "decisions" are not among them')
-    return said
+    return reports
 
 
-def _words(controller: object, name: str, said: object, table: tuple[SightWord, ...]) -> tuple[str, ...]:
-    """Of ``table``, those that are ``said``."""
-    known = [one.word for one in table]
-    if isinstance(said, str) or not isinstance(said, tuple | list | set | frozenset):
-        raise ControllerError(f"{name} must be a tuple of: {', '.join(known)}; got {said!r}")
-    for word in said:
-        if word not in known:
-            hint = near_miss(str(word), known)
+def _words_of(controller: object, name: str, given: object, table: tuple[SightWord, ...]) -> tuple[str, ...]:
+    """Return the words of ``table`` that ``given`` contains; ControllerError for an unknown word."""
+    known = [entry.word for entry in table]
+    if isinstance(given, str) or not isinstance(given, tuple | list | set | frozenset):
+        raise ControllerError(f"{name} must be a tuple of: {', '.join(known)}; got {given!r}")
+    for term in given:
+        if term not in known:
+            hint = near_miss(str(term), known)
             raise ControllerError(
-                f"{name} must be words of: {', '.join(known)}; got {word!r}" + (f" ({hint})" if hint else "")
+                f"{name} must be words of: {', '.join(known)}; got {term!r}" + (f" ({hint})" if hint else "")
             )
-    return tuple(word for word in known if word in said)
+    return tuple(term for term in known if term in given)

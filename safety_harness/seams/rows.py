@@ -1,6 +1,6 @@
-"""All that a controller may see at a tick as one row of numbers, and its fields made of that when touched.
+"""The visible quantities of a tick as one row of numbers, from which fields are made on touch.
 
-Nothing here waits for a compiler: the process of a user's file reads rows too.
+This module imports no compiler: the process of a user's file reads rows too.
 """
 
 from __future__ import annotations
@@ -35,9 +35,15 @@ Maker = Callable[[Row], Any]
 
 @lru_cache
 def seen_dtype(hands: int, joints: int = SHIPPED_JOINTS) -> np.dtype[Any]:
-    """SEEN: all that can be seen, whether or not it is, in float64 and int64 of 8 bytes alone.
+    """Return SEEN: the layout of all visible quantities, in float64 and 8-byte int64 alone.
 
-    In the order in which it is wanted most: what is copied for one who sees hands ends with them.
+    The most wanted fields come first, so that a controller that sees only hands needs only the beginning of a
+    row.
+
+    Args:
+        hands: The hand slots of the scenario. The row has TRACKS_PER_HAND boxes and tracks for each.
+        joints: The number of the arm's joints.
+
     """
     boxes = TRACKS_PER_HAND * hands
     return np.dtype(
@@ -69,23 +75,27 @@ def seen_dtype(hands: int, joints: int = SHIPPED_JOINTS) -> np.dtype[Any]:
 
 
 class SeenLayout(dict[str, Maker]):
-    """How each field of what is seen is made of a row, by its name.
+    """The functions that make each visible field from a row, by the field's name.
 
-    ``hand_slots`` and ``joints`` are those of SEEN; ``wanted`` numbers of it are enough for those ``sees``.
+    ``hand_slots`` and ``joints`` are the sizes of SEEN. The first ``wanted`` numbers of a row suffice for the
+    sights in ``sees``.
     """
 
     def __init__(self, hand_slots: int, joints: int, sees: tuple[str, ...]) -> None:
         dtype = seen_dtype(hand_slots, joints)
         super().__init__(_makers(dtype, sees))
         self.hand_slots, self.joints, self.sees = hand_slots, joints, sees
-        self.wanted = max([1, *(int(_part(dtype, _LAST[word])[0].stop) for word in sees)])
+        self.wanted = max([1, *(int(_part(dtype, _LAST[sight])[0].stop) for sight in sees)])
 
 
 PackedSeen = tuple[float, int, int, tuple[str, ...], bytes]  # period, hands, joints, sees, row
 
 
 def packed_seen(seen: Seen) -> PackedSeen:
-    """What is seen, as the harness made it, to be sent; ControllerError for anything else."""
+    """Return the row and sizes of ``seen`` for another process.
+
+    Raise ControllerError if the harness did not make ``seen``.
+    """
     own = seen.__dict__
     if "_row" not in own:
         raise ControllerError("what is seen was not made by the harness, and cannot be sent")
@@ -94,7 +104,7 @@ def packed_seen(seen: Seen) -> PackedSeen:
 
 
 def unpacked(sent: PackedSeen) -> Seen:
-    """As it was packed."""
+    """Return the ``Seen`` that ``packed_seen`` packed."""
     period_s, hand_slots, joints, sees, numbers = sent
     row = np.frombuffer(numbers)
     return Seen.of_row(row.item(0), period_s, layout_of(hand_slots, joints, sees), row)
@@ -112,14 +122,14 @@ _LAST = {
 
 
 def _part(dtype: np.dtype[Any], name: str) -> tuple[slice, tuple[int, ...]]:
-    """Where a field is among the numbers, and its shape."""
+    """Return a field's slice of a row's numbers, and its shape."""
     fields: Mapping[str, Any] = dtype.fields or {}
     kind, offset = fields[name][:2]
     return slice(offset // 8, (offset + kind.itemsize) // 8), kind.shape
 
 
 def _makers(dtype: np.dtype[Any], sees: tuple[str, ...]) -> Iterator[tuple[str, Maker]]:
-    """How each field of what is seen is made of a row, when it is touched."""
+    """Yield the name of each visible field and the function that makes it from a row."""
 
     def array(name: str) -> Maker:
         part, shape = _part(dtype, name)
@@ -143,7 +153,7 @@ def _makers(dtype: np.dtype[Any], sees: tuple[str, ...]) -> Iterator[tuple[str, 
         count, centres = whole("hand_count"), array("hands")
         yield (
             "hands",
-            lambda row: tuple(SeenHand(position_in_base_m=one) for one in centres(row)[: count(row)[0]]),
+            lambda row: tuple(SeenHand(position_in_base_m=c) for c in centres(row)[: count(row)[0]]),
         )
     if HAND_BOXES in sees:
         yield "hand_boxes", _boxes(array, whole)

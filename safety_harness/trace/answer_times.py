@@ -1,4 +1,4 @@
-"""How long answers took on the machine of a run, against what the run allows: reported, never compared."""
+"""Answer times on the machine of a run, against the run's limit: reported, never compared."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ MOST_SLOW = 0.05  # of the answers: with more, the 95th percentile is above the 
 
 @dataclass(frozen=True)
 class AnswersTook:
-    """The ``answers`` that were timed, and how many of them were ``slow``: took longer than ``limit_s`` [s].
+    """The count of timed ``answers``, and of ``slow`` answers, which took longer than ``limit_s`` [s].
 
-    That is the most that a decision costs in simulated time, or a control period where it costs nothing, as
-    with every controller.  ``slowest_s`` [s] is the longest by the wall's clock.
+    The limit is the largest cost of a decision in simulated time. Where a decision costs nothing, as with
+    every controller, it is a control period. ``slowest_s`` [s] is the longest answer by the wall's clock.
     """
 
     answers: int = 0
@@ -29,7 +29,7 @@ class AnswersTook:
 
     @classmethod
     def of(cls, trace: Trace) -> AnswersTook:
-        """Take them from the record of one run; answers that were given together were not timed."""
+        """Return the times from the record of one run. Answers that were given together have no time."""
         settings, took_s = trace.scenario.settings, trace.answer_s
         limit_s = 0.0
         if not trace.scenario.driven:
@@ -48,7 +48,7 @@ class AnswersTook:
 
     @property
     def words(self) -> str:
-        """Say that they were slow; empty while the 95th percentile is within the limit."""
+        """The sentence about slow answers; empty while the 95th percentile is within the limit."""
         if self.slow <= MOST_SLOW * self.answers:
             return ""
         share = share_words(self.slow, self.answers)
@@ -60,7 +60,7 @@ class AnswersTook:
 
 
 def most_cost_s(trace: Trace) -> float:
-    """Return the most [s] that a decision of the run costs in simulated time."""
+    """Return the largest cost [s] of a decision of the run in simulated time."""
     cost = trace.scenario.settings.avoidance.decision_time
     drawn_s = cost.quantiles_s if isinstance(cost, DecisionTimes) else trace.decisions["decision_time_s"]
     return float(np.max(drawn_s, initial=0.0))

@@ -1,7 +1,6 @@
-"""What was proven about the decisions of a run afterwards, on request: part of its trace, and of no verdict.
+"""Proofs about the decisions of a run, made later on request: part of its trace, and of no verdict.
 
-Made by ``extensions.lab.proof.decisions``.  It changes nothing else of a trace, and one without it is as it
-was.
+``extensions.lab.proof.decisions`` makes them. They change no other part of a trace.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from safety_harness.trace.system import Line
 
 
 class Sameness(Enum):
-    """Of an outcome for all hands in a box; ``OTHER``: another one there has another outcome."""
+    """Whether all hands in a box have the same outcome. ``OTHER``: a hand there has another outcome."""
 
     SAME = "the same"
     OTHER = "not the same"
@@ -26,30 +25,33 @@ class Sameness(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class CertifiedDecision:
-    """Is the spread small enough for each hand or for none, and leads the way away from each or from none?"""
+    """The sameness of two outcomes over the box.
+
+    ``certain``: the spread is small enough. ``away``: the way leads away from the hand.
+    """
 
     certain: Sameness
     away: Sameness
 
     @property
     def whole(self) -> Sameness:
-        """Of both."""
+        """The sameness of both outcomes together."""
         both = (self.certain, self.away)
         order = (Sameness.NONE, Sameness.OTHER, Sameness.UNDECIDED)
-        return next((one for one in order if one in both), Sameness.SAME)
+        return next((sameness for sameness in order if sameness in both), Sameness.SAME)
 
     @property
     def words(self) -> str:
-        """``not the same: leads away``."""
+        """The sameness in words, such as ``not the same: leads away``."""
         if self.whole in (Sameness.SAME, Sameness.NONE):
             return str(self.whole.value)
         checks = {"certain": self.certain, "leads away": self.away}
-        return f"{self.whole.value}: {', '.join(name for name, one in checks.items() if one is self.whole)}"
+        return f"{self.whole.value}: {', '.join(name for name, same in checks.items() if same is self.whole)}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CertifiedDecisions:
-    """One for each decision; hands are anywhere within ``half_m`` by axis of the one that was asked about."""
+    """A proof for each decision, for all hands within ``half_m`` by axis of the hand in the question."""
 
     half_m: Annotated[float, Meta(ge=0.0, le=1.0)]
     network_sha256: Line
@@ -57,8 +59,8 @@ class CertifiedDecisions:
 
     @property
     def words(self) -> str:
-        """How many are the same."""
-        counts = {kind: sum(one.whole is kind for one in self.decisions) for kind in Sameness}
+        """The number of decisions of each sameness, in words."""
+        counts = {kind: sum(decision.whole is kind for decision in self.decisions) for kind in Sameness}
         parts = [f"{count} {kind.value}" for kind, count in counts.items() if count]
         return f"{len(self.decisions)} decisions for every hand within {self.half_m * 1e3:g} mm by axis: " + (
             ", ".join(parts) or "none"

@@ -1,4 +1,4 @@
-"""Two traces of the same scenario, bit by bit: identical, or where they first differ."""
+"""A bitwise comparison of two traces of the same scenario: equal, or their first difference."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from safety_harness.trace.unmeasured import as_measured
 
 @dataclass(frozen=True)
 class TraceDifference:
-    """The first record in which two traces differ, and the fields that do."""
+    """The first record in which two traces differ, with the fields that differ."""
 
     what: str  # "tick", "decision", or "trace" where they differ in what was measured
     index: int
@@ -31,54 +31,59 @@ class TraceDifference:
 
 
 def first_difference(first: Trace, second: Trace) -> TraceDifference | None:
-    """None if of ticks and decisions the same was measured, and is the same bits; else where they differ.
+    """Return the first difference between two traces, or None if ticks and decisions have the same bits.
 
-    That is a column that was not measured alike, or the earliest record that differs in what was measured
-    of both: of the rest nothing is said.  Of a decision and a tick at the same time it is the decision,
-    which the tick's command follows.
+    A column that was not measured in the same way in both is the first difference. Otherwise it is the
+    earliest record that differs in a column that both measured. A decision comes before a tick of the same
+    time, since the tick's command follows from it.
+
+    Args:
+        first: A trace.
+        second: Another trace of the same scenario.
+
     """
     for trace in (first, second):
         refuse_other_type("first_difference(first, second)", trace, Trace)
     for name in COLUMNS_OF_A_TRACE:
-        one, other = first.known.of(name), second.known.of(name)
-        if one != other:
-            return TraceDifference("trace", 0, 0.0, (f"known.{name}",), _told(one), _told(other))
+        a, b = first.known.of(name), second.known.of(name)
+        if a != b:
+            return TraceDifference("trace", 0, 0.0, (f"known.{name}",), _measured_as(a), _measured_as(b))
     first, second = as_measured(first), as_measured(second)
-    found = [
+    compared = [
         _compare("decision", first.decisions, second.decisions),
         _compare("tick", first.ticks, second.ticks),
         _compare_rows("interventions", first, second),
     ]
     if len(first.overshoot_radps) and len(second.overshoot_radps):  # earlier versions did not record it
-        found.append(_compare_rows("overshoot_radps", first, second))
-    differences = [difference for difference in found if difference is not None]
+        compared.append(_compare_rows("overshoot_radps", first, second))
+    differences = [difference for difference in compared if difference is not None]
     return min(differences, key=lambda difference: difference.time_s, default=None)
 
 
 def _compare_rows(name: str, first: Trace, second: Trace) -> TraceDifference | None:
-    """Of what their shields, or the sub-steps of an engine, did, with the times of the ticks."""
-    one, other = getattr(first, name), getattr(second, name)
-    if len(one) != len(other):
-        lengths = f"{len(one)} ticks", f"{len(other)} ticks"
+    """Return the first difference in a shield's or an engine's rows, with the time of its tick."""
+    a, b = getattr(first, name), getattr(second, name)
+    if len(a) != len(b):
+        lengths = f"{len(a)} ticks", f"{len(b)} ticks"
         return TraceDifference("trace", 0, 0.0, (name,), *lengths)
-    if not len(one):
+    if not len(a):
         return None
-    names = one.dtype.names and [field for field in one.dtype.names if field in (other.dtype.names or ())]
-    pairs = [(one[field], other[field]) for field in names] if names else [(one, other)]  # as old traces have
-    unlike = [(_bits(a) != _bits(b)).reshape(len(one), -1).any(axis=1) for a, b in pairs]
+    names = a.dtype.names and [field for field in a.dtype.names if field in (b.dtype.names or ())]
+    pairs = [(a[field], b[field]) for field in names] if names else [(a, b)]  # as old traces have
+    unlike = [(_bits(x) != _bits(y)).reshape(len(a), -1).any(axis=1) for x, y in pairs]
     at = np.flatnonzero(np.any(unlike, axis=0))
     if len(at) == 0:
         return None
     k = int(at[0])
-    return TraceDifference("tick", k, float(first.time_s[k]), (name,), str(one[k]), str(other[k]))
+    return TraceDifference("tick", k, float(first.time_s[k]), (name,), str(a[k]), str(b[k]))
 
 
-def _told(one: Measurement) -> str:
-    within = f" within {one.uncertainty:g}" * (one.uncertainty > 0.0)
-    return f"{one.source.value}{within}{f', {len(one.gaps)} gaps' * bool(one.gaps)}"
+def _measured_as(measurement: Measurement) -> str:
+    off_by = f" within {measurement.uncertainty:g}" * (measurement.uncertainty > 0.0)
+    return f"{measurement.source.value}{off_by}{f', {len(measurement.gaps)} gaps' * bool(measurement.gaps)}"
 
 
-def _compare(what: str, first: NDArray[np.void], second: NDArray[np.void]) -> TraceDifference | None:
+def _compare(kind: str, first: NDArray[np.void], second: NDArray[np.void]) -> TraceDifference | None:
     shorter = min(len(first), len(second))
     names = first.dtype.names or ()
     index, fields = shorter, []
@@ -95,21 +100,21 @@ def _compare(what: str, first: NDArray[np.void], second: NDArray[np.void]) -> Tr
     if fields:
         a, b = first[index], second[index]
         return TraceDifference(
-            what, index, float(a["time_s"]), tuple(fields), str(a[fields[0]]), str(b[fields[0]])
+            kind, index, float(a["time_s"]), tuple(fields), str(a[fields[0]]), str(b[fields[0]])
         )
     if len(first) == len(second):
         return None
     longer = first if len(first) > len(second) else second
     return TraceDifference(
-        what,
+        kind,
         shorter,
         float(longer[shorter]["time_s"]),
         ("length",),
-        f"{len(first)} {what}s",
-        f"{len(second)} {what}s",
+        f"{len(first)} {kind}s",
+        f"{len(second)} {kind}s",
     )
 
 
 def _bits(array: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Floats as integers, so that NaN equals itself and -0 differs from 0."""
+    """Return floats as integers, so that NaN equals itself and -0 differs from 0."""
     return np.ascontiguousarray(array).view(np.uint64) if array.dtype == np.float64 else array

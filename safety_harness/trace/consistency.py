@@ -1,8 +1,8 @@
-"""Is a trace one that a run can have written?  What its records say of each other, without the robot.
+"""Checks of a trace's records against each other, without the robot: can a run have written it?
 
-A hash protects a stored trace against damage; whoever edits one can write the hash anew.  These
-checks keep a nonsensical trace from being judged; that a sensible one is true is checked by
-repeating the run.
+A hash protects a stored trace against damage, but an editor of the file can write a new hash. These checks
+refuse a nonsensical trace before any verdict. Only a repetition of the run shows whether a sensible trace is
+true.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ LARGEST_CHARACTER, SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
 class Inconsistency:
     """The first record of a field that no run writes.
 
-    ``what`` is "tick", "decision" or, of the trace as a whole, "trace"; ``index`` counts them from 0.
+    ``what`` is "tick", "decision", or "trace" for the whole trace; ``index`` counts from 0.
     """
 
     field: str
@@ -52,7 +52,7 @@ class Inconsistency:
 
     @property
     def where(self) -> str:
-        """Field and record, as errors name them."""
+        """Field and record, as errors give them."""
         return self.field if self.what == "trace" else f"{self.field} at {self.what} {self.index}"
 
     def __str__(self) -> str:
@@ -61,40 +61,49 @@ class Inconsistency:
 
 @once_a_trace
 def first_inconsistency(trace: Trace) -> Inconsistency | None:
-    """The first thing in ``trace`` that contradicts its scenario or itself, or None."""
+    """Return the first place where ``trace`` contradicts its scenario or itself, or None."""
     checks: tuple[Callable[[Trace], Iterator[Inconsistency]], ...] = (
         _length,
         _decisions,
         _ticks,
         _interventions,
     )
-    wrong = (found for check in checks for found in check(trace))
-    return next((found for found in wrong if _is_known(trace.known, found)), None)
+    flaws = (flaw for check in checks for flaw in check(trace))
+    return next((flaw for flaw in flaws if _is_known(trace.known, flaw)), None)
 
 
-def _is_known(known: Knowledge, found: Inconsistency) -> bool:
-    """Was the field that is wrong measured there, and what it is compared with?"""
-    name = OF_DECISIONS * (found.what == "decision") + found.field
+def _is_known(known: Knowledge, flaw: Inconsistency) -> bool:
+    """Were the wrong field and the columns that it is compared with measured there?"""
+    name = OF_DECISIONS * (flaw.what == "decision") + flaw.field
     names = (name, *COMPARED.get(name, ()))
     gap = known.first_gap(names)
-    return not known.missing(names) and (found.what != "tick" or gap is None or found.index < gap.first)
+    return not known.missing(names) and (flaw.what != "tick" or gap is None or flaw.index < gap.first)
 
 
 def at_first(
-    wrong: NDArray[np.bool_], field: str, what: str, expected: str, values: NDArray[np.generic]
+    bad: NDArray[np.bool_], field: str, kind: str, expected: str, values: NDArray[np.generic]
 ) -> Iterator[Inconsistency]:
-    """The first record (n, ...) in which anything is ``wrong``, with the value that stands there."""
-    if wrong.any():
-        index = int(np.argmax(wrong.any(axis=tuple(range(1, wrong.ndim)))))
-        yield Inconsistency(field, what, index, expected, " ".join(str(values[index]).split()))
+    """Yield the first record (n, ...) in which any element is ``bad``, with its value.
+
+    Args:
+        bad: True for a wrong element (n, ...).
+        field: The field that the error states.
+        kind: The kind of record: "tick", "decision" or "trace".
+        expected: The expectation that the error states.
+        values: The values (n, ...) of the field.
+
+    """
+    if bad.any():
+        index = int(np.argmax(bad.any(axis=tuple(range(1, bad.ndim)))))
+        yield Inconsistency(field, kind, index, expected, " ".join(str(values[index]).split()))
 
 
 def _length(trace: Trace) -> Iterator[Inconsistency]:
-    """A complete run has every tick of its scenario, one that was cut short not more."""
-    most, found = trace.scenario.ticks + 1, len(trace.ticks)
-    if found > most or (trace.ended == "complete" and found < most):
+    """Check that a complete run has every tick of its scenario, and a shorter run no more."""
+    most, count = trace.scenario.ticks + 1, len(trace.ticks)
+    if count > most or (trace.ended == "complete" and count < most):
         amount = f"{most} of them" if trace.ended == "complete" else f"at most {most} of them"
-        yield Inconsistency("ticks", "trace", found, amount, str(found))
+        yield Inconsistency("ticks", "trace", count, amount, str(count))
 
 
 def _ticks(trace: Trace) -> Iterator[Inconsistency]:
@@ -125,12 +134,12 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
     )
     for (field, expected), index in zip(checks, first.tolist(), strict=True):
         if index < len(ticks):
-            found = ticks[field].view(np.uint8) if expected == A_FLAG else ticks[field]
-            yield Inconsistency(field, "tick", index, expected, " ".join(str(found[index]).split()))
+            values = ticks[field].view(np.uint8) if expected == A_FLAG else ticks[field]
+            yield Inconsistency(field, "tick", index, expected, " ".join(str(values[index]).split()))
 
 
 def _interventions(trace: Trace) -> Iterator[Inconsistency]:
-    """Of a shield: one a tick, a share from 0 to 1, below 1 exactly where the flag says so."""
+    """Check that a shield has a share from 0 to 1 at each tick, below 1 exactly where its flag stands."""
     done, ticks = trace.interventions, trace.ticks
     if trace.scenario.shield is None or trace.known.missing(["limits"]):
         return
@@ -140,12 +149,12 @@ def _interventions(trace: Trace) -> Iterator[Inconsistency]:
         )
         return
     flagged, scale = ticks["limits"] & int(Limit.SHIELD) != 0, done["scale"]
-    wrong = ((scale < 1.0) != flagged) | ~((scale >= 0.0) & (scale <= 1.0))
-    yield from at_first(wrong, "limits", "tick", "the flag SHIELD where the shield scaled", ticks["limits"])
+    bad = ((scale < 1.0) != flagged) | ~((scale >= 0.0) & (scale <= 1.0))
+    yield from at_first(bad, "limits", "tick", "the flag SHIELD where the shield scaled", ticks["limits"])
 
 
 def _times_s(scenario: Scenario, fault: Fault) -> tuple[float, float]:
-    """When a fault may act; a late avoider keeps the controller waiting until the deadline."""
+    """Return when a fault may act; a late avoider makes the controller wait until the deadline."""
     settings = scenario.settings
     wait_s = settings.avoidance.decision_deadline_s + settings.clock.control_period_s
     return fault.from_s - TIME_EPS_S, fault.end_s + wait_s * isinstance(fault, AvoiderFault)
@@ -161,7 +170,7 @@ def _first_wrong(
     limits: int,  # the flags that there can be
     fault_times_s: NDArray[np.float64],  # (f, 2) from and until when each may act
 ) -> NDArray[np.int64]:
-    """(13,) the first tick that fails each check, n if none does."""
+    """Return (13,) the first tick that fails each check, n for a check without a failure."""
     n = ticks.shape[0]
     first = np.full(CHECKS, n)
     made = np.full(n, -1)
@@ -173,27 +182,27 @@ def _first_wrong(
         for fault in range(fault_times_s.shape[0]):
             acts = (tick.time_s >= fault_times_s[fault, 0]) & (tick.time_s < fault_times_s[fault, 1])
             possible |= int(acts) << fault
-        wrong = int(tick.time_s != k * period_s) | (int(visible[k] > 1) << 2)  # a bit for each check
+        flaws = int(tick.time_s != k * period_s) | (int(visible[k] > 1) << 2)  # a bit for each check
         for hand in range(tick.hand_present.shape[0]):
             there = hand < hands
-            wrong |= int(tick.hand_present[hand] > 1) << 1
-            wrong |= int((tick.hand_present[hand] != 0) != there) << 4
-            wrong |= int((tick.hand_distance_capsule[hand] < 0) == there) << 5
+            flaws |= int(tick.hand_present[hand] > 1) << 1
+            flaws |= int((tick.hand_present[hand] != 0) != there) << 4
+            flaws |= int((tick.hand_distance_capsule[hand] < 0) == there) << 5
         for track in range(tick.track_valid.shape[0]):
-            wrong |= int(tick.track_valid[track] > 1) << 3
+            flaws |= int(tick.track_valid[track] > 1) << 3
             at = tick.predicted_hand_in_base_m[track]
             somewhere = tick.track_valid[track] != 0 and abs(at[0]) + abs(at[1]) + abs(at[2]) < np.inf
-            wrong |= int(somewhere and tick.predicted_distance_m == np.inf) << 8
-        wrong |= int(tick.tcp_speed_mps < 0.0) << 6
-        wrong |= int(tick.sse < 0.0) << 7
-        wrong |= int(tick.predicted_distance_m < 0.0) << 8
-        wrong |= int(tick.mode not in MODES) << 9
-        wrong |= int(tick.limits & ~limits != 0) << 10
-        wrong |= int(tick.faults & ~possible != 0) << 11
-        wrong |= int(tick.decision != made[k]) << 12
-        if wrong != 0:
+            flaws |= int(somewhere and tick.predicted_distance_m == np.inf) << 8
+        flaws |= int(tick.tcp_speed_mps < 0.0) << 6
+        flaws |= int(tick.sse < 0.0) << 7
+        flaws |= int(tick.predicted_distance_m < 0.0) << 8
+        flaws |= int(tick.mode not in MODES) << 9
+        flaws |= int(tick.limits & ~limits != 0) << 10
+        flaws |= int(tick.faults & ~possible != 0) << 11
+        flaws |= int(tick.decision != made[k]) << 12
+        if flaws != 0:
             for check in range(CHECKS):
-                if (wrong >> check) & 1:
+                if (flaws >> check) & 1:
                     first[check] = k
     return first
 
@@ -203,10 +212,10 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
     if len(decisions) == 0:
         return
     tick = decisions["tick"]
-    wrong = (tick < 0) | (tick >= count)
-    yield from at_first(wrong, "tick", "decision", f"one of {count} ticks", tick)
-    wrong[1:] |= np.diff(tick) <= 0
-    yield from at_first(wrong, "tick", "decision", "a later tick than the decision before", tick)
+    bad = (tick < 0) | (tick >= count)
+    yield from at_first(bad, "tick", "decision", f"one of {count} ticks", tick)
+    bad[1:] |= np.diff(tick) <= 0
+    yield from at_first(bad, "tick", "decision", "a later tick than the decision before", tick)
     time_s = decisions["time_s"]
     at_tick = trace.ticks["time_s"][np.clip(tick, 0, count - 1)] if count else time_s
     yield from at_first(time_s != at_tick, "time_s", "decision", "the time of its tick", time_s)
@@ -232,15 +241,18 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
 
 
 def _costs(trace: Trace) -> Iterator[Inconsistency]:
-    """Asked after the decision before, and answered when the decision time is over, or at the deadline."""
+    """Check that a question follows the previous decision, and the times of the answers.
+
+    An answer comes after the decision time, or at the deadline.
+    """
     decisions, settings = trace.decisions, trace.scenario.settings
-    tick, asked, cost_s = (decisions[name] for name in ("tick", "asked_tick", "decision_time_s"))
-    wrong = (asked > tick) | (asked <= np.concatenate([[-1], tick[:-1]]))
-    yield from at_first(wrong, "asked_tick", "decision", "a tick after the decision before", asked)
-    wrong = ~((cost_s >= 0.0) & (cost_s < np.inf))
-    yield from at_first(wrong, "decision_time_s", "decision", "a time", cost_s)
+    tick, question, cost_s = (decisions[name] for name in ("tick", "asked_tick", "decision_time_s"))
+    bad = (question > tick) | (question <= np.concatenate([[-1], tick[:-1]]))
+    yield from at_first(bad, "asked_tick", "decision", "a tick after the decision before", question)
+    bad = ~((cost_s >= 0.0) & (cost_s < np.inf))
+    yield from at_first(bad, "decision_time_s", "decision", "a time", cost_s)
     least_s = np.minimum(cost_s, settings.avoidance.decision_deadline_s)
     waits = np.ceil(least_s / settings.clock.control_period_s - 1e-9)
     delayed = any(isinstance(fault, AvoiderFault) for fault in trace.scenario.faults)
-    wrong = tick - asked < waits if delayed else tick - asked != waits
-    yield from at_first(wrong, "decision_time_s", "decision", "the ticks from question to answer", cost_s)
+    bad = tick - question < waits if delayed else tick - question != waits
+    yield from at_first(bad, "decision_time_s", "decision", "the ticks from question to answer", cost_s)

@@ -1,7 +1,8 @@
-"""What of a trace was measured, by what, and how well: a log is seldom as whole as a simulated run.
+"""The measured columns of a trace, with sources and uncertainties.
 
-A column is a field of the ticks, by its name, or one of the decisions, as ``decision.outcome``.  What nobody
-measured is stored as NaN, zero or -1, and must not be read: claims on it are inconclusive.
+A log seldom has all columns of a simulated run. A column is a field of the ticks, by its name, or a field of
+the decisions, as ``decision.outcome``. An unmeasured value is stored as NaN, zero or -1. No code may read it:
+claims on it are inconclusive.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ UNMEASURED = "what follows was not measured"  # the end of a part of a run
 
 
 class Source(Enum):
-    """By what a column was measured."""
+    """The source of a column's values."""
 
     SIMULATED = "simulated truth"
     SENSOR = "sensor"
@@ -43,10 +44,11 @@ NOWHERE = (Source.NONE, Source.UNREPORTED)
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """Ticks from ``first`` to the one before ``after`` in which a column was not measured.
+    """Ticks from ``first`` to the tick before ``after`` in which a column was not measured.
 
-    Of one ``hand``, counted from 0, or of all that the column holds.  A gap of ``hand_present`` says that a
-    hand is not known to be absent.  Of a mode it was ``either`` of these, at each of the ticks; none: any.
+    It concerns one ``hand``, counted from 0, or with None all hands of the column. A gap of ``hand_present``
+    means that a hand may be there. A gap of a mode may list the modes in ``either``: the mode was one of
+    these at each of the ticks. An empty ``either`` means any mode.
     """
 
     first: int
@@ -57,7 +59,7 @@ class Gap:
 
 @dataclass(frozen=True, kw_only=True)
 class Closer:
-    """Ticks from ``first`` to the one before ``after`` in which a column is known more closely."""
+    """Ticks from ``first`` to the tick before ``after`` in which a column has a smaller uncertainty."""
 
     first: int
     after: int
@@ -66,13 +68,14 @@ class Closer:
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """How a column was measured.
+    """The source and the uncertainty of a column.
 
-    Every stored number is within ``uncertainty`` (in the column's own SI unit) of the true one, a position or
-    that of a pose by its distance, but in ``gaps``; it is within less where it is ``closer``, and from one
-    tick to the next within the larger of theirs.  ``at_most_per_s``: the true one changes no faster.
-    One that is ``Source.NONE`` was not measured at all, and so it is with one that the controller of a
-    simulated run does not report.  A derived one is as uncertain as what it was derived from makes it.
+    Outside the ``gaps``, every stored number is within ``uncertainty`` of the true number, in the column's
+    own SI unit. For a position, or the position of a pose, this is a distance. ``closer`` spans have a
+    smaller uncertainty. Between two ticks the larger uncertainty of the two holds. ``at_most_per_s`` bounds
+    the rate of change of the true number. ``Source.NONE`` was not measured at all; ``Source.UNREPORTED`` is a
+    column that the controller of a simulated run does not report. A derived column has the uncertainty that
+    follows from its inputs.
     """
 
     source: Source = Source.SIMULATED
@@ -83,7 +86,7 @@ class Measurement:
 
     @property
     def limited(self) -> bool:
-        """Is anything in it unknown or uncertain?"""
+        """Is any part of it unknown or uncertain?"""
         return self.source in NOWHERE or self.uncertainty > 0.0 or bool(self.gaps)
 
 
@@ -93,18 +96,20 @@ NOT_REPORTED = Measurement(source=Source.UNREPORTED)
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known of each column; those that are not named were simulated, and are exact.
+    """The measurement of each column; a column without an entry was simulated, and is exact.
 
-    TraceError names a column that no trace has, an uncertainty that is no finite number of at least zero or
-    is one of whole numbers, and a gap without ticks or of a hand that the column does not hold.
+    Raises:
+        TraceError: A column that no trace has; an uncertainty that is not a finite number of at least zero,
+            or that belongs to whole numbers; a gap without ticks, or of a hand that the column does not hold.
+
     """
 
     columns: Mapping[str, Measurement] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
-        for name, one in self.columns.items():
-            _refuse_impossible(name, one)
+        for name, measurement in self.columns.items():
+            _refuse_impossible(name, measurement)
 
     def __reduce__(self) -> tuple[type[Knowledge], tuple[dict[str, Measurement]]]:
         return Knowledge, (dict(self.columns),)
@@ -112,73 +117,83 @@ class Knowledge:
     @cached_property
     def whole(self) -> bool:
         """Is every column known exactly at every tick?"""
-        return not any(one.limited for one in self.columns.values())
+        return not any(measurement.limited for measurement in self.columns.values())
 
     @property
     def simulated(self) -> bool:
         """Was all of it simulated, so that it can be run again?"""
         return all(
-            one == NOT_REPORTED or (one.source is Source.SIMULATED and not one.limited)
-            for one in self.columns.values()
+            known == NOT_REPORTED or (known.source is Source.SIMULATED and not known.limited)
+            for known in self.columns.values()
         )
 
     @property
     def recorded(self) -> bool:
         """Was any of it read from a log?"""
-        return any(one.source is Source.LOG for one in self.columns.values())
+        return any(measurement.source is Source.LOG for measurement in self.columns.values())
 
     def of(self, name: str) -> Measurement:
-        """Of one column."""
+        """Return the measurement of one column."""
         return self.columns.get(name, _SIMULATED)
 
     def within(self, name: str, count: int) -> NDArray[np.float64]:
-        """(count,) the uncertainty of one column at each tick, in its SI unit."""
-        one = self.of(name)
-        found = np.full(count, one.uncertainty)
-        for span in one.closer:
-            found[span.first : span.after] = span.uncertainty
-        return found
+        """Return (count,) the uncertainty of one column at each tick, in its SI unit."""
+        measurement = self.of(name)
+        uncertainty = np.full(count, measurement.uncertainty)
+        for span in measurement.closer:
+            uncertainty[span.first : span.after] = span.uncertainty
+        return uncertainty
 
     def missing(self, names: Iterable[str]) -> tuple[str, ...]:
-        """Those of ``names`` that were not measured at all."""
+        """Return the columns among ``names`` that were not measured at all."""
         if not self.columns:
             return ()
         return tuple(name for name in names if self.of(name).source in NOWHERE)
 
     def unreported(self, names: Iterable[str]) -> bool:
-        """Are all of ``names`` what the controller of a simulated run does not say?"""
+        """Are all of ``names`` columns that the controller of a simulated run does not report?"""
         return all(self.of(name).source is Source.UNREPORTED for name in names)
 
     def uncertain(self, names: Iterable[str]) -> tuple[str, ...]:
-        """Those of ``names`` that are known to within some uncertainty only."""
+        """Return the columns among ``names`` that have an uncertainty."""
         return tuple(name for name in names if self.of(name).uncertainty > 0.0)
 
     def first_gap(self, names: Iterable[str]) -> Gap | None:
-        """The gap of any of ``names`` that begins first."""
+        """Return the gap of any of ``names`` that begins first."""
         gaps = [gap for name in names for gap in self.of(name).gaps]
         return min(gaps, key=lambda gap: gap.first, default=None)
 
     def measured(self, name: str, ticks: NDArray[np.void]) -> NDArray[np.bool_]:
-        """(n,), or (n, hands) of a column of hands: at which of ``ticks`` (n,) it was measured."""
+        """Return where a column was measured, at each of ``ticks`` (n,).
+
+        Args:
+            name: The column.
+            ticks: The ticks (n,) of the trace.
+
+        Returns:
+            True where it was measured: (n,), or (n, hands) for a column of hands.
+
+        """
         shape = (len(ticks), *ticks.dtype[name].shape[: name in PER_HAND])
-        found = np.full(shape, self.of(name).source not in NOWHERE)
+        mask = np.full(shape, self.of(name).source not in NOWHERE)
         for gap in self.of(name).gaps:
-            found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = False
-        return found
+            mask[gap.first : gap.after, ... if gap.hand is None else gap.hand] = False
+        return mask
 
     def refuse_gaps_beyond(self, ticks: NDArray[np.void], hands: int) -> None:
-        """TraceError for a gap that ends after the last of ``ticks``, or of a hand that is none of ``hands``.
+        """Raise TraceError for a gap that ends after the last of ``ticks``, or for a hand above ``hands``.
 
-        Only of ``hand_present`` for which there is room: another hand may be there.
+        Only ``hand_present`` may have gaps of more hands, up to the room in a tick: another hand may be
+        there.
         """
-        count, (room,) = len(ticks), ticks.dtype[PRESENCE].shape
-        for name, one in self.columns.items():
-            most = room if name == PRESENCE else hands
-            for gap in one.gaps:
+        count, (slots,) = len(ticks), ticks.dtype[PRESENCE].shape
+        for name, measurement in self.columns.items():
+            most = slots if name == PRESENCE else hands
+            for gap in measurement.gaps:
                 if gap.after > count or (gap.hand is not None and gap.hand >= most):
                     expected = f"gaps within {count} ticks, of all hands or one of {most}, counted from 0"
                     raise TraceError(place=Place(field=f"known.{name}"), expected=expected, got=str(gap))
-            for span in one.closer:
+            for span in measurement.closer:
                 if span.after > count:
                     expected = f"spans within {count} ticks"
                     raise TraceError(place=Place(field=f"known.{name}"), expected=expected, got=str(span))
@@ -188,25 +203,25 @@ _SIMULATED = Measurement()
 WHOLLY_KNOWN = Knowledge()
 
 
-def _refuse_impossible(name: str, one: Measurement) -> None:
+def _refuse_impossible(name: str, measurement: Measurement) -> None:
     def refuse(expected: str, got: str) -> TraceError:
         return TraceError(place=Place(field=f"known.{name}"), expected=expected, got=got)
 
     if name not in COLUMNS_OF_A_TRACE:
         raise refuse("the name of a column of ticks or decisions", name)
     whole = (DECISION[name.removeprefix(OF_DECISIONS)] if name.startswith(OF_DECISIONS) else TICK[name]).base
-    if not (isfinite(one.uncertainty) and one.uncertainty >= 0.0):
-        raise refuse("an uncertainty of at least 0", repr(one.uncertainty))
-    if one.uncertainty > 0.0 and whole.kind != "f":
-        raise refuse("no uncertainty, as the column has no real numbers", repr(one.uncertainty))
-    for span in one.closer:
-        if not (0 <= span.first < span.after and 0.0 <= span.uncertainty <= one.uncertainty):
+    if not (isfinite(measurement.uncertainty) and measurement.uncertainty >= 0.0):
+        raise refuse("an uncertainty of at least 0", repr(measurement.uncertainty))
+    if measurement.uncertainty > 0.0 and whole.kind != "f":
+        raise refuse("no uncertainty, as the column has no real numbers", repr(measurement.uncertainty))
+    for span in measurement.closer:
+        if not (0 <= span.first < span.after and 0.0 <= span.uncertainty <= measurement.uncertainty):
             raise refuse(
-                f"spans of ticks in which it is known within less than {one.uncertainty:g}", str(span)
+                f"spans of ticks in which it is known within less than {measurement.uncertainty:g}", str(span)
             )
-    if one.at_most_per_s is not None and not 0.0 <= one.at_most_per_s < inf:
-        raise refuse("a finite rate of at least 0", repr(one.at_most_per_s))
-    for gap in one.gaps:
+    if measurement.at_most_per_s is not None and not 0.0 <= measurement.at_most_per_s < inf:
+        raise refuse("a finite rate of at least 0", repr(measurement.at_most_per_s))
+    for gap in measurement.gaps:
         if not 0 <= gap.first < gap.after or name.startswith(OF_DECISIONS):
             raise refuse("gaps of ticks, each from one to a later one", str(gap))
         if gap.hand is not None and (gap.hand < 0 or name not in PER_HAND):
@@ -219,15 +234,23 @@ LEVELS = 1.1  # an uncertainty by tick is rounded up to the next of a geometric 
 
 
 def measurement(
-    source: Source, within: NDArray[np.float64], gaps: Iterable[Gap] = (), at_most_per_s: float | None = None
+    source: Source, off_by: NDArray[np.float64], gaps: Iterable[Gap] = (), at_most_per_s: float | None = None
 ) -> Measurement:
-    """That of a column which is known to ``within`` (n,) at each tick, in its SI unit; zeros are as good."""
-    most, closer = float(within.max(initial=0.0)), []
+    """Return the measurement of a column with a different uncertainty at each tick.
+
+    Args:
+        source: The source of the column.
+        off_by: The uncertainty (n,) at each tick, in the column's SI unit; it may be 0.
+        gaps: The ticks at which the column was not measured.
+        at_most_per_s: The largest rate of change of the true number. None: no bound.
+
+    """
+    most, closer = float(off_by.max(initial=0.0)), []
     if most > 0.0:
-        steps = np.floor(np.log(most / np.clip(within, most * 1e-6, most)) / np.log(LEVELS) + 1e-9)
+        steps = np.floor(np.log(most / np.clip(off_by, most * 1e-6, most)) / np.log(LEVELS) + 1e-9)
         ends = (np.flatnonzero(np.diff(steps)) + 1).tolist()
-        for first, after in zip([0, *ends], [*ends, len(within)], strict=True):
+        for first, after in zip([0, *ends], [*ends, len(off_by)], strict=True):
             if steps[first] > 0.0:
-                closer.append(Closer(first=first, after=after, uncertainty=float(within[first:after].max())))
+                closer.append(Closer(first=first, after=after, uncertainty=float(off_by[first:after].max())))
     gaps, spans = tuple(gaps), tuple(closer)
     return Measurement(source=source, uncertainty=most, gaps=gaps, closer=spans, at_most_per_s=at_most_per_s)

@@ -1,4 +1,4 @@
-"""How often what an avoider proposed was overruled by the gate, for which reasons, and what came instead."""
+"""How often the gate overruled the avoider's proposals, for which reasons, and with which result."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ COUNTS = ("proposals", *(f"overruled_{what}" for what in ("replaced", "stopped",
 
 
 def answered(trace: Trace) -> NDArray[np.bool_]:
-    """(m,) decisions to which the avoider gave a usable answer in time."""
+    """Return (m,) true for decisions to which the avoider gave a usable answer in time."""
     there: NDArray[np.bool_] = trace.decisions["fault"] == ""
     there &= (np.abs(trace.decisions["proposed_position_in_base_m"]) < ENDLESS).all(axis=1)
     return there
 
 
 def overruled(trace: Trace) -> NDArray[np.bool_]:
-    """(m,) decisions of which the avoider's answer was not what the arm did."""
+    """Return (m,) true for decisions where the arm did not do as the avoider answered."""
     vetoed: NDArray[np.bool_] = trace.decisions["outcome"] != DecisionOutcome.PROPOSED
     return vetoed & answered(trace)
 
 
 def is_measured(trace: Trace) -> bool:
-    """Is it known of a trace's proposals what became of them?"""
+    """Does the trace record the fate of its proposals?"""
     return decided(trace, *_READ)
 
 
 @dataclass(frozen=True)
 class Overruling:
-    """Of ``proposals`` (answers in time): ``replaced`` by the opposite pose, or the arm ``stopped``.
+    """The counts of ``proposals`` (answers in time), ``replaced`` by the opposite pose, or ``stopped``.
 
-    ``reasons`` counts the checks that overruled proposals failed; one proposal may fail several.  A trace
-    whose decisions were not measured counts for nothing, as ``is_measured`` says.
+    ``reasons`` counts the checks that overruled proposals failed. One proposal may fail several. A trace with
+    unmeasured decisions counts for nothing, by ``is_measured``.
     """
 
     proposals: int = 0
@@ -58,7 +58,7 @@ class Overruling:
 
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> Overruling:
-        """Of all ``traces`` together."""
+        """Return the counts of all ``traces`` together."""
         return reduce(add, map(cls._of_one, traces)) if (traces := list(traces)) else cls()
 
     @classmethod
@@ -72,7 +72,7 @@ class Overruling:
             int(np.count_nonzero(in_time)),
             outcomes.count(DecisionOutcome.OPPOSITE),
             outcomes.count(DecisionOutcome.STOP),
-            Counter({check: n for check, bit in _BITS if (n := sum(one & bit != 0 for one in failed))}),
+            Counter({check: n for check, bit in _BITS if (n := sum(flags & bit != 0 for flags in failed))}),
         )
 
     def __add__(self, other: Overruling) -> Overruling:
@@ -85,39 +85,39 @@ class Overruling:
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Plain numbers, named by ``COUNTS``."""
+        """The counts as plain numbers, in the order of ``COUNTS``."""
         return (self.proposals, self.replaced, self.stopped, *(self.reasons[check] for check in REASONS))
 
     @classmethod
     def of_counts(cls, counts: Sequence[int]) -> Overruling:
-        """Of such numbers."""
+        """Return the counts from such numbers."""
         proposals, replaced, stopped, *failed = counts
         reasons = Counter({check: n for check, n in zip(REASONS, failed, strict=True) if n})
         return cls(proposals, replaced, stopped, reasons)
 
     @property
     def named(self) -> dict[str, int]:
-        """For JSON: all counts by their names, those of reasons too."""
+        """All counts by name for JSON, with the count of each reason."""
         return {"overruled": self.overruled, **dict(zip(COUNTS, self.counts, strict=True))}
 
     @property
     def words(self) -> str:
-        """One line, the most frequent reason first; empty if nothing was proposed."""
+        """A line with the most frequent reason first; empty without proposals."""
         if not self.proposals:
             return ""
         of_all = f"{self.proposals:,} {'proposal' if self.proposals == 1 else 'proposals'}"
-        said = f"overruled {self.overruled:,} of {of_all} ({share_words(self.overruled, self.proposals)})"
+        summary = f"overruled {self.overruled:,} of {of_all} ({share_words(self.overruled, self.proposals)})"
         why = ", ".join(f"{n:,} {_NAMES[check].replace('_', ' ')}" for check, n in self.reasons.most_common())
-        ways = ((self.replaced, "by the opposite pose"), (self.stopped, "by a stop"))
-        instead = ", ".join(f"{n:,} {how}" for n, how in ways if n).replace(" ", " replaced ", 1)
-        return "; ".join(filter(None, (f"{said}: {why}" if why else said, instead)))
+        results = ((self.replaced, "by the opposite pose"), (self.stopped, "by a stop"))
+        instead = ", ".join(f"{n:,} {how}" for n, how in results if n).replace(" ", " replaced ", 1)
+        return "; ".join(filter(None, (f"{summary}: {why}" if why else summary, instead)))
 
     @property
     def overruled(self) -> int:
-        """Proposals that were not what the arm did."""
+        """The number of proposals that the arm did not follow."""
         return self.replaced + self.stopped
 
     @property
     def share(self) -> float:
-        """Overruled proposals a proposal; NaN without any."""
+        """Overruled proposals per proposal; NaN without any."""
         return self.overruled / self.proposals if self.proposals else float("nan")

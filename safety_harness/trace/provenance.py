@@ -1,8 +1,8 @@
-"""Which software made a trace: what this process has loaded, not what an installer once noted down.
+"""The software that made a trace, by the modules in this process rather than an installer's notes.
 
-Two packages may install the same module (``opencv-python`` beside ``opencv-python-headless``): the files of
-one lie over those of the other, and the metadata of both stay.  So a version is believed of the package whose
-record has the hash of the very file that is loaded.
+Two packages may install the same module (``opencv-python`` beside ``opencv-python-headless``). The files of
+one then replace the files of its rival, while the metadata of both stay. A version therefore counts only if
+the package's record has the hash of the loaded file.
 """
 
 from __future__ import annotations
@@ -44,13 +44,18 @@ NOT_LOADED = "not loaded"
 
 @lru_cache
 def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
-    """Provenance of a run in this process, with the libraries of every run and those that this one ``used``.
+    """Return the provenance of a run in this process.
 
-    What is loaded besides, by others, is not named: it would depend on what ran before.
+    Libraries that other code loaded do not appear: they would depend on the history of the process.
+
+    Args:
+        world: The world that simulated the run.
+        used: The libraries that this run used beyond ``OF_EVERY_RUN``.
+
     """
     named = (library for library in LIBRARIES if library in (*OF_EVERY_RUN, *used))
-    found = [_loaded(library, _imported(LIBRARIES[library])) for library in named]
-    found += [(_by_metadata(library), None) for library in used if library == ELSEWHERE]
+    loaded = [_loaded(library, _imported(LIBRARIES[library])) for library in named]
+    loaded += [(_by_metadata(library), None) for library in used if library == ELSEWHERE]
     data = DATA, hashlib.sha256("".join(map(_sha256, sorted(ROBOTS.rglob("*.*")))).encode()).hexdigest()
     foreign = ((f"entry point {part}", part.value) for part in foreign_parts())
     return Provenance(
@@ -59,16 +64,16 @@ def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
         world=world,
         python=platform.python_version(),
         platform=f"{platform.system()} {platform.machine()}",
-        libraries=(*(named for named, _ in found), data, *foreign),
-        files=tuple(file for _, file in found if file is not None),
+        libraries=(*(named for named, _ in loaded), data, *foreign),
+        files=tuple(file for _, file in loaded if file is not None),
     )
 
 
 def shared_modules() -> dict[str, tuple[str, ...]]:
-    """The modules that more than one installed package owns, with these packages and their versions."""
+    """Return the modules that several installed packages own, with these packages and their versions."""
     owners = {module: _owners(module) for module in ONE_OWNER}
     return {
-        module: tuple(sorted(f"{name} {found.version}" for name, found in packages.items()))
+        module: tuple(sorted(f"{name} {distribution.version}" for name, distribution in packages.items()))
         for module, packages in owners.items()
         if len(packages) > 1
     }
@@ -82,13 +87,13 @@ def _imported(core: str) -> ModuleType | None:
 
 
 def _by_metadata(library: str) -> tuple[str, str]:
-    for package, found in _owners(library).items():
-        return package, f"{found.version} by its metadata"
+    for package, distribution in _owners(library).items():
+        return package, f"{distribution.version} by its metadata"
     return library, NOT_LOADED
 
 
 def _loaded(library: str, core: ModuleType | None) -> tuple[tuple[str, str], tuple[str, str] | None]:
-    """Name and version of a library, and its compiled file with the hash."""
+    """Return name and version of a library, and its compiled file with the hash."""
     if core is None:
         return (library, NOT_LOADED), None
     path = Path(str(getattr(core, "_native", core).__file__))  # cv2 has its compiled part below itself
@@ -99,44 +104,45 @@ def _loaded(library: str, core: ModuleType | None) -> tuple[tuple[str, str], tup
 
 def _version(library: str, name: str, sha256: str) -> tuple[str, str]:
     recorded = urlsafe_b64encode(bytes.fromhex(sha256)).decode().rstrip("=")
-    for package, found in _owners(library).items():
-        if f"\n{name},sha256={recorded}," in f"\n{found.read_text('RECORD') or ''}":
-            return package, found.version
+    for package, distribution in _owners(library).items():
+        if f"\n{name},sha256={recorded}," in f"\n{distribution.read_text('RECORD') or ''}":
+            return package, distribution.version
     own = getattr(sys.modules.get(library), "__version__", None)
     return library, str(own) if own else "of a version that it does not say"
 
 
 @lru_cache
 def _owners(module: str) -> dict[str, metadata.Distribution]:
-    """The installed packages, by name, that bring a module of ONE_OWNER: by their lists of names or files."""
-    return {name: one for owned, name, one in _installed() if owned == module}
+    """Return the installed packages, by name, that bring a module of ONE_OWNER."""
+    return {name: distribution for owned, name, distribution in _installed() if owned == module}
 
 
 @lru_cache
 def _installed() -> tuple[tuple[str, str, metadata.Distribution], ...]:
-    """The modules of ONE_OWNER with the names of the packages that bring them, the first of a name.
+    """Return the modules of ONE_OWNER with the packages that bring them, the first package of a name.
 
-    ``metadata.packages_distributions`` says as much, and takes a second.
+    A package's list of names or of files shows its modules. ``metadata.packages_distributions`` gives as
+    much, but takes a second.
     """
-    found: dict[tuple[str, str], metadata.Distribution] = {}
-    for one in metadata.distributions():
-        owned = set((one.read_text("top_level.txt") or "").split())
-        owned.update(_OWNED.findall(f"\n{one.read_text('RECORD') or ''}"))
+    owners: dict[tuple[str, str], metadata.Distribution] = {}
+    for distribution in metadata.distributions():
+        owned = set((distribution.read_text("top_level.txt") or "").split())
+        owned.update(_OWNED.findall(f"\n{distribution.read_text('RECORD') or ''}"))
         for module in owned.intersection(ONE_OWNER):
-            found.setdefault((module, one.name.lower()), one)
-    return tuple((module, name, one) for (module, name), one in found.items())
+            owners.setdefault((module, distribution.name.lower()), distribution)
+    return tuple((module, name, distribution) for (module, name), distribution in owners.items())
 
 
 @lru_cache
 def _sha256(path: Path) -> str:
-    """Of a file, which is read again only when it has changed: pybullet's are 140 MB.
+    """Return the hash of a file, and read the file only if it has changed: pybullet's files have 140 MB.
 
-    Beside the machine code it is noted by what the file system says of the file: its place, size and number,
-    and when it was changed, which whoever writes over a file or replaces it cannot but alter.
+    A note beside the machine code keeps the hash under the file's path, device, number, size and times of
+    change. Whoever overwrites or replaces the file alters at least one of them.
     """
     known = path.stat()
-    about = known.st_dev, known.st_ino, known.st_size, known.st_mtime_ns, known.st_ctime_ns
-    name = hashlib.sha256(f"{path} {about}".encode()).hexdigest()[:32]
+    identity = known.st_dev, known.st_ino, known.st_size, known.st_mtime_ns, known.st_ctime_ns
+    name = hashlib.sha256(f"{path} {identity}".encode()).hexdigest()[:32]
     noted = cache_root() / "hashes-of-libraries" / name
     try:
         digest = noted.read_text()

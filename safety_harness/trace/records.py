@@ -1,10 +1,9 @@
 """The layout of a trace: one record a control tick, one record a decision.
 
-Compiled code fills these records in place, so they are numpy structured types with fixed
-shapes.  How many hands a tick has room for, and how many joints the arm has, is part of its type: compiled
-code takes them, as it takes every size, from the record that it is handed, so that what is kept of it is told
-apart by them.
-Frames and units are in the field names; ``_in_base_`` is the robot's base frame.
+Compiled code fills these records in place, so they are numpy structured types with fixed shapes. The number
+of hand slots and of joints is part of a tick's type. Compiled code reads every size from the type of its
+record, so that numba's cache tells the sizes apart. Frames and units are in the field names; ``_in_base_``
+means the robot's base frame.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from safety_harness.scenario.model import HAND_SLOTS
 
 JOINTS = 6  # of the shipped arms
 TRACKS_PER_HAND = 2  # and boxes in a frame: beside hands that are there, false ones and ones that left
-FAULT_CHARACTERS = 240
+FAULT_CHARACTERS = 240  # of the reason for a failed answer
 ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
 
 
 class Mode(IntEnum):
-    """What the controller is doing (the state table of docs/state-table.md)."""
+    """The controller's present activity (the state table of docs/state-table.md)."""
 
     SERVOING = 0
     REPULSING = 1
@@ -34,7 +33,7 @@ class Mode(IntEnum):
 
 
 class Limit(IntFlag):
-    """Which limit acted on a tick's command."""
+    """The limits that acted on a tick's command."""
 
     NONE = 0
     TCP_SPEED = 1
@@ -46,7 +45,7 @@ class Limit(IntFlag):
 
 
 class Trigger(IntEnum):
-    """Why a decision was asked for."""
+    """The reason for a question to the avoider."""
 
     HAND_ENTERED = 0  # while servoing, lost or released: a predicted hand is within the distance
     HAND_STILL_THERE = 1  # on arrival at the repulsive position
@@ -54,7 +53,7 @@ class Trigger(IntEnum):
 
 
 class DecisionOutcome(IntEnum):
-    """What a decision led to."""
+    """The result of a decision."""
 
     PROPOSED = 0  # the avoider's own position
     OPPOSITE = 1  # the opposite pose, because the proposed one failed a check
@@ -62,7 +61,7 @@ class DecisionOutcome(IntEnum):
 
 
 class Check(IntFlag):
-    """Which checks a candidate position failed."""
+    """The checks that a candidate position failed."""
 
     NONE = 0
     NOT_FINITE = 1  # the avoider raised, or returned NaN or a wrong shape
@@ -80,9 +79,12 @@ class Check(IntFlag):
 
 @lru_cache
 def tick_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """A tick of an arm with so many joints.
+    """Return the type of a tick for so many hand slots and joints.
 
-    It has room for so many hands, one of HAND_SLOTS, and TRACKS_PER_HAND tracks for each.
+    Args:
+        hands: The hand slots, one of HAND_SLOTS. The tick has TRACKS_PER_HAND tracks for each.
+        joints: The number of the arm's joints.
+
     """
     tracks = TRACKS_PER_HAND * hands
     return np.dtype(
@@ -132,16 +134,16 @@ def _compiled(dtype: np.dtype[Any]) -> np.dtype[Any]:
 
 
 def as_compiled(ticks: NDArray[np.void]) -> NDArray[np.void]:
-    """(n,) ticks as compiled code sees them, which cannot handle arrays of booleans within a record.
+    """Return (n,) ticks for compiled code, which cannot handle arrays of booleans within a record.
 
-    The same bytes, with those as ``uint8``.
+    The result is a view of the same bytes, with such arrays as ``uint8``.
     """
     return ticks.view(_compiled(ticks.dtype))
 
 
 @lru_cache
 def columns(dtype: np.dtype[Any]) -> dict[str, slice]:
-    """Where the floating-point fields of a tick are, counted in float64 from its beginning."""
+    """Return the place of each floating-point field of a tick, in float64 counted from its beginning."""
     return {
         name: slice(field[1] // 8, (field[1] + field[0].itemsize) // 8)
         for name, field in (dtype.fields or {}).items()
@@ -150,13 +152,13 @@ def columns(dtype: np.dtype[Any]) -> dict[str, slice]:
 
 
 def as_numbers(ticks: NDArray[np.void]) -> NDArray[np.float64]:
-    """(n,) ticks as (n, c) float64 of the same bytes; only ``columns`` of them are numbers."""
+    """Return (n,) ticks as (n, c) float64 of the same bytes; only the ``columns`` of them are numbers."""
     return np.ascontiguousarray(ticks).view(np.float64).reshape(len(ticks), ticks.dtype.itemsize // 8)
 
 
 @lru_cache
 def decision_dtype(joints: int = JOINTS) -> np.dtype[Any]:
-    """A decision of the controller of an arm with so many joints."""
+    """Return the type of a decision for an arm with so many ``joints``."""
     return np.dtype(
         [
             ("tick", np.int64),  # at which its answer counts
@@ -196,7 +198,13 @@ INTERVENTION = np.dtype(
 
 @lru_cache
 def intervention_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """INTERVENTION, the hands that the shield went by, and what it sent to the drives."""
+    """Return INTERVENTION with two more parts: the hands that the shield used, and its command to the drives.
+
+    Args:
+        hands: The hand slots. The record has room for TRACKS_PER_HAND boxes for each.
+        joints: The number of the arm's joints.
+
+    """
     boxes = TRACKS_PER_HAND * hands
     return np.dtype(
         [

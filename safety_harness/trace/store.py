@@ -1,9 +1,9 @@
-"""Traces on disk: one zip of plain arrays and JSON, loaded without executing anything.
+"""Traces on disk: one zip of plain arrays and JSON, loaded without execution of its contents.
 
-A file holds the scenario's text with exact values, the recordings and the own arm's files that it uses, the
-ticks, the decisions and the provenance, and a hash over all of that.  No pickle.  The hashes find damage, not
-intent: who edits a file can write them anew.  What contradicts itself is refused all the same, and
-whether the rest is true is seen by repeating the run.
+A file holds the scenario's text with exact values, its recordings, and the files of an own arm. It also holds
+ticks, decisions and provenance, and a hash over all of that. No pickle. The hashes find damage, not intent:
+an editor of a file can write new hashes. The reader refuses contradictions all the same. Only a repetition of
+the run shows whether the rest is true.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ IN_PART = "safety-harness trace 5"  # that says what is known of its columns, wh
 BEFORE = "safety-harness trace 3"  # whose decisions do not say when the avoider was asked
 HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
-ARRAY_HEADER_BYTES = 20_000
+ARRAY_HEADER_BYTES = 20_000  # room for the header of an array
 KNOWN = "known.json"
 CERTIFIED = "certified.json"  # only where somebody asked for it
 INTERVENTIONS = "interventions.npy"  # only of a scenario that has a shield
@@ -88,10 +88,18 @@ class _Run:
 
 
 def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] | None = None) -> None:
-    """Write ``trace`` to ``path``, whole or not at all.  Raises OSError.
+    """Write ``trace`` to ``path``, whole or not at all.
 
-    ``recordings`` are the bytes of recorded motions by sha256; those that are not given are read
-    from the files that the scenario names.
+    Args:
+        trace: The trace.
+        path: The file to write.
+        recordings: The bytes of recorded motions by sha256. A missing recording is read from the file that
+            the scenario names. None: all are.
+
+    Raises:
+        OSError: The file cannot be written.
+        TraceError: A recording has changed since the scenario was read.
+
     """
     refuse_other_type("save_trace(trace)", trace, Trace)
     path = as_path(path, "save_trace(path)")
@@ -129,7 +137,7 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
     }
     parts["run.json"] = json.dumps(run, indent=1, sort_keys=True).encode()
     if not (trace.known.simulated and trace.known.whole):
-        columns = {n: {**asdict(one), "source": one.source.value} for n, one in trace.known.columns.items()}
+        columns = {n: {**asdict(how), "source": how.source.value} for n, how in trace.known.columns.items()}
         parts[KNOWN] = json.dumps(columns, indent=1, sort_keys=True).encode()
     if trace.certified is not None:
         parts[CERTIFIED] = json.dumps(plain(trace.certified), indent=1, sort_keys=True).encode()
@@ -147,7 +155,7 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
 
 
 def _fields_alone(records: NDArray[np.void]) -> NDArray[np.void]:
-    """The records with zeros between their fields, where memory has anything."""
+    """Return the records with zeros between their fields, where memory may hold any bytes."""
     clean = np.zeros(records.shape, records.dtype)
     for name in records.dtype.names or ():
         clean[name] = records[name]
@@ -155,7 +163,7 @@ def _fields_alone(records: NDArray[np.void]) -> NDArray[np.void]:
 
 
 def _portable(scenario: Scenario) -> Scenario:
-    """The scenario without a path that only this machine has."""
+    """Return the scenario without any path that only this machine has."""
     folder = scenario.file.parent if scenario.file else Path()
 
     def name(path: str) -> str:
@@ -166,7 +174,7 @@ def _portable(scenario: Scenario) -> Scenario:
 
 
 def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
-    """The bytes of a recording; TraceError if the file has changed since it was read."""
+    """Return the bytes of a recording; TraceError if the file has changed since it was read."""
     folder = scenario.file.parent if scenario.file else Path()
     data = located(folder / hand.recording).read_bytes()
     if hashlib.sha256(data).hexdigest() != hand.motion.sha256:
@@ -176,14 +184,22 @@ def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
 
 
 def load_trace(path: str | Path) -> Trace:
-    """Read a trace; TraceError says what is wrong with a file that is none, damaged or contradictory."""
+    """Read a trace.
+
+    Args:
+        path: The file that ``save_trace`` wrote.
+
+    Raises:
+        TraceError: The file is no trace, is damaged, or contradicts itself.
+
+    """
     path = as_path(path, "load_trace(path)")
     refuse_other_kind(path, FileKind.TRACE, error=TraceError)
     return _Reader(path).trace()
 
 
 class _Reader:
-    """Reads one file; every failure names it.  Nothing is unpacked that is larger than it may be."""
+    """A reader of one file; every error names the file. It unpacks no part that is larger than allowed."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -201,10 +217,10 @@ class _Reader:
         except TraceError:
             raise
         except Exception as error:  # zlib.error, struct.error: whatever damaged bytes provoke
-            raise self._error("a trace file, whole", _words(error)) from error
+            raise self._error("a trace file, whole", _in_words(error)) from error
 
     def _trace(self, archive: zipfile.ZipFile) -> Trace:
-        """The small parts first: they tell how large the others may be."""
+        """Read the small parts first: they determine the allowed sizes of the large parts."""
         first = min((info.header_offset for info in archive.infolist()), default=0)
         if first:  # what lies before would not be read
             raise self._error("one trace alone in the file", f"{first} bytes before it")
@@ -216,7 +232,7 @@ class _Reader:
         carried = [name for name in self._parts if name.startswith(CARRIED)]
         for name in ("run.json", "scenario.yaml", *carried):
             self._unpack(archive, name, SMALL_BYTES if name not in carried else MAX_BYTES)
-        run, before = self._run()
+        run, avoider = self._run()
         scenario = self._scenario(run)
         most = scenario.ticks + 1
         old = self._format == BEFORE
@@ -262,21 +278,21 @@ class _Reader:
             provenance=run.provenance,
             ended=run.ended,
             known=known,
-            system=run.system or system_of(scenario, avoider=before),
+            system=run.system or system_of(scenario, avoider=avoider),
             interventions=interventions,
             certified=certified,
             overshoot_radps=overshoot_radps,
         )
-        wrong = first_inconsistency(trace)
-        if wrong is not None:
-            raise self._error(wrong.expected, wrong.got, wrong.where)
+        flaw = first_inconsistency(trace)
+        if flaw is not None:
+            raise self._error(flaw.expected, flaw.got, flaw.where)
         return trace
 
     def _error(self, expected: str, got: str, field: str | None = None) -> TraceError:
         return TraceError(place=Place(file=self._path, field=field), expected=expected, got=got)
 
     def _refuse_no_directory(self, file: IO[bytes]) -> None:
-        """A zip's end tells how long its directory is; a long one would fill the memory before it is read."""
+        """Refuse a long directory by the zip's end record, before its entries can fill the memory."""
         size = file.seek(0, os.SEEK_END)
         file.seek(max(size - ZIP_END.size, 0))
         end = file.read(ZIP_END.size)
@@ -288,7 +304,7 @@ class _Reader:
             raise self._error(f"a trace file of at most {MOST_PARTS} parts", got)
 
     def _unpack(self, archive: zipfile.ZipFile, name: str, most: int) -> None:
-        """Read a part of at most so many bytes, and compare its hash."""
+        """Read a part of at most ``most`` bytes, and compare its hash."""
         if name not in self._parts:
             raise self._error("a part of this name", "none", name)
         size = archive.getinfo(name).file_size
@@ -297,33 +313,33 @@ class _Reader:
         try:
             self._parts[name] = archive.read(name)
         except Exception as error:  # zlib.error, struct.error: whatever damaged bytes provoke
-            raise self._error("a trace file, whole", _words(error), name) from error
+            raise self._error("a trace file, whole", _in_words(error), name) from error
         actual = hashlib.sha256(self._parts[name]).hexdigest()
         if name != HEADER and self._hashes[name] != actual:
             raise self._error(f"contents with sha256 {self._hashes[name]}", f"sha256 {actual}", name)
 
     def _json(self, name: str, kind: type[T]) -> T:
-        """A part that is a JSON object of this kind."""
-        found = parsed(self._parts[name], self._path, name, TraceError)
-        return typed(found, kind, self._path, defaults=True, error=TraceError)
+        """Return a part that is a JSON object of this kind."""
+        value = parsed(self._parts[name], self._path, name, TraceError)
+        return typed(value, kind, self._path, defaults=True, error=TraceError)
 
     def _run(self) -> tuple[_Run, Component | None]:
-        """And the avoider, where that is all that an earlier version says of the system."""
-        found, before = parsed(self._parts["run.json"], self._path, "run.json", TraceError), None
-        made = found.get("provenance") if isinstance(found, dict) else None
-        if isinstance(made, dict) and "system" not in found and OF_AVOIDER[0] in made:
+        """Return the run's record, and the avoider if an earlier version stored no more of the system."""
+        record, avoider = parsed(self._parts["run.json"], self._path, "run.json", TraceError), None
+        made = record.get("provenance") if isinstance(record, dict) else None
+        if isinstance(made, dict) and "system" not in record and OF_AVOIDER[0] in made:
             values = zip(("name", "sha256"), (made.pop(name, "") for name in OF_AVOIDER), strict=True)
-            before = typed(dict(values), Component, self._path, where="provenance.avoider", error=TraceError)
-        elif isinstance(found, dict) and "system" not in found:
+            avoider = typed(dict(values), Component, self._path, where="provenance.avoider", error=TraceError)
+        elif isinstance(record, dict) and "system" not in record:
             raise self._error("this field", "none", "system")
-        return typed(found, _Run, self._path, defaults=True, error=TraceError), before
+        return typed(record, _Run, self._path, defaults=True, error=TraceError), avoider
 
     def _known(self, ticks: NDArray[np.void], hands: int) -> Knowledge:
         try:
-            found = self._json(KNOWN, dict[str, Any])
+            entries = self._json(KNOWN, dict[str, Any])
             columns = {
-                name: typed(_whole(one), Measurement, self._path, where=f"known.{name}", error=TraceError)
-                for name, one in found.items()
+                name: typed(_whole(entry), Measurement, self._path, where=f"known.{name}", error=TraceError)
+                for name, entry in entries.items()
             }
             known = Knowledge(columns)
             known.refuse_gaps_beyond(ticks, hands)
@@ -332,7 +348,7 @@ class _Reader:
         return known
 
     def _check_header(self, archive: zipfile.ZipFile) -> None:
-        """The format, and a hash for every other part."""
+        """Check the format, and that every other part has a hash."""
         self._unpack(archive, HEADER, SMALL_BYTES)
         header = self._json(HEADER, _Header)
         if header.format not in (FORMAT, BEFORE, IN_PART):
@@ -353,8 +369,8 @@ class _Reader:
         file = Path(run.scenario_file or f"{name}.yaml")
         try:
             text = self._parts["scenario.yaml"].decode()
-            found = parse_scenario(text, file, carried, name=name, claims_required=False)
-            return replace(found, claims=tuple(replace(one, edition=run.claims) for one in found.claims))
+            read = parse_scenario(text, file, carried, name=name, claims_required=False)
+            return replace(read, claims=tuple(replace(c, edition=run.claims) for c in read.claims))
         except UnicodeDecodeError as error:
             raise self._error("a scenario in the trace", f"none that can be read ({error!r})") from error
         except InputError as error:
@@ -366,55 +382,58 @@ class _Reader:
         name: str,
         dtype: np.dtype[Any],
         most: int,
-        before: np.dtype[Any] | None = None,
+        earlier: np.dtype[Any] | None = None,
     ) -> NDArray[Any]:
-        """At most so many records, or such as ``before``.
+        """Return at most ``most`` records of ``dtype``, or of the ``earlier`` type.
 
-        The array's header is not believed before its length is compared.
+        It compares the header's length with the actual bytes before it trusts the header.
         """
         self._unpack(archive, name, most * dtype.itemsize + ARRAY_HEADER_BYTES)
         data = io.BytesIO(self._parts.pop(name))
         try:
             if np.lib.format.read_magic(data) != (1, 0):
                 raise ValueError("another version of the format")
-            shape, _, found = np.lib.format.read_array_header_1_0(data)
+            shape, _, stored = np.lib.format.read_array_header_1_0(data)
         except Exception as error:  # whatever its parser stumbles over
             raise self._error("an array of records", f"none that can be read ({error})", name) from error
-        dtype = before if before is not None and found == before else dtype
-        if found != dtype or len(shape) != 1:
-            raise self._error("records as this version writes them", f"{found}", name)
+        dtype = earlier if earlier is not None and stored == earlier else dtype
+        if stored != dtype or len(shape) != 1:
+            raise self._error("records as this version writes them", f"{stored}", name)
         records = data.read()
         if len(records) != shape[0] * dtype.itemsize:
             raise self._error(f"{shape[0]} records", f"{len(records)} bytes of them", name)
         return np.frombuffer(records, dtype).copy()
 
 
-def _words(error: Exception) -> str:
+def _in_words(error: Exception) -> str:
     return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
 def as_now(decisions: NDArray[np.void], ticks: NDArray[np.void], faults: Sequence[Fault]) -> NDArray[np.void]:
-    """(m,) DECISION_3 as (m,) DECISION.  No decision cost anything then but by a fault of the scenario."""
+    """Return (m,) DECISION_3 as (m,) DECISION. Only a fault of the scenario made decisions cost time then."""
     now = np.zeros(len(decisions), DECISION)
     for name in DECISION_3.names or ():
         now[name] = decisions[name]
-    now["asked_tick"] = _asked(decisions["tick"], ticks["faults"], faults)
+    now["asked_tick"] = _asked_at(decisions["tick"], ticks["faults"], faults)
     return now
 
 
-def _asked(made: NDArray[np.int64], acted: NDArray[np.int64], faults: Sequence[Fault]) -> NDArray[np.int64]:
-    """(m,) the tick of each question: a fault that delays its answer is marked from there to the decision."""
+def _asked_at(at: NDArray[np.int64], acts: NDArray[np.int64], faults: Sequence[Fault]) -> NDArray[np.int64]:
+    """Return (m,) the tick of each question.
+
+    A fault that delays the answer marks the ticks from the question to the decision.
+    """
     slow = sum(1 << k for k, fault in enumerate(faults) if isinstance(fault, AvoiderLate | AvoiderSilent))
-    waiting = (acted & slow) != 0
-    if len(made) == 0 or made.min() < 0 or made.max() >= len(waiting):
-        return made  # refused later, in words
+    waiting = (acts & slow) != 0
+    if len(at) == 0 or at.min() < 0 or at.max() >= len(waiting):
+        return at  # refused later, in words
     begun = np.maximum.accumulate(np.where(waiting, -1, np.arange(len(waiting)))) + 1
-    after_the_one_before = np.concatenate([[0], made[:-1] + 1])
-    return np.where(waiting[made], np.maximum(begun[made], after_the_one_before), made)
+    after_the_one_before = np.concatenate([[0], at[:-1] + 1])
+    return np.where(waiting[at], np.maximum(begun[at], after_the_one_before), at)
 
 
 def _whole(measurement: Any) -> Any:
-    """With what earlier files do not say of a column."""
+    """Return the measurement with the entries that earlier files lack."""
     if not isinstance(measurement, dict):
         return measurement
     gaps = measurement.get("gaps")

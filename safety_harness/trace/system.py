@@ -1,4 +1,4 @@
-"""The system under test as a value: its parts by name, each with the hash of what it is made of."""
+"""The system under test as a value: its parts by name, each with the hash of its contents."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Line = Annotated[str, Meta(max_length=4_096, pattern=r"\A[^\0\n\r]*\Z")]  # it i
 
 @dataclass(frozen=True, kw_only=True)
 class Component:
-    """A part of the system.  ``sha256`` is of its file or of its settings; empty for one with neither.
+    """A part of the system. ``sha256`` covers its file or its settings; it is empty without either.
 
-    What ships is in the hash of the package's source besides.
+    The hash of the package's source covers the shipped parts too.
     """
 
     name: Line
@@ -35,11 +35,11 @@ class Component:
 
 @dataclass(frozen=True, kw_only=True)
 class SystemUnderTest:
-    """What drives the arm in a run, and what it drives and sees by; traces, ledgers and pages carry it.
+    """The controller in a run, the arm and its perception. Traces, ledgers and pages carry it.
 
-    Only the visual servo has ``avoider`` and ``gate``.  ``robot`` has the hash of its URDF and
-    of all that its files say, ``gate``, ``perception`` and ``settings`` of their settings.  ``shield`` is
-    None where there is none.
+    Only the visual servo has ``avoider`` and ``gate``. ``robot`` has the hash of its URDF and of the contents
+    of all its files. ``gate``, ``perception`` and ``settings`` have the hash of their settings. ``shield`` is
+    None without a shield.
     """
 
     controller: Component
@@ -52,44 +52,44 @@ class SystemUnderTest:
 
     @property
     def tested(self) -> Component:
-        """What a user brings: the avoider, or the controller where there is none."""
+        """The user's part: the avoider, or the controller where there is no avoider."""
         return self.controller if self.avoider is None else self.avoider
 
     def of_file(self, sha256: str) -> SystemUnderTest:
-        """With the hash of the file that holds what a user brings."""
+        """Return the system with the hash of the file that holds the user's part."""
         part = replace(self.tested, sha256=sha256)
         return replace(self, controller=part) if self.avoider is None else replace(self, avoider=part)
 
     @property
     def words(self) -> str:
-        """For a line: ``avoider opposite pose``, or ``controller stop when near``."""
+        """The user's part in a line: ``avoider opposite pose``, or ``controller stop when near``."""
         return f"{'controller' if self.avoider is None else 'avoider'} {self.tested.name}"
 
     @property
     def parts(self) -> dict[str, Component]:
-        """Those that it has, by what they are."""
-        found = ((one.name, getattr(self, one.name)) for one in fields(self))
-        return {name: part for name, part in found if part is not None}
+        """The parts that the system has, by field."""
+        pairs = ((field.name, getattr(self, field.name)) for field in fields(self))
+        return {name: part for name, part in pairs if part is not None}
 
     @property
     def as_dict(self) -> dict[str, Any]:
-        """Its parts as they are written down; a shield only where there is one."""
-        return {name: one for name, one in asdict(self).items() if name != "shield" or one is not None}
+        """The parts as a stored dictionary; ``shield`` is a key only with a shield."""
+        return {name: part for name, part in asdict(self).items() if name != "shield" or part is not None}
 
     @property
     def as_json(self) -> str:
-        """One text for one system."""
+        """The dictionary as JSON, with the same text for the same system."""
         return json.dumps(self.as_dict, sort_keys=True)
 
     def changes(self, now: SystemUnderTest) -> Iterator[str]:
-        """Each part that is another now, in words; a hash that was never noted is no change."""
+        """Yield a line for each part that differs ``now``; a hash that an old file lacks is no change."""
         then, new = self.parts, now.parts
         for name in dict.fromkeys([*then, *new]):
-            before, after = then.get(name), new.get(name)
-            if before is None or after is None or before.name != after.name:
-                yield f"{name}: {before or 'none'} then, {after or 'none'} now"
-            elif before.sha256 and before.sha256 != after.sha256:
-                yield f"{name}: {before} then, {after} now"
+            earlier, later = then.get(name), new.get(name)
+            if earlier is None or later is None or earlier.name != later.name:
+                yield f"{name}: {earlier or 'none'} then, {later or 'none'} now"
+            elif earlier.sha256 and earlier.sha256 != later.sha256:
+                yield f"{name}: {earlier} then, {later} now"
 
 
 def system_of(
@@ -99,7 +99,15 @@ def system_of(
     controller: Component | None = None,
     robot_sha256: str = "",
 ) -> SystemUnderTest:
-    """The system of a run: of a ``controller``, or of the visual servo that asks ``avoider``."""
+    """Return the system of a run of a ``controller``, or of the visual servo that asks ``avoider``.
+
+    Args:
+        scenario: The scenario of the run.
+        avoider: The avoider. None for a controller.
+        controller: The user's controller. None: the visual servo.
+        robot_sha256: The hash of the robot's URDF, without the settings of its mounting.
+
+    """
     settings, robot = scenario.settings, scenario.robot
     mounted = replace(robot, **_NAMES) if isinstance(robot, OwnRobot) else robot
     if not isinstance(mounted, Robot):
@@ -120,7 +128,7 @@ def system_of(
 
 @lru_cache(maxsize=16)
 def _shield(shield: Shield | None) -> Component | None:
-    """With the hash of what it takes for granted."""
+    """Return the shield as a component, with the hash of its assumptions."""
     if shield is None:
         return None
     text = json.dumps(asdict(shield), sort_keys=True, default=_plain)
@@ -140,25 +148,25 @@ _IMAGES = {source: f"object {source.value}" for source in ImageSource}
 
 @lru_cache
 def _parts(settings: Settings) -> tuple[Component, Component, Component, Component]:
-    """What the settings alone decide: servo, gate, perception, and all of them."""
+    """Return the parts that follow from the settings alone: servo, gate, perception, and the settings."""
     sees = f"{_SENSORS[settings.hand_sensor.kind]}, {_IMAGES[settings.camera.source]}"
     return (
-        Component(name=VISUAL_SERVO, sha256=_of(settings, "servo", "motion")),
-        Component(name=_GATES[settings.avoidance.gate], sha256=_of(settings, "avoidance")),
-        Component(name=sees, sha256=_of(settings, "camera", "hand_sensor", "hand_filter")),
-        Component(name="settings", sha256=_of(settings, *(one.name for one in fields(settings)))),
+        Component(name=VISUAL_SERVO, sha256=_hash_of(settings, "servo", "motion")),
+        Component(name=_GATES[settings.avoidance.gate], sha256=_hash_of(settings, "avoidance")),
+        Component(name=sees, sha256=_hash_of(settings, "camera", "hand_sensor", "hand_filter")),
+        Component(name="settings", sha256=_hash_of(settings, *(entry.name for entry in fields(settings)))),
     )
 
 
-def _of(settings: Settings, *names: str) -> str:
-    """The hash of some of the settings: of their exact values, in the order of their names."""
+def _hash_of(settings: Settings, *names: str) -> str:
+    """Return the hash of the exact values of some settings, in the order of their names."""
     values = ", ".join(f'"{name}": {_text(getattr(settings, name))}' for name in sorted(names))
     return hashlib.sha256(f"{{{values}}}".encode()).hexdigest()
 
 
 @lru_cache(maxsize=256)
 def _text(part: Any) -> str:
-    """A part of the settings as JSON: few of a space's draws have another."""
+    """Return a part of the settings as JSON. Few draws of a space differ here, so the cache serves most."""
     return json.dumps(asdict(part), sort_keys=True, default=_plain)
 
 

@@ -1,4 +1,4 @@
-"""A trace: everything that happened in one run, frozen, enough to judge it without simulating."""
+"""A trace: the frozen record of one run, enough to judge it without simulation."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ R = TypeVar("R")
 
 
 def no_interventions() -> NDArray[np.void]:
-    """(0,) INTERVENTION: of a run without a shield."""
+    """Return the (0,) INTERVENTION of a run without a shield."""
     return np.zeros(0, INTERVENTION)
 
 
 def not_recorded() -> NDArray[np.float64]:
-    """(0, 0): of a run in which nobody looked at the sub-steps."""
+    """Return the (0, 0) overshoot of a run whose sub-steps were not recorded."""
     return np.zeros((0, 0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """Which software made a trace.  ``source_hash`` covers every Python file of the package.
+    """The software that made a trace. ``source_hash`` covers every Python file of the package.
 
-    ``libraries`` are (name, version) of what was loaded, and say so of what was not; ``files`` are the
-    compiled files of theirs (name, sha256).
+    ``libraries`` are (name, version) pairs, which also state that a library was not loaded. ``files`` are the
+    compiled files of these libraries (name, sha256).
     """
 
     package_version: Line
@@ -49,20 +49,30 @@ class Provenance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trace:
-    """``ticks`` (n,) of the scenario's ``hand_slots``, ``decisions`` (m,) of dtype DECISION, both read-only.
+    """The record of one run: ``ticks`` (n,) and ``decisions`` (m,), both read-only.
 
-    A run that was cut short has fewer ticks than ``scenario.ticks`` + 1 (both ends of the
-    duration are recorded) and ``ended`` says why; no property takes it for a safe one.
-    ``decision_latency_s`` (m,) is the wall-clock time that each decision took, NaN for one that was not
-    timed since it was made together with others: the one thing here that a repetition does not give
-    again, and nothing but reports reads it (by the wall's clock each decision's own record has it).
-    ``known`` says which columns were measured, and how well; of a simulated run all are known.
-    ``certified`` is what was proven of its decisions afterwards, if anybody asked; no verdict reads it.
-    ``system`` is what was tested.  ``interventions`` (n,) INTERVENTION are those of the shield, one a tick;
-    empty where the scenario has none.  ``overshoot_radps`` (n, joints) is by how much the joints' speeds left
-    those of the two ticks in the sub-steps of an engine, from each tick to the next; (0, joints) where nobody
-    recorded it.  ``answer_s`` (k,) is the wall-clock time of each answer of a user's controller: it is not
-    stored, nobody compares it, and only reports read it; empty where nobody timed them one by one.
+    ``certified`` has proofs about its decisions that a user requested afterwards, or is None. No verdict
+    reads it.
+
+    Args:
+        scenario: The scenario of the run.
+        ticks: (n,) of ``tick_dtype`` for the scenario's ``hand_slots``. A complete run has ``scenario.ticks``
+            + 1, since it records both ends of the duration. A run that was cut short has fewer.
+        decisions: (m,) of ``decision_dtype``.
+        decision_latency_s: (m,) the wall-clock time of each decision [s]. NaN where several decisions were
+            made together, without a time for each. A repetition gives other times, so only reports read it.
+            The cost in simulated time is in the decision's own record.
+        provenance: The software that made the trace.
+        ended: "complete", or the reason why the run was cut short. No property takes a shortened run for a
+            safe run.
+        known: The columns that were measured, and how well.
+        system: The system under test.
+        interventions: (n,) INTERVENTION of the shield, one a tick; empty without a shield.
+        overshoot_radps: (n, joints) by how much the joints' speeds left the speeds of the two ticks, in an
+            engine's sub-steps from each tick to the next. (0, 0) if not recorded.
+        answer_s: (k,) the wall-clock time of each answer of a user's controller [s]. It is not stored or
+            compared, and only reports read it. Empty where answers have no time of their own.
+
     """
 
     scenario: Scenario
@@ -99,7 +109,7 @@ class Trace:
 
 
 def once_a_trace(function: Callable[[Trace], R]) -> Callable[[Trace], R]:
-    """``function``, whose result is kept as long as the trace is: traces never change."""
+    """Return ``function`` with a cache that keeps each result as long as its trace: traces never change."""
     known: WeakKeyDictionary[Trace, R] = WeakKeyDictionary()
 
     @wraps(function)
@@ -113,9 +123,9 @@ def once_a_trace(function: Callable[[Trace], R]) -> Callable[[Trace], R]:
 
 
 def history(trace: Trace, name: str) -> NDArray[Any]:
-    """A field (n, ...) of the ticks, read-only, with every component's n values side by side in memory.
+    """Return a field (n, ...) of the ticks, read-only, with each component's n values contiguous in memory.
 
-    What numpy makes of all ticks at once is several times quicker with it than with ``trace.ticks[name]``.
+    Numpy operations over all ticks at once are several times quicker on it than on ``trace.ticks[name]``.
     Compiled code goes from tick to tick, and is as quick without a copy.
     """
     known = _histories(trace)
@@ -127,5 +137,5 @@ def history(trace: Trace, name: str) -> NDArray[Any]:
 
 @once_a_trace
 def _histories(_: Trace) -> dict[str, NDArray[Any]]:
-    """Those that somebody has asked for."""
+    """Return the fields of the trace that ``history`` has copied so far."""
     return {}

@@ -1,4 +1,4 @@
-"""``safety-harness robot``: what an arm's URDF says, and capsules that enclose the arm."""
+"""``safety-harness robot``: an arm's URDF as it is read, and capsules that enclose the arm."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ def show(
         Path | None, Option(help="Also a page with the arm and its capsules in 3-D.", metavar="PAGE")
     ] = None,
 ) -> int:
-    """Show what is read from a URDF: joints, limits, reach, and links with their meshes.
+    """Show an arm's joints, limits, reach, links and meshes.
 
-    The page is of an arm with capsules: of an arm's file, or UR10, UR5, UR3.  Meshes are drawn with the extra
-    "fitting" alone.
-    Exit code 0; 2: it cannot be used, with file and line.
+    The page needs an arm with capsules: an arm's file, or UR10, UR5, UR3. Only the extra "fitting" draws
+    meshes.
+    Exit code 0; 2: the arm cannot be used, with file and line.
     """
     import numpy as np
 
@@ -96,9 +96,9 @@ def show(
         "",
     )
     _show_what_it_lacks(arm)
-    names = [[shape.uri or shape.kind for shape in (*one.collision, *one.visual)] for one in arm.links]
+    names = [[shape.uri or shape.kind for shape in (*link.collision, *link.visual)] for link in arm.links]
     shapes = [
-        (one.link, ", ".join(dict.fromkeys(of)) or "none") for one, of in zip(arm.links, names, strict=True)
+        (link.link, ", ".join(dict.fromkeys(u)) or "none") for link, u in zip(arm.links, names, strict=True)
     ]
     result(*table(("link", "shapes"), shapes, columns_of(sys.stdout), named_by=1))
     document(
@@ -142,11 +142,11 @@ def fit(
     seed: Seed = 0,
     jobs: Annotated[int, Option(help="Links at a time, each in a process.")] = 1,
 ) -> int:
-    """Fit capsules that enclose every triangle of an arm's collision and visual meshes, in minutes.
+    """Fit capsules about an arm's meshes, in minutes.
 
-    They are told link by link, with how far they stand out over the meshes.  The file names the URDF and the
-    meshes by their SHA-256, and no others may be used with it.
-    Exit code 0; 2: bad input; 130: interrupted, nothing was written.
+    They enclose every triangle of the collision and visual meshes. The output lists them by link, with their
+    excess over the meshes. The file records the SHA-256 of the URDF and the meshes, and fits no others. Exit
+    code 0; 2: bad input; 130: interrupted, no file was written.
     """
     import numpy as np
 
@@ -174,9 +174,9 @@ def fit(
             f"shapes of every link of {arm.file} between others that have them, or the links accepted here",
             f"no shape of {', '.join(links)}",
         )
-    with counting(len(shaped), "links") as tell, ExitStack() as closing:
-        over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
-        fitted = fit_arm(arm, seed, tell, over)
+    with counting(len(shaped), "links") as progress, ExitStack() as closing:
+        each = map if jobs == 1 else closing.enter_context(pool(jobs)).map
+        fitted = fit_arm(arm, seed, progress, each)
     write_capsules(out, arm, fitted)
     rng = np.random.default_rng(0)
     stands_out_m = [excess(capsules, link_surface(link, FINE_M), rng) for link, capsules in fitted]
@@ -211,10 +211,10 @@ def enclose(
     scale: Annotated[float, Option(help="To metres: 0.001 for millimetres.")] = 1.0,
     seed: Seed = 0,
 ) -> int:
-    """Enclose the mesh of a tool or a part in capsules, written as a scenario file takes them.
+    """Enclose a tool's or part's mesh in capsules.
 
-    They hold every triangle, and are in the frame of the mesh.  How far they stand out is told beside them.
-    Exit code 0; 2: bad input.
+    The output has the form of a scenario file. The capsules hold every triangle, in the frame of the mesh. A
+    line states their excess over the mesh. Exit code 0; 2: bad input.
     """
     import numpy as np
 
@@ -228,7 +228,7 @@ def enclose(
     most_m, mean_m = excess(capsules, surface, np.random.default_rng(0))
     result("capsules:")
     for *ends, radius_m in capsules:
-        start, end = ("[" + ", ".join(f"{1e3 * x:.1f} mm" for x in one) + "]" for one in ends)
+        start, end = ("[" + ", ".join(f"{1e3 * x:.1f} mm" for x in point) + "]" for point in ends)
         result(f"  - {{from: {start}, to: {end}, radius: {1e3 * radius_m:.1f} mm}}")
     document(
         capsules=[{"from_m": a, "to_m": b, "radius_m": r} for a, b, r in capsules],
@@ -240,7 +240,7 @@ def enclose(
 
 
 def _show_what_it_lacks(arm: ArmModel) -> None:
-    """Print what the URDF does not state, with its use and its key; soft limits; and what is left out."""
+    """Print each quantity that the URDF lacks, with its use and its key; then soft limits and notes."""
     import numpy as np
 
     from safety_harness.claims.properties.tally import table
@@ -255,11 +255,11 @@ def _show_what_it_lacks(arm: ArmModel) -> None:
 
 
 def _robot(file: Path) -> AnyRobot | None:
-    """The arm of an arm's file, or one of the package by name; None for anything else."""
+    """Return the arm of an arm's file, or an arm of the package by name; None for anything else."""
     from safety_harness.scenario.robots import Robot, is_arm_file, robot_named
 
     text = str(file)
-    return robot_named(text) if is_arm_file(text) or text in [one.label for one in Robot] else None
+    return robot_named(text) if is_arm_file(text) or text in [robot.label for robot in Robot] else None
 
 
 def _arm(file: Path, base: str | None, tcp: str | None, package: list[str]) -> ArmModel:

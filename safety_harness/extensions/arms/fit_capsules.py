@@ -1,11 +1,11 @@
 """Fit capsules to the shapes of an arm's links, for ``safety-harness robot fit``.
 
-Each link's surface, of its collision and its visual shapes, is cut into pieces of at most ``PIECE_M``.
-Every piece belongs to one capsule that holds it wholly (a capsule is convex, so its three corners suffice);
-hence the capsules together hold every triangle.  As in Lloyd's algorithm, pieces go to the capsule
-that they fit best, then each capsule is shrunk about its pieces to least volume; the best of
-several random starts, judged by the volume of the union, is kept.  A link has as many capsules as each take
-a share of ``WORTH`` off that volume, at most ``MOST_CAPSULES``.
+The fit cuts each link's surface, from its collision and its visual shapes, into pieces of at most
+``PIECE_M``. Every piece belongs to one capsule that holds it wholly. A capsule is convex, so the piece's
+three corners suffice, and the capsules together hold every triangle. As in Lloyd's algorithm, each piece goes
+to the capsule that it fits best, then each capsule shrinks about its pieces to least volume. Several random
+starts compete by the volume of the union. A link gets a further capsule, up to ``MOST_CAPSULES``, while each
+takes a share of ``WORTH`` off that volume.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from safety_harness.cell.robot.capsules import StoredCapsule, StoredCapsules, ha
 from safety_harness.cell.robot.description import ArmModel, LinkShapes, Shape
 from safety_harness.cell.robot.urdf import ArmFileError
 
-PIECE_M = 0.025
-GRID_M = 0.006
-STARTS = 20
-ROUNDS = 15
+PIECE_M = 0.025  # longest edge of a piece in the first rounds
+GRID_M = 0.006  # step of the grid that measures the volume of the union
+STARTS = 20  # random starts of a fit with more than one capsule
+ROUNDS = 15  # of Lloyd's algorithm at most
 WORTH = 0.1
 MOST_CAPSULES = 4
 LONGEST_M = 4.0  # of a link: a mesh in millimetres is a thousand times as long
@@ -68,12 +68,15 @@ class Surface:
         return areas
 
     def corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """The vertices (k, 3) of the ``chosen`` (n,) triangles, each once."""
+        """Return the vertices (k, 3) of the ``chosen`` (n,) triangles, each once."""
         return self.vertices[np.unique(self.faces[chosen])]
 
 
 def _faces(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices (v, 3) [m] and triangles (n, 3) of a shape in its own frame; round ones are within them."""
+    """Return vertices (v, 3) [m] and triangles (n, 3) of a shape in its own frame.
+
+    The polyhedron of a round shape encloses it.
+    """
     trimesh = _trimesh()
     if shape.kind == "mesh":
         if str(shape.file).lower().endswith(".dae"):
@@ -103,7 +106,7 @@ def _faces(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _metres_a_unit(mesh: Any) -> float:
-    """The unit [m] that a COLLADA file states.  Its up axis is not applied, as ROS's tools do not."""
+    """Return the unit [m] that a COLLADA file states. It ignores the file's up axis, as ROS's tools do."""
     number, _, rest = str(mesh.metadata.get("units", "")).partition(" ")
     return float(number) if rest == "* meters" else 1.0
 
@@ -119,7 +122,7 @@ def _of_mesh(shape: Shape, expected: str, got: str) -> ArmFileError:
 
 
 def link_surface(link: LinkShapes, longest_m: float) -> Surface:
-    """All shapes of a link, cut until no edge is longer than ``longest_m``."""
+    """Return all shapes of a link, cut until no edge is longer than ``longest_m``."""
     vertices, faces, count = [], [], 0
     with FITTING.needed("robot fit"):
         for part in (*link.collision, *link.visual):
@@ -134,9 +137,9 @@ def link_surface(link: LinkShapes, longest_m: float) -> Surface:
 
 @compiled
 def farthest(points: ArrayNx3, start: Array3, end: Array3) -> float:
-    """Largest distance of ``points`` (n, 3) from the segment: the radius that holds them all.
+    """Return the largest distance [m] of ``points`` (n, 3) from the segment: the radius that holds them all.
 
-    ``start`` and ``end`` (3,).
+    ``start`` and ``end`` (3,) [m] are in the points' frame.
     """
     largest = 0.0
     for i in range(points.shape[0]):
@@ -146,7 +149,7 @@ def farthest(points: ArrayNx3, start: Array3, end: Array3) -> float:
 
 @compiled
 def inside(points: ArrayNx3, start: Array3, end: Array3, radius: float) -> NDArray[np.bool_]:
-    """Which of ``points`` (n, 3) lie in the capsule.  ``start`` and ``end`` (3,)."""
+    """Return (n,) true where one of ``points`` (n, 3) lies in the capsule. ``start`` and ``end`` (3,)."""
     result = np.empty(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
         result[i] = point_segment_distance(points[i], start, end) <= radius
@@ -175,7 +178,7 @@ def assign(
 
 
 def smallest_capsule(points: ArrayNx3, start: Capsule | None) -> Capsule:
-    """A capsule of locally least volume about ``points`` (n, 3), from ``start`` or the main axes."""
+    """Return a capsule of locally least volume about ``points`` (n, 3), from ``start`` or the main axes."""
     try:
         hull = points[ConvexHull(points).vertices]
     except QhullError:  # all in one plane
@@ -193,7 +196,7 @@ def smallest_capsule(points: ArrayNx3, start: Capsule | None) -> Capsule:
             answer = minimize(volume, guess, method="Nelder-Mead", options=options)
             simplex = np.vstack((answer.x, answer.x + 0.003 * np.eye(6)))
         answers.append(answer)
-    best = min(answers, key=lambda one: one.fun)
+    best = min(answers, key=lambda fit: fit.fun)
     return best.x[:3], best.x[3:], farthest(hull, best.x[:3], best.x[3:])
 
 
@@ -210,7 +213,7 @@ def _axis_guesses(hull: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def fit_link(surface: Surface, rng: np.random.Generator) -> list[Capsule]:
-    """The capsules of a link: one, and another as long as it is ``WORTH`` it."""
+    """Return the capsules of a link: one, and another while it reduces the volume by the share ``WORTH``."""
     best, volume = fit_capsules(surface, 1, rng)
     for count in range(2, MOST_CAPSULES + 1):
         more, less = fit_capsules(surface, count, rng)
@@ -221,9 +224,9 @@ def fit_link(surface: Surface, rng: np.random.Generator) -> list[Capsule]:
 
 
 def fit_capsules(surface: Surface, count: int, rng: np.random.Generator) -> tuple[list[Capsule], float]:
-    """The best of several fits of ``count`` capsules that together hold every triangle, and its volume [m^3].
+    """Return the best fit of ``count`` capsules that together hold every triangle, and its volume [m^3].
 
-    No capsules, and infinity, where no start led to so many.
+    Without any successful start it returns no capsules, and infinity.
     """
     centres, areas = surface.centres, surface.areas
     low, high = surface.vertices.min(axis=0) - 0.05, surface.vertices.max(axis=0) + 0.05
@@ -246,7 +249,7 @@ def fit_capsules(surface: Surface, count: int, rng: np.random.Generator) -> tupl
 
 
 def _improve(surface: Surface, owner: NDArray[np.int64], count: int) -> list[Capsule] | None:
-    """Shrink capsules and hand over triangles by turns; None if a capsule is left with nothing."""
+    """Shrink capsules and reassign triangles by turns; None if a capsule has too few corners left."""
     capsules: list[Capsule] = []
     for _ in range(ROUNDS):
         groups = [surface.corners(owner == j) for j in range(count)]
@@ -267,20 +270,20 @@ def _stacked(capsules: list[Capsule]) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 def needed(surface: Surface, capsules: list[Capsule], index: int) -> NDArray[np.float64]:
-    """Corners of the triangles that no capsule but number ``index`` holds wholly."""
+    """Return the corners of the triangles that no capsule besides ``index`` holds wholly."""
     spare = np.zeros(len(surface.faces), dtype=np.bool_)
     for j, (start, end, radius) in enumerate(capsules):
         if j != index:
-            held = inside(surface.vertices, start, end, radius)
-            spare |= held[surface.faces].all(axis=1)
+            enclosed = inside(surface.vertices, start, end, radius)
+            spare |= enclosed[surface.faces].all(axis=1)
     return surface.corners(~spare)
 
 
 def polish(surface: Surface, capsules: list[Capsule]) -> list[Capsule]:
-    """Shrink one capsule after the other about what no other holds; ends and radii to 0.1 mm.
+    """Shrink each capsule in turn about the triangles that only it holds; ends and radii to 0.1 mm.
 
-    Coverage is kept at every step, so the last step's capsules hold every triangle.  Ends are
-    rounded before the radius is computed, and the radius is rounded up.
+    Every step preserves coverage, so the last step's capsules hold every triangle. It rounds the ends before
+    it computes the radius, and rounds the radius up.
     """
     capsules = list(capsules)
     for last in [False] * (POLISH_ROUNDS if len(capsules) > 1 else 1) + [True]:
@@ -296,7 +299,7 @@ def polish(surface: Surface, capsules: list[Capsule]) -> list[Capsule]:
 
 
 def excess(capsules: list[Capsule], surface: Surface, rng: np.random.Generator) -> tuple[float, float]:
-    """Largest and mean distance [m] from the union's surface to the link's surface, by sampling."""
+    """Return the largest and mean distance [m] from the union's surface to the link's, by sampling."""
     samples = []
     for j, (start, end, radius) in enumerate(capsules):
         axis = end - start
@@ -312,15 +315,25 @@ def excess(capsules: list[Capsule], surface: Surface, rng: np.random.Generator) 
                 start + rng.random((len(tube), 1)) * axis + radius * tube,
             )
         )
-        others = [other for i, other in enumerate(capsules) if i != j]
-        hidden = [inside(points, *other) for other in others]
+        others = [capsule for i, capsule in enumerate(capsules) if i != j]
+        hidden = [inside(points, *capsule) for capsule in others]
         samples.append(points[~np.any(hidden, axis=0)] if others else points)
     distance = cKDTree(surface.centres).query(np.vstack(samples))[0]
     return float(distance.max()), float(distance.mean())
 
 
 def fit_mesh(file: Path, scale: float, seed: int = 0) -> tuple[list[Capsule], Surface]:
-    """The capsules that enclose a mesh (a tool, a part), in its own frame, and its surface."""
+    """Return the capsules that enclose a mesh (a tool, a part), in its own frame, and its surface.
+
+    Args:
+        file: The mesh.
+        scale: The factor to metres.
+        seed: The seed of the random starts.
+
+    Raises:
+        ArmFileError: The mesh is missing or cannot be used.
+
+    """
     if not file.is_file():
         raise ArmFileError.of_file(file, "a mesh", "no file of that name")
     shape = Shape(kind="mesh", size=np.full(3, scale), transform_shape_to_link=np.eye(4), file=file)
@@ -333,29 +346,36 @@ def fit_mesh(file: Path, scale: float, seed: int = 0) -> tuple[list[Capsule], Su
 def fit_arm(
     arm: ArmModel,
     seed: int = 0,
-    tell: Callable[[int, str], None] = lambda done, link: None,
-    over: Callable[..., Iterable[list[Capsule]]] = map,
+    progress: Callable[[int, str], None] = lambda done, link: None,
+    each: Callable[..., Iterable[list[Capsule]]] = map,
 ) -> list[tuple[LinkShapes, list[Capsule]]]:
-    """The capsules of every link that has shapes; the same for the same seed.
+    """Return the capsules of every link that has shapes; the same for the same seed.
 
-    ``tell`` is told how many of the links are done, and which is next; ``over`` is ``map``, or that of a pool
-    of processes.
+    Args:
+        arm: The arm.
+        seed: The seed of the random starts.
+        progress: Called with the number of finished links and the name of the next link.
+        each: ``map``, or the ``map`` of a pool of processes.
+
+    Raises:
+        ArmFileError: The arm has no shapes, or a link's shapes have no area.
+
     """
     links = [link for link in arm.links if link.collision or link.visual]
     if not links:
         raise ArmFileError.of_file(arm.file, "an arm with shapes", "none at all")
     result = []
-    tell(0, links[0].link)
-    for link, capsules in zip(links, over(partial(_fitted, seed=seed), links), strict=True):
+    progress(0, links[0].link)
+    for link, capsules in zip(links, each(partial(_fitted, seed=seed), links), strict=True):
         if not capsules:
             raise ArmFileError.of_file(arm.file, f"shapes with an area for {link.link!r}", "none with one")
         result.append((link, capsules))
-        tell(len(result), links[len(result)].link if len(result) < len(links) else "")
+        progress(len(result), links[len(result)].link if len(result) < len(links) else "")
     return result
 
 
 def _fitted(link: LinkShapes, seed: int) -> list[Capsule]:
-    """The capsules of one link; none for one without an area."""
+    """Return the capsules of one link; empty for a link without an area."""
     capsules = fit_link(link_surface(link, PIECE_M), np.random.default_rng((seed, link.index)))
     if not capsules:
         return []
@@ -363,7 +383,7 @@ def _fitted(link: LinkShapes, seed: int) -> list[Capsule]:
 
 
 def write_capsules(file: Path, arm: ArmModel, fitted: list[tuple[LinkShapes, list[Capsule]]]) -> None:
-    """Write the capsules of an arm as ``read_capsules`` reads them; OutputError if that cannot be."""
+    """Write the capsules of an arm for ``read_capsules``; OutputError if that fails."""
     urdf, meshes = hashes_of(arm)
     capsules = [
         StoredCapsule(

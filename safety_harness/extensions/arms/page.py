@@ -1,6 +1,6 @@
-"""Arms in 3-D on one self-contained page: the capsules that distances are measured to, about the meshes.
+"""Arms in 3-D on one self-contained page: the capsules that distances use, about the meshes.
 
-The viewer is that of the replays, and so is what it is told: each joint in turn goes from end to end.
+The page uses the viewer and the data format of replays. Each joint in turn goes from end to end.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ENDLESS_RAD = np.pi  # where a joint without ends turns round
 
 
 def write_arm_page(path: Path, robots: Sequence[AnyRobot], *, title: str) -> None:
-    """Write the page whole or not at all; it asks nothing of the network.  OSError."""
+    """Write the page whole or not at all; it needs no network. Raises OSError."""
     arms = [_section(robot, number) for number, robot in enumerate(robots, start=1)]
     page = render_page(
         "arms.html.j2",
@@ -49,8 +49,8 @@ def write_arm_page(path: Path, robots: Sequence[AnyRobot], *, title: str) -> Non
 
 
 def shipped_robots() -> list[AnyRobot]:
-    """The arms of the package, and the files of others that come with it."""
-    files = [one.path for one in shipped_files() if one.kind is ShippedKind.ROBOTS]
+    """Return the package's own arms, and the arms whose files ship with it."""
+    files = [file.path for file in shipped_files() if file.kind is ShippedKind.ROBOTS]
     return [*Robot, *(robot_named(str(path)) for path in files)]
 
 
@@ -98,7 +98,7 @@ def _section(robot: AnyRobot, number: int) -> dict[str, Any]:
 
 
 def _scene(arm: ArmModel, capsules: CapsuleSet, meshes: dict[str, Any] | None) -> dict[str, Any]:
-    """The arm alone, as a run without a hand in which the joints turn one after another."""
+    """Return the arm alone, as a run without a hand in which the joints turn one after another."""
     joints, moving = _joint_ways(arm)
     ends = [
         f"{plain(name)}, {np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} deg"
@@ -117,33 +117,33 @@ def _scene(arm: ArmModel, capsules: CapsuleSet, meshes: dict[str, Any] | None) -
 
 
 def _ends(arm: ArmModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) each: between which angles each joint is shown."""
+    """Return the angles (n,) and (n,) [rad] between which the page shows each joint."""
     low, high = arm.position_lower_rad, arm.position_upper_rad
     return np.where(np.isinf(low), -ENDLESS_RAD, low), np.where(np.isinf(high), ENDLESS_RAD, high)
 
 
 def _joint_ways(arm: ArmModel) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """(ticks, n) joint positions, and (ticks,) which joint moves, from end to end, alone."""
+    """Return (ticks, n) joint positions, and (ticks,) the joint that moves, from end to end, alone."""
     low, high = _ends(arm)
     rest = np.clip(0.0, low, high)
-    way, moving = [rest[None]], [0]
+    path, moving = [rest[None]], [0]
     steps = round(LEG_S / TICK_S)
     for k in range(len(rest)):
         for start, end in pairwise((rest[k], low[k], high[k], rest[k])):
             leg = np.repeat(rest[None], steps, axis=0)
             leg[:, k] = np.linspace(start, end, steps + 1)[1:]
-            way.append(leg)
+            path.append(leg)
             moving += [k] * steps
-    return np.vstack(way), np.array(moving)
+    return np.vstack(path), np.array(moving)
 
 
 def _meshes(arm: ArmModel) -> dict[str, Any] | None:
-    """By link, of its collision shapes if it has any; none without the extra or the files."""
+    """Return the meshes by link, of collision shapes if there are any; None without the extra or files."""
     if find_spec(FITTING.modules[0]) is None:
         return None
     from safety_harness.extensions.arms.fit_capsules import LONGEST_M, link_surface
 
-    found = {}
+    meshes = {}
     for link in arm.links:
         shapes = link.collision or link.visual
         if not shapes or any(shape.kind == "mesh" and shape.file is None for shape in shapes):
@@ -152,5 +152,5 @@ def _meshes(arm: ArmModel) -> dict[str, Any] | None:
         corners = surface.vertices
         if link.index == 0:
             corners = corners @ arm.transform_seat[:3, :3].T + arm.transform_seat[:3, 3]
-        found[link.index] = corners, surface.faces
-    return packed_meshes(found)
+        meshes[link.index] = corners, surface.faces
+    return packed_meshes(meshes)

@@ -1,9 +1,9 @@
-"""Distributions that a scenario space can have, fitted to samples, with a goodness of fit and intervals.
+"""Distributions for a scenario space, fitted to samples, with a goodness of fit and intervals.
 
-Parameters are those of the greatest likelihood within bounds that are known beforehand.  The fit is judged by
-the Anderson-Darling distance, whose distribution under the family is found by a parametric bootstrap:
-samples of the same size from the fitted one, each of them fitted anew (Stute, Gonzalez Manteiga and Presedo
-Quindimil, 1993), as a table for known parameters would hardly ever reject.
+The parameters have the greatest likelihood within known bounds. The Anderson-Darling distance judges the fit.
+A parametric bootstrap gives its distribution under the family: it draws samples of the same size from the
+fit, and fits each anew (Stute, Gonzalez Manteiga and Presedo Quindimil, 1993). A table for known parameters
+would hardly ever reject.
 """
 
 from __future__ import annotations
@@ -16,20 +16,22 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 Floats = NDArray[np.float64]
-BOOTSTRAPS = 999
-REJECTED_BELOW = 0.05
-CONFIDENCE = 0.95
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(240)
-_STEPS, _CLOSE = 60, 1e-10
+BOOTSTRAPS = 999  # samples of the parametric bootstrap, each fitted anew
+REJECTED_BELOW = 0.05  # the p-value below which a family is rejected
+CONFIDENCE = 0.95  # of the parameters' intervals, from the bootstrap's quantiles
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(240)  # for the moments of a cut normal distribution
+_STEPS, _CLOSE = 60, 1e-10  # of Newton's method: the most steps, and the largest error of a moment
+# Bounds beyond 9 std cut nothing off; a fit has at least this mass between the bounds; floor of logarithms
 _FAR_STDS, _LEAST_MASS, _LEAST_TAIL = 9.0, 1e-3, 1e-12
 
 
 @dataclass(frozen=True)
 class Family:
-    """Two ``parameters`` by their names, for many samples at once, within known bounds (low, high).
+    """A family with two ``parameters`` by name, for many samples at once, within known bounds (low, high).
 
-    ``fitted`` takes (b, n) samples to (b, 2) parameters, NaN for a sample that has none; ``below`` takes
-    (b, n) values and (b, 2) parameters to (b, n), how probable less is; ``values`` is its inverse.
+    ``fitted`` maps (b, n) samples to (b, 2) parameters, NaN for a sample without a fit. ``below`` maps (b, n)
+    values and (b, 2) parameters to (b, n), the probability of a smaller value. ``values`` is the inverse of
+    ``below``.
     """
 
     name: str
@@ -40,21 +42,21 @@ class Family:
 
 
 def _normal(samples: Floats, low: float, high: float) -> Floats:
-    """Mean and std of a normal distribution that is cut off at the bounds: its moments are the samples'.
+    """Return mean and std of a normal distribution cut off at the bounds, with the moments of the samples.
 
-    The density is exp(a y + b y^2) on y from -1 to 1; Newton's method solves for a and b, in which the
-    likelihood is concave.  One with b >= 0 has no normal distribution.
+    The density is exp(a y + b y^2) for y from -1 to 1. Newton's method solves for a and b, in which the
+    likelihood is concave. A solution with b >= 0 is no normal distribution.
     """
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     y = (samples - middle) / half
     mean, std = y.mean(axis=1), y.std(axis=1)
     wanted = np.column_stack([mean, (y**2).mean(axis=1)])
-    found = np.column_stack([mean / std**2, -0.5 / std**2])
+    solution = np.column_stack([mean / std**2, -0.5 / std**2])
     cut = (mean - _FAR_STDS * std < -1.0) | (mean + _FAR_STDS * std > 1.0)
     powers = _NODES ** np.arange(1, 5)[:, None]  # (4, nodes)
     going = cut.copy()
     for _ in range(_STEPS):
-        at = found[going]
+        at = solution[going]
         if not len(at):
             break
         log = at @ powers[:2]
@@ -62,17 +64,17 @@ def _normal(samples: Floats, low: float, high: float) -> Floats:
         moments = (density @ powers.T) / density.sum(axis=1, keepdims=True)
         m1, m2, m3, m4 = moments.T
         hessian = np.array([[m2 - m1**2, m3 - m1 * m2], [m3 - m1 * m2, m4 - m2**2]]).transpose(2, 0, 1)
-        off = wanted[going] - moments[:, :2]
-        step = np.linalg.solve(hessian + 1e-14 * np.eye(2), off[:, :, None])[:, :, 0]
+        misfit = wanted[going] - moments[:, :2]
+        step = np.linalg.solve(hessian + 1e-14 * np.eye(2), misfit[:, :, None])[:, :, 0]
         size = np.abs(step).max(axis=1, keepdims=True)
         most = 0.5 * (1.0 + np.abs(at).max(axis=1, keepdims=True))
-        found[going] = at + step * np.minimum(1.0, most / np.maximum(size, 1e-300))
-        going[np.flatnonzero(going)[(np.abs(off) < _CLOSE).all(axis=1)]] = False
+        solution[going] = at + step * np.minimum(1.0, most / np.maximum(size, 1e-300))
+        going[np.flatnonzero(going)[(np.abs(misfit) < _CLOSE).all(axis=1)]] = False
     with np.errstate(invalid="ignore", divide="ignore"):
-        spread = np.sqrt(-0.5 / found[:, 1])
-        result = np.column_stack([middle + half * found[:, 0] * spread**2, half * spread])
+        spread = np.sqrt(-0.5 / solution[:, 1])
+        result = np.column_stack([middle + half * solution[:, 0] * spread**2, half * spread])
         ends = ndtr((np.array([[low, high]]) - result[:, :1]) / result[:, 1:])
-        none = going | ~(found[:, 1] < 0.0) | ~(ends[:, 1] - ends[:, 0] > _LEAST_MASS)
+        none = going | ~(solution[:, 1] < 0.0) | ~(ends[:, 1] - ends[:, 0] > _LEAST_MASS)
     result[none] = np.nan
     return result
 
@@ -95,7 +97,7 @@ def _normal_values(share: Floats, parameters: Floats, low: float, high: float) -
 
 
 def _even(samples: Floats, low: float, high: float) -> Floats:
-    """From end to end of each sample, and beyond each of them as far as samples are apart on the mean."""
+    """Return the ends of each sample, widened on both sides by the mean gap between its values."""
     least, most = samples.min(axis=1), samples.max(axis=1)
     gap = (most - least) / (samples.shape[1] - 1)
     return np.column_stack([np.maximum(least - gap, low), np.minimum(most + gap, high)])
@@ -128,23 +130,28 @@ class Fit:
 
     @property
     def rejected(self) -> bool:
-        """Is it not the distribution of the sample?"""
+        """Does the test reject the family?"""
         return self.p_value < REJECTED_BELOW
 
 
 def fit(values: Floats, *, low: float, high: float, rng: np.random.Generator) -> tuple[Fit, ...]:
-    """Each family that can be fitted to ``values`` (n,), from ``low`` to ``high``, the best first.
+    """Return each family that fits ``values``, the best first; empty where all values are equal.
 
-    One value alone has no distribution.
+    Args:
+        values: The sample (n,).
+        low: The lower bound of the quantity.
+        high: The upper bound of the quantity.
+        rng: The random numbers of the bootstrap.
+
     """
     if float(np.ptp(values)) == 0.0:
         return ()
-    found = [_fit(family, values[None, :], low, high, rng) for family in FAMILIES]
-    return tuple(sorted((one for one in found if one is not None), key=lambda one: -one.p_value))
+    fits = [_fit(family, values[None, :], low, high, rng) for family in FAMILIES]
+    return tuple(sorted((f for f in fits if f is not None), key=lambda f: -f.p_value))
 
 
 def _fit(family: Family, own: Floats, low: float, high: float, rng: np.random.Generator) -> Fit | None:
-    """Of the one sample ``own`` (1, n); None if it has none of the family."""
+    """Return the fit to the one sample ``own`` (1, n); None if the family has no fit."""
     parameters = family.fitted(own, low, high)
     if not np.isfinite(parameters).all():
         return None
@@ -154,7 +161,7 @@ def _fit(family: Family, own: Floats, low: float, high: float, rng: np.random.Ge
     if np.count_nonzero(there) < BOOTSTRAPS // 2:
         return None
     distance = float(_distances(family, own, parameters, low, high)[0])
-    others = _distances(family, drawn[there], again[there], low, high)
+    by_chance = _distances(family, drawn[there], again[there], low, high)
     tails = np.array([(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0])
     intervals = np.quantile(again[there], tails, axis=0).T.tolist()
     return Fit(
@@ -162,12 +169,12 @@ def _fit(family: Family, own: Floats, low: float, high: float, rng: np.random.Ge
         parameters=dict(zip(family.parameters, parameters[0].tolist(), strict=True)),
         intervals={key: (a, b) for key, (a, b) in zip(family.parameters, intervals, strict=True)},
         distance=distance,
-        p_value=float((1 + np.count_nonzero(others >= distance)) / (1 + len(others))),
+        p_value=float((1 + np.count_nonzero(by_chance >= distance)) / (1 + len(by_chance))),
     )
 
 
 def _distances(family: Family, samples: Floats, parameters: Floats, low: float, high: float) -> Floats:
-    """(b,) A^2 of each sample's distribution function from the family's; ``samples`` (b, n)."""
+    """Return (b,) A^2 of each sample's distribution function from the family's; ``samples`` (b, n)."""
     below, n = family.below(np.sort(samples, axis=1), parameters, low, high), samples.shape[1]
     below = np.clip(below, _LEAST_TAIL, 1.0 - _LEAST_TAIL)
     weights = 2.0 * np.arange(1, n + 1) - 1.0

@@ -1,7 +1,7 @@
-"""Recorded hands as a scenario space: what they did, as distributions that a space can have.
+"""Recorded hands as a scenario space: their approaches as distributions that a space can have.
 
-A quantity whose sample has the one or the other distribution (``fitting``) becomes it; of one that has
-neither, the recorded values stand for themselves, each as probable as another.
+A quantity takes a family that fits its sample (``fitting``). Without a family that fits, its recorded values
+stand for themselves with equal probability.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from safety_harness.scenario.codec import Tree, scalar_text
 from safety_harness.scenario.files import told
 from safety_harness.scenario.write import text_of
 
-LEAST_APPROACHES = 5
+LEAST_APPROACHES = 5  # fewer are refused; a quantity with fewer values is not fitted
 HARD = 0.5  # of the speed over the window: from there on an acceleration comes out too small, by a tenth
 WEAK_BELOW = 30  # values, with which a wrong family is seldom found
 MOST_VALUES = 100  # that stand for themselves in a space
 LONGEST_S, FARTHEST_M, LEAST_MPS2, HARDEST_MPS2 = 60.0, 2.0, 0.1, 50.0
-ELBOW_BEHIND_M = 0.4
+ELBOW_BEHIND_M = 0.4  # from the mean start of a hand, along the mean direction
 AXES = ("x", "y", "z")
 SPEED_OF, ACCELERATION, DWELL, PAUSE, END = "speed", "acceleration", "dwell", "pause", "distance at the end"
 FORMS = {"m/s": ("mm/s", 1e3), "m/s2": ("m/s2", 1.0), "s": ("ms", 1e3), "m": ("mm", 1e3)}
@@ -45,7 +45,7 @@ FORMS = {"m/s": ("mm/s", 1e3), "m/s2": ("m/s2", 1.0), "s": ("ms", 1e3), "m": ("m
 
 @dataclass(frozen=True, kw_only=True)
 class FittedQuantity:
-    """One quantity of approaches: its values in SI, known bounds, and what was fitted to it, best first."""
+    """One quantity of approaches: its values in SI, known bounds, and its fits, the best first."""
 
     name: str
     unit: str
@@ -57,27 +57,27 @@ class FittedQuantity:
     @property
     def chosen(self) -> Fit | None:
         """The best fit that is not rejected; None where the values stand for themselves."""
-        return next((one for one in self.fits if not one.rejected), None)
+        return next((f for f in self.fits if not f.rejected), None)
 
     @property
     def text(self) -> str:
-        """As a space has it."""
+        """The quantity as text of a space."""
         return self.beside(0.0)
 
     def beside(self, place: float) -> str:
-        """The same of values that are so much more."""
+        """Return the text with ``place`` added to all values."""
         unit, per_si = FORMS[self.unit]
 
         def written(value: float) -> str:
             return f"{round((value + place) * per_si, 3):.10g} {unit}"
 
-        one = self.chosen
-        if one is None:
+        best = self.chosen
+        if best is None:
             values = np.quantile(self.values, np.linspace(0.0, 1.0, min(len(self.values), MOST_VALUES)))
             texts = list(dict.fromkeys(written(value) for value in values.tolist()))
             return texts[0] if len(texts) == 1 else f"one of {', '.join(texts)}"
-        first, second = (one.parameters[key] for key in one.parameters)
-        if one.family == "uniform":
+        first, second = (best.parameters[key] for key in best.parameters)
+        if best.family == "uniform":
             ends = dict.fromkeys((written(first), written(second)))
             return f"from {' to '.join(ends)}" if len(ends) > 1 else written(first)
         bounds = f"from {written(self.low)} to {written(self.high)}"
@@ -86,11 +86,11 @@ class FittedQuantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Direction:
-    """Where approaches come from: the mean direction (3,) in the base frame, and how much they agree.
+    """The direction of approaches: the mean (3,) in the base frame, and the agreement of the directions.
 
-    ``resultant`` is the length of the mean of their directions, from 0 (any) to 1 (all the same), and
-    ``concentration`` the kappa of a von Mises-Fisher distribution (Sra, 2012); ``any_p_value`` that of
-    Rayleigh's test of directions that are uniform over the sphere (3 n r^2 is chi-square with 3 degrees).
+    ``resultant`` is the length of the mean of their unit vectors, from 0 (any) to 1 (all the same).
+    ``concentration`` is the kappa of a von Mises-Fisher distribution (Sra, 2012). ``any_p_value`` comes from
+    Rayleigh's test of uniform directions over the sphere (3 n r^2 is chi-square with 3 degrees).
     """
 
     mean: tuple[float, float, float]
@@ -101,7 +101,7 @@ class Direction:
 
 @dataclass(frozen=True, kw_only=True)
 class HandsFit:
-    """All that was fitted, of which recordings (their name and SHA-256), and what a reader has to know."""
+    """All fits, their recordings (name and SHA-256), and notes for the reader."""
 
     quantities: tuple[FittedQuantity, ...]
     direction: Direction
@@ -116,31 +116,37 @@ class HandsFit:
 
 
 def fit_hands(logs: Sequence[CellLog], *, seed: int) -> HandsFit:
-    """What the hands of ``logs`` did; LogError for too few approaches to say anything of them."""
+    """Return the fits to the approaches of the hands in ``logs``; LogError for too few approaches.
+
+    Args:
+        logs: The logs, all with hands.
+        seed: The seed of the bootstrap.
+
+    """
     watched, recordings = Watched(), _recordings(logs)
     for log in logs:
         watched.add(approaches_of(log))
-    found = watched.approaches
-    if len(found) < LEAST_APPROACHES:
+    approaches = watched.approaches
+    if len(approaches) < LEAST_APPROACHES:
         raise LogError(
             place=Place(file=logs[0].file),
             expected=f"{LEAST_APPROACHES} approaches at least, in all the logs",
-            got=f"{len(found)}, among {watched.moves} moves in {watched.seconds:.1f} s with hands",
+            got=f"{len(approaches)}, among {watched.moves} moves in {watched.seconds:.1f} s with hands",
             hint=f"one ends 100 mm nearer to the TCP than it began, and within {NEAR_M * 1e3:g} mm of it",
         )
     quantities, lacking = [], []
-    for number, (name, unit, low, high, values) in enumerate(_samples(found, watched.fastest_mps)):
+    for number, (name, unit, low, high, values) in enumerate(_samples(approaches, watched.fastest_mps)):
         if len(values) < LEAST_APPROACHES:
             lacking.append(f"{name}: only {len(values)} values, not fitted")
             continue
         rng = generator(seed, Branch.STATISTICS, number)
         fits = fit(np.array(values), low=low, high=high, rng=rng)
-        one = FittedQuantity(name=name, unit=unit, low=low, high=high, values=tuple(values), fits=fits)
-        quantities.append(one)
+        quantity = FittedQuantity(name=name, unit=unit, low=low, high=high, values=tuple(values), fits=fits)
+        quantities.append(quantity)
     hours = watched.seconds / 3600.0
     return HandsFit(
         quantities=tuple(quantities),
-        direction=_direction(found),
+        direction=_direction(approaches),
         approaches=watched.counted,
         hours=hours,
         per_hour=watched.counted / hours,
@@ -153,19 +159,19 @@ def fit_hands(logs: Sequence[CellLog], *, seed: int) -> HandsFit:
 
 
 def _samples(
-    found: Sequence[Approach], fastest_mps: float
+    approaches: Sequence[Approach], fastest_mps: float
 ) -> list[tuple[str, str, float, float, list[float]]]:
-    """(name, unit, low, high, values) of each quantity, without what is beyond its bounds."""
-    starts = np.array([one.start_from_tcp_m for one in found])
-    dwells = [one.dwell_s for one in found if one.dwell_s is not None]
-    pauses = [one.pause_s for one in found if one.pause_s is not None]
+    """Return (name, unit, low, high, values) of each quantity, without values beyond its bounds."""
+    starts = np.array([a.start_from_tcp_m for a in approaches])
+    dwells = [a.dwell_s for a in approaches if a.dwell_s is not None]
+    pauses = [a.pause_s for a in approaches if a.pause_s is not None]
     rows = [
-        (SPEED_OF, "m/s", MOVES_MPS, fastest_mps, [one.speed_mps for one in found]),
-        (ACCELERATION, "m/s2", LEAST_MPS2, HARDEST_MPS2, [one.acceleration_mps2 for one in found]),
+        (SPEED_OF, "m/s", MOVES_MPS, fastest_mps, [a.speed_mps for a in approaches]),
+        (ACCELERATION, "m/s2", LEAST_MPS2, HARDEST_MPS2, [a.acceleration_mps2 for a in approaches]),
         (DWELL, "s", LEAST_STAND_S, LONGEST_S, dwells),
         (PAUSE, "s", LEAST_STAND_S, LONGEST_S, pauses),
-        (END, "m", 0.0, NEAR_M, [one.end_distance_m for one in found]),
-        *((f"start {a}", "m", -FARTHEST_M, FARTHEST_M, starts[:, k].tolist()) for k, a in enumerate(AXES)),
+        (END, "m", 0.0, NEAR_M, [a.end_distance_m for a in approaches]),
+        *((f"start {x}", "m", -FARTHEST_M, FARTHEST_M, starts[:, k].tolist()) for k, x in enumerate(AXES)),
     ]
     return [
         (name, unit, low, high, [value for value in values if low <= value <= high])
@@ -173,30 +179,33 @@ def _samples(
     ]
 
 
-def _direction(found: Sequence[Approach]) -> Direction:
-    starts = np.array([one.start_from_tcp_m for one in found])
+def _direction(approaches: Sequence[Approach]) -> Direction:
+    starts = np.array([approach.start_from_tcp_m for approach in approaches])
     mean = (starts / np.linalg.norm(starts, axis=1, keepdims=True)).mean(axis=0)
     r = float(np.linalg.norm(mean))
     unit = mean / max(r, 1e-12)
     kappa = r * (3.0 - r**2) / max(1.0 - r**2, 1e-12)
-    chi2 = 3.0 * len(found) * r**2
+    chi2 = 3.0 * len(approaches) * r**2
     tail = float(gammaincc(1.5, chi2 / 2.0))
     at = (float(unit[0]), float(unit[1]), float(unit[2]))
     return Direction(mean=at, resultant=r, concentration=kappa, any_p_value=tail)
 
 
 def _rate_interval(count: int, hours: float) -> tuple[float, float]:
-    """Of a Poisson process (Garwood, 1936): at most CONFIDENCE's rest on either side."""
+    """Return the interval of a Poisson rate (Garwood, 1936), with equal tails."""
     tail = (1.0 - CONFIDENCE) / 2.0
     low = float(gammaincinv(count, tail)) if count else 0.0
     return low / hours, float(gammaincinv(count + 1, 1.0 - tail)) / hours
 
 
 def _recordings(logs: Sequence[CellLog]) -> tuple[tuple[str, str], ...]:
-    """Their files and hashes; LogError for a file that two logs have, since its time would count twice."""
-    found: dict[Path, str] = {}
+    """Return the files and hashes of the logs.
+
+    Raise LogError for a file that two logs share, since its time would count twice.
+    """
+    hashes: dict[Path, str] = {}
     for log in logs:
-        known = {digest: file for file, digest in found.items()}
+        known = {digest: file for file, digest in hashes.items()}
         for file in log.files:
             digest = sha256_of(file)
             if digest in known:
@@ -205,55 +214,55 @@ def _recordings(logs: Sequence[CellLog]) -> tuple[tuple[str, str], ...]:
                     expected="each recording once",
                     got=f"{told(file)}, with the bytes of {told(known[digest])}, of another log",
                 )
-            found[file] = digest
-    return tuple((str(told(file)), digest) for file, digest in found.items())
+            hashes[file] = digest
+    return tuple((str(told(file)), digest) for file, digest in hashes.items())
 
 
 def _notes(watched: Watched, quantities: Sequence[FittedQuantity]) -> list[str]:
-    found = []
+    notes = []
     if watched.gaps:
-        found.append(f"{watched.gaps} gaps longer than said: what was going on there is left out")
+        notes.append(f"{watched.gaps} gaps longer than said: what was going on there is left out")
     if watched.cut:
-        found.append(f"{watched.cut} moves whose beginning or end was not seen are counted, no more")
+        notes.append(f"{watched.cut} moves whose beginning or end was not seen are counted, no more")
     if more := watched.counted - watched.cut - len(watched.approaches):
-        found.append(f"{more} more counted: reaches that turned back without a stand, or came in a gap")
-    hard = sum(one.acceleration_mps2 > HARD * one.speed_mps / WINDOW_S for one in watched.approaches)
+        notes.append(f"{more} more counted: reaches that turned back without a stand, or came in a gap")
+    hard = sum(item.acceleration_mps2 > HARD * item.speed_mps / WINDOW_S for item in watched.approaches)
     if hard:
-        found.append(
+        notes.append(
             f"{hard} accelerations are too small, as a speed is over {WINDOW_S:g} s: hands sped up harder"
         )
-    for one in quantities:
-        if one.chosen is None:
-            found.append(f"{one.name}: no family fits, so that the recorded values stand for themselves")
-        elif len(one.values) < WEAK_BELOW:
-            found.append(f"{one.name}: with {len(one.values)} values a wrong family is seldom found")
-    found.append(
+    for item in quantities:
+        if item.chosen is None:
+            notes.append(f"{item.name}: no family fits, so that the recorded values stand for themselves")
+        elif len(item.values) < WEAK_BELOW:
+            notes.append(f"{item.name}: with {len(item.values)} values a wrong family is seldom found")
+    notes.append(
         "approaches count as independent: the interval is too narrow where the same people come many times"
     )
-    found.append("quantities are drawn one by one: what goes together in people is not kept")
-    return found
+    notes.append("quantities are drawn one by one: what goes together in people is not kept")
+    return notes
 
 
-def space_text(found: HandsFit) -> str:
-    """A scenario space: hands that come as the recorded ones did, to an arm at its desired pose."""
-    by_name = {one.name: one for one in found.quantities}
+def space_text(fitted: HandsFit) -> str:
+    """Return a scenario space with hands that approach as recorded, and an arm at its desired pose."""
+    by_name = {item.name: item for item in fitted.quantities}
     tcp = Settings().cell.desired_tcp_position_in_base_m
     starts = [by_name[f"start {axis}"].beside(place) for axis, place in zip(AXES, tcp, strict=True)]
     mean = [float(np.mean(by_name[f"start {axis}"].values)) for axis in AXES]
-    elbow = [p + m + ELBOW_BEHIND_M * d for p, m, d in zip(tcp, mean, found.direction.mean, strict=True)]
+    elbow = [p + m + ELBOW_BEHIND_M * d for p, m, d in zip(tcp, mean, fitted.direction.mean, strict=True)]
     stay: list[Tree] = [{"wait": by_name[DWELL].text}] if DWELL in by_name else []
-    speed, words = by_name[SPEED_OF].text, ("from ", "normal ", "one of ")
-    choices: dict[str, Tree] = {"choices": {"reach speed": speed}} if speed.startswith(words) else {}
+    speed, varied = by_name[SPEED_OF].text, ("from ", "normal ", "one of ")
+    choices: dict[str, Tree] = {"choices": {"reach speed": speed}} if speed.startswith(varied) else {}
     speed = "the reach speed" if choices else speed
     come: dict[str, Tree] = {"reach for tcp": speed, "until": by_name[END].text, "at most": "4 s"}
     pause: list[Tree] = [{"wait": by_name[PAUSE].text}] if PAUSE in by_name else []
-    times = max(1, round(found.per_hour / 3600.0 * 20.0))
+    times = max(1, round(fitted.per_hour / 3600.0 * 20.0))
     moves: list[Tree] = [*pause, come, *stay, {"withdraw": speed}]
     repeated: Tree = {"repeat": f"from 1 to {times} times", "moves": moves}
     tree: dict[str, Tree] = {
         "scenario space": "hands as they were recorded",
         "about": scalar_text(
-            f"Fitted to {found.approaches} approaches in {found.hours * 60.0:.1f} min of hands."
+            f"Fitted to {fitted.approaches} approaches in {fitted.hours * 60.0:.1f} min of hands."
         ),
         "duration": "20 s",
         "avoider": "opposite pose",
@@ -263,49 +272,49 @@ def space_text(found: HandsFit) -> str:
             {
                 "hand": "recorded hand",
                 "acceleration at most": by_name[ACCELERATION].text,
-                "speed at most": f"{found.fastest_mps:.10g} m/s",
-                "starts at": [scalar_text(one) for one in starts],
-                "elbow towards": [f"{round(one * 1e3, 1):.10g} mm" for one in elbow],
+                "speed at most": f"{fitted.fastest_mps:.10g} m/s",
+                "starts at": [scalar_text(item) for item in starts],
+                "elbow towards": [f"{round(item * 1e3, 1):.10g} mm" for item in elbow],
                 "moves": [repeated] if times > 1 else moves,
             }
         ],
         "claims": {"hand distance never below 50 mm": "holds", "repulsive poses reachable": "holds"},
     }
-    return "".join(f"# {line}\n" for line in _comments(found)) + text_of(tree)
+    return "".join(f"# {line}\n" for line in _comments(fitted)) + text_of(tree)
 
 
-def _comments(found: HandsFit) -> list[str]:
-    """What the file says of itself, in comments."""
-    low, high = found.per_hour_interval
+def _comments(fitted: HandsFit) -> list[str]:
+    """Return the file's comments about itself."""
+    low, high = fitted.per_hour_interval
     lines = [
-        f"Written by: safety-harness hands fit --seed {found.seed}",
-        f"approaches per hour: {found.per_hour:.0f} ({low:.0f} to {high:.0f}, {CONFIDENCE:.0%})",
-        *(line for one in found.quantities for line in quantity_lines(one)),
-        direction_line(found.direction),
-        *found.notes,
+        f"Written by: safety-harness hands fit --seed {fitted.seed}",
+        f"approaches per hour: {fitted.per_hour:.0f} ({low:.0f} to {high:.0f}, {CONFIDENCE:.0%})",
+        *(line for quantity in fitted.quantities for line in quantity_lines(quantity)),
+        direction_line(fitted.direction),
+        *fitted.notes,
     ]
-    return [*lines, *(f"{digest} {name}" for name, digest in found.recordings)]
+    return [*lines, *(f"{digest} {name}" for name, digest in fitted.recordings)]
 
 
-def quantity_lines(one: FittedQuantity) -> list[str]:
-    """What was fitted to one quantity, a family a line."""
-    unit, per_si = FORMS[one.unit]
+def quantity_lines(quantity: FittedQuantity) -> list[str]:
+    """Return the fits to one quantity, a family a line."""
+    unit, per_si = FORMS[quantity.unit]
     lines = []
-    for each in one.fits:
+    for each in quantity.fits:
         values = ", ".join(
             f"{key} {each.parameters[key] * per_si:.4g} ({low * per_si:.4g} to {high * per_si:.4g})"
             for key, (low, high) in each.intervals.items()
         )
-        verdict = "rejected" if each.rejected else "taken" if each is one.chosen else "not rejected"
-        words = f"{each.family}: {values} {unit}; A2 = {each.distance:.3f}, p = {each.p_value:.3f}, {verdict}"
-        lines.append(f"{one.name}, {len(one.values)} values, {words}")
-    return lines or [f"{one.name}, {len(one.values)} values: neither family can be fitted"]
+        verdict = "rejected" if each.rejected else "taken" if each is quantity.chosen else "not rejected"
+        text = f"{each.family}: {values} {unit}; A2 = {each.distance:.3f}, p = {each.p_value:.3f}, {verdict}"
+        lines.append(f"{quantity.name}, {len(quantity.values)} values, {text}")
+    return lines or [f"{quantity.name}, {len(quantity.values)} values: neither family can be fitted"]
 
 
-def direction_line(found: Direction) -> str:
-    """Where approaches come from, in words."""
-    at = ", ".join(f"{one:+.2f}" for one in found.mean)
+def direction_line(trend: Direction) -> str:
+    """Return the direction of approaches, in words."""
+    at = ", ".join(f"{x:+.2f}" for x in trend.mean)
     return (
-        f"from the direction ({at}) of the TCP, in the base frame: resultant {found.resultant:.2f}, kappa "
-        f"{found.concentration:.2f}; any direction alike: p = {found.any_p_value:.2g}"
+        f"from the direction ({at}) of the TCP, in the base frame: resultant {trend.resultant:.2f}, kappa "
+        f"{trend.concentration:.2f}; any direction alike: p = {trend.any_p_value:.2g}"
     )

@@ -1,4 +1,4 @@
-"""Logs of a real cell as recorded runs, which ``judge``, ``view`` and pytest take."""
+"""Logs of a real cell as recorded runs, for ``judge``, ``view`` and pytest."""
 
 from __future__ import annotations
 

@@ -36,8 +36,8 @@ class LogResult:
 
     Args:
         file: The description of the log.
-        log: What was recorded.
-        recorded: The trace, its recordings, and notes on what was left out.
+        log: The recorded data.
+        recorded: The trace, its recordings, and notes on the omitted parts.
 
     """
 
@@ -52,27 +52,44 @@ class LogResult:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Columns, tracks and intervals that are left out."""
+        """The omitted columns, tracks and intervals."""
         return self.recorded.notes
 
     @property
     def assumptions(self) -> tuple[Assumption, ...]:
-        """What verdicts on the log assume, and what confirms each assumption."""
+        """The assumptions of verdicts on the log, and the evidence that confirms each."""
         return tuple(assumptions_of(self.log))
 
     def judge(self, *claims: str) -> JudgedRun:
-        """Return the log judged by claims, expected to hold, or by its own; InputError if there is none."""
+        """Judge the log.
+
+        Args:
+            claims: Sentences that are expected to hold. Empty: the log's own claims.
+
+        Raises:
+            InputError: There is no claim, or a claim cannot be read.
+
+        """
         return judged_run(self.file, claims)
 
     def __repr__(self) -> str:
         if not self.trace.scenario.claims:
             return f"<{self.file.name}: {len(self.trace.ticks)} ticks, no claims of its own>"
         run = self.judge()
-        verdict = worst_verdict(one.verdict for one in run.evaluations)
+        verdict = worst_verdict(claim.verdict for claim in run.evaluations)
         return f"<{verdict.value}: {self.file.name}, {len(run.evaluations)} claims. {basis_of([run])}>"
 
     def write(self, folder: str | Path, *claims: str) -> JudgedRun:
-        """Judge the log likewise, and write report.html, report.json and the trace; OutputError."""
+        """Judge the log, and write report.html, report.json and the trace.
+
+        Args:
+            folder: The folder for the files.
+            claims: As for ``judge``.
+
+        Raises:
+            OutputError: A file cannot be written.
+
+        """
         run = judged_run(self.file, claims, Path(folder))
         write_judged([run], [], Path(folder), [self.file])
         return run

@@ -1,7 +1,7 @@
-"""A run as an MCAP file of ROS 2 messages, for Foxglove, RViz and our own reader of logs, with its LOG.yaml.
+"""A run as an MCAP file of ROS 2 messages, with its LOG.yaml, for Foxglove, RViz and our own log reader.
 
-Hands, arm and obstacles are drawn in Foxglove's schemas; joints, transforms and places are usual messages.
-The instants are those of the run, a second later, since a stamp of zero is none.
+Hands, arm and obstacles use Foxglove's schemas for drawing. Joints, transforms and places are standard
+messages. Stamps are the run's times plus a second, since a zero stamp means a missing stamp.
 """
 
 from __future__ import annotations
@@ -53,8 +53,14 @@ Message = tuple[int, str, str, Any]  # when [ns], topic, type, content
 def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> tuple[Path, Path]:
     """Write ``trace`` and the ``evaluations`` of its claims to ``path``, and LOG.yaml beside it.
 
-    Return both files.  TraceError for a trace that was not simulated, MissingPackageError without the extra
-    "logs", OutputError if a file cannot be written, or LOG.yaml is there and describes another file.
+    Returns:
+        Both files.
+
+    Raises:
+        TraceError: The trace was not simulated.
+        MissingPackageError: The extra "logs" is missing.
+        OutputError: A file cannot be written, or LOG.yaml exists and describes another file.
+
     """
     log = path.with_name(LOG_FILE)
     if not trace.known.simulated:
@@ -68,7 +74,7 @@ def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> t
     messages, topics = _Messages(trace), dict[str, Any]()
     with writing(path), replacing(path) as part, TemporaryDirectory(dir=part.parent) as folder:
         with Writer(Path(folder, "run"), version=9, storage_plugin=StoragePlugin.MCAP) as bag:
-            for at_ns, topic, kind, content in sorted(messages.all_of(evaluations), key=lambda one: one[0]):
+            for at_ns, topic, kind, content in sorted(messages.all_of(evaluations), key=lambda m: m[0]):
                 if topic not in topics:
                     topics[topic] = bag.add_connection(topic, kind, typestore=messages.store)
                 bag.write(topics[topic], at_ns, messages.store.serialize_cdr(content, kind))
@@ -78,14 +84,15 @@ def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> t
 
 
 def _stamps(at_s: Any) -> Any:
-    """(n,) [ns] of times in the run."""
+    """Return (n,) the stamps [ns] of times in the run."""
     return NS + np.round(np.asarray(at_s) * NS).astype(np.int64)
 
 
 def _hand_samples(trace: Trace, hand: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """(n,) stamps [ns] and (n, 2, 3) places of a hand and its elbow in the base frame [m].
+    """Return (n,) stamps [ns] and (n, 2, 3) places of a hand and its elbow in the base frame [m].
 
-    At the ticks, where it turns between them, and in parts of a tick, so that little is left open between.
+    Samples are at the ticks, at turns between ticks, and at parts of a tick, so that little is open in
+    between.
     """
     paths, period_s = finer_paths(trace), trace.scenario.settings.clock.control_period_s
     own = paths.corner_hand == hand
@@ -95,11 +102,11 @@ def _hand_samples(trace: Trace, hand: int) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def _limit_words(flags: int) -> str:
-    """The limits that acted, as LOG.yaml has them: "tcp speed and braking"."""
-    return " and ".join(_words(one.name) for one in Limit if one & flags) or "none"
+    """Return the limits that acted, in the form of LOG.yaml: "tcp speed and braking"."""
+    return " and ".join(_spaced(limit.name) for limit in Limit if limit & flags) or "none"
 
 
-def _words(name: str | None) -> str:
+def _spaced(name: str | None) -> str:
     return str(name).lower().replace("_", " ")
 
 
@@ -108,40 +115,40 @@ def _most(values: Any) -> float:
 
 
 def _quoted(path: Path) -> str:
-    """The file's name as it stands between double quotes, in JSON and YAML."""
+    """Return the file's name as it stands between double quotes, in JSON and YAML."""
     return json.dumps(path.name, ensure_ascii=False)[1:-1]
 
 
 def _log_text(trace: Trace, path: Path) -> str:
-    """What LOG.yaml says of the file ``path``.
+    """Return the LOG.yaml of the file ``path``.
 
-    Streams that the controller does not report are not mapped; nor are decisions that count later than they
-    were asked for, since a log has one time for both.
+    It omits streams that the controller does not report. It also omits decisions that count later than their
+    question, since a log has one time for both.
     """
     tree, decisions = tree_of(as_seen_from(path.parent, trace.scenario)), trace.decisions
-    told = [name for name in TOLD if measured(trace, name).all()]
+    streams = [name for name in TOLD if measured(trace, name).all()]
     if decided(trace) and len(decisions) and (decisions["asked_tick"] == decisions["tick"]).all():
-        told.append("decisions")
+        streams.append("decisions")
     if isinstance(below := tree.get("settings", {}), Mapping):
-        tree["settings"] = {key: one for key, one in below.items() if key != "clock"}
+        tree["settings"] = {key: entry for key, entry in below.items() if key != "clock"}
     kept = {"title": tree["scenario"]} | {key: tree[key] for key in FROM_SCENARIO if tree.get(key)}
     limits = [_limit_words(int(flags)) for flags in np.unique(trace.ticks["limits"])]
     template = Template((TEMPLATES / "mcap_log.yaml").read_text(), undefined=StrictUndefined)
     bounds = dict(zip(("radps", "radps2", "mps"), _bounds(trace), strict=True))
-    said = template.render(trace=trace, file=_quoted(path), told=told, limits=limits, most=bounds)
-    return f"{said}\n{text_of(kept)}"
+    text = template.render(trace=trace, file=_quoted(path), told=streams, limits=limits, most=bounds)
+    return f"{text}\n{text_of(kept)}"
 
 
 def _bounds(trace: Trace) -> tuple[float, float, float]:
-    """The most that a joint moves [rad/s] and accelerates [rad/s2], and that a hand or elbow moves [m/s].
+    """Return the largest speed [rad/s] and acceleration [rad/s2] of a joint, and speed [m/s] of a hand.
 
-    Within a tick a joint's speed may change at any moment: twice its change in a period is what it may do.
-    A hand may be faster than from sample to sample by as much as that speed changes.
+    Within a tick a joint's speed may change at any moment, so the bound is twice its change in a period. A
+    hand may exceed its speed from sample to sample by the change of that speed.
     """
     true, period_s = true_motion(trace), trace.scenario.settings.clock.control_period_s
-    means, beyond = np.diff(true.joints_rad, axis=0) / period_s, 2.0 * _most(trace.overshoot_radps)
-    change = max(_most(np.diff(speeds, axis=0)) for speeds in (true.rates_radps, means)) + beyond
-    fastest, hands_mps = max(_most(means), _most(true.rates_radps)) * (1.0 + 1e-9) + beyond, 1e-3
+    means, excess = np.diff(true.joints_rad, axis=0) / period_s, 2.0 * _most(trace.overshoot_radps)
+    change = max(_most(np.diff(speeds, axis=0)) for speeds in (true.rates_radps, means)) + excess
+    fastest, hands_mps = max(_most(means), _most(true.rates_radps)) * (1.0 + 1e-9) + excess, 1e-3
     for hand in range(len(trace.scenario.hands)):
         stamps, places_m = _hand_samples(trace, hand)
         speeds = np.diff(places_m, axis=0) / (np.diff(stamps) / NS)[:, None, None]
@@ -152,7 +159,7 @@ def _bounds(trace: Trace) -> tuple[float, float, float]:
 
 
 class _Messages:
-    """Makes the messages of a trace."""
+    """The messages of a trace."""
 
     def __init__(self, trace: Trace) -> None:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -166,7 +173,7 @@ class _Messages:
         self.stamps = _stamps(trace.time_s).tolist()
 
     def all_of(self, evaluations: Sequence[Evaluation]) -> Iterator[Message]:
-        """Every message, in no order of time."""
+        """Yield every message, in any order of time."""
         yield self._still_scene()
         for at_ns, tick in zip(self.stamps, self.trace.ticks, strict=True):
             yield from self._tick(at_ns, tick)
@@ -176,40 +183,40 @@ class _Messages:
                     yield self._point(int(at_ns), f"/{body}_{hand + 1}", place)
         yield from self._decisions()
         yield from self._images()
-        for number, one in enumerate(evaluations):
-            yield from self._claim(number, one)
+        for number, evaluation in enumerate(evaluations):
+            yield from self._claim(number, evaluation)
 
-    def _of(self, kind: str, *fields: Any) -> Any:
+    def _new(self, kind: str, *fields: Any) -> Any:
         return self.store.types[kind](*fields)
 
     def _of_numbers(self, kind: str, values: Any) -> Any:
-        return self._of(f"{GEOMETRY}{kind}", *map(float, values))
+        return self._new(f"{GEOMETRY}{kind}", *map(float, values))
 
     def _time(self, at_ns: int) -> Any:
-        return self._of("builtin_interfaces/msg/Time", *divmod(at_ns, NS))
+        return self._new("builtin_interfaces/msg/Time", *divmod(at_ns, NS))
 
     def _header(self, at_ns: int) -> Any:
-        return self._of("std_msgs/msg/Header", self._time(at_ns), self.base)
+        return self._new("std_msgs/msg/Header", self._time(at_ns), self.base)
 
     def _stamped(self, at_ns: int, topic: str, kind: str, *fields: object) -> Message:
-        return at_ns, topic, kind, self._of(kind, self._header(at_ns), *fields)
+        return at_ns, topic, kind, self._new(kind, self._header(at_ns), *fields)
 
     def _point(self, at_ns: int, topic: str, place: Any) -> Message:
         return self._stamped(at_ns, topic, f"{GEOMETRY}PointStamped", self._of_numbers("Point", place))
 
-    def _event(self, at_ns: int, level: int, words: str, name: str) -> Message:
+    def _event(self, at_ns: int, level: int, text: str, name: str) -> Message:
         kind = f"{FOXGLOVE}Log"
-        return at_ns, "/events", kind, self._of(kind, self._time(at_ns), level, words, name, "", 0)
+        return at_ns, "/events", kind, self._new(kind, self._time(at_ns), level, text, name, "", 0)
 
     def _tick(self, at_ns: int, tick: Any) -> Iterator[Message]:
-        """Joints, transforms, what the controller does and sees, and the hands as they are drawn."""
+        """Yield joints, transforms, the controller's state and perception, and the drawn hands."""
         names, joints_rad = list(self.arm.joint_names), tick["joint_position_rad"]
         turning, demanded = tick["joint_velocity_radps"], tick["demanded_joint_velocity_radps"]
         yield self._stamped(at_ns, "/joint_states", JOINTS, names, joints_rad, turning, NONE)
         yield self._stamped(at_ns, "/commands", JOINTS, names, NONE, demanded, NONE)
         poses = zip(self.frames, links_in_base(self.arm, np.ascontiguousarray(joints_rad)), strict=True)
         moved = [self._transform(at_ns, frame, pose) for frame, pose in poses if frame != self.base]
-        yield at_ns, "/tf", TF, self._of(TF, moved)
+        yield at_ns, "/tf", TF, self._new(TF, moved)
         near_m = np.where(tick["hand_present"], tick["hand_distance_m"], np.inf).min()
         numbers = map(float, (near_m, tick["predicted_distance_m"], tick["tcp_speed_mps"]))
         mode, limits = Mode(tick["mode"]).name.lower(), _limit_words(int(tick["limits"]))
@@ -222,17 +229,17 @@ class _Messages:
             ends = tick["hand_position_in_base_m"][k], tick["elbow_position_in_base_m"][k]
             radii_m = size.radius_m, size.forearm_radius_m
             drawn.append(self._capsule(at_ns, self.base, hand.name, ends, radii_m, HAND_COLOUR))
-        yield at_ns, "/hands", SCENE, self._of(SCENE, [], drawn)
+        yield at_ns, "/hands", SCENE, self._new(SCENE, [], drawn)
 
     def _transform(self, at_ns: int, frame: str, pose: NDArray[np.float64]) -> Any:
         from scipy.spatial.transform import Rotation
 
         turn = self._of_numbers("Quaternion", Rotation.from_matrix(pose[:3, :3]).as_quat())
-        moved = self._of(f"{GEOMETRY}Transform", self._of_numbers("Vector3", pose[:3, 3]), turn)
-        return self._of(f"{GEOMETRY}TransformStamped", self._header(at_ns), frame, moved)
+        moved = self._new(f"{GEOMETRY}Transform", self._of_numbers("Vector3", pose[:3, 3]), turn)
+        return self._new(f"{GEOMETRY}TransformStamped", self._header(at_ns), frame, moved)
 
     def _still_scene(self) -> Message:
-        """The arm's capsules, which follow /tf, and the obstacles."""
+        """Return the arm's capsules, which follow /tf, and the obstacles."""
         capsules, at_ns, drawn = capsules_of(self.trace), self.stamps[0], []
         for k, name in enumerate(capsules.names):
             ends, radii_m = (capsules.start_in_link[k], capsules.end_in_link[k]), [capsules.radius_m[k]] * 2
@@ -242,41 +249,41 @@ class _Messages:
             turn = 0.0, 0.0, np.sin(box.yaw_rad / 2.0), np.cos(box.yaw_rad / 2.0)
             cube = self._shape("Cube", box.position_in_base_m, turn, box.size_m, BOX_COLOUR)
             drawn.append(self._entity(at_ns, self.base, f"obstacle {k + 1}", cubes=[cube]))
-        return at_ns, "/scene", SCENE, self._of(SCENE, [], drawn)
+        return at_ns, "/scene", SCENE, self._new(SCENE, [], drawn)
 
     def _pose(self, at: Any, turn: Any = UPRIGHT) -> Any:
         turned = self._of_numbers("Quaternion", turn)
-        return self._of(f"{GEOMETRY}Pose", self._of_numbers("Point", at), turned)
+        return self._new(f"{GEOMETRY}Pose", self._of_numbers("Point", at), turned)
 
     def _shape(self, kind: str, at: Any, turn: Any, size_m: Any, colour: Any) -> Any:
-        painted = self._of_numbers("Vector3", size_m), self._of(f"{FOXGLOVE}Color", *colour)
-        return self._of(f"{FOXGLOVE}{kind}Primitive", self._pose(at, turn), *painted)
+        painted = self._of_numbers("Vector3", size_m), self._new(f"{FOXGLOVE}Color", *colour)
+        return self._new(f"{FOXGLOVE}{kind}Primitive", self._pose(at, turn), *painted)
 
     def _capsule(self, at_ns: int, frame: str, name: str, ends: Any, radii_m: Any, colour: Any) -> Any:
-        """A sphere of a radius of its own at each end, and a line as thick as the second."""
+        """Return a sphere of its own radius at each end, and a line as thick as the second sphere."""
         balls = [self._shape("Sphere", ends[k], UPRIGHT, [2.0 * radii_m[k]] * 3, colour) for k in range(2)]
-        points, paint = [self._of_numbers("Point", at) for at in ends], self._of(f"{FOXGLOVE}Color", *colour)
+        points, paint = [self._of_numbers("Point", at) for at in ends], self._new(f"{FOXGLOVE}Color", *colour)
         at, thick_m, none = self._pose((0.0,) * 3), 2.0 * float(radii_m[1]), np.zeros(0, np.uint32)
-        line = self._of(f"{FOXGLOVE}LinePrimitive", 0, at, thick_m, False, points, paint, [], none)
+        line = self._new(f"{FOXGLOVE}LinePrimitive", 0, at, thick_m, False, points, paint, [], none)
         return self._entity(at_ns, frame, name, spheres=balls, lines=[line])
 
     def _entity(self, at_ns: int, frame: str, name: str, **shapes: Any) -> Any:
-        forever = self._of("builtin_interfaces/msg/Duration", 0, 0)
+        forever = self._new("builtin_interfaces/msg/Duration", 0, 0)
         drawn = [shapes.get(kind, []) for kind in PRIMITIVES]
-        return self._of(f"{FOXGLOVE}SceneEntity", self._time(at_ns), frame, name, forever, True, [], *drawn)
+        return self._new(f"{FOXGLOVE}SceneEntity", self._time(at_ns), frame, name, forever, True, [], *drawn)
 
     def _decisions(self) -> Iterator[Message]:
         stamps = _stamps(self.trace.decisions["time_s"]).tolist()
-        for at_ns, one in zip(stamps, self.trace.decisions, strict=True):
-            places = [self._of_numbers("Point", one[f"{name}_position_in_base_m"]) for name in PLACES]
-            spread = self._of_numbers("Vector3", one["proposed_spread_m"]), float(one["spread_threshold_m"])
-            named = DecisionOutcome(one["outcome"]).name, Trigger(one["trigger"]).name
-            words = [*map(_words, named), str(one["fault"])]
-            yield self._stamped(at_ns, "/decisions", f"{OURS}Decision", *places, *spread, *words)
-            yield self._event(at_ns, INFO, ", ".join(filter(None, words)), "decision")
+        for at_ns, row in zip(stamps, self.trace.decisions, strict=True):
+            places = [self._of_numbers("Point", row[f"{name}_position_in_base_m"]) for name in PLACES]
+            spread = self._of_numbers("Vector3", row["proposed_spread_m"]), float(row["spread_threshold_m"])
+            named = DecisionOutcome(row["outcome"]).name, Trigger(row["trigger"]).name
+            texts = [*map(_spaced, named), str(row["fault"])]
+            yield self._stamped(at_ns, "/decisions", f"{OURS}Decision", *places, *spread, *texts)
+            yield self._event(at_ns, INFO, ", ".join(filter(None, texts)), "decision")
 
     def _images(self) -> Iterator[Message]:
-        """What the object's camera showed, if that was rendered: again, as no trace keeps it."""
+        """Yield the object camera's rendered images, rendered again since a trace stores no images."""
         scenario, kind = self.trace.scenario, f"{FOXGLOVE}CompressedImage"
         if scenario.settings.camera.source is not ImageSource.RENDERED:
             return
@@ -286,10 +293,10 @@ class _Messages:
         with PyBulletWorld(scenario, self.arm, self.trace.ticks["joint_position_rad"][0]) as world:
             for image in world.images_of(self.trace):
                 at_ns, png = int(_stamps(image.time_s)), cv2.imencode(".png", image.pixels[:, :, ::-1])[1]
-                yield at_ns, "/camera", kind, self._of(kind, self._time(at_ns), "camera", png.ravel(), "png")
+                yield at_ns, "/camera", kind, self._new(kind, self._time(at_ns), "camera", png.ravel(), "png")
 
-    def _claim(self, number: int, one: Evaluation) -> Iterator[Message]:
-        """What a claim limits at every tick, an event at its worst moment, its verdict and margin at the end.
+    def _claim(self, number: int, own: Evaluation) -> Iterator[Message]:
+        """Yield the limited quantity at every tick, an event at the worst moment, and the verdict at the end.
 
         Only the distance of hands and the TCP's speed have a value at every tick.
         """
@@ -301,10 +308,10 @@ class _Messages:
             rows, limit, sign = self.trace.ticks["tcp_speed_mps"], prop.maximum_mps, -1.0
         for at_ns, value in zip(self.stamps, rows.tolist(), strict=False):
             numbers = value, limit, sign * (value - limit)
-            yield self._stamped(at_ns, topic, kind, one.sentence, "", SI_UNITS[one.unit], *numbers)
-        margin, verdict = np.nan if one.margin is None else float(one.margin), one.verdict.value
-        said, end_ns = (one.sentence, verdict, SI_UNITS[one.unit], np.nan, limit, margin), self.stamps[-1]
-        yield self._stamped(end_ns, f"{topic}/verdict", kind, *said)
-        worst_ns = end_ns if one.worst_time_s is None else int(_stamps(one.worst_time_s))
-        level = ERROR if one.verdict is Verdict.VIOLATED else INFO
-        yield self._event(worst_ns, level, f"{verdict}: {one.sentence} ({one.reason})", "claim")
+            yield self._stamped(at_ns, topic, kind, own.sentence, "", SI_UNITS[own.unit], *numbers)
+        margin, verdict = np.nan if own.margin is None else float(own.margin), own.verdict.value
+        last, end_ns = (own.sentence, verdict, SI_UNITS[own.unit], np.nan, limit, margin), self.stamps[-1]
+        yield self._stamped(end_ns, f"{topic}/verdict", kind, *last)
+        worst_ns = end_ns if own.worst_time_s is None else int(_stamps(own.worst_time_s))
+        level = ERROR if own.verdict is Verdict.VIOLATED else INFO
+        yield self._event(worst_ns, level, f"{verdict}: {own.sentence} ({own.reason})", "claim")

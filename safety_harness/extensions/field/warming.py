@@ -1,4 +1,4 @@
-"""The machine code that a monitor needs beside that of runs and their judgement."""
+"""The machine code that a monitor needs beyond the code of runs and their verdicts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ WATCHED = "eventually always (within 80 ms hand distance > 50 mm)"
 
 
 def warm_monitor() -> None:
-    """Watch a short run: an arm at a tick, operators without a window over ticks that are gone."""
+    """Watch a short run, with an arm at a tick and with operators without a window over past ticks."""
     own = Monitor(cell=cell_taken("UR10", ["hand"], "8 ms", [WATCHED]))
     places = HandSample((0.9, 0.2, 0.4), (1.2, 0.2, 0.5))
     for tick in range(60):

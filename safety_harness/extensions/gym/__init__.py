@@ -1,6 +1,6 @@
-"""Worlds as Gymnasium environments; importing this registers ``SafetyHarness-v0``, docs/environments.md.
+"""Worlds as Gymnasium environments; the import registers ``SafetyHarness-v0`` (docs/environments.md).
 
-``gymnasium.make("safety_harness.gym:SafetyHarness-v0", space="unseen-both.yaml")`` imports it, too.
+``gymnasium.make("safety_harness.gym:SafetyHarness-v0", space="unseen-both.yaml")`` imports it too.
 """
 
 from safety_harness.base.extras import GYM
@@ -9,7 +9,7 @@ ENVIRONMENT_ID = "SafetyHarness-v0"
 
 
 def register_environments() -> None:
-    """Register the environment, once; MissingPackageError without Gymnasium."""
+    """Register the environment once; MissingPackageError without Gymnasium."""
     with GYM.needed("environments"):
         from gymnasium.envs.registration import register, registry
 

@@ -1,4 +1,4 @@
-"""One episode after another as a Gymnasium environment: the loop of ``simulate``, turned inside out."""
+"""Episodes in sequence as a Gymnasium environment: the loop of ``simulate``, turned inside out."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ACTIONS = (TCP_VELOCITY, TCP_TWIST, JOINT_VELOCITY)
 
 
 class Pilot:
-    """The controller in an environment's place: it says what is seen; ``act`` is the agent's."""
+    """The controller in an environment's place: it gives ``sees``, and the agent gives the actions."""
 
     name = OUTSIDE
 
@@ -48,17 +48,17 @@ class Pilot:
         self.sees = tuple(sees)
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
-        """Nothing is carried over."""
+        """Do nothing: no state passes from one episode to the next."""
 
     def act(self, seen: Seen) -> Stop:
-        """Never asked: the environment is told what to do."""
+        """Raise ControllerError: the environment's ``step`` gives the action, so no code calls this."""
         raise ControllerError("an environment's actions come from step")
 
 
 class Setting:
-    """What every episode of an environment has in common, single or one of many.
+    """The common part of all episodes of an environment, whether single or a vector.
 
-    ``wanted`` has as many numbers as ``obey`` wants of an action: 6 of the TCP, or n of the joints.
+    ``wanted`` is the number of values that ``obey`` needs of an action: 6 of the TCP, or n of the joints.
     """
 
     def __init__(
@@ -71,17 +71,17 @@ class Setting:
         rewards: Mapping[str, float],
         ends: Sequence[str],
     ) -> None:
-        for name, words, what in (("sees", sees, "words"), ("ends", ends, "claims")):
-            if not isinstance(words, tuple | list | set | frozenset):  # a text is a sequence of its letters
-                hint = f"[{words!r}]" if isinstance(words, str) else ""
-                raise InadmissibleError.of_option(name, f"a list of {what}", repr(words), hint)
+        for name, given, kind in (("sees", sees, "words"), ("ends", ends, "claims")):
+            if not isinstance(given, tuple | list | set | frozenset):  # a text is a sequence of its letters
+                hint = f"[{given!r}]" if isinstance(given, str) else ""
+                raise InadmissibleError.of_option(name, f"a list of {kind}", repr(given), hint)
         self.world = world_named(world, "world") if isinstance(world, str) else world
         self.episodes = Episodes(scenario, space, self.world)
         first = self.episodes.first
         self.pilot = Pilot(sees)
         self.sees = sees_of(self.pilot)
         self.joints = len(first.arm.joint_names)
-        self.rewards = Rewards.of(rewards, ends, first)
+        self.rewards = Rewards.of_claims(rewards, ends, first)
         seen = np.zeros(1, seen_dtype(first.scenario.hand_slots, self.joints))
         self.observation_space = observation_space(seen, self.sees)
         self.action_space = _action_space(action, first)
@@ -89,7 +89,10 @@ class Setting:
         self.wanted = self.joints if self.by_joints else 6
 
     def wanted_of(self, actions: ArrayLike, lanes: int) -> NDArray[np.float64]:
-        """(n, wanted) of ``actions`` (n, a); ControllerError for another shape, or what is not finite."""
+        """Return (n, wanted) from ``actions`` (n, a).
+
+        Raise ControllerError for another shape or a value not finite.
+        """
         shape = self.action_space.shape
         try:
             given = np.asarray(actions, np.float64)
@@ -103,7 +106,10 @@ class Setting:
 
 
 def _action_space(action: str, first: Checked) -> spaces.Box:
-    """In SI; what is beyond it is bounded as of any controller, and the trace says so."""
+    """Return the action space in SI.
+
+    The controller bounds larger values as for any controller, and the trace records the limit.
+    """
     motion = first.scenario.settings.motion
     linear, angular = [motion.max_tcp_speed_mps] * 3, [motion.max_tcp_angular_speed_radps] * 3
     if action not in ACTIONS:
@@ -117,10 +123,11 @@ def _action_space(action: str, first: Checked) -> spaces.Box:
 
 
 def _lane(environment: HarnessEnv) -> int:
-    """The stream of an environment before a seed is given: another one than its neighbours' in a vector.
+    """Return the number of an environment's stream before a seed is given.
 
-    In a process of a vector's, which are numbered by their names, that number; then the lowest that no living
-    environment of the title has.
+    Neighbours in a vector get different streams. A worker process of a vector has a number in its name, and
+    the search starts there, in steps of 2^32. The stream is the first number that no living environment of
+    the same title uses.
     """
     title = environment.setting.episodes.first.scenario.title
     worker = re.search(r"\d+$", current_process().name) if parent_process() is not None else None
@@ -136,12 +143,22 @@ _LIVING: WeakValueDictionary[tuple[str, int], HarnessEnv] = WeakValueDictionary(
 class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
     """A scenario, or draws of a space, in any world, driven by the actions of an agent.
 
-    A step is a control tick.  Without a seed several at a time have streams of their own.  ``sees`` are words
-    of a controller's contract.  ``action`` is "tcp velocity" (3,) or "tcp twist" (6,) in the base frame, or
-    "joint velocity" (n,), in SI.  ``rewards`` gives weights to claims and to "progress"
-    (``extensions.gym.rewards``).
-    A violation of one of ``ends`` at a tick terminates an episode, the end of its scenario truncates it.
-    InadmissibleError for what cannot be tried.
+    A step is a control tick. Without a seed, environments that live at the same time have streams of their
+    own.
+
+    Args:
+        scenario: The scenario of every episode, or its file. Give this or ``space``.
+        space: The space whose draws the episodes run, or its file.
+        world: The world, or its name.
+        sees: Words of a controller's contract, for the observations.
+        action: "tcp velocity" (3,) [m/s] or "tcp twist" (6,) [m/s, rad/s] in the base frame, or "joint
+            velocity" (n,) [rad/s].
+        rewards: Weights of claims and of "progress" (``extensions.gym.rewards``).
+        ends: Claims whose violation at a tick terminates an episode. The end of the scenario truncates it.
+
+    Raises:
+        InadmissibleError: An argument cannot be used, or a scenario cannot run.
+
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012
@@ -170,7 +187,17 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin the next episode; with a ``seed`` the first one of that stream of the seed tree."""
+        """Begin the next episode.
+
+        Args:
+            seed: Begin with the first episode of this stream of the seed tree. None: the next of the present
+                stream.
+            options: Ignored.
+
+        Returns:
+            Observation and info. ``info["margins"]`` has each claim's least margin so far.
+
+        """
         super().reset(seed=seed)
         if seed is not None:
             self._stream = self.setting.episodes.stream(seed)
@@ -178,19 +205,30 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         return self._observed(), self._info()
 
     def step(self, action: NDArray[np.float64]) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Move so for a control tick.  ``action`` (a,) as ``action_space`` has; ControllerError for NaN."""
+        """Move for a control tick.
+
+        Args:
+            action: (a,) as in ``action_space``.
+
+        Returns:
+            Observation, reward, terminated, truncated and info, as in Gymnasium.
+
+        Raises:
+            ControllerError: The action has another shape or is not finite, or the episode is over.
+
+        """
         if self._over:
             raise ControllerError("the episode is over: reset begins the next")
         wanted = self.setting.wanted_of(action, 1)[0]
         self._command(wanted, last=False)
-        self._look(self._tick + 1)
+        self._observe(self._tick + 1)
         way_before_m, rewards = self._way_m, self.setting.rewards
         ticks = self._ticks[self._tick : self._tick + 1]
         margins, self._way_m = rewards.at(ticks), rewards.way_left_m(ticks)
         for sentence, margin in margins.items():
             self._least[sentence] = np.minimum(self._least[sentence], margin)
         reward = float(rewards.of_step(margins, self._way_m, way_before_m)[0])
-        terminated = bool(rewards.over(margins, 1)[0])
+        terminated = bool(rewards.ends_episode(margins, 1)[0])
         truncated = self._tick == self._checked.scenario.ticks
         self._over = terminated or truncated
         if truncated:  # both ends of a run are recorded, and at the last the action stands
@@ -198,7 +236,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         return self._observed(), reward, terminated, truncated, self._info()
 
     def trace(self) -> Trace:
-        """The run of the episode that is over, or so far, to be judged and reported like any other."""
+        """Return the run of the episode so far, for verdicts and reports as for any other run."""
         whole = self._tick == self._checked.scenario.ticks
         done = self._ticks[: self._tick + whole]
         ended = "complete" if whole else "the environment's episode ended before its scenario"
@@ -226,18 +264,18 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
             scenario.hand_slots,
         )
         self._ticks, self._over = no_ticks(scenario), False
-        self._look(0)
+        self._observe(0)
         rewards = self.setting.rewards
         self._least, self._way_m = rewards.at(self._ticks[:1]), rewards.way_left_m(self._ticks[:1])
 
-    def _look(self, tick: int) -> None:
+    def _observe(self, tick: int) -> None:
         self._tick = tick
         self._world.true_state(self._ticks[tick : tick + 1])
         self._observation = self._world.observe()
         self._seen = self._controller.perceive(self._observation)
 
     def _command(self, wanted: NDArray[np.float64], *, last: bool) -> None:
-        """What ``simulate`` does between two looks, and after the last one.  ``wanted`` (6,) or (n,)."""
+        """Do the work of ``simulate`` between two looks, and after the last look. ``wanted`` (6,) or (n,)."""
         tick = self._ticks[self._tick : self._tick + 1]
         command = self._controller.carry_out(wanted, self.setting.by_joints, False, self._observation)
         self._controller.report(tick)
@@ -250,6 +288,6 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         return {name: array[0] for name, array in rows.items()}
 
     def _info(self) -> dict[str, Any]:
-        """``margins``: by claim the least of the episode so far [SI], at ticks alone."""
+        """Return ``margins``: for each claim, its least margin of the episode so far [SI], at ticks alone."""
         margins = {sentence: float(least[0]) for sentence, least in self._least.items()}
         return {"margins": margins, "scenario": self._checked.scenario.name}

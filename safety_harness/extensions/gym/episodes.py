@@ -1,4 +1,4 @@
-"""What is tried in one episode after another: a scenario, or draws of a space that can be tried."""
+"""The episodes of an environment: a scenario, or the draws of a space that can run."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ File = str | Path
 
 
 class Episodes:
-    """Where episodes come from: of a ``space`` its draws, else the one ``scenario``.
+    """The source of episodes: draws of a ``space``, or of one ``scenario``.
 
-    All of them need the same room in observations: hands, arm and desired pose like those of the ``first``.
+    All episodes have observations and actions of the same size. Hand slots, arm, desired pose, motion limits
+    and clock must equal the ``first`` episode's.
     """
 
     def __init__(
@@ -36,14 +37,21 @@ class Episodes:
         self._scenario = None if scenario is None else read_scenario(scenario)
         self._space = read_space(space) if isinstance(space, str | Path) else space
         self._world = world
-        self._room: tuple[object, ...] = ()
+        self._size: tuple[object, ...] = ()
         self.first = next(self.stream(None))
 
     def stream(self, seed: int | None) -> Iterator[Checked]:
-        """Without end: the space's draws of the stream ``seed`` that can be tried, None being stream 0.
+        """Yield episodes without end.
 
-        The scenario is run as it stands, again and again, until a seed is given: then episode k of it has
-        the seed of leaf k.  InadmissibleError for a space that cannot be tried, or one of various rooms.
+        A space gives its draws of stream ``seed`` that can run. A scenario without a seed runs as it stands,
+        again and again. With a seed, its episode k has the seed of leaf k.
+
+        Args:
+            seed: The stream. None: stream 0 of a space, or the scenario's own seed.
+
+        Raises:
+            InadmissibleError: Too few draws of the space can run, or their sizes differ.
+
         """
         number, refused = 0, 0
         while True:
@@ -59,7 +67,7 @@ class Episodes:
                     raise InadmissibleError.of_option("space", expected, reason) from error
             else:
                 refused = 0
-                self._refuse_other_room(checked.scenario)
+                self._refuse_other_size(checked.scenario)
                 yield checked
             number += 1
 
@@ -79,14 +87,14 @@ class Episodes:
         self._world.refuse(scenario)
         return checked
 
-    def _refuse_other_room(self, scenario: Scenario) -> None:
-        """An environment's spaces of observations and actions never change."""
+    def _refuse_other_size(self, scenario: Scenario) -> None:
+        """Refuse a scenario of another size: an environment's observation and action spaces never change."""
         settings = scenario.settings
-        room = scenario.hand_slots, scenario.robot, settings.cell, settings.motion, settings.clock
-        if self._room and room != self._room:
+        size = scenario.hand_slots, scenario.robot, settings.cell, settings.motion, settings.clock
+        if self._size and size != self._size:
             raise InadmissibleError(
                 place=scenario.place("space"),
                 expected="draws alike in arm, desired pose, motion limits, clock, room for hands (2, 4, 8)",
                 got=f"{scenario.name}, which is not like those before it",
             )
-        self._room = room
+        self._size = size

@@ -1,4 +1,4 @@
-"""What an environment lets its agent see, as a space of Gymnasium."""
+"""An environment's observations, as a space of Gymnasium."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from safety_harness.seams.contract import IMAGE, SIGHTS
 
 
 def observation_space(seen: SeenRows, sees: tuple[str, ...]) -> spaces.Dict:
-    """The space of one lane of ``observed``; InadmissibleError for nothing and for pixels.
+    """Return the space of one lane of ``observed``; InadmissibleError without ``sees`` and for pixels.
 
-    ``seen`` (1,) SEEN.
+    Args:
+        seen: (1,) SEEN, for the shapes.
+        sees: Words of a controller's contract.
+
     """
     if not sees:
-        words = ", ".join(one.word for one in SIGHTS if one.word != IMAGE)
-        raise InadmissibleError.of_option("sees", f"at least one of: {words}", "none")
+        known = ", ".join(sight.word for sight in SIGHTS if sight.word != IMAGE)
+        raise InadmissibleError.of_option("sees", f"at least one of: {known}", "none")
     if IMAGE in sees:
         raise InadmissibleError.of_option("sees", "what an environment can show", repr(IMAGE))
     return spaces.Dict({name: _space(array[0]) for name, array in observed(seen, sees).items()})

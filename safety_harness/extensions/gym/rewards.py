@@ -1,13 +1,13 @@
-"""Rewards of claims: by how much each tick falls short of them, and progress to the desired pose.
+"""Rewards of claims: the shortfall of each tick, and progress to the desired pose.
 
-A claim can be used if its margin is the least, over the ticks of a run, of a number of that tick alone.  With
-m_k [SI] that number at tick k and T the control period, a claim of weight w gives
+A claim is usable if its margin is the least, over the ticks of a run, of a number that depends on a single
+tick. Let m_k [SI] be this number at tick k, and T the control period. A claim of weight w then gives
 
     r_k = w T min(m_k, 0),
 
-zero at a tick that keeps it and negative at one that does not: an episode whose ticks all keep it costs
-nothing.  Progress of weight w gives r_k = w (d_(k-1) - d_k), d [m] being the TCP's distance from the desired
-position.  What happens between two ticks is judged in the trace, and not here.
+which is zero at a tick that meets the claim, and negative at any other tick. An episode whose ticks all meet
+it costs 0. Progress of weight w gives r_k = w (d_(k-1) - d_k), where d [m] is the TCP's distance from the
+desired position. The trace's verdicts, not these rewards, judge the motion between two ticks.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ USABLE = (
 
 
 def nearest_m(ticks: Ticks) -> Floats:
-    """(n,) the least distance of any hand from the arm, surface to surface; infinite without one."""
+    """Return (n,) the least distance of any hand from the arm, surface to surface; inf without a hand."""
     nearest: Floats = np.where(ticks["hand_present"], ticks["hand_distance_m"], np.inf).min(axis=1)
     return nearest
 
@@ -57,7 +57,7 @@ _SIGNALS: dict[Signal, OfTicks] = {
 
 
 def margins_of(claim: Property, arm: ArmModel) -> OfTicks | None:
-    """The claim's number at each of (n,) TICK [SI]; None where it is no such claim."""
+    """Return the function from (n,) TICK to the claim's numbers (n,) [SI]; None if it is not usable."""
     lower, upper = arm.position_lower_rad, arm.position_upper_rad
     if isinstance(claim, HandDistance):
         least_m = claim.minimum_m
@@ -71,11 +71,11 @@ def margins_of(claim: Property, arm: ArmModel) -> OfTicks | None:
         return lambda ticks: np.minimum(
             ticks["joint_position_rad"] - lower, upper - ticks["joint_position_rad"]
         ).min(axis=1)
-    return _of_formula(claim.formula) if isinstance(claim, FormulaClaim) else None
+    return _formula_margins(claim.formula) if isinstance(claim, FormulaClaim) else None
 
 
-def _of_formula(formula: object) -> OfTicks | None:
-    """Of "always SIGNAL < LIMIT" without a window, for the signals of one tick."""
+def _formula_margins(formula: object) -> OfTicks | None:
+    """Return the margins of "always SIGNAL < LIMIT" without a window, for signals of a single tick."""
     if not isinstance(formula, Always) or formula.span is not None:
         return None
     compared = formula.body
@@ -88,7 +88,7 @@ def _of_formula(formula: object) -> OfTicks | None:
 
 @dataclass(frozen=True, eq=False)
 class Rewards:
-    """The claims that count, each with its weight, and those whose violation ends an episode."""
+    """The rewarded claims with their weights, and the claims whose violation ends an episode."""
 
     margins: Mapping[str, OfTicks]
     weights: Mapping[str, float]  # of those that are rewarded
@@ -98,8 +98,18 @@ class Rewards:
     desired_tcp_in_base_m: Floats  # (3,)
 
     @classmethod
-    def of(cls, rewards: Mapping[str, float], ends: Sequence[str], checked: Checked) -> Rewards:
-        """By sentences; InadmissibleError for a claim that cannot be used, or a weight that is none."""
+    def of_claims(cls, rewards: Mapping[str, float], ends: Sequence[str], checked: Checked) -> Rewards:
+        """Return the rewards for claims by their sentences.
+
+        Args:
+            rewards: The weight of each claim, and of "progress". Weights are finite and at least 0.
+            ends: Claims whose violation ends an episode.
+            checked: The first episode, for the arm and the settings.
+
+        Raises:
+            InadmissibleError: A claim is not usable, or a weight is not such a number.
+
+        """
         margins, weights = {}, {}
         settings = checked.scenario.settings
         for name, weight in rewards.items():
@@ -112,36 +122,43 @@ class Rewards:
         for sentence in (*weights, *ends):
             place = Place(field="rewards" if sentence in weights else "ends")
             claim = Claim(sentence=sentence, expected=Verdict.HOLDS, place=place)
-            found = margins_of(property_of(claim, checked.scenario), checked.arm)
-            if found is None:
+            of_ticks = margins_of(property_of(claim, checked.scenario), checked.arm)
+            if of_ticks is None:
                 raise InadmissibleError(
                     place=place, expected=f"a claim of single ticks: {USABLE}", got=repr(sentence)
                 )
-            margins[sentence] = found
+            margins[sentence] = of_ticks
         desired = np.array(settings.cell.desired_tcp_position_in_base_m)
         progress = float(rewards.get(PROGRESS, 0.0))
         return cls(margins, weights, tuple(ends), progress, settings.clock.control_period_s, desired)
 
     def way_left_m(self, ticks: Ticks) -> Floats:
-        """(n,) from the TCP to where servoing should end.  ``ticks`` (n,) TICK."""
+        """Return (n,) the distance from the TCP to the desired position [m]. ``ticks`` (n,) TICK."""
         left: Floats = np.linalg.norm(
             ticks["transform_tcp_to_base"][:, :3, 3] - self.desired_tcp_in_base_m, axis=1
         )
         return left
 
     def at(self, ticks: Ticks) -> dict[str, Floats]:
-        """By claim its margin (n,) at each of the ticks alone.  ``ticks`` (n,) TICK."""
+        """Return for each claim its margin (n,) at each of the ``ticks`` (n,) TICK, at ticks alone."""
         return {sentence: of_ticks(ticks) for sentence, of_ticks in self.margins.items()}
 
     def of_step(self, margins: Mapping[str, Floats], way_m: Floats, way_before_m: Floats) -> Floats:
-        """(n,) the reward of a step: ``margins`` and ``way_m`` (n,) at its end, ``way_before_m`` (n,)."""
+        """Return (n,) the reward of a step.
+
+        Args:
+            margins: For each claim, the margin (n,) at the end of the step.
+            way_m: The distance (n,) to the desired position at the end of the step [m].
+            way_before_m: The distance (n,) at the beginning of the step [m].
+
+        """
         total = self.progress * (way_before_m - way_m)
         for sentence, weight in self.weights.items():
             total += weight * self.period_s * np.minimum(margins[sentence], 0.0)
         return total
 
-    def over(self, margins: Mapping[str, Floats], count: int) -> NDArray[np.bool_]:
-        """(n,) whether one of the claims that end an episode is violated; a NaN is no safety."""
+    def ends_episode(self, margins: Mapping[str, Floats], count: int) -> NDArray[np.bool_]:
+        """Return (n,) true where a claim that ends an episode is violated; NaN counts as a violation."""
         ended = np.zeros(count, np.bool_)
         for sentence in self.ends:
             ended |= ~(margins[sentence] >= 0.0)

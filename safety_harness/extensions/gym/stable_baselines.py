@@ -1,4 +1,4 @@
-"""Many environments as Stable-Baselines3 takes them: actions from -1 to 1, observations in float32."""
+"""Vector environments in the form of Stable-Baselines3: actions from -1 to 1, observations in float32."""
 
 from __future__ import annotations
 
@@ -19,10 +19,15 @@ with POLICIES.needed("policies trained in environments"):
 
 
 class StableBaselinesEnv(VecEnv):
-    """``environments`` for an algorithm of Stable-Baselines3, which get those ``fields`` of observations.
+    """``environments`` for an algorithm of Stable-Baselines3, with the chosen ``fields`` of observations.
 
-    No field given is all of them.  An action of 1 is the largest of the environments' action space; each is
-    held for ``ticks``, or until the episode ends.
+    An action of 1 is the largest of the environments' action space.
+
+    Args:
+        environments: The lanes.
+        fields: The fields of observations. Empty: all of them.
+        ticks: The number of ticks for which each action stands, unless the episode ends before.
+
     """
 
     def __init__(self, environments: HarnessVectorEnv, fields: Sequence[str] = (), ticks: int = 1) -> None:
@@ -44,17 +49,20 @@ class StableBaselinesEnv(VecEnv):
         self._actions = np.zeros((self.num_envs, *self._most.shape))
 
     def reset(self) -> Arrays:
-        """Begin an episode in each; the first time that of the seed, if one was given."""
-        seeds = None if all(one is None for one in self._seeds) else self._seeds
+        """Begin an episode in each lane; the first time after a seed, the first episode of that seed."""
+        seeds = None if all(seed is None for seed in self._seeds) else self._seeds
         self._reset_seeds()
         return self._shown(self.environments.reset(seed=seeds)[0])
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Take the ``actions`` (environments, a)."""
+        """Store the ``actions`` (environments, a) for ``step_wait``."""
         self._actions = self._most * actions.astype(np.float64)
 
     def step_wait(self) -> tuple[Arrays, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Each on by its ticks; one that has ended stands at its next start until all have come so far."""
+        """Step each lane by ``ticks``.
+
+        A lane that ends waits at its next start until the others have finished.
+        """
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         total, ended = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
         for _ in range(self._ticks):
@@ -62,14 +70,14 @@ class StableBaselinesEnv(VecEnv):
                 np.where(ended[:, None], 0.0, self._actions)
             )
             total += np.where(ended, 0.0, reward)
-            over = terminated | truncated
-            for k, lane in enumerate(np.flatnonzero(over)):
+            finished = terminated | truncated
+            for k, lane in enumerate(np.flatnonzero(finished)):
                 if not ended[lane]:
                     last = {name: array[k] for name, array in self._shown(info["final_obs"]).items()}
                     cut = bool(truncated[lane] and not terminated[lane])
                     infos[lane] = {"terminal_observation": last, "TimeLimit.truncated": cut}
                     infos[lane] |= {name: float(m[k]) for name, m in info["final_info"]["margins"].items()}
-            ended |= over
+            ended |= finished
         return self._shown(seen), total.astype(np.float32), ended, infos
 
     def close(self) -> None:
@@ -77,19 +85,19 @@ class StableBaselinesEnv(VecEnv):
         self.environments.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The environments' attribute, once for each of ``indices``."""
+        """Return the environments' attribute, once for each of ``indices``."""
         return [getattr(self.environments, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: lanes have no attributes of their own."""
+        """Raise AttributeError: lanes have no attributes of their own."""
         raise AttributeError(f"{attr_name} cannot be set: lanes have no attributes of their own")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Refused: lanes have no methods of their own."""
+        """Raise AttributeError: lanes have no methods of their own."""
         raise AttributeError(f"{method_name} cannot be called: lanes have no methods of their own")
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """No lane is."""
+        """Return False for each of ``indices``: no lane has a wrapper."""
         return [False] * len(list(self._get_indices(indices)))
 
     def _shown(self, seen: Arrays) -> Arrays:

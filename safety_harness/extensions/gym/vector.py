@@ -1,4 +1,4 @@
-"""Many episodes at once in the kinematic world, a step of all in one compiled call: a vector environment."""
+"""Many episodes at once in the kinematic world, with one compiled call per step: a vector environment."""
 
 from __future__ import annotations
 
@@ -28,11 +28,25 @@ from safety_harness.trace.records import as_compiled, tick_dtype
 
 
 class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
-    """``num_envs`` environments, each the ``HarnessEnv`` of the same arguments bit for bit, in lanes.
+    """``num_envs`` environments in lanes, each with the same bits as a ``HarnessEnv`` of the same arguments.
 
-    Lane i begins stream seed + i, and stream i before a seed is given.  A lane whose episode is over is reset
-    within the same step; its last observation and info are ``info["final_obs"]`` and ``info["final_info"]``.
-    The world is the kinematic one, and no lane has a trace: ``HarnessEnv`` with the lane's seed has.
+    Lane i begins stream seed + i; without a seed, stream i. A lane whose episode is over is reset within the
+    same step. Its last observation and info are ``info["final_obs"]`` and ``info["final_info"]``. The world
+    is the kinematic world. Lanes have no traces: a ``HarnessEnv`` with the lane's seed gives the trace.
+
+    Args:
+        num_envs: The number of lanes.
+        scenario: As for ``HarnessEnv``, like all further arguments.
+        space: As for ``HarnessEnv``.
+        world: The kinematic world, or its name.
+        sees: As for ``HarnessEnv``.
+        action: As for ``HarnessEnv``.
+        rewards: As for ``HarnessEnv``.
+        ends: As for ``HarnessEnv``.
+
+    Raises:
+        InadmissibleError: As for ``HarnessEnv``, for another world, or for fewer than one lane.
+
     """
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
@@ -73,7 +87,18 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Arrays, dict[str, Any]]:
-        """Begin an episode in every lane; with a ``seed`` lane i begins stream seed + i."""
+        """Begin an episode in every lane.
+
+        Args:
+            seed: Lane i begins stream seed + i, or the stream of entry i. None: each lane continues its
+                stream.
+            options: Ignored.
+
+        Returns:
+            Observations (lanes, ...) and info. ``info["margins"]`` has each claim's least margin (lanes,) so
+            far.
+
+        """
         super().reset(seed=seed if isinstance(seed, int) else None)
         seeds = [seed + lane for lane in range(self.num_envs)] if isinstance(seed, int) else seed
         for lane in range(self.num_envs):
@@ -87,17 +112,28 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
     def step(
         self, actions: NDArray[np.float64]
     ) -> tuple[Arrays, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Every lane a control tick on.  ``actions`` (lanes, a) as of ``action_space``."""
+        """Move every lane by a control tick.
+
+        Args:
+            actions: (lanes, a) as in ``action_space``.
+
+        Returns:
+            Observations, rewards, terminated and truncated, all (lanes, ...), and info, as in Gymnasium.
+
+        Raises:
+            ControllerError: An action has another shape or is not finite.
+
+        """
         wanted = self.setting.wanted_of(actions, self.num_envs)
         self._acts.carry_out(self._worlds, self._controllers, wanted, self.setting.by_joints)
-        self._acts.look(self._worlds, self._controllers, self._acts.lasts, self._wants)
+        self._acts.observe(self._worlds, self._controllers, self._acts.lasts, self._wants)
         rewards, ticks, way_before_m = self.setting.rewards, self._ticks, self._way_m
         margins, self._way_m = rewards.at(ticks), rewards.way_left_m(ticks)
         for sentence, margin in margins.items():
             np.minimum(self._least[sentence], margin, out=self._least[sentence])
         reward = rewards.of_step(margins, self._way_m, way_before_m)
         self._left -= 1
-        terminated, truncated = rewards.over(margins, self.num_envs), self._left == 0
+        terminated, truncated = rewards.ends_episode(margins, self.num_envs), self._left == 0
         info: dict[str, Any] = {}
         ended = np.flatnonzero(terminated | truncated)
         observation = self._observed()
@@ -114,7 +150,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
 
     @property
     def _ticks(self) -> NDArray[np.void]:
-        """(lanes,) TICK: the truth of now."""
+        """(lanes,) TICK: the present truth."""
         return self._worlds.truth[:, 0].view(self._tick_dtype)
 
     def _begin(self, lane: int) -> None:
@@ -125,10 +161,10 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         self._left[lane] = checked.scenario.ticks
         alone = np.full(self.num_envs, -1)
         alone[lane] = 0
-        self._acts.look(self._worlds, self._controllers, alone, self._wants)
+        self._acts.observe(self._worlds, self._controllers, alone, self._wants)
 
     def _measured(self, lanes: NDArray[np.int64]) -> None:
-        """Where the ``lanes`` (k,) begin."""
+        """Measure the ``lanes`` (k,) at the start of their episodes."""
         ticks = self._ticks[lanes]
         self._way_m[lanes] = self.setting.rewards.way_left_m(ticks)
         for sentence, margin in self.setting.rewards.at(ticks).items():
@@ -142,7 +178,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
 
 
 class _Acts:
-    """A control tick of all lanes, of which no trace is kept: each writes the one of its ``ticks`` again.
+    """The control ticks of all lanes, without traces: each lane overwrites its one record in ``ticks``.
 
     ``ticks`` (lanes, 1) ``as_compiled``.
     """
@@ -157,26 +193,26 @@ class _Acts:
     def carry_out(
         self, worlds: WorldRecords, controllers: DrivenRecords, wanted: NDArray[np.float64], by_joints: bool
     ) -> None:
-        """Every lane obeys its action, ``wanted`` (lanes, a)."""
+        """Make every lane obey its action, ``wanted`` (lanes, a)."""
         flags, lasts = self._flags, self.lasts
         (self._joints if by_joints else self._twists)[:] = wanted
         flags[0][:] = by_joints
         obey_lanes(worlds.observation, controllers, lasts, 0, self._twists, self._joints, *flags)
         step_lanes(worlds, controllers, self._questions, self._ticks, lasts, 0, self._modes)
 
-    def look(
+    def observe(
         self,
         worlds: WorldRecords,
         controllers: DrivenRecords,
         lasts: NDArray[np.int64],
         wants: tuple[bool, bool],
     ) -> None:
-        """The lanes whose ``lasts`` (lanes,) are not negative look."""
+        """Observe in the lanes whose ``lasts`` (lanes,) are not negative."""
         look_lanes(worlds, controllers, lasts, 0, *wants)
 
 
 def _records(checked: Checked) -> tuple[WorldRecords, DrivenRecords]:
-    """An episode's, as it begins."""
+    """Return the records of an episode at its start."""
     scenario = checked.scenario
     return (
         world_records(scenario, checked.arm, checked.joint_position_rad),

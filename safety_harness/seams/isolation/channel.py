@@ -1,4 +1,4 @@
-"""The line to another process: bytes there and back, each within a time."""
+"""The channel to another process: bytes in both directions, each within a time limit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ AT_ONCE = 65_536  # bytes that are read in one go
 
 
 class GoneError(Exception):
-    """The process did not answer and is no more; ``hung``: because its time was over."""
+    """The process did not answer and counts as gone. ``hung`` is true if its time was over."""
 
     def __init__(self, why: str, *, hung: bool = False) -> None:
         self.hung = hung
@@ -22,17 +22,17 @@ class GoneError(Exception):
 
 
 class NonsenseError(GoneError):
-    """What came is nothing that the process has to say, and it has to be ended."""
+    """The process sent bytes that are no valid message, and has to be ended."""
 
     def __init__(self, why: str = "its process answered nonsense") -> None:
         super().__init__(why)
 
 
 class Channel:
-    """Two ends that we write to and read from; ``hear`` is told what comes from ``output`` meanwhile.
+    """Two file descriptors to write to and read from; ``hear`` receives the bytes of ``output`` meanwhile.
 
-    ``ended`` says how the other side ended.  After a GoneError, or anything else that is raised while it is
-    spoken to, it has to be closed.
+    ``ended`` returns the error that describes how the other side ended. Close the channel after a GoneError
+    or any other exception from ``send``, ``frame`` or ``line``.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Channel:
             os.set_blocking(fd, False)
 
     def send(self, data: bytes, limit_s: float) -> None:
-        """GoneError if the other side has not taken all of it within the limit."""
+        """Send ``data``; GoneError if the other side has not read all of it within the limit."""
         until_s = time.monotonic() + limit_s
         view = memoryview(data)
         while view:
@@ -63,7 +63,12 @@ class Channel:
                 raise self._ended() from None
 
     def frame(self, limit_s: float, most: int) -> bytes:
-        """The message of the next frame; GoneError if none comes within the limit, or no frame."""
+        """Return the message of the next frame.
+
+        Raises:
+            GoneError: No frame, or anything that is not a frame, comes within ``limit_s``.
+
+        """
         until_s = time.monotonic() + limit_s
         try:
             length = length_of(self._next(HEADER.size, until_s), most)
@@ -72,7 +77,12 @@ class Channel:
         return self._next(length, until_s)
 
     def line(self, limit_s: float, most: int) -> bytes:
-        """The next line, without its end; GoneError if none comes within the limit, or a longer one."""
+        """Return the next line without its end.
+
+        Raises:
+            GoneError: No line comes within ``limit_s``, or it is longer than ``most`` bytes.
+
+        """
         until_s = time.monotonic() + limit_s
         searched = 0
         while (end := self._come.find(b"\n", searched)) < 0 and len(self._come) <= most:
@@ -85,13 +95,13 @@ class Channel:
 
     @property
     def pending(self) -> bool:
-        """Is there something that nobody asked for, or has the other side gone?"""
+        """Is there unread input, or has the peer gone?"""
         poll = select.poll()
         poll.register(self._receiving, select.POLLIN)
         return bool(self._come or poll.poll(0))
 
     def drain(self) -> bool:
-        """Hear what has been written; False at the end of it."""
+        """Pass the waiting output to ``hear``; return False at its end."""
         try:
             heard = os.read(self._output, AT_ONCE) if self._output >= 0 else b""
         except BlockingIOError:
@@ -102,11 +112,11 @@ class Channel:
     def _next(self, count: int, until_s: float) -> bytes:
         while len(self._come) < count:
             self._read(until_s)
-        found, self._come = self._come[:count], self._come[count:]
-        return found
+        data, self._come = self._come[:count], self._come[count:]
+        return data
 
     def _read(self, until_s: float) -> None:
-        """Some more."""
+        """Read at least one more byte, unless the poll was spurious."""
         self._wait_for(self._receiving, select.POLLIN, until_s)
         try:
             part = os.read(self._receiving, AT_ONCE)
@@ -119,7 +129,10 @@ class Channel:
         self._come += part
 
     def _wait_for(self, fd: int, event: int, until_s: float) -> None:
-        """Until ``fd`` is ready; meanwhile take what it writes, so that it never waits for a reader."""
+        """Wait until ``fd`` is ready.
+
+        Meanwhile read the output, so that the other side never waits for a reader.
+        """
         poll = self._polls.get(event)
         if poll is None:
             poll = self._polls[event] = select.poll()
@@ -130,8 +143,8 @@ class Channel:
             left_s = until_s - time.monotonic()
             ready = dict(poll.poll(max(left_s, 0.0) * 1e3))
             if self._output in ready and not self.drain():
-                for one in self._polls.values():
-                    one.unregister(self._output)
+                for registered in self._polls.values():
+                    registered.unregister(self._output)
                 self._output = NO_OUTPUT
             if fd in ready:
                 return

@@ -1,7 +1,6 @@
-"""The process of a user's file: it makes objects of one kind, and answers calls to them one after another.
+"""The process of a user's file: it makes objects of one kind, and answers calls to them in sequence.
 
-It keeps its limits and ends when the harness does.  It must start quickly: nothing imported here waits for a
-compiler.
+It sets its own limits and ends with the harness. It must start quickly: no import here waits for a compiler.
 """
 
 from __future__ import annotations
@@ -49,53 +48,53 @@ class ServedKind(ABC):
         self.made: dict[int, Any] = {}
 
     @abstractmethod
-    def make(self, told: Make, path: Path, wanted: dict[str, Any]) -> ProcessMessage:
-        """Make an object, and return what it says of itself.  Whatever this raises refuses the file."""
+    def make(self, message: Make, path: Path, wanted: dict[str, Any]) -> ProcessMessage:
+        """Make an object, and return its description of itself. Any exception refuses the file."""
 
     @abstractmethod
-    def answers(self, told: Any) -> Iterator[ProcessMessage]:
-        """Yield what is to be said to a call.  Whatever this raises is said to have failed."""
+    def answers(self, message: Any) -> Iterator[ProcessMessage]:
+        """Yield the answers to a call. Any exception is reported as a failed call."""
 
 
 def serve(kind: ServedKind, question_fd: int, answer_fd: int) -> None:
-    """Answer until the other side is gone."""
+    """Answer calls until the other side is gone."""
     ends, file = _Ends(question_fd, answer_fd), ""
     while True:
-        told = kind.told.decode(ends.read(MOST_TOLD))
+        message = kind.told.decode(ends.read(MOST_TOLD))
         try:
-            if isinstance(told, Make):
-                wanted = json.loads(told.wanted)
+            if isinstance(message, Make):
+                wanted = json.loads(message.wanted)
                 file = wanted["path"]
-                ends.write(_made(kind, told, Path(file), wanted))
-            elif isinstance(told, Drop):
-                kind.made.pop(told.number, None)
+                ends.write(_made(kind, message, Path(file), wanted))
+            elif isinstance(message, Drop):
+                kind.made.pop(message.number, None)
             else:
-                for said in kind.answers(told):
-                    ends.write(said)
+                for answer in kind.answers(message):
+                    ends.write(answer)
         except BaseException as error:  # SystemExit, or the user's own: no reason to end
             own = isinstance(error, ControllerError)
-            words = str(error) if own else described(error, file)
-            words = words if own and words.startswith(told.call) else f"{told.call} raised: {words}"
-            ends.write(Failed(printable(words)[:MOST_WORDS]))
+            text = str(error) if own else described(error, file)
+            text = text if own and text.startswith(message.call) else f"{message.call} raised: {text}"
+            ends.write(Failed(printable(text)[:MOST_WORDS]))
 
 
-def _made(kind: ServedKind, told: Make, path: Path, wanted: dict[str, Any]) -> ProcessMessage:
+def _made(kind: ServedKind, message: Make, path: Path, wanted: dict[str, Any]) -> ProcessMessage:
     sys.path[:] = wanted["sys_path"]
     try:
         os.chdir(wanted["folder"])
-        return kind.make(told, path, wanted)
+        return kind.make(message, path, wanted)
     except InputError as error:
-        words = error.expected, error.got, error.hint, error.place.field or ""
+        reason = error.expected, error.got, error.hint, error.place.field or ""
     except BaseException as error:  # a user's code may raise anything
-        words = f"{wanted['name'] or path.name} to be {kind.what}", described(error, str(path)), "", ""
-    return Refused(*map(printable, words))
+        reason = f"{wanted['name'] or path.name} to be {kind.what}", described(error, str(path)), "", ""
+    return Refused(*map(printable, reason))
 
 
 class _Ends:
-    """Where it reads what we say and writes what it says, in frames."""
+    """The process's two ends: it reads our messages and writes its answers, in frames."""
 
     def __init__(self, question_fd: int, answer_fd: int) -> None:
-        """The process keeps the limits from here on, and ends when we do."""
+        """Set the limits of this process from now on, and end it with the harness."""
         limit()
         for fd in (question_fd, answer_fd):
             os.set_inheritable(fd, False)
@@ -106,14 +105,14 @@ class _Ends:
         self._process = os.getpid()
 
     def read(self, most: int) -> bytes:
-        """The next message; the process ends when there will be none."""
+        """Return the next message; end the process when there will be no more."""
         header = self._questions.read(HEADER.size)
         if not header:
             os._exit(0)  # the other side is gone
         return self._questions.read(length_of(header, most))
 
     def write(self, message: ProcessMessage) -> None:
-        """Say it, after what the user's file has printed."""
+        """Send a message, after all output that the user's file has printed."""
         if os.getpid() != self._process:
             os._exit(0)  # a fork of the user's that came back from it
         for stream in (sys.stdout, sys.stderr):  # it may have closed its output
@@ -124,7 +123,7 @@ class _Ends:
 
 
 def limit(process: int = 0) -> None:
-    """Bound the data of a process, of this one for 0, to MEMORY_BYTES; it leaves no core behind."""
+    """Bound a process's data to MEMORY_BYTES and forbid core files; 0 means this process."""
     for kind, most in ((resource.RLIMIT_DATA, MEMORY_BYTES), (resource.RLIMIT_CORE, 0)):
         _, hard = resource.prlimit(process, kind)
         least = most if hard == resource.RLIM_INFINITY else min(most, hard)
@@ -132,13 +131,13 @@ def limit(process: int = 0) -> None:
 
 
 def _close(*fds: int) -> None:
-    """In a process that the user's file forks, which has nothing to say to us."""
+    """Close our descriptors in a process that the user's file forks: it has no messages for us."""
     for fd in fds:
         os.closerange(fd, fd + 1)  # which minds no error
 
 
 def _end_with(question_fd: int) -> None:
-    """End, with all that was forked, when the other side is gone, even in the midst of an answer."""
+    """Kill this process and its forks when the other side is gone, even in the midst of an answer."""
     gone = select.poll()
     gone.register(question_fd, 0)  # a hang-up is told unasked
     gone.poll()

@@ -1,6 +1,7 @@
-"""A connection to another process, and the three ways to one: a user's file, a program, a socket.
+"""A connection to another process, by three ways: a user's file, a program or a socket.
 
-Every kind of object is begun, asked, timed, ended and refused here.  What it is asked is its own affair.
+This module begins, times, ends and refuses every kind of object. The questions to an object are the business
+of its kind.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ M = TypeVar("M", bound=ProcessMessage)
 
 
 class Socket:
-    """A connection to who listens at ``address``: (host, port), or the path of a Unix socket."""
+    """A connection to the listener at ``address``: (host, port), or the path of a Unix socket."""
 
     def __init__(self, address: tuple[str, int] | str, limit_s: float) -> None:
-        """GoneError if nobody answers there."""
+        """Connect within ``limit_s``; GoneError without an answer."""
         family = socket.AF_UNIX if isinstance(address, str) else socket.AF_INET
         self.owner = os.getpid()
         line = socket.socket(family, socket.SOCK_STREAM)
@@ -56,7 +57,7 @@ Peer = Process | Socket  # the other end of a connection
 
 @dataclass(frozen=True)
 class Wire:
-    """How messages go there, and how the next one is read within a time."""
+    """The encoding of messages, and the way to read the next message within a time."""
 
     sent: Callable[[ProcessMessage], bytes]
     next: Callable[[Channel, float], Any]
@@ -78,7 +79,10 @@ def json_wire(decode: Callable[[bytes], Any], most: int) -> Wire:
 
 
 class RefusedError(Exception):
-    """There is no such object: what was expected, what came, where to read on, and in which field."""
+    """The other side has no such object.
+
+    It has the expected and the actual thing, a hint for further reading, and the field.
+    """
 
     def __init__(self, expected: str, got: str, hint: str = "", field: str = "") -> None:
         self.expected, self.got, self.hint, self.field = map(printable, (expected, got, hint, field))
@@ -86,10 +90,11 @@ class RefusedError(Exception):
 
 
 class Connection:
-    """A connection that is begun by ``start``, and may be begun anew when its other end is gone.
+    """A connection that ``start`` begins, and begins again when its other end is gone.
 
-    ``generation`` counts the processes; what was made in an earlier one is no more.  Who shares it takes a
-    number of ``numbers`` for each object, and holds the ``lock`` while one is asked.
+    ``generation`` counts the processes: an object of an earlier process is lost. Several users may share a
+    connection. Each takes a number from ``numbers`` for each object, and holds the ``lock`` during a
+    question.
     """
 
     def __init__(self, start: Callable[[], Peer], wire: Wire) -> None:
@@ -100,20 +105,26 @@ class Connection:
 
     @property
     def alive(self) -> bool:
-        """Is somebody there, and not there for the process that we were forked from?"""
+        """Is there a peer, and does it belong to this process rather than to the parent of a fork?"""
         if self._peer is not None and self._peer.owner != os.getpid():
             self._peer = None  # it talks to that one alone
         return self._peer is not None
 
     @property
     def quiet(self) -> bool:
-        """Is somebody there who has answered all that was asked, and no more?"""
+        """Is there a peer that has answered all questions and written no more?"""
         return self.alive and not self._channel.pending
 
     def introduce(self, first: ProcessMessage, kind: type[M], limit_s: float) -> M:
-        """Return the answer to a first message, of that ``kind``; GoneError, RefusedError.
+        """Return the answer, of type ``kind``, to a first message.
 
-        It is said in a new process if there is none, and once more in one if that of earlier objects is gone.
+        Without a peer, start one. If the peer of earlier objects is gone, start a new one and repeat the
+        message once.
+
+        Raises:
+            GoneError: No answer comes within ``limit_s``.
+            RefusedError: The peer refuses, or its answer has another type.
+
         """
         new = not self.alive
         if new:
@@ -122,37 +133,40 @@ class Connection:
             self.generation += 1
         try:
             self.say(first, limit_s)
-            said = self.hear(limit_s)
+            answer = self.hear(limit_s)
         except BaseException as error:  # after Ctrl-C, who knows what it will say next
             self.end()
             if new or not isinstance(error, GoneError):
                 raise
             return self.introduce(first, kind, limit_s)
-        if isinstance(said, Refused):
-            raise RefusedError(said.expected, said.got, said.hint, said.field)
-        if not isinstance(said, kind):
-            raise RefusedError(f'a first message that says "{kind.__struct_config__.tag}"', repr(said))
-        return said
+        if isinstance(answer, Refused):
+            raise RefusedError(answer.expected, answer.got, answer.hint, answer.field)
+        if not isinstance(answer, kind):
+            raise RefusedError(f'a first message that says "{kind.__struct_config__.tag}"', repr(answer))
+        return answer
 
     def say(self, message: ProcessMessage, limit_s: float) -> None:
-        """Send a message; GoneError if it is not taken within the limit."""
+        """Send a message; GoneError if the peer does not read it within the limit."""
         while self._forgotten:
             self._channel.send(self._wire.sent(Drop(self._forgotten.popleft())), limit_s)
         self._channel.send(self._wire.sent(message), limit_s)
 
     def forget(self, number: int) -> None:
-        """Drop an object before the next thing is said: this may be called amid another message."""
+        """Drop an object before the next message.
+
+        A caller may use this while another message is under way.
+        """
         self._forgotten.append(number)
 
     def hear(self, limit_s: float) -> Any:
-        """Return what is said next; GoneError if that is nothing within the limit, or no message."""
+        """Return the peer's next message; GoneError if no valid message comes within the limit."""
         try:
             return self._wire.next(self._channel, limit_s)
         except (ValueError, RecursionError, msgspec.MsgspecError) as error:
             raise NonsenseError(f"what it said is no message: {printable(str(error))}") from None
 
     def end(self) -> None:
-        """End the process, and all that was made in it."""
+        """End the process, and with it all objects in it."""
         if self._peer is not None:
             self._peer.end()
             self._peer = None
@@ -162,18 +176,24 @@ class Connection:
 def refusing(
     error: type[InputError], expected: str, within_s: float, place: Place | None, file: Path | None = None
 ) -> Iterator[None]:
-    """Raise the ``error`` where the block finds no object, or a process that does not live to say so.
+    """Raise ``error`` where the block finds no object, or where the process ends before it can say so.
 
-    It is at ``place``, or without one at the field of ``file`` that the process tells.
+    Args:
+        error: The class to raise.
+        expected: The expectation that the error states if the process is gone.
+        within_s: The time limit [s] that the error states if the process hung.
+        place: The place of the error. None: the field of ``file`` that the process reports.
+        file: The user's file.
+
     """
     try:
         yield
-    except RefusedError as said:
-        at = place or Place(file=file, field=said.field or None)
-        raise error(place=at, expected=said.expected, got=said.got, hint=said.hint) from said
+    except RefusedError as refusal:
+        at = place or Place(file=file, field=refusal.field or None)
+        raise error(place=at, expected=refusal.expected, got=refusal.got, hint=refusal.hint) from refusal
     except GoneError as gone:
-        within = f" within {within_s:g} s" if gone.hung else ""
-        raise error(place=place or Place(file=file), expected=expected + within, got=str(gone)) from gone
+        limit = f" within {within_s:g} s" if gone.hung else ""
+        raise error(place=place or Place(file=file), expected=expected + limit, got=str(gone)) from gone
 
 
 def process_of(
@@ -184,9 +204,15 @@ def process_of(
     *,
     silent: bool = False,
 ) -> Callable[[], Process]:
-    """Return what starts a process of a user's file, and says so: ``begin`` is a partial of ``Process``.
+    """Return a function that starts the process of a user's file, and warns before the first execution.
 
-    Of a ``silent`` one nobody hears what the file writes.
+    Args:
+        path: The user's file.
+        source: The bytes of the file.
+        logger: The logger of the warning and of the file's output.
+        begin: A partial of ``Process`` that still needs the listener for its output.
+        silent: True to log no output of the file.
+
     """
     heard = Heard(path.name, logger, silent=silent)
 

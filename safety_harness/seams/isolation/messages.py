@@ -1,7 +1,8 @@
 """Messages between the harness and the process of a user's file: MessagePack in frames, never a pickle.
 
-These are of every kind of object.  A kind adds its own calls and answers (``child.ServedKind``): an avoider's
-``Ask``, a controller's ``Act``.  Each side decodes what the other may say and nothing else.
+These messages serve every kind of object. A kind adds its own calls and answers (``child.ServedKind``), such
+as an avoider's ``Ask`` and a controller's ``Act``. Each side decodes only the messages that its peer may
+send.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ MEMORY_BYTES = 4 << 30  # of the file's own data; libraries and reserved address
 
 
 def framed(message: bytes) -> bytes:
-    """Return the message behind a header that tells its length."""
+    """Return the message behind a header with its length."""
     return HEADER.pack(MAGIC, len(message)) + message
 
 
 def length_of(header: bytes, most: int) -> int:
-    """Return the length of the message, at most ``most`` bytes; ValueError otherwise."""
+    """Return the length of the message after ``header``; ValueError above ``most`` bytes or without MAGIC."""
     magic, length = HEADER.unpack(header)
     if magic != MAGIC or length > most:
         raise ValueError("no frame of ours")
@@ -37,13 +38,13 @@ def length_of(header: bytes, most: int) -> int:
 
 
 class ProcessMessage(Struct, tag_field="say"):
-    """A message; ``call`` is the method of the user's object that it asks, for the words of a failure."""
+    """A message. ``call`` is the method of the user's object that it calls; texts of failures use it."""
 
     call: ClassVar[str] = "make"
 
 
 class Make(ProcessMessage, tag="make"):
-    """Make an object with that number: ``wanted`` says which in JSON, ``source`` is its file."""
+    """Make an object with this number: ``wanted`` is its JSON description, ``source`` its file's bytes."""
 
     number: int
     wanted: bytes
@@ -53,9 +54,16 @@ class Make(ProcessMessage, tag="make"):
     def of(
         cls, path: Path, source: bytes, name: str, number: int = 0, *, onnx: bool = False, **more: object
     ) -> Make:
-        """Make what stands behind a file in a reference, in this process's folder and with its modules.
+        """Return the request for the object behind a file reference, with this process's folder and modules.
 
-        ``name`` is an attribute, or the layout of an ``onnx`` file: the suffix may be that of a link alone.
+        Args:
+            path: The user's file.
+            source: The bytes of the file.
+            name: An attribute of the file, or the layout of an ``onnx`` file.
+            number: The number of the object in later calls.
+            onnx: True for an ONNX file. The suffix does not decide, since it may be the suffix of a link.
+            more: Further entries of the description, by name.
+
         """
         wanted = {"path": str(path), "name": name, "onnx": onnx, **more}
         wanted |= {"folder": os.getcwd(), "sys_path": sys.path}
@@ -63,13 +71,16 @@ class Make(ProcessMessage, tag="make"):
 
 
 class Drop(ProcessMessage, tag="drop"):
-    """Forget the object with that number."""
+    """Forget the object with this number."""
 
     number: int
 
 
 class Refused(ProcessMessage, tag="none"):
-    """The file gives no such object: what was expected, what came, where to read on, and in which field."""
+    """The file gives no such object.
+
+    It has the expected and the actual thing, a hint for further reading, and the field.
+    """
 
     expected: str
     got: str
@@ -78,18 +89,18 @@ class Refused(ProcessMessage, tag="none"):
 
 
 class Failed(ProcessMessage, tag="failed", forbid_unknown_fields=True):
-    """The call failed, and why."""
+    """The call failed, with the reason."""
 
     why: str
 
 
 def decoder_of(messages: Any) -> msgspec.msgpack.Decoder[Any]:
-    """Return what decodes a union of messages; arrays in them are float64 and read-only."""
+    """Return the decoder of a union of messages; arrays in them are float64 and read-only."""
     return msgspec.msgpack.Decoder(messages, dec_hook=array_of)
 
 
 def array_of(kind: type, value: object) -> Any:
-    """Return the numbers of a message as an array; TypeError or ValueError for what are none."""
+    """Return the numbers of a message as a read-only float64 array; TypeError or ValueError without."""
     array = np.array(value, dtype=np.float64)
     array.flags.writeable = False
     return array

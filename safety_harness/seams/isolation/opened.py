@@ -1,7 +1,7 @@
-"""Which files a user's module reads: its process notes each, with the hash of its bytes, and we look there.
+"""The files that a user's module reads: its process records each with the hash of its bytes.
 
-An audit hook of Python sees what is imported and what is opened for reading, also by ``numpy.load`` and
-``zipfile``.  What a library reads without Python is not seen: a module names it in ``HARNESS_FILES``.
+A Python audit hook sees imports and files opened for reading, also by ``numpy.load`` and ``zipfile``. It does
+not see files that a library reads without Python. A module lists such files in ``HARNESS_FILES``.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _journals: dict[int, int] = {}  # of processes, which may have been forked from 
 
 
 def environment() -> tuple[Mapping[str, str], int]:
-    """The variables with which a process is started that notes files, and the descriptor to leave open."""
+    """Return the environment of a process that records files, and the descriptor to leave open for it."""
     own = os.getpid()
     if own not in _journals:
         _journals[own] = os.memfd_create("safety-harness-opened")
@@ -37,21 +37,22 @@ def environment() -> tuple[Mapping[str, str], int]:
 
 
 def noted(begin: int) -> tuple[list[tuple[str, str, str]], int]:
-    """What was noted from that byte of the journal on, and where the journal ends now.
+    """Return the records of the journal from byte ``begin`` on, and the journal's present end.
 
-    (SHA-256 of the module, path, SHA-256 of the file), which is empty for one that the module writes itself:
-    that is its memory, and no part of it.  Whatever else the module writes there is passed over.
+    Each record is (SHA-256 of the module, path, SHA-256 of the file). The last is empty for a file that the
+    module writes itself: such a file is its memory, and not a part of it. Other text that the module writes
+    there is skipped.
     """
     journal = _journals.get(os.getpid())
     data = b"" if journal is None else os.pread(journal, os.fstat(journal).st_size - begin, begin)
     whole = data[: data.rfind(b"\n") + 1]
     noted = _NOTED.findall(whole)
-    found = [(module.decode(), os.fsdecode(path), sha256.decode()) for module, sha256, path in noted]
-    return found, begin + len(whole)
+    records = [(module.decode(), os.fsdecode(path), sha256.decode()) for module, sha256, path in noted]
+    return records, begin + len(whole)
 
 
 def watch(module: Path, source: bytes) -> None:
-    """Note what is read below the project of ``module`` from now on, if this process was told to."""
+    """Record reads below the project of ``module`` from now on, if this process has a journal."""
     if _JOURNAL in os.environ:
         journal = int(os.environ.pop(_JOURNAL))
         os.set_inheritable(journal, False)
@@ -60,24 +61,28 @@ def watch(module: Path, source: bytes) -> None:
 
 
 def declare(file: Path) -> None:
-    """Note a file, wherever it is; OSError if it cannot be read."""
+    """Record a file, wherever it is; OSError if it cannot be read."""
     file.open("rb").close()
     for hook in _hooks:
         hook.note(os.path.abspath(file))
 
 
 def sha256_of(path: str | Path) -> str:
-    """The hash of a file's bytes; empty where there is no file that can be read."""
+    """Return the hash of a file's bytes; empty if the file cannot be read."""
     with suppress(OSError):
         return whole_hash(Path(path))
     return ""
 
 
 class _Hook:
-    """Files below the project's folder: the nearest that is marked as one, else the working directory."""
+    """The audit hook, for files below the project's folder.
+
+    That folder is the nearest parent of the module with one of ``_MARKS``, otherwise the working directory if
+    it holds the module, otherwise the module's own folder.
+    """
 
     def __init__(self, journal: int, module: Path, source: bytes) -> None:
-        marked = (one for one in module.parents if any((one / mark).exists() for mark in _MARKS))
+        marked = (folder for folder in module.parents if any((folder / mark).exists() for mark in _MARKS))
         here = Path.cwd() if Path.cwd() in module.parents else module.parent
         self._journal, self._module = journal, str(module)
         self._begins = f"{hashlib.sha256(source).hexdigest()} "
@@ -85,14 +90,14 @@ class _Hook:
         self._seen: set[tuple[str, int, int]] = set()
         self._written: set[str] = set()
 
-    def __call__(self, event: str, told: tuple[object, ...]) -> None:
+    def __call__(self, event: str, args: tuple[object, ...]) -> None:
         place = _SEEN_AS.get(event)
-        if place is not None and isinstance(told[place], str | bytes | os.PathLike):
-            written = event == "open" and isinstance(told[2], int) and bool(told[2] & os.O_ACCMODE)
+        if place is not None and isinstance(args[place], str | bytes | os.PathLike):
+            written = event == "open" and isinstance(args[2], int) and bool(args[2] & os.O_ACCMODE)
             with suppress(OSError, ValueError):  # it is for who opens it to say what is wrong
-                self._look(os.path.abspath(os.fsdecode(told[place])), written)  # type: ignore[arg-type]
+                self._record(os.path.abspath(os.fsdecode(args[place])), written)  # type: ignore[arg-type]
 
-    def _look(self, path: str, written: bool) -> None:
+    def _record(self, path: str, written: bool) -> None:
         if "/__pycache__/" in path:
             path = source_from_cache(path) if path.endswith(".pyc") else ""
         if not path.startswith(self._folder) or path == self._module or "-packages/" in path:
@@ -106,7 +111,7 @@ class _Hook:
             self.note(path)
 
     def note(self, path: str) -> None:
-        """Once, unless it has been written since."""
+        """Write the file's hash to the journal, once for each version of the file."""
         status = os.stat(path)
         key = path, status.st_mtime_ns, status.st_size
         if key not in self._seen:

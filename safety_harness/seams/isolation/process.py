@@ -1,4 +1,4 @@
-"""The process of a user's file from our side: start it, talk to it within a time, end it for good."""
+"""The process of a user's file, from the harness's side: start it, talk to it within a time limit, end it."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ BOOT = (
 
 
 class Process:
-    """One process; ``hear`` is told what it writes to its output.
+    """One process; ``hear`` receives the bytes of its output.
 
-    It is started as ``command``.  What we say it reads, and what it says it writes, at two descriptors whose
-    numbers are added to the command; its output is then what comes from standard output and error.  A program
-    that is spoken to ``by_stdio`` uses standard input and output for that, and its output is standard error.
-    It has MEMORY_BYTES for its data.
+    ``command`` starts it with two more arguments: the descriptors at which it reads our messages and writes
+    its answers. Its output is then standard output and standard error. With ``by_stdio`` a program uses
+    standard input and output for messages, and its output is standard error alone. The process may hold
+    MEMORY_BYTES of data.
     """
 
     def __init__(
         self, command: Sequence[str], hear: Callable[[bytes], None], *, by_stdio: bool = False
     ) -> None:
-        """OSError if it cannot be started."""
+        """Start the process; OSError if that fails."""
         self._hear = hear
         self.owner = os.getpid()
         variables, journal = environment()
@@ -67,31 +67,34 @@ class Process:
 
     @classmethod
     def python(cls, module: str, hear: Callable[[bytes], None]) -> Process:
-        """A Python that runs ``main`` of a module of ours with the two descriptors, and limits itself."""
+        """Start a Python that runs ``main`` of our ``module`` with the two descriptors and limits itself."""
         return cls([sys.executable, "-P", "-u", "-c", BOOT, module, json.dumps(sys.path)], hear)
 
     def end(self) -> None:
-        """Kill it and what it forked; hear its last words."""
+        """Kill the process and its forks, after the rest of its output has been heard."""
         if self._finish.alive and self.channel.drain():
             self._hear(b"")
         self._finish()
 
     def _ended(self) -> GoneError:
-        """How; it is left unreaped, so that its group keeps its number until that is killed."""
+        """Return the error that states how the process ended.
+
+        It leaves the process unreaped, so that the group keeps its number until it is killed.
+        """
         until_s = time.monotonic() + 1.0
         while time.monotonic() < until_s:
-            found = os.waitid(os.P_PID, self._child.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG)
-            if found is None:
+            state = os.waitid(os.P_PID, self._child.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG)
+            if state is None:
                 time.sleep(0.001)
-            elif found.si_code == os.CLD_EXITED:
-                return GoneError(f"its process ended with exit status {found.si_status}")
+            elif state.si_code == os.CLD_EXITED:
+                return GoneError(f"its process ended with exit status {state.si_status}")
             else:
-                return GoneError(f"its process was ended by {signal.Signals(found.si_status).name}")
+                return GoneError(f"its process was ended by {signal.Signals(state.si_status).name}")
         return GoneError("its process closed the line to us")
 
 
 def _finish(owner: int, child: subprocess.Popen[bytes], fds: tuple[int, ...]) -> None:
-    """Kill the process and its group, once; a fork of ours that inherited it only lets go of it."""
+    """Kill the process and its group once. A fork of ours that inherited it only closes its descriptors."""
     if os.getpid() == owner:
         for kill in (os.killpg, os.kill):  # it may have left its group
             with contextlib.suppress(ProcessLookupError, PermissionError):

@@ -1,7 +1,6 @@
-"""A user's own Python file: what its text defines, and what its execution gives.
+"""A user's own Python file: the names that its text defines, and the object that its execution gives.
 
-``refuse_undefined`` parses the text and executes nothing; ``made_by`` executes the file, with all that it
-imports.
+``refuse_undefined`` parses the text and executes no code. ``made_by`` executes the file with all its imports.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ _INNER = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda)
 
 
 def source_of(path: Path, place: Place) -> bytes:
-    """The text of a Python file; InadmissibleError at ``place`` for none, or one that is too large."""
+    """Return the bytes of a Python file; InadmissibleError at ``place`` if it is missing or too large."""
     source = read_bytes(path, most=MOST_SOURCE, place=place, error=InadmissibleError)
     if len(source) > MOST_SOURCE:
         expected = f"a Python file of at most {MOST_SOURCE:,} bytes"
@@ -37,10 +36,10 @@ def source_of(path: Path, place: Place) -> bytes:
 
 
 def refuse_undefined(path: Path, name: str, methods: Sequence[str], place: Place, hint: str) -> None:
-    """InadmissibleError at ``place`` unless the file is Python and seems to define ``name``.
+    """Raise InadmissibleError at ``place`` unless the file is Python and seems to define ``name``.
 
-    A class without bases has to have the ``methods``.  What only the execution shows is for the run to meet,
-    and so is a very long text.  ``hint`` says where to read on.
+    A class without bases must have the ``methods``. The run itself meets any fault that only execution shows,
+    and any fault in a very long text. ``hint`` tells the user where to read on.
     """
     source = source_of(path, place)
     if len(source) > MOST_PARSED:
@@ -51,25 +50,25 @@ def refuse_undefined(path: Path, name: str, methods: Sequence[str], place: Place
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         got = described(error, str(path))
         raise InadmissibleError(place=place, expected=f"{path.name} to be a Python file", got=got) from None
-    found = [node for node in _top(tree) if name in _defined(node)]
-    if not found and not any(_hides(node) for node in ast.walk(tree)):
+    definitions = [node for node in _top(tree) if name in _defined(node)]
+    if not definitions and not any(_hides(node) for node in ast.walk(tree)):
         expected, got = f"something called {name!r} in {path.name}", "nothing of that name"
         raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
     for method in methods:
-        if found and _lacks(found[-1], method):
+        if definitions and _lacks(definitions[-1], method):
             expected, got = f"{name} to have a method {method}", "a class without one"
             raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
 
 
 def _lacks(node: ast.AST, method: str) -> bool:
-    """A class that has no such method and can have none from elsewhere."""
+    """Return whether ``node`` is a class that lacks the method and cannot inherit or receive it."""
     if not isinstance(node, ast.ClassDef) or node.bases or node.keywords or node.decorator_list:
         return False
     return not any(method in _defined(inner) or _hides(inner) for inner in _top(node))
 
 
 def _top(node: ast.AST) -> Iterator[ast.AST]:
-    """Everything below a module or a class but what is within a function or another class, in its order."""
+    """Yield all nodes below a module or class, in order, without the insides of functions and classes."""
     waiting = [*ast.iter_child_nodes(node)][::-1]  # no recursion: the text decides how deep it is
     while waiting:
         child = waiting.pop()
@@ -79,7 +78,7 @@ def _top(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def _defined(node: ast.AST) -> set[str]:
-    """The names that a statement, or a target within one, defines."""
+    """Return the names that a statement, or a target in it, defines."""
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         return {node.name}
     if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
@@ -95,10 +94,20 @@ def _hides(node: ast.AST) -> bool:
     return star or declared or bool({getattr(node, "id", ""), getattr(node, "name", "")} & _HIDDEN)
 
 
-def made_by(path: Path, source: bytes, name: str, what: str, place: Place, hint: str) -> object:
-    """What the file calls ``name``: an object, or an instance of a class without required arguments.
+def made_by(path: Path, source: bytes, name: str, kind: str, place: Place, hint: str) -> object:
+    """Execute the file and return the object called ``name``.
 
-    InadmissibleError at ``place`` if it has none; ``what`` it should be, "an avoider", and where to read on.
+    Args:
+        path: The user's file.
+        source: The bytes of the file.
+        name: The attribute: an object, or a class that is instantiated without arguments.
+        kind: The kind of object with its article, such as "an avoider".
+        place: The place of an error.
+        hint: Where the user can read on.
+
+    Raises:
+        InadmissibleError: The file fails, or has no such attribute.
+
     """
     watch(path, source)
     module = _module(path, source, place)
@@ -107,36 +116,36 @@ def made_by(path: Path, source: bytes, name: str, what: str, place: Place, hint:
             declare(path.parent / file)
     except (OSError, TypeError) as error:
         raise raised(path, place, f"{DECLARED} to be a list of files that can be read", error) from error
-    found = getattr(module, name, None)
-    if found is None:
+    made_object = getattr(module, name, None)
+    if made_object is None:
         expected, got = f"something called {name!r} in {path.name}", "nothing of that name"
         raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
-    if isinstance(found, type):
+    if isinstance(made_object, type):
         try:
-            found = found()
+            made_object = made_object()
         except (Exception, SystemExit) as error:  # a user's code may raise anything
-            expected = f"{name}() to make {what} without any arguments"
+            expected = f"{name}() to make {kind} without any arguments"
             raise raised(path, place, expected, error) from error
-    made: object = found
+    made: object = made_object
     return made
 
 
-def refuse_lacking(found: object, name: str, methods: Sequence[str], place: Place, hint: str) -> None:
-    """InadmissibleError at ``place`` unless what the file calls ``name`` has these methods, and a name."""
+def refuse_lacking(value: object, name: str, methods: Sequence[str], place: Place, hint: str) -> None:
+    """Raise InadmissibleError at ``place`` unless the object has the ``methods`` and a valid name."""
     for method in methods:
-        if not callable(getattr(found, method, None)):
-            expected, got = f"{name} to have a method {method}", f"none in a {type(found).__name__}"
+        if not callable(getattr(value, method, None)):
+            expected, got = f"{name} to have a method {method}", f"none in a {type(value).__name__}"
             raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
-    called = getattr(found, "name", None)
+    called = getattr(value, "name", None)
     if not isinstance(called, str) or not is_sentence(called):
         expected = f"{name} to have a name, {SENTENCE}"
         raise InadmissibleError(place=place, expected=expected, got=repr(called), hint=hint)
 
 
 def _module(path: Path, source: bytes, place: Place) -> ModuleType:
-    """The file, executed afresh; its name is its own, so that it hides no module and none hides it.
+    """Return the file as a module, freshly executed, under a name that clashes with no other module.
 
-    Compiled from its text: Python's own cache takes an edit within a second for none.
+    It compiles the text itself: Python's own cache misses an edit within the same second.
     """
     digest = hashlib.sha256(str(path).encode()).hexdigest()[:12]
     spec = spec_from_file_location(f"user_{digest}_{path.stem}", path)
@@ -153,5 +162,5 @@ def _module(path: Path, source: bytes, place: Place) -> ModuleType:
 
 
 def raised(path: Path, place: Place, expected: str, error: BaseException) -> InadmissibleError:
-    """That the user's file raised an ``error`` in place of what was expected, and in which line."""
+    """Return an InadmissibleError: the user's file raised ``error`` instead of the ``expected`` result."""
     return InadmissibleError(place=place, expected=expected, got=described(error, str(path)))

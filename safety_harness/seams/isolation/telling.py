@@ -1,4 +1,4 @@
-"""What a command says of a user's file that it executes, and what it hears of it."""
+"""A command's messages about a user's file that it executes, and about the file's output."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 
 from safety_harness.base.exceptions import printable
 
-MOST_LINES, MOST_CHARACTERS = 5, 200
+MOST_LINES, MOST_CHARACTERS = 5, 200  # of a file's output that a command repeats
 
 executed: dict[tuple[Path, str], str] = {}  # the files that this process had executed, in words
 
 
 def say_it_is_executed(path: Path, source: bytes, logger: logging.Logger) -> None:
-    """Before a file is executed for the first time by this command; its workers do not say it again."""
+    """Warn before the first execution of a file by this command; worker processes stay silent."""
     key = path, hashlib.sha256(source).hexdigest()
     if key in executed:
         return
@@ -27,9 +27,9 @@ def say_it_is_executed(path: Path, source: bytes, logger: logging.Logger) -> Non
 
 
 class Heard:
-    """Says the first lines that a file called ``name`` writes, once.
+    """A logger of the first lines that a file called ``name`` writes, each once.
 
-    Of a ``silent`` one nobody hears anything.
+    A ``silent`` logger drops all of them.
     """
 
     def __init__(self, name: str, logger: logging.Logger, *, silent: bool = False) -> None:
@@ -38,7 +38,7 @@ class Heard:
         self._lines = MOST_LINES + 1 if silent else 0
 
     def hear(self, written: bytes) -> None:
-        """The next bytes; none at the end."""
+        """Log the next bytes of output; empty bytes mean the end."""
         if self._lines > MOST_LINES:
             return
         *lines, self._begun = (self._begun + written[:65_536]).split(b"\n")

@@ -1,4 +1,4 @@
-"""``safety-harness hands``: what recorded hands did, as a space of scenarios."""
+"""``safety-harness hands``: the approaches of recorded hands, as a space of scenarios."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ commands = Typer(name="hands", no_args_is_help=True, help=_ABOUT, short_help=_AB
 
 @commands.callback()
 def _group() -> None:
-    """Keeps ``fit`` a command of a group, as long as it is the only one."""
+    """Keep ``fit`` a command of a group, as long as it is the only one."""
 
 
 @command(commands, "fit")
@@ -25,25 +25,26 @@ def fit(
     out: Annotated[Path, Option(help="The space that is written.", metavar="FILE")] = Path("hands.yaml"),
     seed: Seed = 0,
 ) -> int:
-    """Fit how hands approach: speed, acceleration, direction, dwell, pauses, approaches per hour.
+    """Fit a scenario space to the approaches of hands.
 
-    Writes a scenario space that fuzz and sample take. What no distribution of a space fits stands there as it
-    was recorded. Exit code 0; 2: a log cannot be used, or there are too few approaches.
+    It fits speed, acceleration, direction, dwell, pauses and approaches per hour, and writes a space that
+    fuzz and sample take. A quantity that no distribution fits keeps its recorded values. Exit code 0; 2: a
+    log cannot be used, or there are too few approaches.
     """
     from safety_harness.base.whole_file import write_text
     from safety_harness.extensions.field.hands import direction_line, fit_hands, quantity_lines, space_text
     from safety_harness.extensions.field.logs.read import read_log
     from safety_harness.space.read import parse_space
 
-    found = fit_hands([read_log(file) for file in logs], seed=seed)
-    text = space_text(found)
+    fitted = fit_hands([read_log(file) for file in logs], seed=seed)
+    text = space_text(fitted)
     parse_space(text, out)
     write_text(out, text)
-    low, high = found.per_hour_interval
-    result(f"{found.approaches} approaches, {found.per_hour:.0f} an hour ({low:.0f} to {high:.0f})")
-    for one in found.quantities:
-        result(*quantity_lines(one))
-    result(direction_line(found.direction))
-    say(*found.notes, f"space: {out}")
-    document(fit=found, space=str(out))
+    low, high = fitted.per_hour_interval
+    result(f"{fitted.approaches} approaches, {fitted.per_hour:.0f} an hour ({low:.0f} to {high:.0f})")
+    for quantity in fitted.quantities:
+        result(*quantity_lines(quantity))
+    result(direction_line(fitted.direction))
+    say(*fitted.notes, f"space: {out}")
+    document(fit=fitted, space=str(out))
     return AS_EXPECTED

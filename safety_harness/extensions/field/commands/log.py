@@ -1,4 +1,4 @@
-"""``safety-harness log``: what has to be known of a log before it can be judged."""
+"""``safety-harness log``: checks of a log before it can be judged."""
 
 from __future__ import annotations
 
@@ -16,26 +16,25 @@ commands = Typer(name="log", no_args_is_help=True, help=_ABOUT, short_help=_ABOU
 
 @command(commands, "check")
 def check(log: Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")]) -> int:
-    """List what verdicts on a log assume, what in it confirms each, and which column would.
+    """List the assumptions of verdicts on a log.
 
-    Reads all of it, as judge does, and prints the columns, tracks and intervals that are left out. Exit code
-    0, whatever is confirmed; 2: the log contradicts itself or its file, or cannot be read.
+    For each it prints the evidence in the log, or the column that would be evidence. It reads the whole log,
+    as judge does, and prints the omitted columns, tracks and intervals. Exit code 0, whether or not all are
+    confirmed; 2: the log contradicts itself or its file, or cannot be read.
     """
     from dataclasses import asdict
 
     from safety_harness.extensions.field.read_log_job import read_log
 
-    found = read_log(log)
-    notes, assumed = found.notes, found.assumptions
-    for one in assumed:
-        result(f"{'confirmed' if one.confirmed_by else 'ASSUMED  '}  {one.what}")
+    log_result = read_log(log)
+    notes, assumed = log_result.notes, log_result.assumptions
+    for a in assumed:
+        result(f"{'confirmed' if a.confirmed_by else 'ASSUMED  '}  {a.what}")
         result(
-            f"           by {one.confirmed_by}"
-            if one.confirmed_by
-            else f"           would confirm it: {one.would}"
+            f"           by {a.confirmed_by}" if a.confirmed_by else f"           would confirm it: {a.would}"
         )
     say(*(f"note: {note}" for note in notes))
-    document(assumptions=[asdict(one) for one in assumed], notes=notes)
+    document(assumptions=[asdict(a) for a in assumed], notes=notes)
     return AS_EXPECTED
 
 
@@ -46,27 +45,28 @@ def align(
         str | None, Option(help="Which of its hands moved with the tool; else the only one.", metavar="NAME")
     ] = None,
 ) -> int:
-    """Estimate by how much the hands' clock is ahead, from a body that moved with the tool.
+    """Estimate the lead of the hands' clock.
 
-    That is a marker on the flange, or a hand that holds on to the tool, while the arm moves for some seconds.
-    Prints the line for LOG.yaml, whose own key "clock" is not read. Exit code 0; 2: it cannot be estimated.
+    The body moves with the tool for some seconds: a marker on the flange, or a hand that holds on to it. The
+    command prints the line for LOG.yaml, and ignores the present key "clock". Exit code 0; 2: the lead cannot
+    be estimated.
     """
     from safety_harness.base.exceptions import LogError
     from safety_harness.extensions.field.logs.align import align as estimate
-    from safety_harness.extensions.field.logs.align import words
+    from safety_harness.extensions.field.logs.align import clock_line
     from safety_harness.extensions.field.logs.read import read_log
 
-    found = read_log(log, align=True)
-    names = [one.name for one in found.hands]
-    chosen = [one for one in found.hands if body in (None, one.name)]
+    data = read_log(log, align=True)
+    names = [item.name for item in data.hands]
+    chosen = [item for item in data.hands if body in (None, item.name)]
     if len(chosen) != 1:
         raise LogError.of_option("--body", f"one of the log's hands: {', '.join(names) or 'none'}", str(body))
-    offset = estimate(found, chosen[0])
-    result(words(offset))
-    parts = ", ".join(f"{one * 1e3:.1f}" for one in offset.parts_s)
+    offset = estimate(data, chosen[0])
+    result(clock_line(offset))
+    parts = ", ".join(f"{item * 1e3:.1f}" for item in offset.parts_s)
     say(
         f"by parts of the recording: {parts} ms; the arm's motion explains {offset.explained:.1%} of the "
         f"body's, and leaves {offset.off_m * 1e3:.1f} mm"
     )
-    document(offset=offset, clock=words(offset))
+    document(offset=offset, clock=clock_line(offset))
     return AS_EXPECTED

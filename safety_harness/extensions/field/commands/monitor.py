@@ -1,4 +1,4 @@
-"""``safety-harness monitor``: claims on a cell that runs, by the stream of its joints and hands."""
+"""``safety-harness monitor``: claims on a live cell, from the stream of its joints and hands."""
 
 from __future__ import annotations
 
@@ -70,22 +70,22 @@ def monitor(
         bool, Option("--json", help="A JSON object a line in place of lines for people.")
     ] = False,
 ) -> int:
-    """Watch a cell that runs: a line when the verdict on a claim changes. It is no safety function.
+    """Watch claims on a live cell. It is no safety function.
 
-    Reads JSON lines from standard input, such as
+    It prints a line whenever the verdict on a claim changes. Standard input has JSON lines, such as
 
     {"time_s": 1.008, "joint_position_rad": [0, -1.2, 1.9, -2.2, -1.5, 0], "hands": {"hand":
     {"hand_position_in_base_m": [0.9, 0.1, 0.3], "elbow_position_in_base_m": [1.2, 0.1, 0.4]}}}
 
     Joints and hands may come in lines of their own. A hand that is null is lost, and claims on it are
-    inconclusive at once. Verdicts are those that judge gives of a log of all that came, with the same
-    LOG.yaml: certain within what it says, else inconclusive.
+    inconclusive at once. Verdicts equal those of judge on a log of the same data with the same LOG.yaml:
+    certain within its statements, else inconclusive.
 
     robot_stream | safety-harness monitor --robot ur10 --claim "always hand distance > 50 mm"
 
-    Exit code when the stream ends 0: every claim holds; 1: one is violated, inconclusive or not watched, or
-    the stream ends within a line; 2: bad input, or
-    nothing in the stream could be used; 130: interrupted. The log is kept however it ends.
+    Exit code at the end of the stream 0: every claim holds; 1: a claim is violated, inconclusive or not
+    watched, or the stream ends within a line; 2: bad input, or no line of the stream could be used; 130:
+    interrupted. The log survives in all cases.
     """
     from safety_harness.base.exceptions import Place, SettingsError
     from safety_harness.extensions.field.monitoring.cell import taken
@@ -99,12 +99,12 @@ def monitor(
     watched = _cell(cell, claim or [], robot, hand, period)
     own = Monitor(cell=watched, wait_s=wait_s, some=not claim)
     if out is not None:
-        sentences = [one.sentence for one in watched.scenario.claims]
+        sentences = [item.sentence for item in watched.scenario.claims]
         own.journal = Journal(cell=watched, claims=sentences, folder=out, most_bytes=part * 10**6, keep=keep)
     say(NO_SAFETY_FUNCTION)
     if cell is None:
-        words = "; ".join(taken([one.name for one in watched.hands]).splitlines())
-        say(f"taken, as no LOG.yaml says it: {words}")
+        assumed = "; ".join(taken([item.name for item in watched.hands]).splitlines())
+        say(f"taken, as no LOG.yaml says it: {assumed}")
     for sentence, reason in own.unwatched.items():
         say(f"not watched, which judge may tell of the log: {sentence} (expected {reason.expected})")
     interrupted, usable, patience_s = False, True, watched.joint_facts.longest_gap_s
@@ -123,23 +123,31 @@ def monitor(
 
 
 def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, as_json: bool) -> bool:
-    """Take every line of a stream; what keeps coming without joints, for ``patience_s``, is silence too.
+    """Feed every line of a stream to the monitor; return whether the last line could be used.
 
-    Return whether the last line could be used: of a feeder that died it is cut.
+    A feeder that died leaves a cut last line. A stream without joints for ``patience_s`` counts as silent,
+    even while other lines come.
+
+    Args:
+        own: The monitor.
+        stream: The lines; None after ``patience_s`` without a line.
+        patience_s: The longest time without joints [s].
+        as_json: True to print JSON lines.
+
     """
     from safety_harness.base.exceptions import StreamError
 
-    told, ticks, since_s, usable = 0, 0, time.monotonic(), True
+    refused, ticks, since_s, usable = 0, 0, time.monotonic(), True
     for line in stream:
         usable = usable or line is not None
         try:
             for change in own.take(line) if line is not None else ():
                 _say(change, as_json)
         except StreamError as error:
-            told, usable = told + 1, False
-            if told <= REFUSED_TOLD:
+            refused, usable = refused + 1, False
+            if refused <= REFUSED_TOLD:
                 explain(error)
-            if told == REFUSED_TOLD:
+            if refused == REFUSED_TOLD:
                 say("further lines that cannot be used are counted, and not told")
         if own.counts.ticks != ticks:
             ticks, since_s = own.counts.ticks, time.monotonic()
@@ -152,7 +160,7 @@ def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, a
 def _cell(
     file: Path | None, claims: list[str], robot: str | None, hands: list[str] | None, period: str | None
 ) -> WatchedCell:
-    """The cell of a file, or one of which only so much is said."""
+    """Return the cell of a file, or a cell from the options alone."""
     from safety_harness.base.exceptions import InputError, SettingsError
     from safety_harness.extensions.field.monitoring.cell import cell_taken, read_cell
     from safety_harness.scenario.robots import Robot
@@ -161,31 +169,31 @@ def _cell(
         for option, value in (("--robot", robot), ("--hand", hands), ("--period", period)):
             if value is not None:
                 raise SettingsError.of_option(option, "what LOG.yaml says, which has it too", str(value))
-        found = read_cell(file, claims)
+        watched = read_cell(file, claims)
     else:
         if robot is None:
             hint = "safety-harness monitor --robot ur10 --claim 'always hand distance > 50 mm'"
             raise SettingsError.of_option("monitor", "a LOG.yaml, or --robot", "neither", hint)
-        name = next((one.value for one in Robot if one.value.lower() == robot.lower()), robot)
+        name = next((entry.value for entry in Robot if entry.value.lower() == robot.lower()), robot)
         named = hands or (["hand"] if any("hand" in claim for claim in claims) else [])
         try:
-            found = cell_taken(name, named, period or "8 ms", claims)
+            watched = cell_taken(name, named, period or "8 ms", claims)
         except InputError as error:  # of the text that the options make
             field = error.place.field or ""
-            of = next((option for key, option in OPTIONS.items() if field.startswith(key)), None)
-            if of is None:
+            option_name = next((option for key, option in OPTIONS.items() if field.startswith(key)), None)
+            if option_name is None:
                 raise
-            raise type(error).of_option(of, error.expected, error.got, error.hint) from error
-    if not found.scenario.claims:
+            raise type(error).of_option(option_name, error.expected, error.got, error.hint) from error
+    if not watched.scenario.claims:
         hint = "--claim 'always hand distance > 50 mm'"
         raise SettingsError.of_option("--claim", "a claim at least, there or in LOG.yaml", "none", hint)
-    return found
+    return watched
 
 
 def lines_of(stream: IO[bytes], patience_s: float) -> Iterator[bytes | None]:
-    """The lines of a stream as they come; None when nothing came for so long.
+    """Yield the lines of a stream as they come; None after ``patience_s`` [s] without data.
 
-    A line without an end is cut where it is longer than any that can be used, and what follows is left out.
+    A line above the largest usable length is cut there, and the rest of it is dropped.
     """
     from safety_harness.extensions.field.monitoring.sample import MOST_CHARACTERS
 
@@ -218,7 +226,7 @@ def lines_of(stream: IO[bytes], patience_s: float) -> Iterator[bytes | None]:
 
 
 def _say(change: VerdictLine, as_json: bool) -> None:
-    """A line of results."""
+    """Print a change of a verdict."""
     if as_json:
         result(json.dumps(change.told))
         return
@@ -228,7 +236,7 @@ def _say(change: VerdictLine, as_json: bool) -> None:
 
 
 def _ended(own: Monitor, *, as_json: bool, interrupted: bool) -> int:
-    """What came of it, and the exit code."""
+    """Print the result, and return the exit code."""
     from safety_harness.base.exceptions import StreamError
     from safety_harness.claims.properties.tally import UNWATCHED_IN_LOGS, basis
     from safety_harness.scenario.model import Verdict
@@ -254,6 +262,6 @@ def _ended(own: Monitor, *, as_json: bool, interrupted: bool) -> int:
         say("at the end of the stream:")
     for change in final:
         say(f"  {change.verdict.value}  {change.claim}  ({change.reason})")
-    exercised = [(int(one.verdict is not Verdict.INCONCLUSIVE), 1) for one in final]
+    exercised = [(int(line.verdict is not Verdict.INCONCLUSIVE), 1) for line in final]
     say(basis(["a stream of a cell"], exercised, UNWATCHED_IN_LOGS))
     return AS_EXPECTED if all(change.verdict is Verdict.HOLDS for change in final) else DIFFERS

@@ -1,4 +1,4 @@
-"""``safety-harness scenario from`` and ``compare-worlds``: what a cell's log says, taken into simulation."""
+"""``safety-harness scenario from`` and ``compare-worlds``: a cell's log in simulation."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _NUMBER, _UNIT = re.compile(r"[+-]?[0-9.]+(e[+-]?[0-9]+)?"), re.compile(r"[a-z]{
 
 
 class _Quantities(TyperGroup):
-    """``--around 100 mm`` as ``--around "100 mm"``: a shell takes the unit for another argument."""
+    """A group that accepts ``--around 100 mm`` as ``--around "100 mm"``: a shell splits off the unit."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """As it is, but that a unit after an option's number belongs to it."""
+        """Parse the arguments, with a unit after an option's number joined to it."""
         joined: list[str] = []
-        for word in args:
+        for arg in args:
             number = len(joined) > 1 and joined[-2].startswith("--") and _NUMBER.fullmatch(joined[-1])
-            if number and _UNIT.fullmatch(word):
-                joined[-1] += f" {word}"
+            if number and _UNIT.fullmatch(arg):
+                joined[-1] += f" {arg}"
             else:
-                joined.append(word)
+                joined.append(arg)
         return super().parse_args(ctx, joined)
 
 
@@ -64,7 +64,7 @@ ElbowTowards = Annotated[
 
 @of_scenarios.callback()
 def _group() -> None:
-    """Keeps ``from`` a command of a group, as long as it is the only one."""
+    """Keep ``from`` a command of a group, as long as it is the only one."""
 
 
 @command(of_scenarios, "from")
@@ -93,15 +93,16 @@ def scenario_from(
         Path | None, Option(help="Folder for the files; without it from-NAME of the log.", metavar="FOLDER")
     ] = None,
 ) -> int:
-    """Make a scenario of a log, and a space around it: an incident becomes a regression test and a search.
+    """Make a scenario of a log, and a space around it.
 
-    Writes NAME.yaml and the hands' recordings, and with --around or --speed NAME-around.yaml, which run, fuzz
-    and pytest take as they are. Comments in the files say what is the log's and what is the scenario's.
-    Without --scenario the avoider is the opposite pose, and what else no log says is the default. Every
-    claim is expected to hold: run ends with 1 as long as the incident happens again.
-    Hands keep their samples; a gap longer than LOG.yaml says is refused, and --from and --to choose another
-    part. Nothing is executed, and nothing overwritten.
-    Exit code 0; 2: it cannot be made, or what was made cannot be tried, and why.
+    An incident becomes a regression test and a search. The command writes NAME.yaml and the hands'
+    recordings, and NAME-around.yaml with --around or --speed; run, fuzz and pytest take them unchanged.
+    Comments in the files state the origin of each part. Without --scenario the avoider is the opposite pose,
+    and all else that no log has takes its default. Every claim is expected to hold: run ends with 1 as long
+    as the incident happens again.
+    Hands keep their samples. The command refuses a gap longer than LOG.yaml allows; --from and --to choose
+    another part. It executes no code and overwrites no file.
+    Exit code 0; 2: the scenario cannot be made, or cannot run, with the reason.
     """
     from safety_harness.admission.admit import Looker
     from safety_harness.admission.avoiders import as_seen_from
@@ -125,18 +126,18 @@ def scenario_from(
     if scenario is not None and desired_tcp is not None:
         raise LogError.of_option("--desired-tcp", "what --scenario says, which has it too", desired_tcp)
     given = None if scenario is None else _cell(scenario)
-    found, desired_m = _part(log, from_, to), _point(desired_tcp, "--desired-tcp")
+    cell_log, desired_m = _part(log, from_, to), _point(desired_tcp, "--desired-tcp")
     if given is None:
         end = "as --desired-tcp says" if desired_m is not None else "where the log ends"
         named = f"the defaults (desired TCP {end}, avoider {USUAL})"
-        given = usual_cell(found, desired_m)
+        given = usual_cell(cell_log, desired_m)
         say(f"note: no --scenario: {named}")
     else:
         named = str(told(Path(str(scenario))))
     cell = as_seen_from(folder, given)
-    made = make(found, cell, elbow_towards_in_base_m=_point(elbow_towards))
-    file, space = folder / f"{found.name}.yaml", folder / f"{found.name}-around.yaml"
-    files = {folder / one.name: one.data for one in made.hands}
+    made = make(cell_log, cell, elbow_towards_in_base_m=_point(elbow_towards))
+    file, space = folder / f"{cell_log.name}.yaml", folder / f"{cell_log.name}-around.yaml"
+    files = {folder / hand.name: hand.data for hand in made.hands}
     files[file] = scenario_text(made, named=named).encode()
     if neighbourhood:
         files[space] = space_text(made, neighbourhood, named=named).encode()
@@ -180,17 +181,17 @@ def _length(text: str | None) -> float | None:
 
     if text is None:
         return None
-    found = parse_quantity(text, LENGTH, Place(field="--around"))
-    if not 0.0 < found <= 2.0:
+    length_m = parse_quantity(text, LENGTH, Place(field="--around"))
+    if not 0.0 < length_m <= 2.0:
         raise LogError.of_option("--around", "a length above 0, and at most 2 m", text)
-    return found
+    return length_m
 
 
 def _speeds(text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
     try:
-        low, high = (float(one) for one in text.split(".."))
+        low, high = (float(factor) for factor in text.split(".."))
     except ValueError:
         low = high = -1.0
     if not 0.01 <= low < high <= 10.0:
@@ -205,7 +206,7 @@ def _point(text: str | None, option: str = "--elbow-towards") -> Vector3 | None:
 
     if text is None:
         return None
-    items = Sequence(tuple(Scalar(one.strip(), 1) for one in text.split(",")), 1)
+    items = Sequence(tuple(Scalar(number.strip(), 1) for number in text.split(",")), 1)
     return POINT.read(Field(items, None, path=option, line=1))
 
 
@@ -222,13 +223,14 @@ def compare_worlds(
     elbow_towards: ElbowTowards = None,
     out: Annotated[Path, Option(help="Folder for compare-worlds.json.")] = Path("reports/compare-worlds"),
 ) -> int:
-    """Run a controller in both worlds under recorded hands: how far is the simulated arm from the recorded?
+    """Compare simulated runs with a recorded cell.
 
-    The runs are those of "scenario from LOG.yaml" with the same options. Joints, TCP and hand distances are
-    held against the log, with intervals; a delay and offsets of the joints are estimated; claims are judged
-    of log and runs. certify PLAN --cell compare-worlds.json takes what it writes into a report.
-    A program that the scenario names is executed.
-    Exit code 0: no verdict contradicts the log's; 1: one does; 2: bad input, or a world that is not
+    It runs a controller in both worlds under the recorded hands, with the runs of "scenario from LOG.yaml"
+    and the same options. It compares joints, TCP and hand distances with the log, with intervals. It
+    estimates a delay and offsets of the joints, and judges the claims on the log and on the runs. certify
+    PLAN --cell compare-worlds.json puts the result into a report. It executes a program that the scenario
+    names.
+    Exit code 0: no verdict contradicts the log's; 1: a verdict does; 2: bad input, or a world is not
     installed; 130: interrupted.
     """
     from safety_harness.base.whole_file import write_text
@@ -241,10 +243,10 @@ def compare_worlds(
 
     cell = _cell(scenario)
     made = make(_part(log, from_, to), cell, elbow_towards_in_base_m=_point(elbow_towards))
-    found = compare(made)
-    result(*comparison_lines(found))
-    say(*(f"note: {note}" for note in found.notes))
-    write_text(out / FILE, as_json(found))
-    document(format=FORMAT, **plain(found))
+    comparison = compare(made)
+    result(*comparison_lines(comparison))
+    say(*(f"note: {note}" for note in comparison.notes))
+    write_text(out / FILE, as_json(comparison))
+    document(format=FORMAT, **plain(comparison))
     say(f"{told(out / FILE)}: for safety-harness certify PLAN --cell")
-    return DIFFERS if any(one.differs for one in found.claims) else AS_EXPECTED
+    return DIFFERS if any(claim.differs for claim in comparison.claims) else AS_EXPECTED

@@ -1,1 +1,1 @@
-"""Logs of real cells: read, placed on one clock, and made traces of what is certain."""
+"""Logs of real cells: the reader puts them on one clock, and makes traces of all that is certain."""

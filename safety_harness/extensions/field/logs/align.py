@@ -1,9 +1,9 @@
-"""By how much the hands' clock is ahead of the joints', from a body that both streams show.
+"""The lead of the hands' clock over the joints' clock, from a body that both streams show.
 
-Such a body moves with the tool: a marker on the flange, or a hand that holds on to the tool, for a while in
-which the arm moves.  With the offset d, the places p(t + d) of the body in the base frame are R(t) c + x(t),
-where R and x are the tool's pose by the joints, and c, where the body is on the tool, is unknown and
-constant.  d and c are those of the least squares.
+Such a body moves with the tool while the arm moves: a marker on the flange, or a hand that holds on to the
+tool. With the offset d, the places p(t + d) of the body in the base frame are R(t) c + x(t). The joints give
+the tool's pose, R and x. The place c of the body on the tool is unknown and constant. d and c are the
+least-squares solution.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ LEAST_MOVED_M = 0.05  # root mean square about its mean
 
 @dataclass(frozen=True, kw_only=True)
 class Offset:
-    """``hands_ahead_s`` is known to ``known_to_s``: with every part's own estimate, and its interval.
+    """``hands_ahead_s`` is known to ``known_to_s``, which covers every part's own estimate and the interval.
 
-    ``parts_s`` are these estimates in the order of time; ``off_m`` is the root mean square of what no offset
-    explains, ``explained`` the share of the body's variance that the arm's motion does.
+    ``parts_s`` are these estimates in the order of time. ``off_m`` is the root mean square of the rest that
+    no offset explains. ``explained`` is the share of the body's variance that the arm's motion explains.
     """
 
     hands_ahead_s: float
@@ -48,7 +48,17 @@ class Offset:
 
 
 def align(log: CellLog, body: Body) -> Offset:
-    """LogError for a body that does not show what the joints do, not for long enough, or again and again."""
+    """Return the offset of the hands' clock.
+
+    Args:
+        log: The log.
+        body: The body that moves with the tool.
+
+    Raises:
+        LogError: The body does not move with the tool, the recording is too short, or the motion repeats
+            itself.
+
+    """
     joints_s, count = log.seconds(log.joints), log.joints.values.shape[1] // 2
     arm = arm_model(log.robot)
     tools = np.array([links_in_base(arm, row[:count].copy())[-1] for row in log.joints.values])
@@ -64,20 +74,20 @@ def align(log: CellLog, body: Body) -> Offset:
     fit = _Fit(joints_s, tools, body_s, places)
     every = np.ones(len(body_s), bool)
     peaks_s = _peaks_s(joints_s, tools[:, :3, 3], body_s, places)
-    found = [(near_s, *fit.best(near_s, every)) for near_s in peaks_s]
-    _, ahead_s, residual = min(found, key=lambda one: one[2])
+    fits = [(near_s, *fit.best(near_s, every)) for near_s in peaks_s]
+    _, ahead_s, residual = min(fits, key=lambda peak: peak[2])
     there = fit.there(ahead_s, every)
-    about = places[there] - places[there].mean(axis=0)
-    explained = 1.0 - residual / float((about**2).sum())
+    centred = places[there] - places[there].mean(axis=0)
+    explained = 1.0 - residual / float((centred**2).sum())
     if explained < LEAST_EXPLAINED or there.sum() < FEWEST:
         got = f"one of whose motion the joints explain {max(explained, 0.0):.0%}"
         hint = "a marker on the tool, or a hand that holds on to it; in the base frame, by the key frame"
         raise _refused(body, "a body that moves with the tool", got, hint)
     # one that ends where it may look no farther is no least of its own, but on the way to another
-    own = [(one, left) for near, one, left in found if abs(one - near) < NEAR_S - GRID_S]
-    alike = [one for one, left in own if left < ALIKE**2 * residual and abs(one - ahead_s) > NEAR_S]
+    own = [(peak, left) for start_s, peak, left in fits if abs(peak - start_s) < NEAR_S - GRID_S]
+    alike = [peak for peak, left in own if left < ALIKE**2 * residual and abs(peak - ahead_s) > NEAR_S]
     if alike:
-        them = ", ".join(f"{one * 1e3:.0f}" for one in sorted([ahead_s, *alike]))
+        them = ", ".join(f"{peak * 1e3:.0f}" for peak in sorted([ahead_s, *alike]))
         hint = "a motion that does not repeat itself, or the part that has one: log: {from: ..., to: ...}"
         raise _refused(
             body,
@@ -108,14 +118,14 @@ class _Fit:
     body_s: Floats
     places: Floats  # (m, 3)
 
-    def there(self, ahead_s: float, of: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Those of the body's samples at which the joints are known."""
+    def there(self, ahead_s: float, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return those of the ``chosen`` (m,) samples of the body at which the joints are known."""
         at = self.body_s - ahead_s
-        return np.asarray(of & (at >= self.joints_s[0]) & (at <= self.joints_s[-1]))
+        return np.asarray(chosen & (at >= self.joints_s[0]) & (at <= self.joints_s[-1]))
 
-    def residual(self, ahead_s: float, of: NDArray[np.bool_]) -> float:
-        """The least sum of squares [m2] by any place on the tool; fewer than 10 samples tell nothing."""
-        there = self.there(ahead_s, of)
+    def residual(self, ahead_s: float, chosen: NDArray[np.bool_]) -> float:
+        """Return the least sum of squares [m2] over all places on the tool; infinity below 10 samples."""
+        there = self.there(ahead_s, chosen)
         if there.sum() < 10:
             return float("inf")
         at = self.body_s[there] - ahead_s
@@ -125,21 +135,24 @@ class _Fit:
                 poses[:, i, j] = np.interp(at, self.joints_s, self.tools[:, i, j])
         turned, beside = poses[:, :, :3].reshape(-1, 3), (self.places[there] - poses[:, :, 3]).reshape(-1)
         offset_m = np.linalg.lstsq(turned, beside, rcond=None)[0]
-        return float(((beside - turned @ offset_m) ** 2).sum() / there.sum() * of.sum())
+        return float(((beside - turned @ offset_m) ** 2).sum() / there.sum() * chosen.sum())
 
-    def best(self, near_s: float, of: NDArray[np.bool_]) -> tuple[float, float]:
-        """The offset within ``NEAR_S`` of ``near_s`` and what it leaves."""
+    def best(self, near_s: float, chosen: NDArray[np.bool_]) -> tuple[float, float]:
+        """Return the best offset within ``NEAR_S`` of ``near_s``, and its residual."""
         tried = near_s + np.arange(-NEAR_S, NEAR_S + 1e-9, GRID_S / 2.0)
-        first = float(tried[int(np.argmin([self.residual(one, of) for one in tried]))])
+        first = float(tried[int(np.argmin([self.residual(ahead_s, chosen) for ahead_s in tried]))])
         bounds = first - GRID_S, first + GRID_S
-        found = scipy.optimize.minimize_scalar(
-            self.residual, bounds=bounds, args=(of,), method="bounded", options={"xatol": 1e-6}
+        least = scipy.optimize.minimize_scalar(
+            self.residual, bounds=bounds, args=(chosen,), method="bounded", options={"xatol": 1e-6}
         )
-        return float(found.x), float(found.fun)
+        return float(least.x), float(least.fun)
 
 
 def _peaks_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -> list[float]:
-    """Where the speeds of tool and body correlate, the best first, if half of the shorter one overlaps."""
+    """Return the offsets at which the speeds of tool and body correlate, the best first.
+
+    At least half of the shorter series overlaps at each.
+    """
     tool, body = _speed(joints_s, tool_m), _speed(body_s, places)
     products = scipy.signal.correlate(body, tool, method="fft")
     overlap = scipy.signal.correlate(np.ones(len(body)), np.ones(len(tool)), method="fft")
@@ -155,11 +168,11 @@ def _peaks_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -
 
 
 def _speed(time_s: Floats, places: Floats) -> Floats:
-    """The speed on a grid, about its mean."""
+    """Return the speed on a grid, minus its mean."""
     grid_s = np.arange(time_s[0], time_s[-1], GRID_S)
-    way = np.column_stack([np.interp(grid_s, time_s, column) for column in places.T])
+    path = np.column_stack([np.interp(grid_s, time_s, column) for column in places.T])
     window = np.ones(9) / 9.0  # of 90 ms, since noise would be all that a difference shows
-    smooth = np.column_stack([np.convolve(column, window, mode="same") for column in way.T])
+    smooth = np.column_stack([np.convolve(column, window, mode="same") for column in path.T])
     speed = np.linalg.norm(np.gradient(smooth, GRID_S, axis=0), axis=1)
     speed[:9] = speed[-9:] = np.median(speed)  # the window reaches over the ends
     return np.asarray(speed - speed.mean())
@@ -170,7 +183,7 @@ def _refused(body: Body, expected: str, got: str, hint: str = "") -> LogError:
     return LogError(place=source.place, expected=f"{expected}, in {source.name}", got=got, hint=hint)
 
 
-def words(offset: Offset) -> str:
-    """As LOG.yaml has it, rounded up."""
+def clock_line(offset: Offset) -> str:
+    """Return the line of LOG.yaml, rounded up."""
     known_ms = np.ceil(offset.known_to_s * 1e4) / 10.0 + 0.1  # for the rounding of the offset
     return f"clock: {{hands are ahead by: {offset.hands_ahead_s * 1e3:.1f} ms, known to: {known_ms:.1f} ms}}"

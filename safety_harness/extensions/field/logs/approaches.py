@@ -1,12 +1,12 @@
-"""What hands did in a log, move by move: how fast they came, how hard they sped up, from where, how long for.
+"""The moves of hands in a log: speed, acceleration, start, and the time for which the hand stands.
 
-A hand moves while its speed, over a tenth of a second, is at least 100 mm/s; what is shorter than 50 mm is no
-move, and what stands for less than 100 ms between two moves is none either.  An approach is a move that ends
-100 mm nearer to the TCP than it began, and within 600 mm of it.
+A hand moves while its speed, over a tenth of a second, is at least 100 mm/s. A path shorter than 50 mm is no
+move, and a stand below 100 ms does not separate two moves. An approach is a move that ends 100 mm nearer to
+the TCP than it began, and within 600 mm of it.
 
-How often hands came is counted more cautiously, for an upper bound: a move counts as often as it comes so
-much nearer, also where it turns back without a stand; a move that a gap cuts counts, and so does a gap across
-which the hand came nearer.  The time is the clock's, while any hand was seen.
+The count of arrivals is more cautious, for an upper bound. A move counts as often as it comes so much nearer,
+also where it turns back without a stand. A move that a gap cuts counts, and so does a gap across which the
+hand came nearer. The time runs on the clock while the log shows any hand.
 """
 
 from __future__ import annotations
@@ -24,18 +24,19 @@ from safety_harness.extensions.field.logs.model import CellLog
 from safety_harness.extensions.field.logs.streams import NS, LogSamples
 
 Floats = NDArray[np.float64]
-WINDOW_S, MOVES_MPS, LEAST_WAY_M, LEAST_STAND_S = 0.1, 0.1, 0.05, 0.1
-NEARER_M, NEAR_M = 0.1, 0.6
+WINDOW_S, MOVES_MPS, LEAST_WAY_M, LEAST_STAND_S = 0.1, 0.1, 0.05, 0.1  # these define a move
+NEARER_M, NEAR_M = 0.1, 0.6  # these define an approach
 SHARE = 0.9  # of the greatest speed, up to which the acceleration is taken
 
 
 @dataclass(frozen=True, kw_only=True)
 class Approach:
-    """One approach: its greatest speed, mean acceleration up to nine tenths of that, and where it led.
+    """One approach: its greatest speed, its mean acceleration up to nine tenths of that, its start and end.
 
-    ``start_from_tcp_m`` (3,) is where it began, from the TCP then, in the base frame; ``end_distance_m`` is
-    how far from the TCP it ended.  ``dwell_s`` is how long the hand stood then, None if that was not seen to
-    its end; ``pause_s`` how long it had stood before, None if that was not seen, or after another approach.
+    ``start_from_tcp_m`` (3,) is its start relative to the TCP at that time, in the base frame.
+    ``end_distance_m`` is its final distance from the TCP. ``dwell_s`` is the time for which the hand then
+    stood, None if the log does not show the end. ``pause_s`` is the time for which it stood before, None if
+    the log does not show it, or after another approach.
     """
 
     speed_mps: float
@@ -48,9 +49,9 @@ class Approach:
 
 @dataclass(eq=False)
 class Watched:
-    """The approaches of some hands, for how long any was watched, and what is no approach of its own.
+    """The approaches of some hands, the time for which the log shows any, and counts of all other moves.
 
-    ``counted`` is how often hands may have come: of no use but for an upper bound.
+    ``counted`` is the number of times that hands may have come; it serves only as an upper bound.
     """
 
     approaches: list[Approach] = field(default_factory=list)
@@ -61,46 +62,46 @@ class Watched:
     gaps: int = 0
     fastest_mps: float = 0.0  # that anybody said that a hand may be
 
-    def add(self, other: Watched) -> None:
-        """Those of ``other`` too."""
-        self.approaches += other.approaches
-        self.counted += other.counted
-        self.seconds, self.moves = self.seconds + other.seconds, self.moves + other.moves
-        self.cut, self.gaps = self.cut + other.cut, self.gaps + other.gaps
-        self.fastest_mps = max(self.fastest_mps, other.fastest_mps)
+    def add(self, more: Watched) -> None:
+        """Add the approaches and counts of another log."""
+        self.approaches += more.approaches
+        self.counted += more.counted
+        self.seconds, self.moves = self.seconds + more.seconds, self.moves + more.moves
+        self.cut, self.gaps = self.cut + more.cut, self.gaps + more.gaps
+        self.fastest_mps = max(self.fastest_mps, more.fastest_mps)
 
 
 def approaches_of(log: CellLog) -> Watched:
-    """Of every hand of a log; a gap longer than the longest one begins another piece."""
-    found, facts = Watched(), log.hand_facts
+    """Return the approaches of every hand of a log; a gap above the longest allowed begins a new piece."""
+    watched, facts = Watched(), log.hand_facts
     if facts is None:
-        return found
-    found.fastest_mps = facts.moves_at_most_mps
+        return watched
+    watched.fastest_mps = facts.moves_at_most_mps
     arm, seen_s = arm_model(log.robot), list[tuple[float, float]]()
     for body in log.hands:
         hand = body.hand.measured
         time_s = log.seconds(hand, of_hands=True)
         breaks = np.flatnonzero(np.diff(time_s) > facts.longest_gap_s) + 1
-        found.gaps += len(breaks)
+        watched.gaps += len(breaks)
         bounds = [0, *breaks.tolist(), len(time_s)]
         cut_before = True
         for begin, end in pairwise(bounds):
             part = time_s[begin:end]
-            cut, cut_after = _piece(found, part, hand.values[begin:end], log, arm)
+            cut, cut_after = _piece(watched, part, hand.values[begin:end], log, arm)
             if not (cut_before or cut):  # nothing moved where the gap began, or where it ended
                 across = slice(begin - 1, begin + 1)
-                found.counted += _reaches(log, arm, time_s[across], hand.values[across])
+                watched.counted += _reaches(log, arm, time_s[across], hand.values[across])
             cut_before = cut_after
             seen_s.append((float(max(part[0], 0.0)), float(min(part[-1], log.seconds(log.joints)[-1]))))
     until_s = 0.0
     for first_s, last_s in sorted(seen_s):
-        found.seconds += max(last_s - max(first_s, until_s), 0.0)
+        watched.seconds += max(last_s - max(first_s, until_s), 0.0)
         until_s = max(until_s, last_s)
-    return found
+    return watched
 
 
 def _reaches(log: CellLog, arm: ArmModel, time_s: Floats, hand_m: Floats) -> int:
-    """How often ``hand_m`` (n, 3) comes NEARER_M nearer to the TCP than it was, and within NEAR_M of it."""
+    """Return how often ``hand_m`` (n, 3) comes NEARER_M nearer to the TCP, and within NEAR_M of it."""
     tcp_m = np.array([_tcp_m(log, arm, at_s) for at_s in time_s.tolist()])
     count, away, least_m, most_m = 0, True, np.inf, -np.inf
     for distance_m in np.linalg.norm(hand_m - tcp_m, axis=1).tolist():
@@ -112,38 +113,38 @@ def _reaches(log: CellLog, arm: ArmModel, time_s: Floats, hand_m: Floats) -> int
     return count
 
 
-def _piece(found: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: ArmModel) -> tuple[bool, bool]:
-    """The moves of a hand that was never lost, ``hand_m`` (n, 3) at ``time_s`` (n,).
+def _piece(seen: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: ArmModel) -> tuple[bool, bool]:
+    """Add the moves of a hand without gaps, ``hand_m`` (n, 3) at ``time_s`` (n,).
 
-    Was one cut at the beginning, or at the end?
+    Return whether a move was cut at the beginning, and at the end.
     """
     inside = (time_s >= 0.0) & (time_s <= log.seconds(log.joints)[-1])
     time_s, hand_m = time_s[inside], hand_m[inside]
     if len(time_s) < 3 or time_s[-1] - time_s[0] < 3.0 * WINDOW_S:
         moved = bool(np.linalg.norm(np.diff(hand_m, axis=0), axis=1).sum() >= LEAST_WAY_M)
-        found.cut, found.counted = found.cut + moved, found.counted + moved
+        seen.cut, seen.counted = seen.cut + moved, seen.counted + moved
         return moved, moved
     speed_mps = _speed(time_s, hand_m)
     stood_s: float | None = None
     cuts = False, False
-    for first, after, dwell_s, whole in _moves(time_s, hand_m, speed_mps):
-        found.moves += 1
-        cuts = cuts[0] or first == 0, after == len(time_s) - 1
-        way = slice(first, after + 1)
-        found.counted += max(_reaches(log, arm, time_s[way], hand_m[way]), not whole)
+    for first, last, dwell_s, whole in _moves(time_s, hand_m, speed_mps):
+        seen.moves += 1
+        cuts = cuts[0] or first == 0, last == len(time_s) - 1
+        path = slice(first, last + 1)
+        seen.counted += max(_reaches(log, arm, time_s[path], hand_m[path]), not whole)
         stood_before_s, stood_s = stood_s, dwell_s
         if not whole:
-            found.cut += 1
+            seen.cut += 1
             continue
-        tcp_m = [_tcp_m(log, arm, float(time_s[k])) for k in (first, after)]
-        from_m, to_m = hand_m[first] - tcp_m[0], hand_m[after] - tcp_m[1]
+        tcp_m = [_tcp_m(log, arm, float(time_s[k])) for k in (first, last)]
+        from_m, to_m = hand_m[first] - tcp_m[0], hand_m[last] - tcp_m[1]
         nearer_m = float(np.linalg.norm(from_m) - np.linalg.norm(to_m))
         if nearer_m < NEARER_M or np.linalg.norm(to_m) > NEAR_M:
             continue
-        peak = float(speed_mps[first : after + 1].max())
-        fast = first + int(np.argmax(speed_mps[first : after + 1] >= SHARE * peak))
+        peak = float(speed_mps[first : last + 1].max())
+        fast = first + int(np.argmax(speed_mps[first : last + 1] >= SHARE * peak))
         rise_s = max(float(time_s[fast] - time_s[first]), float(np.diff(time_s).min()))
-        found.approaches.append(
+        seen.approaches.append(
             Approach(
                 speed_mps=peak,
                 acceleration_mps2=(SHARE * peak - float(speed_mps[first])) / rise_s,
@@ -158,7 +159,7 @@ def _piece(found: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: Ar
 
 
 def _speed(time_s: Floats, hand_m: Floats) -> Floats:
-    """(n,) over a window about each sample, or what of it there is."""
+    """Return (n,) the speed over a window about each sample, or the part of it within the piece."""
     ends = [
         np.column_stack([np.interp(at, time_s, column) for column in hand_m.T])
         for at in (
@@ -173,7 +174,7 @@ def _speed(time_s: Floats, hand_m: Floats) -> Floats:
 
 
 def _moves(time_s: Floats, hand_m: Floats, speed_mps: Floats) -> list[tuple[int, int, float | None, bool]]:
-    """(first, last, seconds that it stood then, was it seen whole?) of each move."""
+    """Return for each move: first and last sample, the stand after it [s], and whether all of it shows."""
     state = np.concatenate([[False], speed_mps >= MOVES_MPS, [False]])
     change = np.diff(state.astype(np.int8))
     spans = list(
@@ -190,17 +191,17 @@ def _moves(time_s: Floats, hand_m: Floats, speed_mps: Floats) -> list[tuple[int,
         for first, last in joined
         if np.linalg.norm(np.diff(hand_m[first : last + 1], axis=0), axis=1).sum() >= LEAST_WAY_M
     ]
-    found = []
+    moves = []
     for number, (first, last) in enumerate(far):
         whole = first > 0 and last < len(time_s) - 1
         followed = number + 1 < len(far)
         dwell_s = float(time_s[far[number + 1][0]] - time_s[last]) if followed else None
-        found.append((first, last, dwell_s, whole))
-    return found
+        moves.append((first, last, dwell_s, whole))
+    return moves
 
 
 def _tcp_m(log: CellLog, arm: ArmModel, time_s: float) -> Floats:
-    """(3,) where the TCP was."""
+    """Return (3,) the place of the TCP."""
     joints: LogSamples = log.joints
     at_s, count = (joints.time_ns - log.origin_ns) / NS, len(arm.joint_names)
     q = np.array([np.interp(time_s, at_s, column) for column in joints.values.T[:count]])

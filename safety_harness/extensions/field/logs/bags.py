@@ -1,8 +1,8 @@
-"""Streams from MCAP files and ROS 2 bags (sqlite3 and MCAP), message by message, without a ROS installation.
+"""Streams from MCAP files and ROS 2 bags (sqlite3 and MCAP), by message, without a ROS installation.
 
-Standard messages are known by their type; any other is read by the definition that its bag carries, and the
-path of the field that is meant.  Lengths and angles are metres and radians by REP 103, unless another unit is
-said.  Memory does not grow with what a bag holds beside the stream.
+The reader knows standard messages by their type. It reads any other type by the definition in its bag and the
+path of the wanted field. Lengths and angles are metres and radians by REP 103, unless the file states another
+unit. Memory does not grow with the rest of the bag.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[0-9]{1,4}\])*)")
 
 @dataclass(frozen=True)
 class Message:
-    """One message of a topic: its number from 1, when it was received, and what it says."""
+    """One message of a topic: its number from 1, its time of receipt, its type and its content."""
 
     number: int
     received_ns: int
@@ -53,10 +53,10 @@ class Message:
 
 @dataclass(frozen=True)
 class Part:
-    """A field of each message by its ``path``: so many numbers, or a word that ``words`` has as a number.
+    """A field of each message by its ``path``: ``width`` numbers, or a word that ``words`` maps to a number.
 
-    ``si`` is what one of it is in SI.  With ``names`` the numbers are those of the things that this field
-    lists, as in a ``JointState``.
+    ``si`` is the unit in SI. With ``names``, that field lists the things to which the numbers belong, as in a
+    ``JointState``.
     """
 
     path: str
@@ -75,23 +75,30 @@ def read_parts(
     time: str,
     framed: Callable[[str, Message], object] | None = None,
 ) -> None:
-    """What a program told: the ``parts`` of each message, NaN for one that it does not have.
+    """Read a program's reports: the ``parts`` of each message, NaN for a missing part.
 
-    ``framed`` raises for a message of another frame than is said.
+    Args:
+        source: The topic.
+        collector: The collector of the samples.
+        parts: The fields to read.
+        names: The things whose numbers are wanted, for parts with ``names``.
+        time: STAMP or RECEIVED.
+        framed: A function that raises for a message in another frame than stated. None: no check.
+
     """
     for message in messages(source):
         content, values = message.content, []
         for part in parts:
-            found = _follow(content, source, message, part.path)
+            field = _follow(content, source, message, part.path)
             if part.words is not None:
-                word = as_word(found)
-                if word not in part.words:
-                    hint = near_miss(word, part.words)
+                term = as_word(field)
+                if term not in part.words:
+                    hint = near_miss(term, part.words)
                     expected = f"one of {', '.join(part.words)} for {part.path}"
-                    raise error(source, message, expected, shown(word) or "none", hint)
-                values.append(part.words[word])
+                    raise error(source, message, expected, shown(term) or "none", hint)
+                values.append(part.words[term])
                 continue
-            values += [value * part.si for value in _of_part(part, found, names, source, message)]
+            values += [value * part.si for value in _part_numbers(part, field, names, source, message)]
         _refuse_infinite(values, source, message)
         header = getattr(content, "header", None)
         if framed is not None:
@@ -99,26 +106,26 @@ def read_parts(
         _add(collector, message, time, header, values)
 
 
-def _of_part(
-    part: Part, found: Any, names: Sequence[str], source: LogSource, message: Message
+def _part_numbers(
+    part: Part, value: Any, names: Sequence[str], source: LogSource, message: Message
 ) -> Sequence[float]:
-    """The numbers of one part of a message."""
-    if found is None:
+    """Return the numbers of one part of a message."""
+    if value is None:
         return [math.nan] * part.width
     if part.width == 1:
-        return _numbers([found], source, message)
+        return _numbers([value], source, message)
     if not part.names:
         if part.width == 3 and not names:
-            return _xyz(found, source, message)
-        numbers = _numbers(found, source, message)
+            return _xyz(value, source, message)
+        numbers = _numbers(value, source, message)
     else:
-        told = list(_follow(message.content, source, message, part.names))
-        numbers = _numbers(found, source, message)
-        lacking = [name for name in names if name not in told]
-        if lacking or len(numbers) != len(told):
+        listed = list(_follow(message.content, source, message, part.names))
+        numbers = _numbers(value, source, message)
+        lacking = [name for name in names if name not in listed]
+        if lacking or len(numbers) != len(listed):
             expected = f"a number for each of {', '.join(names)}"
-            raise error(source, message, expected, f"{len(numbers)} for {shown(', '.join(told))}")
-        numbers = [numbers[told.index(name)] for name in names]
+            raise error(source, message, expected, f"{len(numbers)} for {shown(', '.join(listed))}")
+        numbers = [numbers[listed.index(name)] for name in names]
     if len(numbers) != part.width:
         raise error(source, message, f"{part.width} numbers in {part.path}", str(len(numbers)))
     return numbers
@@ -126,7 +133,7 @@ def _of_part(
 
 @contextmanager
 def _opened(source: LogSource) -> Iterator[Bag]:
-    """The bag of a stream; whatever its reader stumbles over becomes a LogError."""
+    """Open the bag of a stream; any failure of its reader becomes a LogError."""
     with LOGS.needed("logs in MCAP files and bags of ROS", source.file):
         import rosbags.rosbag1
         import rosbags.rosbag2  # noqa: F401
@@ -150,13 +157,13 @@ def _opened(source: LogSource) -> Iterator[Bag]:
 
 
 def messages(source: LogSource) -> Iterator[Message]:
-    """Every message of the stream's topic, in the order in which they were received.
+    """Yield every message of the stream's topic, in the order of receipt.
 
-    LogError for a topic that the bag does not have, damage, and fewer messages than the bag says it has.
+    Raise LogError for a missing topic, damage, or fewer messages than the bag states.
     """
     with _opened(source) as reader:
-        connections = [one for one in reader.connections if one.topic == source.topic]
-        source.seen.update(one.topic for one in reader.connections)
+        connections = [link for link in reader.connections if link.topic == source.topic]
+        source.seen.update(link.topic for link in reader.connections)
         source.used.add(source.topic)
         if not connections:
             topics = sorted(source.seen)
@@ -176,7 +183,7 @@ def messages(source: LogSource) -> Iterator[Message]:
                 expected = f"the fields of a message of {connection.msgtype}"
                 raise LogError(place=place, expected=expected, got=str(lacking)) from lacking
             yield message
-        promised = sum(one.msgcount for one in connections)
+        promised = sum(link.msgcount for link in connections)
         if number != promised:
             raise LogError(
                 place=Place(file=source.file, field=source.topic),
@@ -187,19 +194,25 @@ def messages(source: LogSource) -> Iterator[Message]:
 
 
 def topics_of(source: LogSource) -> dict[str, str]:
-    """The topics of a stream's bag with their types."""
+    """Return the topics of a stream's bag with their types."""
     with _opened(source) as reader:
-        return {one.topic: one.msgtype for one in reader.connections}
+        return {link.topic: link.msgtype for link in reader.connections}
 
 
 def read_joints(
     source: LogSource, collector: Collector, names: Sequence[str], *, time: str, angle: float
 ) -> None:
-    """(position, velocity) of the joints ``names``, in this order; NaN for velocities that are not told.
+    """Read (position, velocity) of the joints ``names``, in this order; NaN for missing velocities.
 
-    ``angle`` is the unit of angles in rad.
+    Args:
+        source: The topic.
+        collector: The collector of the samples.
+        names: The joints in the log's words, in the arm's order.
+        time: STAMP or RECEIVED.
+        angle: The unit of angles [rad].
+
     """
-    wanted, found = tuple(names), dict[tuple[str, ...], list[int]]()
+    wanted, places = tuple(names), dict[tuple[str, ...], list[int]]()
     skipped: dict[tuple[str, ...], int] = {}  # how many messages of a gripper, or another arm
     first: Message | None = None  # of them
     for message in messages(source):
@@ -212,24 +225,24 @@ def read_joints(
                 raise error(source, message, f"{len(wanted)} joint angles", str(len(values)))
             rates = [math.nan] * len(wanted)
         else:
-            told = tuple(content.name)
-            if told not in found:
-                source.seen.update(told)
-                found[told] = []
-                if set(wanted) & set(told):
-                    _refuse_lacking(wanted, told, source, message)
-                    found[told] = [told.index(name) for name in wanted]
+            listed = tuple(content.name)
+            if listed not in places:
+                source.seen.update(listed)
+                places[listed] = []
+                if set(wanted) & set(listed):
+                    _refuse_lacking(wanted, listed, source, message)
+                    places[listed] = [listed.index(name) for name in wanted]
                     source.used.update(wanted)
-            at = found[told]
+            at = places[listed]
             if not at:
-                skipped[told] = skipped.get(told, 0) + 1
+                skipped[listed] = skipped.get(listed, 0) + 1
                 first = first or message
                 continue
-            if len(content.position) != len(told):
-                raise error(source, message, f"{len(told)} positions", str(len(content.position)))
+            if len(content.position) != len(listed):
+                raise error(source, message, f"{len(listed)} positions", str(len(content.position)))
             values = [float(content.position[k]) for k in at]
             rates = [math.nan] * len(at)
-            if len(content.velocity) == len(told):
+            if len(content.velocity) == len(listed):
                 rates = [float(content.velocity[k]) for k in at]
         _refuse_infinite(values, source, message)
         numbers = [value * angle for value in (*values, *rates)]
@@ -237,16 +250,16 @@ def read_joints(
     if first is not None and not collector.seen:
         _refuse_lacking(wanted, first.content.name, source, first)
     if skipped:
-        count, them = sum(skipped.values()), shown(", ".join(name for told in skipped for name in told))
+        count, them = sum(skipped.values()), shown(", ".join(name for listed in skipped for name in listed))
         collector.notes.append(f"{count} messages that name no joint of the arm are skipped: {them}")
 
 
-def _refuse_lacking(wanted: Sequence[str], told: Sequence[str], source: LogSource, message: Message) -> None:
-    """LogError for a message that does not name all joints of the arm."""
+def _refuse_lacking(wanted: Sequence[str], names: Sequence[str], source: LogSource, message: Message) -> None:
+    """Raise LogError for a message that lacks a joint of the arm."""
     for name in wanted:
-        if name not in told:
-            hint = near_miss(name, told) or 'the key "names" says what the log calls each joint'
-            raise error(source, message, f'the joint "{name}"', f"the joints {shown(', '.join(told))}", hint)
+        if name not in names:
+            hint = near_miss(name, names) or 'the key "names" says what the log calls each joint'
+            raise error(source, message, f'the joint "{name}"', f"the joints {shown(', '.join(names))}", hint)
 
 
 def read_positions(
@@ -260,12 +273,20 @@ def read_positions(
     bound: SampleBound | None = None,
     speeds: str | None = None,
 ) -> None:
-    """Positions in the base frame; NaN for a body that a message does not have.
+    """Read positions in the base frame; NaN for a body that a message lacks.
 
-    LogError for one of which it has not all numbers, unless ``halves`` may be.
-    ``length`` is the unit in m, ``to_base`` makes positions in a frame, by its name, positions in the base's.
-    With a ``bound`` each has beside it, in m, within how much it is known; with ``speeds``, the path of a
-    field in the same frame, its velocity [m/s] comes last.
+    Args:
+        source: The topic.
+        collector: The collector of the samples.
+        time: STAMP or RECEIVED.
+        length: The unit of lengths [m].
+        to_base: From the name of a message's frame to the function that moves positions to the base frame.
+        halves: May a position have only some of its numbers? Otherwise it raises LogError.
+        bound: The field with the uncertainty of each sample, which follows the position [m]. None: no such
+            field.
+        speeds: The path of the velocity's field in the same frame, which comes last [m/s]. None: no such
+            field.
+
     """
     for message in messages(source):
         content = message.content
@@ -278,7 +299,7 @@ def read_positions(
                     where, header = transform.transform.translation, transform.header
                     break
             else:
-                collector.frames.update(one.child_frame_id.lstrip("/") for one in content.transforms)
+                collector.frames.update(a.child_frame_id.lstrip("/") for a in content.transforms)
                 continue
         elif message.kind == POSE_ARRAY and not source.path:
             if source.index is None:
@@ -304,63 +325,63 @@ def read_positions(
         if speeds is not None:
             speed = _xyz(_follow(content, source, message, speeds), source, message)
             ends = moved([value * length for value in speed]), moved([0.0] * 3)
-            position = [*position, *(one - other for one, other in zip(*ends, strict=True))]
+            position = [*position, *(a - b for a, b in zip(*ends, strict=True))]
         _add(collector, message, time, header, position)
 
 
 def _bodies(source: LogSource, message: Message) -> Iterator[str]:
-    """The bodies of a message beside the stream's: all of its list, or all frames below the same parent."""
+    """Yield the other bodies of a message: all of its list, or all frames below the same parent."""
     content = message.content
     if message.kind == TF:
-        parents = {one.child_frame_id.lstrip("/"): one.header.frame_id for one in content.transforms}
+        parents = {item.child_frame_id.lstrip("/"): item.header.frame_id for item in content.transforms}
         own = parents.get(source.path.lstrip("/"))
         yield from (f"{source.topic}:{child}" for child, parent in parents.items() if parent == own)
     elif message.kind == POSE_ARRAY and not source.path:
         there = (k for k, pose in enumerate(content.poses) if any(_xyz(pose, source, message)))
         yield from (f"{source.topic}[{k}]" for k in there)
     elif "[" in source.path:
-        before, _, after = source.path.partition("[")
-        count = len(_follow(content, source, message, before))
-        yield from (f"{source.topic}:{before}[{k}{after[after.index(']') :]}" for k in range(count))
+        list_path, _, rest = source.path.partition("[")
+        count = len(_follow(content, source, message, list_path))
+        yield from (f"{source.topic}:{list_path}[{k}{rest[rest.index(']') :]}" for k in range(count))
 
 
 def _bound(bound: SampleBound, content: Any, source: LogSource, message: Message) -> float:
-    """Within how much a position is known, in its unit; NaN where the message does not say it."""
-    found = _follow(content, source, message, bound.field)
-    if found is None:
+    """Return the uncertainty of a position, in its unit; NaN where the message lacks it."""
+    value = _follow(content, source, message, bound.field)
+    if value is None:
         return math.nan
-    if hasattr(found, "x"):
-        return bound.reach_m(_xyz(found, source, message))
-    return bound.reach_m(_numbers([found] if isinstance(found, int | float) else found, source, message))
+    if hasattr(value, "x"):
+        return bound.reach_m(_xyz(value, source, message))
+    return bound.reach_m(_numbers([value] if isinstance(value, int | float) else value, source, message))
 
 
 def error(source: LogSource, message: Message, expected: str, got: str, hint: str = "") -> LogError:
-    """LogError at one message."""
+    """Return a LogError at one message."""
     place = Place(file=source.file, field=f"message {message.number} of {source.topic}")
     return LogError(place=place, expected=expected, got=got, hint=hint)
 
 
-def _unknown(message: Message, source: LogSource, what: str, types: str) -> LogError:
+def _unknown(message: Message, source: LogSource, wanted: str, types: str) -> LogError:
     hint = f"say which field of it, such as {source.topic}:wrist.position"
-    return error(source, message, f"{what}, in a message of {types}", message.kind, hint)
+    return error(source, message, f"{wanted}, in a message of {types}", message.kind, hint)
 
 
 def _frame_of(header: Any) -> str:
     return str(getattr(header, "frame_id", ""))
 
 
-def _add(collector: Collector, message: Message, said: str, header: Any, values: Iterable[float]) -> None:
+def _add(collector: Collector, message: Message, time: str, header: Any, values: Iterable[float]) -> None:
     """Hand the sample of a message to ``collector``."""
     try:
-        time_ns = _time_ns(message, collector.source, said, header)
+        time_ns = _time_ns(message, collector.source, time, header)
     except LogError as refused:
         collector.unstamped(refused)
     else:
         collector.add(time_ns, values, message.number)
 
 
-def _time_ns(message: Message, source: LogSource, said: str, header: Any) -> int:
-    if said == RECEIVED:
+def _time_ns(message: Message, source: LogSource, time: str, header: Any) -> int:
+    if time == RECEIVED:
         return message.received_ns
     stamp = getattr(header, "stamp", None)
     time_ns = 0 if stamp is None else nanoseconds(stamp)
@@ -371,15 +392,15 @@ def _time_ns(message: Message, source: LogSource, said: str, header: Any) -> int
 
 
 def _follow(content: Any, source: LogSource, message: Message, path: str = "") -> Any:
-    """What the path of a field leads to, such as ``markers[2].pose.position``."""
+    """Return the value at the end of a path of fields, such as ``markers[2].pose.position``."""
     for step in (path or source.path).split("."):
-        found = _STEP.fullmatch(step)
+        match = _STEP.fullmatch(step)
         fields = fields_of(content)
-        if found is None or found[1] not in fields:
+        if match is None or match[1] not in fields:
             hint = near_miss(step, fields) or f"its fields: {shown(', '.join(fields))}"
             raise error(source, message, "a path of fields such as wrist.position", step, hint)
-        content = getattr(content, found[1])
-        for index in re.findall(r"[0-9]+", found[2]):
+        content = getattr(content, match[1])
+        for index in re.findall(r"[0-9]+", match[2]):
             if int(index) >= len(content):
                 return None  # not there in this message
             content = content[int(index)]
@@ -387,7 +408,7 @@ def _follow(content: Any, source: LogSource, message: Message, path: str = "") -
 
 
 def _xyz(where: Any, source: LogSource, message: Message) -> list[float]:
-    """Of a point, a pose, or a list of three numbers."""
+    """Return the numbers of a point, a pose, or a list of three numbers."""
     where = getattr(where, "position", where)
     try:
         if all(hasattr(where, axis) for axis in "xyz"):

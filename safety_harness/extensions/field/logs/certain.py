@@ -1,7 +1,8 @@
-"""A log becomes a trace that says of each of its columns by what, how closely and when it was measured.
+"""A log becomes a trace that states the source, the uncertainty and the time of each measured column.
 
-Joints and hands are straight between their samples, on one grid of ticks and one clock, and every number is
-known to within what the thing can have done meanwhile; docs/logs.md derives why each verdict is certain.
+Joints and hands go straight between their samples, on one grid of ticks and one clock. The uncertainty of
+every number covers all that the thing can have done between two samples. docs/logs.md derives why each
+verdict is certain.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ _HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A log's trace, the bytes of its hands' paths by their SHA-256, and what a reader has to know."""
+    """A log's trace, the bytes of its hands' paths by their SHA-256, and notes for the reader."""
 
     trace: Trace
     recordings: dict[str, bytes]
@@ -70,7 +71,10 @@ class Recorded:
 
 
 def trace_of(log: CellLog) -> Recorded:
-    """The trace of a log; LogError for a hand that is faster than is said, or what a scenario cannot say."""
+    """Return the trace of a log.
+
+    Raise LogError for a hand that is faster than stated, or for data that no scenario can hold.
+    """
     count = log.ticks
     paths = [_path(log, body) for body in log.hands]
     recordings = {hashlib.sha256(data).hexdigest(): data for data in (path.data for path in paths)}
@@ -93,8 +97,8 @@ def trace_of(log: CellLog) -> Recorded:
     columns = dict.fromkeys(COLUMNS_OF_A_TRACE, NOT_MEASURED)
     columns[JOINTS[0]] = measurement(of_position, reach.within, reach.known_gaps())
     columns[JOINTS[1]] = measurement(of_rates, rate_reach.within, rate_reach.known_gaps())
-    others = [Gap(first=0, after=count)] if log.unmapped else _beyond_joints(log)[0]
-    columns[PRESENT] = Measurement(source=Source.LOG, gaps=tuple(others))
+    open_ends = [Gap(first=0, after=count)] if log.unmapped else _beyond_joints(log)[0]
+    columns[PRESENT] = Measurement(source=Source.LOG, gaps=tuple(open_ends))
     columns |= _of_hands(log, paths)
     trace = replace(trace, known=knowing(trace, columns).known)
     trace = with_told(_derived(trace, columns), log, columns)
@@ -103,23 +107,23 @@ def trace_of(log: CellLog) -> Recorded:
 
 
 def _beyond_joints(log: CellLog) -> tuple[list[Gap], list[str]]:
-    """The end of a trace beyond which hands go on without joints, and words on both ends.
+    """Return the end ticks beyond which hands go on without joints, as gaps, with notes on both ends.
 
-    An end that ``from`` or ``to`` says is meant; there the hands are left out.
+    An end that ``from`` or ``to`` chooses is intended; the hands beyond it are left out.
     """
     gaps, notes = [], []
     chosen = dict(dict(log.said.entries("a log"))["log"].entries("streams"))
-    first_ns, last_ns = (int(one) for one in log.joints.time_ns[[0, -1]])
+    first_ns, last_ns = (int(t_ns) for t_ns in log.joints.time_ns[[0, -1]])
     longest_s = max(log.joint_facts.longest_gap_s + log.clock_known_to_s, RECORDERS_APART_S)
     for body in log.hands:
-        begin_ns, end_ns = (one - log.hands_ahead_ns for one in body.hand.span_ns or (first_ns, last_ns))
-        for key, over_ns, tick, words in (
+        begin_ns, end_ns = (t_ns - log.hands_ahead_ns for t_ns in body.hand.span_ns or (first_ns, last_ns))
+        for key, over_ns, tick, where in (
             ("from", first_ns - begin_ns, 0, "before the first joints"),
             ("to", end_ns - last_ns, log.ticks - 1, "after the last joints"),
         ):
             if over_ns / NS <= longest_s:
                 continue
-            note = f"{body.hand.source.name}: {over_ns / NS:.3f} s {words} are left out"
+            note = f"{body.hand.source.name}: {over_ns / NS:.3f} s {where} are left out"
             if key not in chosen:
                 gaps.append(Gap(first=tick, after=tick + 1))
                 value = "0 s" if key == "from" else format_quantity((last_ns - first_ns) / NS, TIME)
@@ -129,7 +133,7 @@ def _beyond_joints(log: CellLog) -> tuple[list[Gap], list[str]]:
 
 
 def _with_hands(trace: Trace) -> Trace:
-    """The hands at the ticks, where their recorded paths have them."""
+    """Return the trace with the hands at the ticks, from their recorded paths."""
     ticks, moved = trace.ticks.copy(), hand_paths(trace).positions_in_base_m
     ticks[HAND][:, : moved.shape[1]] = moved[:, :, 0]
     ticks[ELBOW][:, : moved.shape[1]] = moved[:, :, 1]
@@ -137,41 +141,41 @@ def _with_hands(trace: Trace) -> Trace:
 
 
 def _derived(trace: Trace, columns: dict[str, Measurement]) -> Trace:
-    """With what follows from joints and hands, known as closely as these are."""
+    """Return the trace with the columns that follow from joints and hands, with their uncertainties."""
     known, count = trace.known, len(trace.ticks)
-    found, ticks = derived(trace), trace.ticks.copy()
+    values, ticks = derived(trace), trace.ticks.copy()
     of_arm = [gap for name in JOINTS for gap in known.of(name).gaps]
     of_distance = [*known.of(JOINTS[0]).gaps, *known.of(HAND).gaps, *known.of(ELBOW).gaps]
     reach_m = float(arm_of(trace).reach_m.sum())
-    within = {
+    bounds = {
         "transform_tcp_to_base": (known.within(JOINTS[0], count) * reach_m, known.of(JOINTS[0]).gaps),
         "tcp_speed_mps": (tcp_velocity_moved_mps(trace), tuple(of_arm)),
     }
     if not known.missing([ELBOW]) and trace.scenario.hands:
-        within["hand_distance_m"] = apart_moved_m(trace), tuple(of_distance)
+        bounds["hand_distance_m"] = apart_moved_m(trace), tuple(of_distance)
         columns["hand_distance_capsule"] = Measurement(source=Source.DERIVED, gaps=tuple(of_distance))
-        ticks["hand_distance_capsule"] = found["hand_distance_capsule"]
-    for name, (off, gaps) in within.items():
-        ticks[name] = found[name]
-        columns[name] = measurement(Source.DERIVED, _outside(off, gaps), dict.fromkeys(gaps))
+        ticks["hand_distance_capsule"] = values["hand_distance_capsule"]
+    for name, (off_by, gaps) in bounds.items():
+        ticks[name] = values[name]
+        columns[name] = measurement(Source.DERIVED, _outside(off_by, gaps), dict.fromkeys(gaps))
     if not trace.scenario.hands:
         for name in (HAND, ELBOW, "hand_distance_m", "hand_distance_capsule"):
-            ticks[name] = found[name]
+            ticks[name] = values[name]
             columns[name] = Measurement(source=Source.LOG)
     return knowing(replace(trace, ticks=ticks), columns)
 
 
-def _outside(within: NDArray[np.float64], gaps: tuple[Gap, ...]) -> NDArray[np.float64]:
-    """(n,) zero where nobody reads it."""
-    found = within.copy()
+def _outside(off_by: NDArray[np.float64], gaps: tuple[Gap, ...]) -> NDArray[np.float64]:
+    """Return (n,) the uncertainty with zeros in gaps of all hands, where no code reads it."""
+    outside = off_by.copy()
     for gap in gaps:
         if gap.hand is None:
-            found[gap.first : gap.after] = 0.0
-    return found
+            outside[gap.first : gap.after] = 0.0
+    return outside
 
 
 def _joints(log: CellLog) -> tuple[NDArray[np.float64], NDArray[np.float64], Source, Source, Reach, Reach]:
-    """Positions and speeds at the ticks, by what they were measured, and within how much they are known."""
+    """Return positions and speeds at the ticks, their sources, and their uncertainties."""
     joints, facts, count = log.joints, log.joint_facts, log.ticks
     time_s, tick_s = log.seconds(joints), np.arange(count) * log.period_s
     number, frozen = joints.values.shape[1] // 2, joints.frozen
@@ -181,46 +185,46 @@ def _joints(log: CellLog) -> tuple[NDArray[np.float64], NDArray[np.float64], Sou
     bounds = {"most": facts.move_at_most_radps, "hardest": facts.accelerate_at_most_radps2}
     grid = {"longest_ns": round(facts.longest_gap_s * NS), "period_ns": log.period_ns, "count": count}
     time_ns = joints.time_ns - log.origin_ns
-    off = joint_off_rad(slope, step_s, sample_rad=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
-    reach = over_ticks(time_ns, off, frozen=frozen, **grid)
+    off_by = joint_off_rad(slope, step_s, sample_rad=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
+    reach = over_ticks(time_ns, off_by, frozen=frozen, **grid)
     bent = _bends(time_ns, slope, log.period_ns, count)
-    for first, after in reach.gaps:
-        bent[first:after] = 0.0
+    for first, end in reach.gaps:
+        bent[first:end] = 0.0
     reach = Reach(reach.within + bent, reach.gaps)
     at_ticks = np.column_stack([np.interp(tick_s, time_s, column) for column in position_rad.T])
     if np.isfinite(told_radps).all() and facts.speeds_known_to_radps is not None:
         rates = np.column_stack([np.interp(tick_s, time_s, column) for column in told_radps.T])
-        off = np.full(len(step_s), facts.speeds_known_to_radps)
+        off_by = np.full(len(step_s), facts.speeds_known_to_radps)
         if facts.accelerate_at_most_radps2 is not None:
-            off = off + facts.accelerate_at_most_radps2 * step_s / 2.0
+            off_by = off_by + facts.accelerate_at_most_radps2 * step_s / 2.0
         else:
             fastest = np.maximum(np.abs(told_radps[:-1]), np.abs(told_radps[1:]))
-            off = off + (fastest + facts.move_at_most_radps).max(axis=1)
+            off_by = off_by + (fastest + facts.move_at_most_radps).max(axis=1)
         of_rates = Source.LOG
     else:
-        which = np.clip(np.searchsorted(time_s, tick_s, side="right") - 1, 0, len(slope) - 1)
-        rates, of_rates = slope[which], Source.DERIVED
-        off = rate_off(slope, step_s, sample=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
-    return at_ticks, rates, Source.LOG, of_rates, reach, over_ticks(time_ns, off, frozen=frozen, **grid)
+        span = np.clip(np.searchsorted(time_s, tick_s, side="right") - 1, 0, len(slope) - 1)
+        rates, of_rates = slope[span], Source.DERIVED
+        off_by = rate_off(slope, step_s, sample=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
+    return at_ticks, rates, Source.LOG, of_rates, reach, over_ticks(time_ns, off_by, frozen=frozen, **grid)
 
 
 def _bends(
     time_ns: NDArray[np.int64], slope: NDArray[np.float64], period_ns: int, count: int
 ) -> NDArray[np.float64]:
-    """(count,) how far samples between ticks are from the line between these: dt/4 per change of speed."""
+    """Return (count,) how far samples lie from the line between the ticks: dt/4 per change of speed."""
     cells = np.zeros(max(count, 1))
     turned = np.abs(np.diff(slope, axis=0)).max(axis=1) if len(slope) > 1 else np.zeros(0)
     inner = time_ns[1:-1]
-    between = inner % period_ns != 0
-    cell = np.clip(inner[between] // period_ns, 0, len(cells) - 1)
-    np.add.at(cells, cell, turned[between] * period_ns / NS / 4.0)
-    before = np.concatenate([[0.0], cells[:-1]])
-    return np.asarray(np.maximum(cells, before)[:count])
+    off_grid = inner % period_ns != 0
+    cell = np.clip(inner[off_grid] // period_ns, 0, len(cells) - 1)
+    np.add.at(cells, cell, turned[off_grid] * period_ns / NS / 4.0)
+    previous = np.concatenate([[0.0], cells[:-1]])
+    return np.asarray(np.maximum(cells, previous)[:count])
 
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """One hand's stored path: the bytes of its CSV, its tracks, and within how much of it the body was."""
+    """One hand's stored path: the bytes of its CSV, its start, and the uncertainties of hand and elbow."""
 
     body: Body
     data: bytes
@@ -230,7 +234,7 @@ class _Path:
 
 
 def _path(log: CellLog, body: Body) -> _Path:
-    """Hand and elbow, straight between their samples from tick 0 on, as a recording."""
+    """Return hand and elbow as a recording, straight between their samples from tick 0 on."""
     assert log.hand_facts is not None
     reaches, tracks, times = [], [], [np.zeros(1, np.int64)]
     for samples in (body.hand, body.elbow):
@@ -259,7 +263,7 @@ def _path(log: CellLog, body: Body) -> _Path:
 
 
 def _filled(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The times with more between any that are too far apart for a recording."""
+    """Return the times, with more between any two that are too far apart for a recording."""
     most = round(_LONGEST_STEP_S * NS)
     if len(time_ns) == 1:
         time_ns = np.append(time_ns, time_ns + most)
@@ -272,7 +276,7 @@ def _filled(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _body_reach(log: CellLog, samples: LogSamples, time_ns: NDArray[np.int64]) -> Reach:
-    """Within how much of its path a body was; LogError where it is faster than is said."""
+    """Return the uncertainty of a body on its path; LogError where it is faster than stated."""
     facts = log.hand_facts
     assert facts is not None
     most_mps, known_to_m = facts.moves_at_most_mps, samples.known_to_m
@@ -295,15 +299,15 @@ def _body_reach(log: CellLog, samples: LogSamples, time_ns: NDArray[np.int64]) -
         )
     grid = {"longest_ns": round(facts.longest_gap_s * NS), "period_ns": log.period_ns}
     worse_m = np.maximum(sample_m[:-1], sample_m[1:])
-    off = body_off_m(way_m, step_s, most_mps=most_mps, sample_m=worse_m)
-    reach = over_ticks(time_ns, off, frozen=samples.frozen, count=log.ticks, **grid)
+    off_m = body_off_m(way_m, step_s, most_mps=most_mps, sample_m=worse_m)
+    reach = over_ticks(time_ns, off_m, frozen=samples.frozen, count=log.ticks, **grid)
     first_ns, last_ns = int(time_ns[0]), int(time_ns[-1])
     at_ends_m = float(max(sample_m[0], sample_m[-1]))
     return from_ends(reach, first_ns, last_ns, most=most_mps, sample=at_ends_m, **grid)
 
 
 def _of_hands(log: CellLog, paths: list[_Path]) -> dict[str, Measurement]:
-    """What is known of hands and elbows."""
+    """Return the measurements of hands and elbows."""
     if not paths:
         return {}
     assert log.hand_facts is not None
@@ -315,13 +319,13 @@ def _of_hands(log: CellLog, paths: list[_Path]) -> dict[str, Measurement]:
 
 
 def _together(reaches: list[Reach], most_mps: float) -> Measurement:
-    within = np.max([one.within for one in reaches], axis=0)
-    gaps = [gap for hand, one in enumerate(reaches) for gap in one.known_gaps(hand)]
-    return measurement(Source.LOG, within, gaps, most_mps)
+    off_m = np.max([reach.within for reach in reaches], axis=0)
+    gaps = [gap for hand, reach in enumerate(reaches) for gap in reach.known_gaps(hand)]
+    return measurement(Source.LOG, off_m, gaps, most_mps)
 
 
 def _scenario(log: CellLog, paths: list[_Path], recordings: dict[str, bytes]) -> Scenario:
-    """What a trace needs of a scenario: the arm, the hands as recordings, the settings, the claims."""
+    """Return the scenario of the trace: the arm, the hands as recordings, the settings, the claims."""
     given = dict(log.said.entries("the log of a cell"))
     joints = log.joints.values[0, : log.joints.values.shape[1] // 2]
     stream = log.joints.source.name
@@ -362,8 +366,18 @@ def _hand(log: CellLog, path: _Path) -> Node:
     )
 
 
-def settings_with(period_s: float, given: Field | None, ahead: float | None = None) -> Node:
-    """Those that are said, the period, and how far [s] detections are ``ahead``, if they are told."""
+def settings_with(period_s: float, given: Field | None, lead: float | None = None) -> Node:
+    """Return the given settings with the period, and with the horizon by which detections lead.
+
+    Args:
+        period_s: The period of the ticks [s].
+        given: The settings in LOG.yaml. None: no settings.
+        lead: The horizon [s]. None: the log has no detections.
+
+    Raises:
+        InputError: The settings contain a clock, or another horizon.
+
+    """
     period = _mapping({"control period": _scalar(format_quantity(period_s, TIME))})
     groups = {} if given is None else dict(given.entries("a mapping of groups of settings"))
     if "clock" in groups:
@@ -371,13 +385,13 @@ def settings_with(period_s: float, given: Field | None, ahead: float | None = No
             "the period below log", got="settings of a clock", hint="log: {period: 8 ms}"
         )
     own = groups.get(_HAND_FILTER)
-    if own is not None and ahead is not None:
-        for key, one in own.entries("settings of the filter"):
-            if key == _HORIZON and one.quantity(TIME) != ahead:
-                raise one.error(f"{format_quantity(ahead, TIME)}, as far as detections are ahead, or nothing")
-    entries = tuple((Scalar(key, one.line), one.node) for key, one in groups.items())
-    if ahead is not None:
-        horizon = Scalar(_HORIZON, 1), _scalar(format_quantity(ahead, TIME))
+    if own is not None and lead is not None:
+        for key, item in own.entries("settings of the filter"):
+            if key == _HORIZON and item.quantity(TIME) != lead:
+                raise item.error(f"{format_quantity(lead, TIME)}, as far as detections are ahead, or nothing")
+    entries = tuple((Scalar(key, item.line), item.node) for key, item in groups.items())
+    if lead is not None:
+        horizon = Scalar(_HORIZON, 1), _scalar(format_quantity(lead, TIME))
         kept: tuple[tuple[Scalar, Node], ...] = ()
         if own is not None and isinstance(own.node, Mapping):
             kept = tuple(pair for pair in own.node.entries if pair[0].text != _HORIZON)
@@ -387,20 +401,20 @@ def settings_with(period_s: float, given: Field | None, ahead: float | None = No
 
 
 def claims_of(given: Field | None) -> Node:
-    """A mapping as a scenario has it, or a list of sentences that are expected to hold."""
+    """Return claims as a mapping of a scenario; a list of sentences means that each is expected to hold."""
     if given is None:
         return Mapping((), 1)
     if isinstance(given.node, Mapping):
         return given.node
     items = given.items("claims: a list of sentences, or a mapping with the verdict that you expect of each")
-    words = [(item, item.scalar("a sentence of the catalogue, or a formula")) for item in items]
-    for at, (item, sentence) in enumerate(words):
-        if sentence in [other for _, other in words[:at]]:
+    sentences = [(item, item.scalar("a sentence of the catalogue, or a formula")) for item in items]
+    for at, (item, sentence) in enumerate(sentences):
+        if sentence in [earlier for _, earlier in sentences[:at]]:
             raise item.error("each claim once", got=f'"{sentence}" twice')
     return Mapping(
         tuple(
             (Scalar(text, item.line, log_file(item)), Scalar("holds", item.line, log_file(item)))
-            for item, text in words
+            for item, text in sentences
         ),
         given.line,
         log_file(given),
@@ -408,7 +422,7 @@ def claims_of(given: Field | None) -> Node:
 
 
 def log_file(field: Field) -> Path | None:
-    """The file in which a value stands."""
+    """Return the file that contains a value."""
     return field.origin or field.file
 
 
@@ -425,19 +439,19 @@ def _mapping(entries: dict[str, Node]) -> Mapping:
 
 
 def _system(scenario: Scenario) -> SystemUnderTest:
-    """Whatever drove the arm and saw the hands then."""
-    found = system_of(scenario, controller=Component(name=RECORDED))
-    return replace(found, perception=Component(name=RECORDED))
+    """Return the unknown system that drove the arm and saw the hands."""
+    system = system_of(scenario, controller=Component(name=RECORDED))
+    return replace(system, perception=Component(name=RECORDED))
 
 
 def _provenance(log: CellLog) -> Provenance:
-    """That of our software, and the files of the log by their hashes."""
-    found = provenance(RECORDED, RECORDED)
-    return replace(found, files=(*found.files, *((str(told(file)), sha256_of(file)) for file in log.files)))
+    """Return the provenance of our software, with the files of the log by their hashes."""
+    ours = provenance(RECORDED, RECORDED)
+    return replace(ours, files=(*ours.files, *((str(told(file)), sha256_of(file)) for file in log.files)))
 
 
 def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
-    """What a reader has to know of how the log became a trace."""
+    """Yield notes for the reader on how the log became a trace."""
     origin = log.origin_ns / NS
     tail_s = (int(log.joints.time_ns[-1]) - log.origin_ns) / NS - (log.ticks - 1) * log.period_s
     yield (
@@ -451,7 +465,7 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
             "how hard the joints accelerate is not said, so they may turn at their greatest speed between "
             "samples: joints: {accelerate at most: ...} says closer where they were"
         )
-    bodies = [one for body in log.hands for one in (body.hand, body.elbow) if one is not None]
+    bodies = [part for body in log.hands for part in (body.hand, body.elbow) if part is not None]
     for samples in (log.joints, *bodies, *(() if log.tcp is None else (log.tcp.samples,))):
         yield from samples.notes
     yield from _beyond_joints(log)[1]

@@ -1,4 +1,4 @@
-"""The samples of a stream against what can be, and against what is said of them."""
+"""Checks of a stream's samples against physical limits and against the statements of LOG.yaml."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from safety_harness.extensions.field.logs.model import JointFacts
 from safety_harness.extensions.field.logs.sample_bound import SampleBound, refuse_unbounded
 from safety_harness.extensions.field.logs.streams import NS, LogSamples
 
-FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
+FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi  # a sample beyond these has another unit, or shows nothing
 MOST_APART = 0.3  # of the way, of speeds that lead along it in another unit
 LEAST_INTERVALS = 10  # of which that is asked: in fewer, noise at rest may do so
 HARDEST_TAKEN = 40.0  # rad/s2 or m/s2, where no acceleration is said
 
 
 def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
-    """Without the samples in which a joint was not told; LogError for what no joint can be."""
+    """Return the samples in which every joint has an angle; LogError for an angle that no joint can have."""
     values = joints.values[:, : len(names)]
     far = np.abs(values) > FARTHEST_RAD
     if far.any():
@@ -31,25 +31,28 @@ def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
         expected = f"an angle of at most {np.degrees(FARTHEST_RAD):.0f} deg either way"
         got = f"{names[joint]} at {np.degrees(values[index, joint]):.6g} deg"
         raise joints.error(index, expected, got, 'degrees that were taken for radians? the key "unit"')
-    return _told(joints, np.asarray(np.isfinite(values).all(axis=1)))
+    return _measured(joints, np.asarray(np.isfinite(values).all(axis=1)))
 
 
 def positions_checked(positions: LogSamples, keep: bool) -> LogSamples:
-    """Without samples that show nothing, unless they are to ``keep``; LogError for one that is far away."""
+    """Return the samples that show a position, or all with ``keep``.
+
+    Raise LogError for a position that is far away.
+    """
     far = np.abs(positions.values) > FARTHEST_M
-    which = far.any(axis=1)
-    if np.count_nonzero(which) > 1 and (positions.values[which] == positions.values[which][0]).all():
-        positions.values[which] = np.nan  # one place, again and again: a tracker's word for not seen
+    distant = far.any(axis=1)
+    if np.count_nonzero(distant) > 1 and (positions.values[distant] == positions.values[distant][0]).all():
+        positions.values[distant] = np.nan  # one place, again and again: a tracker's word for not seen
     elif far.any():
         index = int(np.argmax(far.any(axis=1)))
         got = f"{', '.join(f'{value:.6g}' for value in positions.values[index])} m"
         expected = f"a position within {FARTHEST_M:g} m of the base"
         raise positions.error(index, expected, got, 'millimetres that were taken for metres? the key "unit"')
-    return positions if keep else _told(positions, np.asarray(np.isfinite(positions.values).all(axis=1)))
+    return positions if keep else _measured(positions, np.asarray(np.isfinite(positions.values).all(axis=1)))
 
 
-def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
-    """Those samples in which something was measured; LogError for fewer than two."""
+def _measured(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
+    """Return the samples in which something was measured; LogError for fewer than two."""
     if np.count_nonzero(there) < 2:
         raise LogError(
             place=samples.source.place,
@@ -59,16 +62,16 @@ def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
     if there.all():
         return samples
     first, last = samples.time_ns[~there][[0, -1]] / NS
-    return samples.of(there).noted(
+    return samples.chosen(there).noted(
         f"{np.count_nonzero(~there)} of {len(there)} samples, from {first:.3f} to {last:.3f} s of its clock, "
         "show nothing (empty, NaN, zeros or one far place): not measured"
     )
 
 
 def with_bounds(samples: LogSamples, bound: SampleBound | None = None, *, speeds: bool = False) -> LogSamples:
-    """What stands beside the positions is how well each is known: as numbers of ``bound``, or in metres.
+    """Split the extra columns from the positions: the uncertainty by ``bound``, or in metres, and speeds.
 
-    With ``speeds`` the last three columns are these.
+    With ``speeds`` the last three columns are speeds.
     """
     if speeds:
         samples = replace(samples, values=samples.values[:, :-3], speeds_mps=samples.values[:, -3:])
@@ -76,17 +79,17 @@ def with_bounds(samples: LogSamples, bound: SampleBound | None = None, *, speeds
     if not beside.shape[1]:
         return samples
     known_to_m = beside[:, 0] if bound is None else np.array([bound.reach_m(row) for row in beside])
-    found = replace(samples, values=values, known_to_m=known_to_m)
-    refuse_unbounded(found)
-    return found
+    split = replace(samples, values=values, known_to_m=known_to_m)
+    refuse_unbounded(split)
+    return split
 
 
 def refuse_the_same(streams: list[LogSamples]) -> None:
-    """LogError for two hands or elbows that are one, by the samples, whatever file they are in."""
-    for one, other in combinations(streams, 2):
-        if np.array_equal(one.time_ns, other.time_ns) and np.array_equal(one.values, other.values):
-            got = f"the samples of {one.source.name} twice"
-            place = other.source.place
+    """Raise LogError for two hands or elbows with the same samples, whatever file they are in."""
+    for a, b in combinations(streams, 2):
+        if np.array_equal(a.time_ns, b.time_ns) and np.array_equal(a.values, b.values):
+            got = f"the samples of {a.source.name} twice"
+            place = b.source.place
             raise LogError(place=place, expected="a stream of its own of each hand and elbow", got=got)
 
 
@@ -106,10 +109,10 @@ def the_short_way(joints: LogSamples, facts: JointFacts, arm: ArmModel) -> LogSa
 def wrapped_rad(
     way: NDArray[np.float64], step_s: NDArray[np.float64] | float, facts: JointFacts, arm: ArmModel
 ) -> NDArray[np.float64]:
-    """Return the whole turns [rad] by which steps ``way`` (..., n) of joints that have no ends wrap.
+    """Return the whole turns [rad] by which steps ``way`` (..., n) of joints without ends wrap.
 
-    A step takes ``step_s`` (..., 1).  Within the longest gap only of those that cannot have gone the long way
-    meanwhile.
+    A step takes ``step_s`` (..., 1). Within the longest gap, a step counts as a wrap only if the joint cannot
+    have gone the long way in that time.
     """
     endless = np.isinf(arm.position_lower_rad) & np.isinf(arm.position_upper_rad)
     sure = step_s * facts.move_at_most_radps + 2.0 * facts.known_to_rad < np.pi
@@ -118,34 +121,34 @@ def wrapped_rad(
 
 
 def noted_beyond_ends(joints: LogSamples, arm: ArmModel) -> LogSamples:
-    """Return ``joints`` with a note on those that the log has beyond their ends."""
+    """Return ``joints`` with a note on joints that the log shows beyond their ends."""
     angles = joints.values[:, : len(arm.joint_names)]
-    beyond = np.fmax(angles - arm.position_upper_rad, arm.position_lower_rad - angles)
-    for k in np.flatnonzero((beyond > 0.0).any(axis=0)):
-        most, count = np.degrees(beyond[:, k].max()), np.count_nonzero(beyond[:, k] > 0.0)
+    excess = np.fmax(angles - arm.position_upper_rad, arm.position_lower_rad - angles)
+    for k in np.flatnonzero((excess > 0.0).any(axis=0)):
+        most, count = np.degrees(excess[:, k].max()), np.count_nonzero(excess[:, k] > 0.0)
         note = f"{arm.joint_names[k]} is up to {most:.3g} deg beyond its end, in {count} samples of the log"
         joints = joints.noted(note)
     return joints
 
 
 def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
-    """LogError where a joint is faster, or speeds up or brakes harder, from sample to sample than it can."""
+    """Raise LogError where a joint's speed or acceleration from sample to sample exceeds its limit."""
     step_s = np.diff(joints.time_ns) / NS
-    way = np.abs(np.diff(joints.values[:, : len(names)], axis=0))
+    moved = np.abs(np.diff(joints.values[:, : len(names)], axis=0))
     allowed = step_s[:, None] * facts.move_at_most_radps + 2.0 * facts.known_to_rad
-    if (way > allowed).any():
-        index = int(np.argmax((way > allowed).any(axis=1)))
-        joint = int(np.argmax(way[index] - allowed[index]))
-        speed = np.degrees(way[index, joint] / step_s[index])
+    if (moved > allowed).any():
+        index = int(np.argmax((moved > allowed).any(axis=1)))
+        joint = int(np.argmax(moved[index] - allowed[index]))
+        speed = np.degrees(moved[index, joint] / step_s[index])
         most = np.degrees(facts.move_at_most_radps[joint])
         hint = "another unit from here on? or joints: {move at most: ...} says how fast they can be"
-        if abs(way[index, joint] - 2.0 * np.pi) <= allowed[index, joint]:
+        if abs(moved[index, joint] - 2.0 * np.pi) <= allowed[index, joint]:
             hint = "its angles wrap at a turn, and a joint with ends has to be logged without the wrap: the "
             hint += "angles alone do not say in which turn it is"
         raise joints.error(
             index + 1,
             f"{names[joint]} to turn at {most:.4g} deg/s at most, as is said",
-            f"a jump of {np.degrees(way[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, "
+            f"a jump of {np.degrees(moved[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, "
             f"{speed:.4g} deg/s",
             hint,
         )
@@ -153,8 +156,8 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
         return
     # twice the second divided difference is an acceleration somewhere between the three samples
     turned = np.abs(np.diff(np.diff(joints.values[:, : len(names)], axis=0) / step_s[:, None], axis=0))
-    between_s, off = (step_s[1:] + step_s[:-1]) / 2.0, 2.0 * facts.known_to_rad / step_s
-    hard = ((turned - (off[1:] + off[:-1])[:, None]) / between_s[:, None]).max(axis=1)
+    between_s, error = (step_s[1:] + step_s[:-1]) / 2.0, 2.0 * facts.known_to_rad / step_s
+    hard = ((turned - (error[1:] + error[:-1])[:, None]) / between_s[:, None]).max(axis=1)
     if (hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)).any():
         index = int(np.argmax(hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)))
         raise joints.error(
@@ -167,15 +170,15 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
 
 
 def refuse_another_unit(joints: LogSamples, names: Sequence[str]) -> None:
-    """Raise LogError where speeds (n, j), of all or one, lead along the angles beside if 1 rad were 1 deg."""
+    """Raise LogError where speeds (n, j), of all joints or one, fit their angles only with 1 rad as 1 deg."""
     angles, speeds = np.split(joints.values, 2, axis=1)
-    ways, step_s = np.diff(angles, axis=0), np.diff(joints.time_ns)[:, None] / NS
-    both, every = np.stack([ways, (speeds[1:] + speeds[:-1]) / 2.0 * step_s]), [*range(len(names))]
-    for of, which in (("the angles", every), *((names[k], [k]) for k in every)):
-        way, told = both[:, np.isfinite(both.sum(axis=0)) & np.isin(every, which)]
-        for times in (np.degrees(1.0), np.radians(1.0)) if len(way) >= LEAST_INTERVALS else ():
-            if np.linalg.norm(told - times * way) < MOST_APART * np.linalg.norm(told):
-                expected, got = f"joint speeds that lead along {of}", f"{times:.3g} times their way"
+    steps, step_s = np.diff(angles, axis=0), np.diff(joints.time_ns)[:, None] / NS
+    both, every = np.stack([steps, (speeds[1:] + speeds[:-1]) / 2.0 * step_s]), [*range(len(names))]
+    for label, chosen in (("the angles", every), *((names[k], [k]) for k in every)):
+        moved, by_speed = both[:, np.isfinite(both.sum(axis=0)) & np.isin(every, chosen)]
+        for times in (np.degrees(1.0), np.radians(1.0)) if len(moved) >= LEAST_INTERVALS else ():
+            if np.linalg.norm(by_speed - times * moved) < MOST_APART * np.linalg.norm(by_speed):
+                expected, got = f"joint speeds that lead along {label}", f"{times:.3g} times their way"
                 hint = 'degrees and radians are exchanged: the ends of the columns\' names, or the key "unit"'
                 raise LogError(place=joints.source.place, expected=expected, got=got, hint=hint)
 
@@ -191,34 +194,43 @@ def refuse_contradicting_speeds(
 ) -> None:
     """Raise LogError for the first interval in which ``speeds`` (n, k) do not lead along ``places`` (n, k).
 
-    Places and speeds are ``known`` to so much.  Between two samples T apart the mean speed is within a T/4 of
-    the mean of both, at the acceleration a, ``hard``; None: twice what the speeds show.  Samples without
-    speeds are passed over.  ``names`` of columns and ``unit``, and how many of it are 1 in SI, are for words.
+    Let T be the time between two samples, and a the acceleration. The mean speed then lies within a T/4 of
+    the mean of both speeds. The check skips samples without speeds.
+
+    Args:
+        samples: The samples, for times and errors.
+        places: The positions (n, k).
+        speeds: The speeds (n, k).
+        known: The uncertainties of places and of speeds.
+        hard: The largest acceleration a. None: twice the acceleration that the speeds show.
+        names: The names of the columns.
+        unit: The unit of messages, and its number in 1 of SI.
+
     """
     there = np.flatnonzero(np.isfinite(speeds).all(axis=1))
     if len(there) < 2:
         return
     places, speeds, at_s = places[there], speeds[there], (samples.time_ns[there] - samples.time_ns[0]) / NS
     step_s = np.diff(at_s)[:, None]
-    told = (speeds[1:] + speeds[:-1]) / 2.0 * step_s
-    taken = 2.0 * np.abs(np.diff(speeds, axis=0) / step_s).max(axis=0)
-    hardest = np.minimum(taken, HARDEST_TAKEN) if hard is None else hard
-    allowed = np.broadcast_to(step_s * (known[1] + hardest * step_s / 4.0), told.shape)
-    found: list[tuple[int, int, int]] = []
+    by_speed = (speeds[1:] + speeds[:-1]) / 2.0 * step_s
+    shown = 2.0 * np.abs(np.diff(speeds, axis=0) / step_s).max(axis=0)
+    hardest = np.minimum(shown, HARDEST_TAKEN) if hard is None else hard
+    allowed = np.broadcast_to(step_s * (known[1] + hardest * step_s / 4.0), by_speed.shape)
+    conflicts: list[tuple[int, int, int]] = []
     for sign in (1.0, -1.0):  # more, or less, than is allowed since the sample at which that begins
         more = np.zeros(places.shape)
-        more[1:] = np.cumsum(sign * (np.diff(places, axis=0) - told) - allowed, axis=0)
+        more[1:] = np.cumsum(sign * (np.diff(places, axis=0) - by_speed) - allowed, axis=0)
         since = np.minimum.accumulate(more, axis=0)
         for end, column in np.argwhere(more - since > 2.0 * known[0])[:1].tolist():
-            found.append((end, column, int(np.argmax(more[:, column] == since[end, column]))))
-    for end, column, begin in sorted(found)[:1]:
-        off = 2.0 * known[0] + allowed[begin:end, column].sum()
-        ways = places[end, column] - places[begin, column], told[begin:end, column].sum(), off
-        way, by_speeds, within = (f"{float(one) * unit[1]:.4g} {unit[0]}" for one in ways)
+            conflicts.append((end, column, int(np.argmax(more[:, column] == since[end, column]))))
+    for end, column, begin in sorted(conflicts)[:1]:
+        slack = 2.0 * known[0] + allowed[begin:end, column].sum()
+        amounts = places[end, column] - places[begin, column], by_speed[begin:end, column].sum(), slack
+        moved, by_speeds, limit = (f"{float(x) * unit[1]:.4g} {unit[0]}" for x in amounts)
         times = f"{at_s[begin]:.3f} to {at_s[end]:.3f} s"
         raise samples.error(
             int(there[begin]),
-            f"{names[column]} to go by {way} from {times}, as its positions do, to within {within}",
+            f"{names[column]} to go by {moved} from {times}, as its positions do, to within {limit}",
             f"{by_speeds} by its speeds",
             'speeds of another unit, sign, axis or joint? or how well they are known: "speeds known to"',
         )

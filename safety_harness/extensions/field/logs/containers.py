@@ -1,7 +1,7 @@
-"""Bags as files: the topics that one holds, and each message decoded by the definition of its own type alone.
+"""Bags as files: the topics of a bag, and each message decoded by the definition of its own type alone.
 
-ROS 1 and ROS 2 bags are read by ``rosbags``; MCAP files of any other profile, with messages in ROS 2's
-encoding, JSON or Protobuf, by ``safety_harness.extensions.field.logs.mcap``.
+``rosbags`` reads ROS 1 and ROS 2 bags. ``safety_harness.extensions.field.logs.mcap`` reads MCAP files of any
+other profile, with messages in ROS 2's encoding, JSON or Protobuf.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ Decode = Callable[[bytes], Any]
 
 
 class UnreadableDefinitionError(Exception):
-    """The definition of a type of message cannot be used."""
+    """The definition of a message type cannot be used."""
 
 
 class Bag:
-    """A bag that is open: its ``connections``, one or more a topic, as ``rosbags`` has them."""
+    """An open bag with its ``connections``, one or more a topic, in the form of ``rosbags``."""
 
     def __init__(self, storage: Any, *, ros1: bool) -> None:
         self._storage, self._ros1 = storage, ros1
@@ -39,11 +39,11 @@ class Bag:
             yield connection, received_ns, decoders[connection.id](raw)
 
     def _decoder(self, connection: Any) -> Decode:
-        """How the messages of one connection are decoded; UnreadableDefinitionError for an unusable type."""
+        """Return the decoder of a connection's messages; UnreadableDefinitionError for an unusable type."""
         encoding = getattr(connection.ext, "serialization_format", "cdr")
         try:
             if encoding == "json":
-                return lambda raw: json.loads(raw, object_hook=lambda one: SimpleNamespace(**one))
+                return lambda raw: json.loads(raw, object_hook=lambda entries: SimpleNamespace(**entries))
             if encoding == "protobuf":
                 return _protobuf(connection.msgtype, connection.msgdef[1])
             if encoding not in ("cdr", "ros1"):
@@ -52,22 +52,22 @@ class Bag:
         except ModuleNotFoundError:
             raise
         except Exception as error:  # whatever a definition provokes
-            what = " ".join(f"{type(error).__name__}: {error}".split())
-            raise UnreadableDefinitionError(f"{connection.msgtype}: {what}") from error
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise UnreadableDefinitionError(f"{connection.msgtype}: {reason}") from error
 
 
 def _ros(connection: Any, *, ros1: bool) -> Decode:
-    """By the definition that the bag has of this type, or the standard one if it has none."""
+    """Return the decoder by the bag's definition of this type, or by the standard definition without it."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     kind, (form, text) = connection.msgtype, connection.msgdef
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     if form.name != "NONE":
         store, bar = get_typestore(Stores.EMPTY), "=" * 80 + "\nIDL: "
-        parts = [one.partition("\n")[2] for one in text.split(bar)[1:]] or [text]
+        parts = [part.partition("\n")[2] for part in text.split(bar)[1:]] or [text]
         types = [get_types_from_msg(text, kind)] if form.name == "MSG" else map(get_types_from_idl, parts)
-        store.register({name: fields for one in types for name, fields in one.items()})
-    hashed = (lambda one: store.generate_msgdef(one)[1]) if ros1 else store.hash_rihs01
+        store.register({name: fields for part in types for name, fields in part.items()})
+    hashed = (lambda part: store.generate_msgdef(part)[1]) if ros1 else store.hash_rihs01
     if connection.digest and (have := hashed(kind)) != connection.digest:
         raise ValueError(f"hash mismatch {have} != {connection.digest}")
     read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
@@ -75,7 +75,7 @@ def _ros(connection: Any, *, ros1: bool) -> Decode:
 
 
 def _protobuf(name: str, definition: bytes) -> Decode:
-    """By the descriptors of files that the channel's schema consists of."""
+    """Return the decoder by the file descriptors in the channel's schema."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     pool = descriptor_pool.DescriptorPool()
@@ -87,7 +87,10 @@ def _protobuf(name: str, definition: bytes) -> Decode:
 
 @contextmanager
 def opened(file: Path) -> Iterator[Bag]:
-    """The bag in a file or folder; ImportError without ``rosbags``, else whatever damage provokes."""
+    """Open the bag in a file or folder.
+
+    Raise ImportError without ``rosbags``, or any error that damage provokes.
+    """
     storage, ros1 = _storage(file), file.suffix.lower() == ROS1
     storage.open()
     try:
@@ -97,14 +100,17 @@ def opened(file: Path) -> Iterator[Bag]:
 
 
 def _storage(file: Path) -> Any:
-    """The reader of a bag; of a folder whose metadata names no storage, by the ending of its files."""
+    """Return the reader of a bag.
+
+    If a folder's metadata names no storage, the ending of its files decides.
+    """
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
 
     if file.is_dir():
         storages = Reader2.STORAGE_PLUGINS
         storage: Any = storages["dir"](file)
-        endings = {one.suffix for one in file.iterdir() if one.suffix in storages}
+        endings = {part.suffix for part in file.iterdir() if part.suffix in storages}
         if len(endings) == 1:
             storage.STORAGE_PLUGINS = {**storage.STORAGE_PLUGINS, "": storages[endings.pop()]}
         return storage

@@ -1,4 +1,4 @@
-"""What a LOG.yaml says of joints and hands, and how well they are known."""
+"""The statements of LOG.yaml on joints and hands, and on their uncertainties."""
 
 from __future__ import annotations
 
@@ -37,42 +37,45 @@ OF_HANDS = (
 
 
 def said_of_joints(given: Fields) -> Fields:
-    """What stands below the key "joints", nothing if it is not there."""
+    """Return the keys below "joints", empty if the file lacks it."""
     field = given.optional("joints")
     return Fields(given.whole, {}) if field is None else field.fields(OF_JOINTS)
 
 
-def facts_of_joints(said: Fields, arm: ArmModel) -> JointFacts:
-    """What is said of the joints below the key of that name."""
+def facts_of_joints(keys: Fields, arm: ArmModel) -> JointFacts:
+    """Return the facts on joints from the keys below "joints"."""
     most = arm.velocity_limit_radps.copy()
-    if (field := said.optional("move at most")) is not None:
+    if (field := keys.optional("move at most")) is not None:
         most = np.full(len(most), field.quantity(ANGULAR_SPEED, above=0.0))
-    hard = said.optional("accelerate at most")
-    rates = said.optional("speeds known to")
+    hard = keys.optional("accelerate at most")
+    rates = keys.optional("speeds known to")
     return JointFacts(
-        known_to_rad=_quantity(said, "known to", ANGLE, JOINTS_KNOWN_TO_RAD),
+        known_to_rad=_quantity(keys, "known to", ANGLE, JOINTS_KNOWN_TO_RAD),
         speeds_known_to_radps=None if rates is None else rates.quantity(ANGULAR_SPEED, least=0.0),
         move_at_most_radps=most,
         accelerate_at_most_radps2=None if hard is None else hard.quantity(ANGULAR_ACCELERATION, above=0.0),
-        longest_gap_s=_quantity(said, "longest gap", TIME, JOINTS_LONGEST_GAP_S, LATEST_S),
-        at_rest=at_rest(said),
+        longest_gap_s=_quantity(keys, "longest gap", TIME, JOINTS_LONGEST_GAP_S, LATEST_S),
+        at_rest=at_rest(keys),
     )
 
 
-def facts_of_hands(said: Fields, *, each: bool = False) -> HandFacts:
-    """What is said of the hands below the key of that name; ``each`` sample may say how well it is known."""
-    known = said.required("known to")
+def facts_of_hands(keys: Fields, *, each: bool = False) -> HandFacts:
+    """Return the facts on hands from the keys below "hands".
+
+    With ``each``, every sample may have its own uncertainty.
+    """
+    known = keys.required("known to")
     by_sample = each and isinstance(known.node, Mapping)
     return HandFacts(
         known_to_m=np.inf if by_sample else known.quantity(LENGTH, least=0.0),
-        moves_at_most_mps=said.required("moves at most").quantity(SPEED, above=0.0),
-        longest_gap_s=said.required("longest gap").quantity(TIME, above=0.0, most=LATEST_S),
-        at_rest=at_rest(said),
+        moves_at_most_mps=keys.required("moves at most").quantity(SPEED, above=0.0),
+        longest_gap_s=keys.required("longest gap").quantity(TIME, above=0.0, most=LATEST_S),
+        at_rest=at_rest(keys),
     )
 
 
 def _quantity(
-    said: Fields, key: str, dimension: Dimension, default: float, most: float | None = None
+    keys: Fields, key: str, dimension: Dimension, default: float, most: float | None = None
 ) -> float:
-    field = said.optional(key)
+    field = keys.optional(key)
     return default if field is None else field.quantity(dimension, least=0.0, most=most)

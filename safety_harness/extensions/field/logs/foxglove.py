@@ -1,4 +1,4 @@
-"""Messages in Foxglove's schemas as the ROS messages that say the same, and stamps in each encoding."""
+"""Messages in Foxglove's schemas as the equivalent ROS messages, and stamps in each encoding."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _PREFIXES = ("foxglove.", "foxglove_msgs/msg/")
 
 
 def as_standard(kind: str, content: Any) -> tuple[str, Any]:
-    """Return the type and content of a message; Foxglove's poses, frames and joints as ROS has them."""
-    prefix = next((one for one in _PREFIXES if kind.startswith(one)), None)
+    """Return the type and content of a message, with Foxglove's poses, frames and joints in ROS's form."""
+    prefix = next((item for item in _PREFIXES if kind.startswith(item)), None)
     name = "" if prefix is None else kind.removeprefix(prefix)
     if name == "JointStates":
         joints = content.joints
-        values = {of: [_number(one, of) for one in joints] for of in ("position", "velocity")}
-        names = [one.name for one in joints]
+        values = {key: [_number(item, key) for item in joints] for key in ("position", "velocity")}
+        names = [item.name for item in joints]
         return JOINT_STATE, SimpleNamespace(header=_header(content), name=names, joints=joints, **values)
     if name == "PoseInFrame":
         return POSE_STAMPED, SimpleNamespace(header=_header(content), pose=content.pose)
@@ -28,30 +28,33 @@ def as_standard(kind: str, content: Any) -> tuple[str, Any]:
         return POSE_ARRAY, SimpleNamespace(header=_header(content), poses=content.poses)
     if name in ("FrameTransform", "FrameTransforms"):
         every = content.transforms if name == "FrameTransforms" else [content]
-        return TF, SimpleNamespace(transforms=[_transform(one) for one in every])
+        return TF, SimpleNamespace(transforms=[_transform(item) for item in every])
     return {"tf/msg/tfMessage": TF}.get(kind, kind), content
 
 
 def nanoseconds(stamp: Any) -> int:
-    """Time of a stamp in ROS's fields (sec, nanosec), JSON's (sec, nsec) or Protobuf's (seconds, nanos)."""
+    """Return the time [ns] of a stamp.
+
+    Its fields are ROS's (sec, nanosec), JSON's (sec, nsec) or Protobuf's (seconds, nanos).
+    """
     whole, rest = (
-        next((int(getattr(stamp, one)) for one in names if hasattr(stamp, one)), 0)
+        next((int(getattr(stamp, name)) for name in names if hasattr(stamp, name)), 0)
         for names in (("sec", "seconds"), ("nanosec", "nsec", "nanos"))
     )
     return whole * 10**9 + rest
 
 
 def fields_of(content: Any) -> list[str]:
-    """Names of the fields of a decoded message, of whatever encoding."""
+    """Return the names of the fields of a decoded message in any encoding."""
     if isinstance(content, SimpleNamespace):
         return list(vars(content))
     if (descriptor := getattr(content, "DESCRIPTOR", None)) is not None:
-        return [one.name for one in descriptor.fields]
+        return [entry.name for entry in descriptor.fields]
     return [name for name in getattr(content, "__dataclass_fields__", ()) if not name.startswith("__")]
 
 
 def _number(joint: Any, name: str) -> float:
-    """A number that a joint may lack: NaN then."""
+    """Return a number that a joint may lack, NaN in that case."""
     there = joint.HasField(name) if hasattr(joint, "HasField") else getattr(joint, name, None) is not None
     return float(getattr(joint, name)) if there else math.nan
 
@@ -60,7 +63,7 @@ def _header(content: Any, frame: str = "frame_id") -> SimpleNamespace:
     return SimpleNamespace(stamp=content.timestamp, frame_id=getattr(content, frame, ""))
 
 
-def _transform(one: Any) -> SimpleNamespace:
-    pose = SimpleNamespace(translation=one.translation, rotation=one.rotation)
-    header = _header(one, "parent_frame_id")
-    return SimpleNamespace(header=header, child_frame_id=one.child_frame_id, transform=pose)
+def _transform(frame: Any) -> SimpleNamespace:
+    pose = SimpleNamespace(translation=frame.translation, rotation=frame.rotation)
+    header = _header(frame, "parent_frame_id")
+    return SimpleNamespace(header=header, child_frame_id=frame.child_frame_id, transform=pose)

@@ -1,4 +1,4 @@
-"""From the frame in which positions were logged to the base frame: given, or taken from ``/tf`` of a bag."""
+"""Transforms from the frame of logged positions to the base frame: given, or from ``/tf`` of a bag."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from safety_harness.scenario.nodes import Scalar
 from safety_harness.scenario.units import shown
 
 ToBase = Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]]
-STILL_M, STILL_RAD = 1e-6, 1e-6
+STILL_M, STILL_RAD = 1e-6, 1e-6  # of a transform in /tf, up to which its frame stands still
 BASE = "base"
 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """Transforms that stand still: ``parents`` has of each frame its parent and (4, 4) its pose there."""
+    """Fixed transforms: ``parents`` has for each frame its parent and its pose (4, 4) there."""
 
     source: LogSource
     parents: dict[str, tuple[str, NDArray[np.float64]]]
 
     def transform(self, frame: str, base: str) -> NDArray[np.float64]:
-        """(4, 4) from ``frame`` to ``base``; LogError if no way leads from the one to the other."""
-        (root, up), (other, down) = self._to_root(frame), self._to_root(base)
-        if root != other:
+        """Return (4, 4) from ``frame`` to ``base``; LogError if no chain connects them."""
+        (root, root_of_frame), (base_root, root_of_base) = self._to_root(frame), self._to_root(base)
+        if root != base_root:
             known = sorted({*self.parents, *(parent for parent, _ in self.parents.values())})
             raise LogError(
                 place=self.source.place,
@@ -41,7 +41,7 @@ class Tree:
                 got=f"the frames {shown(', '.join(known))}",
                 hint=near_miss(frame if frame not in known else base, known),
             )
-        return np.asarray(inverse_transform(down) @ up)
+        return np.asarray(inverse_transform(root_of_base) @ root_of_frame)
 
     def _to_root(self, frame: str) -> tuple[str, NDArray[np.float64]]:
         transform, seen = np.eye(4), {frame}
@@ -60,26 +60,26 @@ class Tree:
 
 
 def read_tree(source: LogSource, frame: str, base: str) -> Tree:
-    """The transforms of a topic of ``TFMessage``, and of ``/tf_static`` beside it, that lead to ``base``.
+    """Return the transforms of a topic of ``TFMessage``, and of ``/tf_static`` beside it.
 
-    LogError for one between ``frame`` and ``base`` that moves: where a moving frame was between two of its
-    messages is not known.
+    Raise LogError for a moving transform between ``frame`` and ``base``: between two of its messages, the
+    pose of a moving frame is unknown.
     """
     parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
     moved: dict[str, tuple[Message, LogSource, float, float]] = {}
     for topic in _topics(source):
         for message in messages(topic):
-            for one in getattr(message.content, "transforms", ()):
-                child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
-                pose = _pose(one.transform, topic, message)
+            for item in getattr(message.content, "transforms", ()):
+                child, parent = item.child_frame_id.lstrip("/"), item.header.frame_id.lstrip("/")
+                pose = _pose(item.transform, topic, message)
                 if child not in parents:
                     parents[child] = parent, pose
                     continue
-                before, first = parents[child]
+                was, first = parents[child]
                 by_m = float(np.linalg.norm(pose[:3, 3] - first[:3, 3]))
                 chord = float(np.linalg.norm(pose[:3, :3] - first[:3, :3]))
                 by_rad = 2.0 * np.arcsin(min(chord / 8.0**0.5, 1.0))  # of two rotations |A - B| is 8^0.5 sin
-                if (before != parent or by_m > STILL_M or by_rad > STILL_RAD) and child not in moved:
+                if (was != parent or by_m > STILL_M or by_rad > STILL_RAD) and child not in moved:
                     moved[child] = message, topic, by_m, by_rad
     tree = Tree(source, parents)
     for name in (frame, base):
@@ -99,11 +99,11 @@ def _topics(source: LogSource) -> list[LogSource]:
     static = replace(source, what="/tf_static", topic="/tf_static", index=None, path="")
     if source.topic == "/tf_static":
         return [source]
-    return [one for one in (static, source) if one.topic in topics_of(source)] or [source]
+    return [topic for topic in (static, source) if topic.topic in topics_of(source)] or [source]
 
 
 def _pose(transform: object, source: LogSource, message: Message) -> NDArray[np.float64]:
-    """(4, 4) of a transform with a quaternion."""
+    """Return (4, 4) of a transform with a quaternion."""
     at, turn = transform.translation, transform.rotation  # type: ignore[attr-defined]
     x, y, z, w = float(turn.x), float(turn.y), float(turn.z), float(turn.w)
     norm = x * x + y * y + z * z + w * w
@@ -120,8 +120,8 @@ def _pose(transform: object, source: LogSource, message: Message) -> NDArray[np.
     return transform_from(rotation, np.array([float(at.x), float(at.y), float(at.z)]))
 
 
-def by(transform: NDArray[np.float64]) -> Callable[[Sequence[float]], Sequence[float]]:
-    """Positions moved by ``transform`` (4, 4)."""
+def moved_by(transform: NDArray[np.float64]) -> Callable[[Sequence[float]], Sequence[float]]:
+    """Return the function that moves positions by ``transform`` (4, 4)."""
     (a, b, c, x), (d, e, f, y), (g, h, i, z) = transform[:3].tolist()
 
     def moved(p: Sequence[float]) -> Sequence[float]:
@@ -137,11 +137,16 @@ def by(transform: NDArray[np.float64]) -> Callable[[Sequence[float]], Sequence[f
 def by_header(
     base: str, source: LogSource, transform_base: NDArray[np.float64], tf: LogSource | None
 ) -> ToBase:
-    """By the frame that each message's header names, which has to be ``base``, or lead there in ``tf``.
+    """Return the transforms by each header's frame, which must be ``base`` or lead there in ``tf``.
 
-    ``transform_base`` (4, 4) is from that frame to the scenario's base frame.
+    Args:
+        base: The name of the base frame in the bag.
+        source: The stream of positions.
+        transform_base: (4, 4) from that frame to the scenario's base frame.
+        tf: The stream of transforms. None: headers must have ``base``.
+
     """
-    known: dict[str, Callable[[Sequence[float]], Sequence[float]]] = {base: by(transform_base)}
+    known: dict[str, Callable[[Sequence[float]], Sequence[float]]] = {base: moved_by(transform_base)}
 
     def to_base(frame: str, message: Message) -> Callable[[Sequence[float]], Sequence[float]]:
         frame = frame.lstrip("/")
@@ -151,26 +156,33 @@ def by_header(
                 expected = f'positions in the frame "{base}", or a transform to it'
                 raise error(source, message, expected, f'the frame "{shown(frame)}"', hint)
             tree = read_tree(tf, frame, base)
-            known[frame] = by(transform_base @ tree.transform(frame, base))
+            known[frame] = moved_by(transform_base @ tree.transform(frame, base))
         return known[frame]
 
     return to_base
 
 
 def by_given(transform: NDArray[np.float64], name: str | None, base: str, source: LogSource) -> ToBase:
-    """By the ``transform`` (4, 4) that was given, of the frame ``name``; None: of the one that headers name.
+    """Return the given ``transform`` (4, 4) for all messages.
 
-    LogError for a message whose header names another frame, or another one than the message before it.
-    A transform to ``base`` is of another frame.
+    Args:
+        transform: (4, 4) from the frame of the positions to the base frame.
+        name: The name of that frame. None: the name in the first header.
+        base: The name of the base frame. A transform that moves positions cannot start there.
+        source: The stream of positions.
+
+    Raises:
+        LogError: A message's header has another frame than ``name``, or than the message before.
+
     """
-    moved, stated = by(transform), name
-    elsewhere = not np.array_equal(transform, np.eye(4))
+    moved, stated = moved_by(transform), name
+    moves = not np.array_equal(transform, np.eye(4))
 
     def to_base(frame: str, message: Message) -> Callable[[Sequence[float]], Sequence[float]]:
         nonlocal stated
         frame = frame.lstrip("/")
         if frame and stated is None:
-            if frame == base and elsewhere:
+            if frame == base and moves:
                 raise error(source, message, "another frame than the base, as the file has it", f'"{base}"')
             stated = frame
         if frame not in ("", stated):
@@ -185,7 +197,7 @@ def by_given(transform: NDArray[np.float64], name: str | None, base: str, source
 
 
 def given_transform(frame: Field) -> NDArray[np.float64]:
-    """(4, 4) from the frame of the positions to the base frame, as it is said."""
+    """Return (4, 4) from the frame of the positions to the base frame, as the file states it."""
     if isinstance(frame.node, Scalar):
         frame.one_of({BASE: None})
         return np.eye(4)
@@ -196,7 +208,7 @@ def given_transform(frame: Field) -> NDArray[np.float64]:
 
 
 def frame_name(frame: Field, base: str) -> str | None:
-    """Return the name of the frame that is stated; None for a pose of a frame without a name."""
+    """Return the name of the stated frame; None for a pose of a frame without a name."""
     if isinstance(frame.node, Scalar):
         return base
     name = frame.fields(("at", "turned", "of")).optional("of")

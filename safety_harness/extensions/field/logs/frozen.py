@@ -1,8 +1,8 @@
-"""Streams that repeat their values to the last bit, although their noise changes each sample elsewhere.
+"""Streams that repeat their values to the last bit, although noise changes each sample elsewhere.
 
-A recorder that lost its sensor, or a driver that hangs, goes on with the last values.  A stream without
-noise, or with one that its resolution hides, may repeat them at rest; so only a stream counts whose numbers
-go to and fro, by more than their resolution, also where they hardly move.
+A recorder that lost its sensor, or a driver that hangs, repeats the last values. A stream without noise, or
+with noise below its resolution, may repeat them at rest. So only a stream counts whose numbers go to and fro,
+by more than their resolution, also where they hardly move.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ INTERVALS_TOLD = 3
 REPEATS, AT_REST = "repeats", "at rest"
 
 
-def at_rest(said: Fields) -> bool:
-    """Does the file say that repeated values are those of a thing at rest?"""
-    field = said.optional(REPEATS)
+def at_rest(keys: Fields) -> bool:
+    """Does the file state that repeated values come from a thing at rest?"""
+    field = keys.optional(REPEATS)
     return field is not None and field.one_of({AT_REST: True})
 
 
 def noisy(blocks: Values) -> NDArray[np.bool_]:
-    """(b,) of ``blocks`` (b, BLOCK, k) those whose noise exceeds their motion and their resolution."""
+    """Return (b,) true for ``blocks`` (b, BLOCK, k) whose noise exceeds their motion and their resolution."""
     steps = np.diff(blocks, axis=1)
     size = np.abs(steps)
     least = np.where(size > 0.0, size, np.inf).min(axis=1)
@@ -47,30 +47,31 @@ def noisy(blocks: Values) -> NDArray[np.bool_]:
 
 
 def _is_frozen(row: int, repeated: int, blocks: int, samples: int) -> bool:
-    """Are ``row`` repetitions in a row, of all that are ``repeated``, too many for chance?
+    """Are ``row`` repetitions in a row, among all ``repeated``, too many for chance?
 
-    Chance is the share of repetitions elsewhere, among samples that hardly move: those of noisy ``blocks``.
+    Chance is the share of repetitions elsewhere, among samples that hardly move: the samples of noisy
+    ``blocks``.
     """
     share = (repeated - row + 1) / (BLOCK * blocks + repeated - row + 1)
     return row >= FEWEST and blocks >= NOISY_BLOCKS and samples * share**row < BY_CHANCE
 
 
 def frozen(values: Values) -> NDArray[np.bool_]:
-    """(n,) where ``values`` (n, k) repeat the sample before them more often than chance lets their noise."""
-    same, found = np.zeros((2, len(values)), np.bool_)
+    """Return (n,) true where ``values`` (n, k) repeat the previous sample too often for their noise."""
+    same, flags = np.zeros((2, len(values)), np.bool_)
     same[1:] = np.all(values[1:] == values[:-1], axis=1)
     whole = len(values) // BLOCK * BLOCK
     blocks = int(noisy(values[:whole].reshape(-1, BLOCK, values.shape[1])).sum())
     (begins, ends), repeated = runs_of(same), int(same.sum())
     for k in np.flatnonzero(ends - begins >= FEWEST) if blocks >= NOISY_BLOCKS else ():
         row = int(ends[k] - begins[k])
-        found[begins[k] : ends[k]] = _is_frozen(row, repeated, blocks, len(values))
-    return found
+        flags[begins[k] : ends[k]] = _is_frozen(row, repeated, blocks, len(values))
+    return flags
 
 
-def with_frozen(samples: LogSamples, things: Sequence[Values], said: Fields) -> LogSamples:
-    """Mark and note where any of the ``things``, each (n, k), repeats; ``said`` may declare it at rest."""
-    flags = np.any([frozen(one) for one in things], axis=0)
+def with_frozen(samples: LogSamples, things: Sequence[Values], keys: Fields) -> LogSamples:
+    """Mark and note where any of the ``things``, each (n, k), repeats; the ``keys`` may declare rest."""
+    flags = np.any([frozen(thing) for thing in things], axis=0)
     if not flags.any():
         return samples
     begins, ends = runs_of(flags)
@@ -78,7 +79,7 @@ def with_frozen(samples: LogSamples, things: Sequence[Values], said: Fields) -> 
     where = ", ".join([f"{begin:.3f} to {end:.3f} s" for begin, end in times][:INTERVALS_TOLD])
     where += f" and {len(begins) - INTERVALS_TOLD} times more" * (len(begins) > INTERVALS_TOLD)
     note = f"repeats its values to the last bit from {where} of its clock, though it has noise elsewhere: "
-    if at_rest(said):
+    if at_rest(keys):
         return samples.noted(note + "at rest, as the file says")
     note += f'not measured then; the key "{REPEATS}: {AT_REST}" says that it stood still'
     return replace(samples, frozen=flags).noted(note)
@@ -86,7 +87,7 @@ def with_frozen(samples: LogSamples, things: Sequence[Values], said: Fields) -> 
 
 @dataclass
 class Repeats:
-    """``frozen`` of a stream, sample by sample."""
+    """``frozen`` for a live stream, sample by sample."""
 
     _block: list[tuple[float, ...]] = field(default_factory=list)
     _last: tuple[float, ...] = ()
@@ -98,9 +99,9 @@ class Repeats:
     _longest: tuple[int, int] = 0, 0  # row, and when it began, that was not told
 
     def since(self, time_ns: int, values: tuple[float, ...]) -> int | None:
-        """Return since when the stream repeats ``values``, which came at ``time_ns``; None: it need not.
+        """Return when the stream began to repeat ``values``, which came at ``time_ns``; None if not frozen.
 
-        A stream that repeated its values before it was known to have noise is told once, when it is known.
+        A stream may repeat values before its noise is known. The first call after that reports it once.
         """
         self._samples += 1
         if values == self._last:

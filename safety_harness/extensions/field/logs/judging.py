@@ -1,4 +1,4 @@
-"""A log as one judged run, as commands and tests take it."""
+"""A log as one judged run, for commands and tests."""
 
 from __future__ import annotations
 
@@ -13,14 +13,20 @@ from safety_harness.scenario.model import Claim
 
 
 def recorded(path: str | Path, claims: Sequence[Claim] = ()) -> Recorded:
-    """The log that a LOG.yaml describes, as a trace; ``claims`` in place of its own.
+    """Return the trace of the log that a LOG.yaml describes.
 
-    InputError with its place for whatever of it cannot be used.
+    Args:
+        path: The LOG.yaml.
+        claims: The claims to judge in place of the log's own. Empty: its own.
+
+    Raises:
+        InputError: Any part of it cannot be used; the error has its place.
+
     """
     log = read_log(path)
-    found = trace_of(log)
+    result = trace_of(log)
     if claims:
-        scenario = replace(found.trace.scenario, claims=tuple(claims))
-        found = replace(found, trace=replace(found.trace, scenario=scenario))
-        refuse_retreat_while_servoing(found.trace, log)
-    return found
+        scenario = replace(result.trace.scenario, claims=tuple(claims))
+        result = replace(result, trace=replace(result.trace, scenario=scenario))
+        refuse_retreat_while_servoing(result.trace, log)
+    return result

@@ -1,6 +1,6 @@
-"""MCAP files of any profile but ROS 2's: their channels, and the bytes of their messages, in order.
+"""MCAP files of any profile besides ROS 2's: their channels, and the bytes of their messages, in order.
 
-Their pieces are read by the functions of ``rosbags``.
+The functions of ``rosbags`` read the pieces of a file.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FORMATS = {"ros2msg": "MSG", "ros1msg": "MSG", "ros2idl": "IDL", "omgidl": "IDL"
 
 
 class McapFile:
-    """As the readers of ``rosbags``: ``connections`` once it is open, and ``messages`` of some of them."""
+    """A reader like the readers of ``rosbags``: ``connections`` once it is open, and ``messages``."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
@@ -67,7 +67,7 @@ class McapFile:
 
     def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
         """Yield the connection, the time of receipt [ns] and the bytes of each message."""
-        wanted = {one.id: one for one in connections}
+        wanted = {link.id: link for link in connections}
         for kind, record in self._records():
             if kind == MESSAGE:
                 number, _, received_ns, _ = unpack("<HIQQ", record.read(22))
@@ -75,7 +75,7 @@ class McapFile:
                     yield wanted[number], received_ns, record.read()
 
     def _records(self) -> Iterator[tuple[int, BinaryIO]]:
-        """Yield the kind and body of each record, those of chunks too."""
+        """Yield the kind and body of each record, including the records in chunks."""
         from rosbags.rosbag2.storage_mcap import decompress, read_exact, read_sized, read_string
 
         self._data.seek(len(MAGIC))

@@ -1,4 +1,4 @@
-"""What a controller told of its mode against the motion of the arm."""
+"""A controller's reports of its mode, against the motion of the arm."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ RETREATED_M = 0.01  # farther from the desired position; braking after a retreat
 
 
 def refuse_retreat_while_servoing(trace: Trace, log: CellLog) -> None:
-    """Raise LogError where the arm retreats from a near hand, and its mode is servoing all the while.
+    """Raise LogError where the arm retreats from a near hand while its reported mode is servoing.
 
-    Only a claim on the desired pose takes the arm to be on the way there.
-    Servoing brings the TCP nearer to the desired position.  One that certainly goes away from it, and from a
-    hand at about the critical distance, gives way.
+    The check applies only with a claim on the desired pose, which assumes that the arm is on its way there.
+    Servoing brings the TCP nearer to the desired position. A TCP that certainly moves away from it, and from
+    a hand at about the critical distance, retreats.
     """
     known, ticks, stream = trace.known, trace.ticks, log.told.mode
-    aims = any(entry.understands(one.sentence) for one in trace.scenario.claims for entry in OF_THE_GOAL)
+    aims = any(entry.understands(claim.sentence) for claim in trace.scenario.claims for entry in OF_THE_GOAL)
     if not aims or stream is None or known.missing([TCP, HAND]) or not trace.scenario.hands:
         return
     servoing = known.measured("mode", ticks) & (ticks["mode"] == Mode.SERVOING)

@@ -1,4 +1,4 @@
-"""The log of a real cell as data: what was recorded, on which clocks, and what its owner says of it."""
+"""The log of a real cell as data: its recordings, its clocks, and its owner's statements."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from safety_harness.extensions.field.logs.told import Told
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.robots import AnyRobot
 
-JOINTS_KNOWN_TO_RAD = np.radians(0.1)
-JOINTS_LONGEST_GAP_S = 0.1
+JOINTS_KNOWN_TO_RAD = np.radians(0.1)  # without a statement in LOG.yaml
+JOINTS_LONGEST_GAP_S = 0.1  # without a statement in LOG.yaml
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointFacts:
-    """What is said of the joints; ``move_at_most_radps`` is (joints,), None is not said.
+    """The statements on the joints; ``move_at_most_radps`` is (joints,), and None means no statement.
 
-    ``at_rest``: values that repeat to the last bit are those of a joint that stands still.
+    ``at_rest`` is true if values that repeat to the last bit come from a joint that stands still.
     """
 
     known_to_rad: float
@@ -34,7 +34,7 @@ class JointFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class HandFacts:
-    """What is said of the hands, all of them; ``known_to_m`` is inf where each sample says it."""
+    """The statements on all hands; ``known_to_m`` is inf where each sample has its own uncertainty."""
 
     known_to_m: float
     moves_at_most_mps: float
@@ -44,10 +44,10 @@ class HandFacts:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One hand: its own samples and those of its elbow, if these were recorded.
+    """One hand: its own samples, and its elbow's samples if the log has them.
 
-    Positions (n, 3) are in the base frame, times on the clock of the hands.  ``forearm`` is False for a hand
-    that has none: then the hand alone is judged.
+    Positions (n, 3) are in the base frame, times on the clock of the hands. ``forearm`` is False for a hand
+    without a forearm, whose verdicts concern the hand alone.
     """
 
     name: str
@@ -58,9 +58,10 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class TcpCheck:
-    """The TCP's own samples, at most ``apart_m`` from where the joints have it, of ``within_m`` allowed.
+    """The TCP's own samples, at most ``apart_m`` from the TCP by the joints, where ``within_m`` is allowed.
 
-    Of the ``unseen`` joints another zero position would not have shown; ``unit``: another one would have.
+    A wrong zero position of the ``unseen`` joints would not have shown. ``unit`` is true if a wrong unit of
+    angles would have shown.
     """
 
     samples: LogSamples
@@ -72,15 +73,28 @@ class TcpCheck:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellLog:
-    """A log that was read.
+    """A log after reading.
 
-    ``joints``: values (n, 2 j), positions and then velocities of the arm's joints, NaN where none was told,
-    on the clock of the joints, from which everything is counted.  ``hands_ahead_ns`` is by how much the clock
-    of the hands shows more, known to ``clock_known_to_s``.  ``period_ns`` is from tick to tick of the trace.
-    ``said`` is the file, from which the scenario's own keys are still to be read; ``told`` is the
-    controller's own word; ``tcp`` is where the log itself has the TCP.  Bodies beside the hands in their
-    streams are ``left_out`` by the file, or ``unmapped``: then another hand may be there.  ``unused`` are the
-    columns, topics and joints of its files that nothing reads.
+    Args:
+        name: The name of the log.
+        file: The LOG.yaml, None if it is not a file.
+        said: The file's tree, from which the reader still takes the scenario's own keys.
+        robot: The arm.
+        joints: Values (n, 2 j), positions and then velocities of the arm's joints [rad, rad/s], NaN for a
+            missing value. Their clock is the reference.
+        joint_facts: The statements on the joints.
+        hands: The hands.
+        hand_facts: The statements on the hands, None without hands.
+        hands_ahead_ns: The lead of the hands' clock over the joints' clock.
+        clock_known_to_s: The uncertainty of that lead.
+        period_ns: The period of the trace's ticks.
+        files: All files that were read.
+        told: The controller's own reports.
+        left_out: Bodies beside the hands in their streams that the file leaves out.
+        unmapped: Bodies beside the hands without a statement in the file. Another hand may be among them.
+        tcp: The check of the log's own TCP, None without one.
+        unused: The columns, topics and joints in the files that the reader does not use.
+
     """
 
     name: str
@@ -103,20 +117,26 @@ class CellLog:
 
     @property
     def origin_ns(self) -> int:
-        """When the trace begins, on the clock of the joints: at their first sample."""
+        """The beginning of the trace on the clock of the joints: their first sample."""
         return int(self.joints.time_ns[0])
 
     @property
     def ticks(self) -> int:
-        """How many ticks it has: up to the last sample of the joints."""
+        """The number of ticks up to the last sample of the joints."""
         return int((self.joints.time_ns[-1] - self.origin_ns) // self.period_ns) + 1
 
     @property
     def period_s(self) -> float:
-        """From tick to tick."""
+        """The period of the ticks [s]."""
         return self.period_ns / NS
 
     def seconds(self, samples: LogSamples, *, of_hands: bool = False) -> NDArray[np.float64]:
-        """(n,) the times of samples since the trace begins."""
+        """Return (n,) the times of samples since the trace begins [s].
+
+        Args:
+            samples: The samples.
+            of_hands: True if they are on the hands' clock.
+
+        """
         by_ns = self.hands_ahead_ns if of_hands else 0
         return np.asarray((samples.time_ns - by_ns - self.origin_ns) / NS)

@@ -1,7 +1,7 @@
-"""How far from a straight line between samples a thing can have been: the bounds of docs/logs.md.
+"""Bounds on the distance between a thing and the straight line between its samples (docs/logs.md).
 
-Every function takes the samples of one thing on the trace's clock, and gives what is straight between them at
-the ticks, and within how much of that the true one was, at a tick and up to those beside it.
+Every function takes the samples of one thing on the trace's clock. It gives the bound at each tick, for the
+time from the tick before to the tick after.
 """
 
 from __future__ import annotations
@@ -22,23 +22,24 @@ ROUNDING_M = 1e-5  # of stored paths, in micrometres and nanoseconds
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """``within`` (n,) of each tick, up to those beside it; 0 in ``gaps``, where nothing is known."""
+    """The bound ``within`` (n,) at each tick, up to its neighbours; 0 in the unknown ``gaps``."""
 
     within: Floats
     gaps: tuple[tuple[int, int], ...]
 
     def known_gaps(self, hand: int | None = None) -> tuple[Gap, ...]:
-        """As a trace has them."""
+        """Return the gaps in the form of a trace."""
         return tuple(Gap(first=first, after=after, hand=hand) for first, after in self.gaps)
 
 
 def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floats | float) -> Floats:
-    """(m,) how far a body may be from the line between two samples, ``way_m`` (m,), ``step_s`` (m,) apart.
+    """Return (m,) how far a body may be from the line between samples, ``way_m`` and ``step_s`` (m,) apart.
 
-    From the true places x and y, T apart in time, at most v T apart: at the fraction w of the time the body
-    is within v w T of x and within v (1 - w) T of y, so within (w (1 - w) (v^2 T^2 - |x - y|^2))^(1/2) of the
-    point at w of the straight line, which is largest in the middle.  That line is within ``sample_m`` (m,) of
-    the one between the samples, and |x - y| at least 2 ``sample_m`` less than what they are apart.
+    Let x and y be the true places, T the time between them, and v the largest speed, so |x - y| <= v T. At
+    the fraction w of the time the body is within v w T of x and within v (1 - w) T of y. So it is within (w
+    (1 - w) (v^2 T^2 - |x - y|^2))^(1/2) of the point at w of the straight line, which is largest in the
+    middle. That line is within ``sample_m`` (m,) of the line between the samples, and |x - y| is at least
+    their distance less 2 ``sample_m``.
     """
     true_m = np.maximum(way_m - 2.0 * sample_m, 0.0)
     slack2 = np.maximum((most_mps * step_s) ** 2 - true_m**2, 0.0)
@@ -48,12 +49,12 @@ def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floa
 def joint_off_rad(
     slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample_rad: float
 ) -> Floats:
-    """(m,) the same of joints that turn evenly from sample to sample, the largest of all.
+    """Return (m,) the same for joints that turn evenly from sample to sample, the largest of all joints.
 
     ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).
 
-    By a bound a on the acceleration at most a T^2/8; by one v on the speed at most T (v^2 - s^2)/(2 v), with
-    the mean speed s: up as fast as may be, and down again.
+    A bound a on the acceleration gives a T^2/8. A bound v on the speed gives T (v^2 - s^2)/(2 v), with the
+    mean speed s: as fast as possible in one direction, then back.
     """
     if hardest is not None:
         return np.asarray(hardest * step_s**2 / 8.0 + sample_rad)
@@ -64,35 +65,45 @@ def joint_off_rad(
 def rate_off(
     slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample: float
 ) -> Floats:
-    """(m,) how far a joint's speed may be from its mean from sample to sample, the largest of all.
+    """Return (m,) how far a joint's speed may be from its mean between samples, the largest of all joints.
 
     ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).
 
-    At the ends of T by a T/2, as the mean is that of a line at worst; and both samples may be off.
+    At the ends of T it is a T/2, since at worst the speed is a line about its mean. Both samples may be off
+    too.
     """
-    off = 2.0 * sample / step_s
+    off_by = 2.0 * sample / step_s
     if hardest is not None:
-        return np.asarray(off + hardest * step_s / 2.0)
-    return np.asarray(np.maximum(off, 0.0) + (np.abs(slope) + most).max(axis=1))
+        return np.asarray(off_by + hardest * step_s / 2.0)
+    return np.asarray(np.maximum(off_by, 0.0) + (np.abs(slope) + most).max(axis=1))
 
 
 def over_ticks(
     time_ns: NDArray[np.int64],
-    off: Floats,
+    off_by: Floats,
     *,
     longest_ns: int,
     period_ns: int,
     count: int,
     frozen: NDArray[np.bool_] | None = None,
 ) -> Reach:
-    """From bounds ``off`` (m,) between samples at ``time_ns`` (m + 1,) to the ``count`` ticks.
+    """Return the bounds at ticks from bounds between samples.
 
-    A tick has the largest bound of what touches the period before or after it.  Between samples farther apart
-    than ``longest_ns``, and up to one that is ``frozen`` (m + 1,), nothing is known: at the ticks between
-    them, at that before them if there are none, as the way from a lost tick is lost too, and at one with a
-    sample that has such gaps on both sides.
+    A tick has the largest bound of all intervals that touch the period before or after it. An interval is
+    lost if it is longer than ``longest_ns`` or ends at a ``frozen`` sample. The ticks within a lost interval
+    are lost. If a lost interval contains no tick, the tick before it is lost, as the way from a lost tick is
+    lost too. A tick with a sample between two lost intervals is lost as well.
+
+    Args:
+        time_ns: The times (m + 1,) of the samples since tick 0.
+        off_by: The bounds (m,) between samples.
+        longest_ns: The longest allowed gap.
+        period_ns: The period of the ticks.
+        count: The number of ticks.
+        frozen: (m + 1,) true for a sample that repeats the previous one. None: all false.
+
     """
-    within, told, lost = np.zeros(count), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+    within, bounded, lost = np.zeros(count), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
     begin, end = time_ns[:-1], time_ns[1:]
     known = end - begin <= longest_ns
     if frozen is not None:
@@ -102,27 +113,27 @@ def over_ticks(
     spread = last - first
     for step in range(int(spread[known].max(initial=-1)) + 1):
         some = known & (spread >= step)
-        np.maximum.at(within, first[some] + step, off[some])
-        told[first[some] + step] = True
-    before, after = begin[~known] // period_ns, -(-end[~known] // period_ns)
-    for one, other in zip(before.tolist(), after.tolist(), strict=True):
-        lost[max(one + (other - one > 1), 0) : max(other, 0)] = True
-    ends, which = np.divmod(np.concatenate([begin[~known], end[~known]]), period_ns)
-    ends = ends[(which == 0) & (ends >= 0) & (ends < count)]
-    lost[ends[~told[ends]]] = True
+        np.maximum.at(within, first[some] + step, off_by[some])
+        bounded[first[some] + step] = True
+    last_before, first_after = begin[~known] // period_ns, -(-end[~known] // period_ns)
+    for left, right in zip(last_before.tolist(), first_after.tolist(), strict=True):
+        lost[max(left + (right - left > 1), 0) : max(right, 0)] = True
+    ends, rest = np.divmod(np.concatenate([begin[~known], end[~known]]), period_ns)
+    ends = ends[(rest == 0) & (ends >= 0) & (ends < count)]
+    lost[ends[~bounded[ends]]] = True
     within[lost] = 0.0
     return Reach(within, tuple((int(a), int(b)) for a, b in zip(*runs_of(lost), strict=True)))
 
 
 def known_beyond_ns(longest_ns: int) -> int:
-    """Return how long before its first sample and after its last one a thing is known."""
+    """Return how long before its first and after its last sample a thing is known."""
     return longest_ns // 2
 
 
 def beyond_end(away_ns: FloatOrFloats, *, most: float, sample: float, period_ns: int) -> FloatOrFloats:
     """Return how far a thing may be at ticks ``away_ns`` from its first or last sample.
 
-    The tick beside the end is as far off as the sample can be from it, and so is the one before or after.
+    The tick beside the end is as far off as the sample can be from it, and so is its neighbour.
     """
     return most * (away_ns + period_ns) / 1e9 + sample
 
@@ -130,16 +141,16 @@ def beyond_end(away_ns: FloatOrFloats, *, most: float, sample: float, period_ns:
 def from_ends(
     reach: Reach, first_ns: int, last_ns: int, *, most: float, sample: float, longest_ns: int, period_ns: int
 ) -> Reach:
-    """And of the ticks before the first sample and after the last, as far as half the longest gap."""
+    """Return the bounds with ticks before the first and after the last sample, up to half the longest gap."""
     count, within, gaps = len(reach.within), reach.within.copy(), list(reach.gaps)
     ticks = np.arange(count) * period_ns
     away_ns = np.maximum(first_ns - ticks, ticks - last_ns)
     outside = away_ns > 0
-    beyond = away_ns > known_beyond_ns(longest_ns)
+    too_far = away_ns > known_beyond_ns(longest_ns)
     reachable = beyond_end(away_ns.astype(np.float64), most=most, sample=sample, period_ns=period_ns)
-    near = (away_ns > -period_ns) & ~beyond
+    near = (away_ns > -period_ns) & ~too_far
     within = np.where(near, np.maximum(within, reachable), within)
-    for side in (outside & (ticks < first_ns) & beyond, outside & (ticks > last_ns) & beyond):
+    for side in (outside & (ticks < first_ns) & too_far, outside & (ticks > last_ns) & too_far):
         where = np.flatnonzero(side)
         if len(where):
             gaps.append((int(where[0]), int(where[-1]) + 1))

@@ -1,6 +1,6 @@
-"""LOG.yaml: which streams, on which clocks, in which frames and units, and how well they are known.
+"""LOG.yaml: the streams, their clocks, frames and units, and their uncertainties.
 
-The keys that a scenario has too (robot, settings, obstacles, claims) are read as a scenario's are, when the
+The keys that a scenario has too (robot, settings, obstacles, claims) are read like a scenario's, when the
 trace is made.
 """
 
@@ -93,29 +93,42 @@ OF_TCP = ("known to", FORMAT, "frame", "unit", "time", REPEATS)
 NOT_MEASURED, NO_FOREARM, BASE, ELBOW = "not measured", "none", "base", "elbow"
 DEG, MM = ("deg", 180.0 / np.pi), ("mm", 1e3)
 FIELD = "a column after the track's name, or the path of a field"
-PERIOD_STEP_NS, SHORTEST_PERIOD_NS, LONGEST_PERIOD_NS = 100_000, 1_000_000, 50_000_000
+PERIOD_STEP_NS, SHORTEST_PERIOD_NS, LONGEST_PERIOD_NS = 100_000, 1_000_000, 50_000_000  # of the ticks
 
 
 def read_log(path: str | Path, *, align: bool = False) -> CellLog:
-    """The log that a file describes; an InputError with its place for whatever cannot be used.
+    """Return the log that a file describes.
 
-    ``align``: its clocks need not be said, and all of its hands is read.
+    Args:
+        path: The LOG.yaml.
+        align: True to read all of its hands, without a stated clock.
+
+    Raises:
+        InputError: Any part of it cannot be used; the error has its place.
+
     """
     file = Path(path)
     return log_of(said_in(file), name=file.stem, align=align)
 
 
 def said_in(file: Path) -> Field:
-    """What a LOG.yaml says, before any of it is read; LogError for what is none."""
+    """Return the tree of a LOG.yaml before any of it is read; LogError for another file."""
     refuse_other_kind(file, FileKind.LOG, error=LogError)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=LogError)
     text = decode(data, most=MAX_BYTES, file=file, error=LogError)
     return Field(parse_tree(text, file), file, path="", line=1)
 
 
-def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
-    """As ``read_log``, of a file that is a tree already; ``align``: its clocks need not be said."""
-    given = said.fields(KEYS)
+def log_of(tree: Field, *, name: str, align: bool = False) -> CellLog:
+    """Return the log that a tree describes.
+
+    Args:
+        tree: The tree of the LOG.yaml.
+        name: The name of the log.
+        align: As for ``read_log``.
+
+    """
+    given = tree.fields(KEYS)
     robot = read_robot(given.optional("robot") or Robot.UR10, {})
     refuse_unenclosed(robot)
     streams = given.required("log").fields(OF_LOG)
@@ -139,17 +152,17 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
         key = "hands" if "hands" in given else "clock"
         raise given.required(key).error("a stream of hands below log", got="none", hint="log: {hands: FILE}")
     clock_ns = None if hand_facts is None else ahead_ns
-    told = (
+    reports = (
         Told()
         if align
-        else reading.told(ToldClock(hands_ahead_ns=clock_ns, hands_known_to_ns=round(known_to_s * NS)))
+        else reading.reports(ToldClock(hands_ahead_ns=clock_ns, hands_known_to_ns=round(known_to_s * NS)))
     )
     left_out, unmapped = ((), ()) if hand_facts is None else reading.neither(of_hands, bodies)
     tcp = reading.tcp(joints, facts, robot)
-    found = CellLog(
+    log = CellLog(
         name=name,
-        file=said.file,
-        said=said,
+        file=tree.file,
+        said=tree,
         robot=robot,
         joints=joints,
         joint_facts=facts,
@@ -158,21 +171,21 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
         hands_ahead_ns=ahead_ns,
         clock_known_to_s=known_to_s,
         period_ns=period_ns,
-        files=tuple(dict.fromkeys(one for source in reading.sources for one in source.files)),
-        told=told,
+        files=tuple(dict.fromkeys(file for source in reading.sources for file in source.files)),
+        told=reports,
         left_out=left_out,
         unmapped=unmapped,
         tcp=tcp,
         unused=reading.unused((*left_out, *unmapped)),
     )
-    if found.ticks < 2:
+    if log.ticks < 2:
         raise streams.required("joints").error("two control periods of joints, at least", got="less")
-    return found
+    return log
 
 
 @dataclass
 class _Reading:
-    """Reads the streams that a file names, the joints first."""
+    """A reader of the streams that a file names, the joints first."""
 
     given: Fields
     streams: Fields
@@ -184,38 +197,38 @@ class _Reading:
         self.bodies_seen: set[str] = set()
 
     def joints(self) -> LogSamples:
-        """(n, 2 j) positions and velocities."""
+        """Return (n, 2 j) positions and velocities."""
         source = self._source(self.streams.required("joints"))
-        said = said_of_joints(self.given)
-        names = _names(said.optional("names"), self.arm)
-        rtde = _is_of_rtde(said, source)
+        keys = said_of_joints(self.given)
+        names = _names(keys.optional("names"), self.arm)
+        rtde = _is_of_rtde(keys, source)
         window = [self._seconds(key) for key in ("from", "to")]
 
         def begin(first_ns: int) -> list[int | None]:
             return [None if at_s is None else first_ns + round(at_s * NS) for at_s in window]
 
-        collector = Collector(source, 2 * len(names), begin=begin, unstamped_before=self._from)
-        unit = said.optional("unit")
+        collector = Collector(source, 2 * len(names), begin=begin, unstamped_before=self._chooses_begin)
+        unit = keys.optional("unit")
         if source.is_bag:
-            angle = ANGLE_UNITS[_word(unit, ANGLE_UNITS)] if unit else 1.0
-            read_joints(source, collector, names, time=_time(said), angle=angle)
+            angle = ANGLE_UNITS[_unit_of(unit, ANGLE_UNITS)] if unit else 1.0
+            read_joints(source, collector, names, time=_time(keys), angle=angle)
         else:
             header = header_of(source)
-            word, when = _word(unit, ANGLE_UNITS) if unit else None, _said(said.optional("time"))
+            label, when = _unit_of(unit, ANGLE_UNITS) if unit else None, _time_text(keys.optional("time"))
             columns, rate = [(f"{source.what}{name}",) * 2 for name in names], None
             if rtde:
-                word, rate, when = word or "rad", "radps", when or RTDE_TIME
-                stems = [f"{source.what}{one}" for one in RTDE_JOINTS]
+                label, rate, when = label or "rad", "radps", when or RTDE_TIME
+                stems = [f"{source.what}{col}" for col in RTDE_JOINTS]
                 columns = [(f"{stems[0]}{k}", f"{stems[1]}{k}") for k in range(len(names))]
-            at = [required_column(source, header, one, ANGLE_UNITS, word) for one, _ in columns]
-            rates = [optional_column(source, header, one, RATE_UNITS, rate, bare=False) for _, one in columns]
+            at = [required_column(source, header, col, ANGLE_UNITS, label) for col, _ in columns]
+            rates = [optional_column(source, header, col, RATE_UNITS, rate, bare=False) for _, col in columns]
             time = time_column(source, header, when)
             read_table(Table(*time, (*at, *rates)), collector)
         samples = collector.samples()
-        return joints_checked(with_frozen(samples, [*samples.values.T[: len(names), :, None]], said), names)
+        return joints_checked(with_frozen(samples, [*samples.values.T[: len(names), :, None]], keys), names)
 
     def with_facts(self, joints: LogSamples) -> tuple[LogSamples, JointFacts]:
-        """Check the joints against what is said of them; return both, the joints without wraps."""
+        """Check the joints against their facts; return both, with the joints' wraps removed."""
         facts = facts_of_joints(said_of_joints(self.given), self.arm)
         joints = noted_beyond_ends(the_short_way(joints, facts, self.arm), self.arm)
         refuse_jumping_joints(joints, facts, self.arm.joint_names)
@@ -230,7 +243,15 @@ class _Reading:
     def bodies(
         self, joints: LogSamples, of_hands: Fields, ahead_ns: int, slack_ns: int | None
     ) -> tuple[Body, ...]:
-        """The hands, whose clock is ahead by so much, ``slack_ns`` longer than the joints (None: all)."""
+        """Return the hands.
+
+        Args:
+            joints: The joints, for the window of time.
+            of_hands: The keys below "hands".
+            ahead_ns: The lead of the hands' clock.
+            slack_ns: The time before and after the joints that is read too. None: all of it.
+
+        """
         window = (None, None)
         if slack_ns is not None:
             begin, end = int(joints.time_ns[0]), int(joints.time_ns[-1])
@@ -241,15 +262,15 @@ class _Reading:
         hands = field.entries("hands by their names") if named else (("hand", field),)
         if not hands:
             raise field.error("a hand at least")
-        known, found = of_hands.required("known to"), []
+        known, result = of_hands.required("known to"), []
         bound = sample_bound(known) if isinstance(known.node, Mapping) else None
-        told = of_hands.optional("speeds")
-        speeds = None if told is None else told.fields(("known to", "field"))
-        for name, one in hands:
+        speed_keys = of_hands.optional("speeds")
+        speeds = None if speed_keys is None else speed_keys.fields(("known to", "field"))
+        for name, item in hands:
             own = forearm
             if isinstance(forearm.node, Mapping):
                 own = forearm.fields(tuple(name for name, _ in hands)).required(name)
-            hand = self._positions(one, of_hands, window, bound=bound, speeds=speeds)
+            hand = self._positions(item, of_hands, window, bound=bound, speeds=speeds)
             if speeds is not None and hand.speeds_mps is not None:
                 off_m = known.quantity(LENGTH) if hand.known_to_m is None else float(hand.known_to_m.max())
                 of_both = off_m, speeds.required("known to").quantity(SPEED, least=0.0)
@@ -260,34 +281,34 @@ class _Reading:
                 there = own.node.text == NOT_MEASURED
             else:
                 elbow = self._positions(own, of_hands, window, bound=bound)
-            found.append(Body(name, hand, elbow, there))
-        refuse_the_same([one for body in found for one in (body.hand, body.elbow) if one is not None])
-        return tuple(found)
+            result.append(Body(name, hand, elbow, there))
+        refuse_the_same([item for body in result for item in (body.hand, body.elbow) if item is not None])
+        return tuple(result)
 
     def tcp(self, joints: LogSamples, facts: JointFacts, robot: AnyRobot) -> TcpCheck | None:
-        """Where the log itself has the TCP, on the clock of the joints, which they have to lead to."""
+        """Return the check of the log's own TCP, on the clock of the joints; None if the log has none."""
         if TCP not in self.streams:
             if TCP in self.given:
                 hint = "log: {tcp: FILE#TRACK}"
                 raise self.given.required(TCP).error("a stream of tcp below log", got="none", hint=hint)
             return None
-        said, bodies = self.given.required(TCP).fields(OF_TCP), self.bodies_seen.copy()
-        known_to_m = said.required("known to").quantity(LENGTH, least=0.0)
+        keys, bodies = self.given.required(TCP).fields(OF_TCP), self.bodies_seen.copy()
+        known_to_m = keys.required("known to").quantity(LENGTH, least=0.0)
         window = int(joints.time_ns[0]), int(joints.time_ns[-1])
-        found = self._positions(self.streams.required(TCP), said, window)
+        samples = self._positions(self.streams.required(TCP), keys, window)
         self.bodies_seen = bodies
-        return checked_tcp(found, known_to_m, joints, facts, robot)
+        return checked_tcp(samples, known_to_m, joints, facts, robot)
 
     def unused(self, bodies: tuple[str, ...]) -> tuple[str, ...]:
-        """What its files have beside what was read, but for ``bodies``, which are told already."""
+        """Return the unused parts of the files, without ``bodies``, which have their own notes."""
         seen, used = (
-            {f"{one.file.name}#{name}" for one in self.sources for name in (one.seen, one.used)[k]}
+            {f"{item.file.name}#{name}" for item in self.sources for name in (item.seen, item.used)[k]}
             for k in range(2)
         )
-        return tuple(sorted(one for one in seen - used if not one.startswith(bodies)))
+        return tuple(sorted(item for item in seen - used if not item.startswith(bodies)))
 
-    def told(self, clock: ToldClock) -> Told:
-        """What the controller said."""
+    def reports(self, clock: ToldClock) -> Told:
+        """Return the controller's reports."""
         names = _names(said_of_joints(self.given).optional("names"), self.arm)
 
         def placed(frame: Field, samples: LogSamples, first: int) -> LogSamples:
@@ -297,111 +318,111 @@ class _Reading:
             )
             return replace(samples, values=values)
 
-        def positions(field: Field, said: Fields) -> LogSamples:
-            return self._positions(field, said, (None, None), keep=True)
+        def positions(field: Field, keys: Fields) -> LogSamples:
+            return self._positions(field, keys, (None, None), keep=True)
 
         return read_told(self.given, self.streams, names, clock, self._source, positions, placed, self._given)
 
     def _positions(
         self,
         field: Field,
-        said: Fields,
+        keys: Fields,
         window: tuple[int | None, int | None],
         *,
         keep: bool = False,
         bound: SampleBound | None = None,
         speeds: Fields | None = None,
     ) -> LogSamples:
-        """Of a body, in the base frame; ``keep`` those samples in which it is nowhere."""
+        """Return the positions of a body in the base frame; ``keep`` samples without a position."""
         source = self._source(field)
         width = 3 + (bound is not None) + 3 * (speeds is not None)
-        collector = Collector(source, width, *window, least=2 - keep, unstamped_before=self._from)
+        collector = Collector(source, width, *window, least=2 - keep, unstamped_before=self._chooses_begin)
         read = self._read_bag if source.is_bag else self._read_table
-        return positions_checked(read(collector, said, keep, bound, speeds), keep)
+        return positions_checked(read(collector, keys, keep, bound, speeds), keep)
 
     def _read_bag(
-        self, into: Collector, said: Fields, keep: bool, bound: SampleBound | None, speeds: Fields | None
+        self, into: Collector, keys: Fields, keep: bool, bound: SampleBound | None, speeds: Fields | None
     ) -> LogSamples:
-        """As ``_positions``, from the messages of a topic."""
-        source, unit = into.source, said.optional("unit")
-        _is_of_rtde(said, source)
-        length = LENGTH_UNITS[_word(unit, LENGTH_UNITS) if unit else "m"]
-        to_base = self._to_base(source, said.optional("frame"))
+        """Return positions as ``_positions`` does, from the messages of a topic."""
+        source, unit = into.source, keys.optional("unit")
+        _is_of_rtde(keys, source)
+        length = LENGTH_UNITS[_unit_of(unit, LENGTH_UNITS) if unit else "m"]
+        to_base = self._to_base(source, keys.optional("frame"))
         path = None if speeds is None else speeds.required("field").sentence(FIELD)
-        read_positions(source, into, _time(said), length, to_base, halves=not keep, bound=bound, speeds=path)
+        read_positions(source, into, _time(keys), length, to_base, halves=not keep, bound=bound, speeds=path)
         index = "" if source.index is None else f"[{source.index}]"
         path = f":{source.path.lstrip('/')}" if source.path else ""
         self._saw(source, f"{source.topic}{index}{path}", set() if keep else into.bodies)
-        found = with_bounds(into.samples(), speeds=speeds is not None)
-        return found if keep else with_frozen(found, [found.values], said)
+        samples = with_bounds(into.samples(), speeds=speeds is not None)
+        return samples if keep else with_frozen(samples, [samples.values], keys)
 
     def _read_table(
-        self, into: Collector, said: Fields, keep: bool, bound: SampleBound | None, speeds: Fields | None
+        self, into: Collector, keys: Fields, keep: bool, bound: SampleBound | None, speeds: Fields | None
     ) -> LogSamples:
-        """As ``_positions``, from the columns of a table."""
-        source, unit, frame = into.source, said.optional("unit"), said.optional("frame")
-        word, when = _word(unit, LENGTH_UNITS) if unit else None, _said(said.optional("time"))
+        """Return positions as ``_positions`` does, from the columns of a table."""
+        source, unit, frame = into.source, keys.optional("unit"), keys.optional("frame")
+        label, when = _unit_of(unit, LENGTH_UNITS) if unit else None, _time_text(keys.optional("time"))
         track, axes, transform = source.what, "xyz", self.arm.transform_seat @ RTDE_BASE
-        if _is_of_rtde(said, source):
-            track, axes, word, when = track or RTDE_TCP, "012", word or "m", when or RTDE_TIME
+        if _is_of_rtde(keys, source):
+            track, axes, label, when = track or RTDE_TCP, "012", label or "m", when or RTDE_TIME
         elif frame is None:
             expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
-            raise said.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
+            raise keys.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
         header = header_of(source)
         track = track or only_track(source, header)
-        at = [required_column(source, header, along(track, axis), LENGTH_UNITS, word) for axis in axes]
-        self._saw(source, track, set() if keep else tracks_of(header, bare=word is not None))
-        rate = said.optional(RATE)
+        at = [required_column(source, header, along(track, axis), LENGTH_UNITS, label) for axis in axes]
+        self._saw(source, track, set() if keep else tracks_of(header, bare=label is not None))
+        rate = keys.optional(RATE)
         rate_hz = None if rate is None else rate.quantity(HERTZ, above=0.0)
         time = time_column(source, header, when, rate_hz)
         if bound is not None:
             stem = along(track, bound.field)
             self._saw(source, stem, set())
-            box = [optional_column(source, header, f"{stem}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
+            box = [optional_column(source, header, f"{stem}_{axis}", LENGTH_UNITS, label) for axis in "xyz"]
             sides = [side for side in box if side is not None]
-            at += sides if len(sides) == 3 else [required_column(source, header, stem, LENGTH_UNITS, word)]
+            at += sides if len(sides) == 3 else [required_column(source, header, stem, LENGTH_UNITS, label)]
         if speeds is not None:
             name = speeds.optional("field")
             stem = track if name is None else along(track, name.sentence(FIELD))
             at += [required_column(source, header, along(stem, axis), SPEED_UNITS, None) for axis in "xyz"]
         into.width = len(at)
         read_table(Table(*time, tuple(at)), into)
-        found = with_bounds(into.samples(), bound, speeds=speeds is not None)
-        found.values[~found.values.any(axis=1)] = np.nan  # zeros: what trackers write for not seen
-        gone = np.isnan(found.values)
+        samples = with_bounds(into.samples(), bound, speeds=speeds is not None)
+        samples.values[~samples.values.any(axis=1)] = np.nan  # zeros: what trackers write for not seen
+        gone = np.isnan(samples.values)
         half = gone.any(axis=1) & ~gone.all(axis=1)
         if keep and half.any():
             expected = "a position, or none of its three numbers"
-            raise found.error(int(np.argmax(half)), expected, str(found.values[half][0].tolist()))
+            raise samples.error(int(np.argmax(half)), expected, str(samples.values[half][0].tolist()))
         if not keep:
-            found = with_frozen(found, [found.values], said)
+            samples = with_frozen(samples, [samples.values], keys)
         transform = transform if frame is None else given_transform(frame)
-        if found.speeds_mps is not None:
-            found = replace(found, speeds_mps=found.speeds_mps @ transform[:3, :3].T)
-        return replace(found, values=found.values @ transform[:3, :3].T + transform[:3, 3])
+        if samples.speeds_mps is not None:
+            samples = replace(samples, speeds_mps=samples.speeds_mps @ transform[:3, :3].T)
+        return replace(samples, values=samples.values @ transform[:3, :3].T + transform[:3, 3])
 
     def _saw(self, source: LogSource, mapped: str, bodies: set[str]) -> None:
-        """A body of a stream, and all those of its messages or columns, by the names of streams."""
+        """Record a stream's body, and all bodies of its messages or columns, by the names of streams."""
         links = {f"/tf:{name}" for name in self.arm.link_names}
         self.mapped.add(f"{source.file.name}#{mapped}")
-        self.bodies_seen |= {f"{source.file.name}#{one}" for one in bodies - links}
+        self.bodies_seen |= {f"{source.file.name}#{body}" for body in bodies - links}
 
     def neither(self, of_hands: Fields, bodies: tuple[Body, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Bodies that the file maps not: those that it leaves out, and those of which it says nothing.
+        """Return the unmapped bodies: those that the file leaves out, and those without a statement.
 
-        Elbows are left out where the file says that a forearm is not measured.
+        Elbows are left out where the file states that a forearm is not measured.
         """
         beside, field = sorted(self.bodies_seen - self.mapped), of_hands.optional("left out")
         items = () if field is None else field.items("streams that no hand is in, such as hands.csv#marker")
         if items and not beside:
             raise items[0].error("a stream beside the hands", hint="all bodies of the messages are mapped")
-        left = {one.one_of({name: name for name in beside}) for one in items}
+        left = {item.one_of({name: name for name in beside}) for item in items}
         if any(body.forearm and body.elbow is None for body in bodies):
             left |= {name for name in beside if ELBOW in name.partition("#")[2].lower()}
         return tuple(sorted(left)), tuple(name for name in beside if name not in left)
 
     def _to_base(self, source: LogSource, frame: Field | None) -> ToBase:
-        """How positions of a bag come to the base frame."""
+        """Return the transform of a bag's positions to the base frame."""
         base = self.arm.link_names[0]
         seat = self.arm.transform_seat
         if frame is None:
@@ -415,7 +436,7 @@ class _Reading:
         return self._given(source, frame)
 
     def _given(self, source: LogSource, frame: Field) -> ToBase:
-        """By the frame that is said, which no header may contradict."""
+        """Return the transform from the stated frame, which no header may contradict."""
         base = self.arm.link_names[0] if np.array_equal(self.arm.transform_seat, np.eye(4)) else BASE
         return by_given(given_transform(frame), frame_name(frame, base), base, source)
 
@@ -425,8 +446,8 @@ class _Reading:
         return source
 
     @property
-    def _from(self) -> bool:
-        """Does the file choose where the log begins?"""
+    def _chooses_begin(self) -> bool:
+        """Does the file choose the beginning of the log?"""
         return "from" in self.streams
 
     def _seconds(self, key: str) -> float | None:
@@ -435,12 +456,12 @@ class _Reading:
 
 
 def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
-    """What the log calls the arm's joints, in their order."""
+    """Return the log's names of the arm's joints, in their order."""
     if field is None:
         return arm.joint_names
-    said = field.fields(arm.joint_names)
+    keys = field.fields(arm.joint_names)
     names = tuple(
-        said.required(name).sentence("what the log calls the joint") if name in said else name
+        keys.required(name).sentence("what the log calls the joint") if name in keys else name
         for name in arm.joint_names
     )
     for at, name in enumerate(names):
@@ -451,7 +472,7 @@ def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
 
 
 def _period_ns(streams: Fields, joints: LogSamples) -> int:
-    """From tick to tick: what is said, or what the joints' samples are apart, to a tenth of a millisecond."""
+    """Return the stated period, or the joints' median interval, rounded to a tenth of a millisecond."""
     field = streams.optional("period")
     if field is not None:
         return round(field.quantity(TIME, least=SHORTEST_PERIOD_NS / NS, most=LONGEST_PERIOD_NS / NS) * NS)
@@ -460,23 +481,23 @@ def _period_ns(streams: Fields, joints: LogSamples) -> int:
     return min(max(rounded, SHORTEST_PERIOD_NS), LONGEST_PERIOD_NS)
 
 
-def _is_of_rtde(said: Fields, source: LogSource) -> bool:
-    """Is it the table that UR's recorder writes?  LogError for a bag, which is none."""
-    field = said.optional(FORMAT)
+def _is_of_rtde(keys: Fields, source: LogSource) -> bool:
+    """Is it the table of UR's recorder? LogError for a bag, which cannot be one."""
+    field = keys.optional(FORMAT)
     if field is not None and field.one_of({"rtde": True}) and source.is_bag:
         raise field.error("a table of the UR recorder", got=source.name)
     return field is not None
 
 
-def _word(field: Field, words: dict[str, float]) -> str:
-    return field.one_of({word: word for word in words})
+def _unit_of(field: Field, units: dict[str, float]) -> str:
+    return field.one_of({name: name for name in units})
 
 
-def _said(field: Field | None) -> str | None:
+def _time_text(field: Field | None) -> str | None:
     return None if field is None else field.sentence("the name of a column, with its unit: stamp in ns")
 
 
-def _time(said: Fields) -> str:
-    """Of a bag: by the stamp of each message, or by when it was received."""
-    field = said.optional("time")
-    return STAMP if field is None else field.one_of({one: one for one in (STAMP, RECEIVED)})
+def _time(keys: Fields) -> str:
+    """Return the clock of a bag: the stamp of each message, or the time of its receipt."""
+    field = keys.optional("time")
+    return STAMP if field is None else field.one_of({clock: clock for clock in (STAMP, RECEIVED)})

@@ -1,4 +1,4 @@
-"""Within how much a tracker knows each sample of a body, where it says so beside the sample."""
+"""A tracker's own uncertainty of each sample of a body, where the log has it beside the sample."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ COVARIANCES = (9, 36)  # of a position, or of a pose, row by row
 
 @dataclass(frozen=True)
 class SampleBound:
-    """The ``field`` of a sample that says it, and how many ``times`` as much no sample is off by."""
+    """The ``field`` of a sample with its uncertainty; no sample is off by more than ``times`` as much."""
 
     field: str
     times: float | None
     said: Field
 
     def reach_m(self, numbers: Sequence[float]) -> float:
-        """How far off a sample may be: by a radius, half the sides of a box, or a covariance; NaN for none.
+        """Return how far off a sample may be, by a radius, half a box's sides or a covariance; NaN without.
 
-        Of a box it is the way to its corner, of a covariance ``times`` its largest standard deviation.  A
-        covariance of zeros is what a tracker writes that does not know it.  LogError for another count.
+        For a box it is the distance to its corner, for a covariance ``times`` its largest standard deviation.
+        A tracker writes a covariance of zeros if it does not know it. Raise LogError for another count of
+        numbers.
         """
         values = np.array(numbers, np.float64)
         if len(values) in COVARIANCES:
@@ -48,7 +49,7 @@ class SampleBound:
 
 
 def sample_bound(known: Field) -> SampleBound:
-    """What ``{field: NAME, times: 4}`` says; LogError with its place for what is wrong."""
+    """Return the bound from ``{field: NAME, times: 4}``; LogError with its place for invalid values."""
     given = known.fields(KEYS)
     times = given.optional("times")
     return SampleBound(
@@ -59,7 +60,7 @@ def sample_bound(known: Field) -> SampleBound:
 
 
 def refuse_unbounded(samples: LogSamples) -> None:
-    """LogError at the first sample that was measured without a word on how well."""
+    """Raise LogError at the first measured sample without an uncertainty."""
     assert samples.known_to_m is not None
     lacking = np.isfinite(samples.values).all(axis=1) & ~np.isfinite(samples.known_to_m)
     if lacking.any():

@@ -1,8 +1,9 @@
-"""One stream of a log: which file and what of it, and the samples that stand there, with their places.
+"""One stream of a log: its file and its part of it, and its samples with their places.
 
-A stream is written ``FILE`` or ``FILE#WHAT``: in a table (CSV, Parquet) WHAT is what its columns begin with,
-in a bag (MCAP, ROS) a topic, ``/poses``, with ``[2]`` for one of several and ``:path`` for a field within.
-Times are kept to the nanosecond on the stream's own clock; nothing is sorted, left out or mended.
+A stream is written ``FILE`` or ``FILE#WHAT``. In a table (CSV, Parquet), WHAT is the beginning of its
+columns' names. In a bag (MCAP, ROS) it is a topic, ``/poses``, with ``[2]`` for one of several and ``:path``
+for a field within. Times have nanoseconds on the stream's own clock. The reader does not sort, drop or repair
+samples.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import shown
 
 MOST_SAMPLES = 4_000_000  # of one stream within the window: 400 MB of joints
-SHORTEST_STEP_NS = 1_000
+SHORTEST_STEP_NS = 1_000  # samples nearer in time have one time
 NS = 1e9
 LATEST_S = 3e9  # of a clock, or a time that is said: nanoseconds have room for three of them
 _TOPIC = re.compile(r"(?P<topic>/[^\[\]:]*)(?:\[(?P<index>[0-9]{1,4})\])?(?::(?P<path>.+))?")
@@ -32,9 +33,9 @@ TABLES, BAGS = (".csv", ".parquet"), (".mcap", ".db3", ".bag")
 
 @dataclass(frozen=True)
 class LogSource:
-    """What a log's file says of a stream: the file, and what of it; ``place`` is where that is said.
+    """A stream's file and its part of the file; ``place`` is the place of that statement.
 
-    ``seen`` are the columns, topics and joints that its reader came across, ``used`` those that it took.
+    ``seen`` are the columns, topics and joints that its reader met, ``used`` those that it read.
     """
 
     file: Path
@@ -48,64 +49,64 @@ class LogSource:
 
     @property
     def name(self) -> str:
-        """As messages call it."""
+        """The name of the stream in messages."""
         return f"{self.file.name}#{self.what}" if self.what else self.file.name
 
     @property
     def ending(self) -> str:
-        """Of the file's name, in small letters."""
+        """The ending of the file's name, in lower case."""
         return self.file.suffix.lower()
 
     @property
     def is_bag(self) -> bool:
-        """MCAP or a bag of ROS, and no table?"""
+        """Is it an MCAP file or a bag of ROS, rather than a table?"""
         return bool(self.topic)
 
     @property
     def counts(self) -> str:
-        """What its places are counted in."""
+        """The unit that numbers its places."""
         return "message" if self.is_bag else "line" if self.ending == ".csv" else "row"
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that it reads: of a folder all in it."""
+        """The files that it reads; for a folder, all files in it."""
         if self.file.is_dir():
-            return tuple(sorted(one for one in self.file.iterdir() if one.is_file()))
+            return tuple(sorted(file for file in self.file.iterdir() if file.is_file()))
         return (self.file,)
 
 
-def read_source(said: Field) -> LogSource:
-    """The stream that a text names; LogError for a file of no kind that can be read, or that is not there."""
-    text = said.scalar("a stream: FILE.csv, FILE.parquet#right_hand or FILE.mcap#/topic").strip()
-    parent = said.file.parent if said.file else Path()
-    ends = [at for at, one in enumerate(text) if one == "#"]
+def read_source(stream: Field) -> LogSource:
+    """Return the stream that a text names; LogError for a missing file, or a kind that cannot be read."""
+    text = stream.scalar("a stream: FILE.csv, FILE.parquet#right_hand or FILE.mcap#/topic").strip()
+    parent = stream.file.parent if stream.file else Path()
+    ends = [at for at, letter in enumerate(text) if letter == "#"]
     splits = [(text[:at], text[at + 1 :]) for at in ends] or [(text, "")]
     # a file whose own name has a "#" counts as that file, where it is there
     there = [pair for pair in ((text, ""), *reversed(splits)) if pair[0] and (parent / pair[0]).exists()]
-    name, what = (there or splits)[0]
-    file = located(parent / name, said.place)
+    name, part = (there or splits)[0]
+    file = located(parent / name, stream.place)
     folder, ending = file.is_dir(), file.suffix.lower()
     if not name or (not folder and ending not in (*TABLES, *BAGS)):
         expected = f"a file that ends in {', '.join((*TABLES, *BAGS))}, or the folder of a ROS 2 bag"
-        raise LogError(place=said.place, expected=expected, got=name or "no name")
+        raise LogError(place=stream.place, expected=expected, got=name or "no name")
     if not folder and not file.is_file():
-        raise LogError(place=said.place, expected="a file that can be read", got=f"no such file: {file}")
+        raise LogError(place=stream.place, expected="a file that can be read", got=f"no such file: {file}")
     if not folder and ending in TABLES:
-        return LogSource(file=file, what=what, place=said.place)
-    found = _TOPIC.fullmatch(what)
-    if found is None:
+        return LogSource(file=file, what=part, place=stream.place)
+    match = _TOPIC.fullmatch(part)
+    if match is None:
         expected = (
             "a topic after the file, such as run.mcap#/joint_states, /poses[1] or /tracker:wrist.position"
         )
-        raise LogError(place=said.place, expected=expected, got=what or "none")
-    index = found["index"]
+        raise LogError(place=stream.place, expected=expected, got=part or "none")
+    index = match["index"]
     return LogSource(
         file=file,
-        what=what,
-        place=said.place,
-        topic=found["topic"],
+        what=part,
+        place=stream.place,
+        topic=match["topic"],
         index=None if index is None else int(index),
-        path=found["path"] or "",
+        path=match["path"] or "",
     )
 
 
@@ -113,11 +114,18 @@ def read_source(said: Field) -> LogSource:
 class LogSamples:
     """The samples of a stream within a window, in the order of the file.
 
-    ``time_ns`` (n,) on its own clock; ``values`` (n, k) in SI, NaN where there is none; ``at`` (n,) the line,
-    row or message that each stands in; ``known_to_m`` (n,) within how much
-    each is known, where the log says it of each, NaN where it does not; ``speeds_mps`` (n, 3) are those that
-    the log has beside the positions; ``frozen`` (n,) is where a sample repeats the one before it although
-    the stream has noise.  ``notes`` say what was left out.
+    Args:
+        source: The stream.
+        time_ns: (n,) the times on its own clock.
+        values: (n, k) in SI, NaN where missing.
+        at: (n,) the line, row or message of each sample.
+        known_to_m: (n,) the uncertainty of each sample, NaN where missing. None: the log has no such numbers.
+        speeds_mps: (n, 3) the speeds beside the positions. None: the log has none.
+        frozen: (n,) true where a sample repeats the previous one although the stream has noise. None:
+            nowhere.
+        notes: Notes on omitted parts.
+        span_ns: First and last time of the whole stream, beyond the window too.
+
     """
 
     source: LogSource
@@ -131,40 +139,40 @@ class LogSamples:
     span_ns: tuple[int, int] | None = None  # of the whole stream, beyond the window too
 
     def noted(self, note: str) -> LogSamples:
-        """Return the same with one more word on what was left out."""
+        """Return the samples with one more note on an omitted part."""
         return replace(self, notes=(*self.notes, f"{self.source.name}: {note}"))
 
     @property
     def measured(self) -> LogSamples:
-        """Those that do not repeat frozen ones."""
-        return self if self.frozen is None else self.of(~self.frozen)
+        """The samples without frozen ones."""
+        return self if self.frozen is None else self.chosen(~self.frozen)
 
     def place(self, index: int) -> Place:
-        """Of one sample, for errors."""
+        """Return the place of one sample, for errors."""
         number = int(self.at[index])
         if self.source.counts == "line":
             return Place(file=self.source.file, line=number, field=self.source.what or None)
-        what = f"{self.source.counts} {number}" + (f" of {self.source.what}" if self.source.what else "")
-        return Place(file=self.source.file, field=what)
+        field = f"{self.source.counts} {number}" + (f" of {self.source.what}" if self.source.what else "")
+        return Place(file=self.source.file, field=field)
 
     def error(self, index: int, expected: str, got: str, hint: str = "") -> LogError:
-        """LogError at one sample."""
+        """Return a LogError at one sample."""
         return LogError(place=self.place(index), expected=expected, got=got, hint=hint)
 
     def shifted(self, by_ns: int) -> LogSamples:
-        """The same on a clock that shows ``by_ns`` more."""
+        """Return the samples on a clock that shows ``by_ns`` more."""
         return replace(self, time_ns=self.time_ns + by_ns)
 
-    def of(self, there: NDArray[np.bool_]) -> LogSamples:
-        """Those that are ``there`` (n,)."""
+    def chosen(self, there: NDArray[np.bool_]) -> LogSamples:
+        """Return the samples where ``there`` (n,) is true."""
         names = ("time_ns", "values", "at", "known_to_m", "speeds_mps", "frozen")
-        kept = {name: one[there] for name in names if (one := getattr(self, name)) is not None}
+        kept = {name: array[there] for name in names if (array := getattr(self, name)) is not None}
         return replace(self, **kept)
 
 
 @dataclass
 class Collector:
-    """Takes samples one by one and keeps those from ``begin_ns`` to ``end_ns``; LogError for too many."""
+    """A collector of samples from ``begin_ns`` to ``end_ns``; LogError for too many."""
 
     source: LogSource
     width: int
@@ -191,7 +199,7 @@ class Collector:
         self._unstamped += 1
 
     def add(self, time_ns: int, values: Iterable[float], at: int) -> None:
-        """One more."""
+        """Add one sample."""
         if self.seen == 0 and self.begin is not None:
             self.begin_ns, self.end_ns = self.begin(time_ns)
         self.seen += 1
@@ -213,49 +221,49 @@ class Collector:
         self._at.append(at)
 
     def samples(self) -> LogSamples:
-        """All that were kept; LogError for fewer than ``least``, and for times that do not rise."""
+        """Return the collected samples; LogError for fewer than ``least``, or for times that do not rise."""
         n = len(self._time)
-        found = LogSamples(
+        read = LogSamples(
             self.source,
             np.array(self._time, np.int64),
             np.array(self._values, np.float64).reshape(n, self.width),
             np.array(self._at, np.int64),
         )
         if n < self.least:
-            words = "two samples" if self.least == 2 else "a sample"
+            wanted = "two samples" if self.least == 2 else "a sample"
             got = f"{n} of {self.seen} in the file" if self.seen else "none in the file"
-            expected = f"{words} at least of {self.source.name}"
+            expected = f"{wanted} at least of {self.source.name}"
             raise LogError(place=self.source.place, expected=expected, got=got, hint=self._elsewhere())
-        refuse_disorder(found)
+        refuse_disorder(read)
         if self._unstamped:
             self.notes.append(f'{self._unstamped} samples before "from" have no valid time, and are left out')
         for note in self.notes:
-            found = found.noted(note)
-        return found if n == 0 else replace(found, span_ns=(int(self._first_ns), int(self._last_ns)))
+            read = read.noted(note)
+        return read if n == 0 else replace(read, span_ns=(int(self._first_ns), int(self._last_ns)))
 
     def _elsewhere(self) -> str:
-        """Where the samples are, if none was in the window, or which frames, if none was of the stream's."""
+        """Return a hint: the samples' times outside the window, or the frames besides the stream's own."""
         if not self.seen and self.frames:
             names = sorted(self.frames)
             meant = near_miss(self.source.path.lstrip("/"), names)
             return f"{meant} its messages have the frames {shown(', '.join(names))}".strip()
         if not self.seen or self.begin_ns is None or self.end_ns is None:
             return ""
-        own, asked = (
+        own, span = (
             f"{begin / NS:.3f} to {end / NS:.3f} s"
             for begin, end in ((self._first_ns, self._last_ns), (self.begin_ns, self.end_ns))
         )
-        return f"its times are {own}, those of the joints on its clock {asked}: the offset, or a time's unit?"
+        return f"its times are {own}, those of the joints on its clock {span}: the offset, or a time's unit?"
 
 
 def refuse_disorder(samples: LogSamples) -> None:
-    """LogError at the first sample whose time is not later than that of the one before."""
+    """Raise LogError at the first sample whose time is not later than the previous one."""
     steps = np.diff(samples.time_ns)
     for index in np.flatnonzero(steps < SHORTEST_STEP_NS)[:1].tolist():
-        before, now = (samples.time_ns[i] / NS for i in (index, index + 1))
+        last_s, now_s = (samples.time_ns[i] / NS for i in (index, index + 1))
         twice = abs(int(steps[index])) < SHORTEST_STEP_NS
         same = np.array_equal(samples.values[index], samples.values[index + 1], equal_nan=True)
-        got = f"{now:.9f} s after {before:.9f} s, in {samples.source.counts} {int(samples.at[index])}"
+        got = f"{now_s:.9f} s after {last_s:.9f} s, in {samples.source.counts} {int(samples.at[index])}"
         hint = "sort it by time, in a copy: nothing is sorted here, since it may be two recordings in one"
         if twice:
             hint = "the same sample twice" if same else "two samples of one time that are not the same"

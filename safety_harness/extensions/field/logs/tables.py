@@ -1,7 +1,7 @@
-"""Streams from tables, CSV and Parquet, row by row: columns by what they begin with and the unit they end in.
+"""Streams from tables, CSV and Parquet, by row: columns by the start of their names and a unit at the end.
 
-``right_hand_x_mm`` is the x of the track ``right_hand`` in millimetres.  A column without a unit at its end
-needs the unit said for the whole stream.  An empty cell, or NaN, is a sample that was not measured.
+``right_hand_x_mm`` is the x of the track ``right_hand`` in millimetres. A column without a unit at its end
+needs a stated unit for the whole stream. An empty cell, or NaN, is an unmeasured sample.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _EXACT_BELOW = 1e6  # in a unit of time, up to which a float has enough digits f
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table and what one of it is in SI, or what its ``words`` are as numbers."""
+    """A column of a table with its unit in SI, or with the numbers of its ``words``."""
 
     name: str
     si: float
@@ -49,9 +49,9 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class Table:
-    """Which columns a stream is made of, and its time column with how many nanoseconds one of it is.
+    """The columns of a stream, and its time column with its unit [ns].
 
-    Without a time column, ``time`` is empty, and each line or row is ``time_ns`` after the one before.
+    Without a time column, ``time`` is empty, and each line or row comes ``time_ns`` after the previous one.
     """
 
     time: str
@@ -60,7 +60,7 @@ class Table:
 
 
 def header_of(source: LogSource) -> tuple[str, ...]:
-    """The names of the columns of a table; LogError for a file that has none."""
+    """Return the names of a table's columns; LogError for a file without them."""
     if source.ending == ".parquet":
         with _parquet(source) as file:
             names = tuple(file.schema_arrow.names)
@@ -77,19 +77,28 @@ def header_of(source: LogSource) -> tuple[str, ...]:
 
 
 def time_column(
-    source: LogSource, names: Sequence[str], said: str | None, rate_hz: float | None = None
+    source: LogSource, names: Sequence[str], stated: str | None, rate_hz: float | None = None
 ) -> tuple[str, float]:
-    """The time column, with nanoseconds in one of it: what is ``said``, or ``time_s`` and the like.
+    """Return the time column, with its unit [ns].
 
-    With the rate of a table that has no such column: none, with nanoseconds from row to row.
+    Args:
+        source: The table.
+        names: The names of its columns.
+        stated: The column in LOG.yaml. None: ``time_s`` and the like.
+        rate_hz: The rate of a table without times: then the name is empty, and the unit is the time per row.
+            None: the table has times.
+
+    Raises:
+        LogError: No column fits, several do, or a table with a rate has times.
+
     """
     if rate_hz is not None:
-        got = said or next((name for unit in TIME_UNITS if (name := f"time_{unit}") in names), None)
+        got = stated or next((name for unit in TIME_UNITS if (name := f"time_{unit}") in names), None)
         if got is not None:
             raise _error(source, 'no column of times, where the file says a "rate"', got, line=1)
         return "", NS / rate_hz
-    if said is not None:
-        name, _, unit = said.partition(" in ")
+    if stated is not None:
+        name, _, unit = stated.partition(" in ")
         unit = unit or name.rpartition("_")[2]
         if name not in names:
             raise _error(
@@ -101,14 +110,14 @@ def time_column(
             )
         if unit not in TIME_UNITS:
             expected = f"a unit of the time, as in {name}_ms or in the words {name} in ms"
-            raise LogError(place=source.place, expected=expected, got=said, hint=", ".join(TIME_UNITS))
+            raise LogError(place=source.place, expected=expected, got=stated, hint=", ".join(TIME_UNITS))
         return name, TIME_UNITS[unit]
-    found = [(name, unit) for unit in TIME_UNITS if (name := f"time_{unit}") in names]
-    if len(found) != 1:
+    matches = [(name, unit) for unit in TIME_UNITS if (name := f"time_{unit}") in names]
+    if len(matches) != 1:
         expected = "one column time_s, time_ms, time_us or time_ns"
-        got = " and ".join(name for name, _ in found) or f"the columns {shown(', '.join(names))}"
+        got = " and ".join(name for name, _ in matches) or f"the columns {shown(', '.join(names))}"
         raise _error(source, expected, got, _TIME_HINT, line=1)
-    return found[0][0], TIME_UNITS[found[0][1]]
+    return matches[0][0], TIME_UNITS[matches[0][1]]
 
 
 def optional_column(
@@ -120,51 +129,58 @@ def optional_column(
     *,
     bare: bool = True,
 ) -> TableColumn | None:
-    """The column that begins with ``stem``: with a unit at its end, or none and the ``unit`` that is said.
+    """Return the column called ``stem`` plus a unit, or ``stem`` alone with a stated unit; None without one.
 
-    Unless it may be ``bare``, a column without a unit at its end is another quantity's.
+    Args:
+        source: The table.
+        names: The names of its columns.
+        stem: The beginning of the name.
+        units: The possible units in SI.
+        unit: The stated unit. None: no statement.
+        bare: True if ``stem`` alone without a unit is an error. False: it belongs to another quantity.
+
     """
-    found = [TableColumn(name, si) for one, si in units.items() if (name := f"{stem}_{one}") in names]
+    matches = [TableColumn(name, si) for item, si in units.items() if (name := f"{stem}_{item}") in names]
     if stem in names and unit is not None:
-        found.append(TableColumn(stem, units[unit]))
-    if len(found) > 1:
-        raise _error(source, f"one column of {stem}", " and ".join(one.name for one in found), line=1)
-    if not found and bare and stem in names:
-        ends = " or ".join(f"{stem}_{one}" for one in units)
+        matches.append(TableColumn(stem, units[unit]))
+    if len(matches) > 1:
+        raise _error(source, f"one column of {stem}", " and ".join(item.name for item in matches), line=1)
+    if not matches and bare and stem in names:
+        ends = " or ".join(f"{stem}_{item}" for item in units)
         raise _error(source, f'a unit: {ends} as the name of the column, or the key "unit"', stem, line=1)
-    return found[0] if found else None
+    return matches[0] if matches else None
 
 
 def required_column(
     source: LogSource, names: Sequence[str], stem: str, units: dict[str, float], unit: str | None
 ) -> TableColumn:
-    """As ``optional_column``; LogError if there is none."""
-    found = optional_column(source, names, stem, units, unit)
-    if found is None:
-        wanted = [f"{stem}_{one}" for one in units]
+    """Return the column as ``optional_column`` does; LogError if it is missing."""
+    column = optional_column(source, names, stem, units, unit)
+    if column is None:
+        wanted = [f"{stem}_{ending}" for ending in units]
         hint = near_miss(wanted[0], names) or f"the columns: {shown(', '.join(names))}"
         raise _error(source, f"a column {' or '.join(wanted)}", "none of that name", hint, line=1)
-    return found
+    return column
 
 
 def along(track: str, axis: str) -> str:
-    """What a column of a track begins with; of a track without a name it is the axis."""
+    """Return the beginning of a track's column; for a track without a name it is the axis."""
     return f"{track}_{axis}" if track else axis
 
 
 def tracks_of(header: tuple[str, ...], *, bare: bool) -> set[str]:
-    """The names of all tracks of a table: x, y and z in a unit of length, or in none if ``bare``.
+    """Return the names of all tracks of a table: x, y and z in a unit of length, or without one if ``bare``.
 
-    That of columns x, y and z alone is empty.
+    The name is empty for columns x, y and z alone.
     """
     ends = (*(f"_{unit}" for unit in LENGTH_UNITS), *[""] * bare)
-    found = {(name[: -len(f"_x{end}")], end) for name in header for end in ends if name.endswith(f"_x{end}")}
-    found |= {("", end) for end in ends if f"x{end}" in header}
-    return {stem for stem, end in found if {along(stem, f"{axis}{end}") for axis in "yz"} <= set(header)}
+    stems = {(name[: -len(f"_x{end}")], end) for name in header for end in ends if name.endswith(f"_x{end}")}
+    stems |= {("", end) for end in ends if f"x{end}" in header}
+    return {stem for stem, end in stems if {along(stem, f"{axis}{end}") for axis in "yz"} <= set(header)}
 
 
 def only_track(source: LogSource, header: tuple[str, ...]) -> str:
-    """The one track of a table."""
+    """Return the one track of a table."""
     tracks = sorted(tracks_of(header, bare=True))
     if len(tracks) != 1:
         got = ", ".join(tracks) or f"the columns {', '.join(header)}"
@@ -174,9 +190,9 @@ def only_track(source: LogSource, header: tuple[str, ...]) -> str:
 
 
 def read_table(table: Table, collector: Collector) -> None:
-    """Hand every row to ``collector``; LogError with line or row for a cell that is no number."""
+    """Pass every row to ``collector``; LogError with line or row for a cell that is no number."""
     source = collector.source
-    wanted = tuple(one.name for one in table.columns if one is not None)
+    wanted = tuple(col.name for col in table.columns if col is not None)
     wanted = (table.time, *wanted) if table.time else wanted
     source.seen.update(header_of(source))
     source.used.update(wanted)
@@ -189,12 +205,12 @@ def read_table(table: Table, collector: Collector) -> None:
         except LogError as refused:
             collector.unstamped(refused)
             continue
-        values = [math.nan if one is None else _cell(next(rest), one, source, at) for one in table.columns]
+        values = [math.nan if col is None else _cell(next(rest), col, source, at) for col in table.columns]
         collector.add(time_ns, values, at)
 
 
 def _csv_cells(source: LogSource, wanted: Sequence[str]) -> Iterator[tuple[int, Sequence[Any]]]:
-    """Each line's number, and its cells in the columns that are ``wanted``."""
+    """Yield each line's number, and its cells in the ``wanted`` columns."""
     with source.file.open("rb") as data:
         data.seek(-1, SEEK_END)
         cut_off = data.read() not in (b"\n", b"\r")
@@ -218,7 +234,7 @@ def _csv_cells(source: LogSource, wanted: Sequence[str]) -> Iterator[tuple[int, 
 def _parquet_cells(
     source: LogSource, table: Table, wanted: Sequence[str]
 ) -> Iterator[tuple[int, Sequence[Any]]]:
-    """As ``_csv_cells``, with the numbers of rows."""
+    """Yield the same as ``_csv_cells``, with the numbers of rows."""
     with _parquet(source) as file:
         _refuse_types(source, file.schema_arrow, table)
         row = 0
@@ -230,8 +246,8 @@ def _parquet_cells(
 
 
 def _refuse_types(source: LogSource, schema: Any, table: Table) -> None:
-    """LogError for a column of a Parquet file that would be taken for numbers, and has none."""
-    columns = [one.name for one in table.columns if one is not None and one.words is None]
+    """Raise LogError for a Parquet column without numbers that would pass for numbers."""
+    columns = [column.name for column in table.columns if column is not None and column.words is None]
     for name in [*[table.time] * bool(table.time), *columns]:
         kind = str(schema.field(name).type)
         if kind == "bool" or kind.startswith(("timestamp", "duration", "date", "time")):
@@ -240,14 +256,14 @@ def _refuse_types(source: LogSource, schema: Any, table: Table) -> None:
 
 
 def as_word(cell: object) -> str:
-    """A word of a program, or the number that it has in its place, as a table of words would have it."""
+    """Return a program's word, or the number in its place, in the form of a table of words."""
     if isinstance(cell, float) and cell.is_integer():
         return str(int(cell))
     return "" if cell is None else str(cell).strip()
 
 
 def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
-    """A time in nanoseconds, from decimal digits where a float has too few."""
+    """Return a time in nanoseconds, from decimal digits where a float has too few."""
     try:
         value = float(cell)
         if isinstance(cell, str) and "_" in cell:
@@ -267,16 +283,16 @@ def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
         ) from None
 
 
-def _cell(cell: Any, one: TableColumn, source: LogSource, at: int) -> float:
-    """A number in SI, NaN for an empty cell."""
-    if one.words is not None:
-        word = as_word(cell)
-        if word not in one.words:
-            hint = near_miss(word, one.words)
+def _cell(cell: Any, col: TableColumn, source: LogSource, at: int) -> float:
+    """Return a number in SI, NaN for an empty cell."""
+    if col.words is not None:
+        term = as_word(cell)
+        if term not in col.words:
+            hint = near_miss(term, col.words)
             raise _error(
-                source, f"one of {', '.join(one.words)}", shown(word) or "none", hint, field=one.name, line=at
+                source, f"one of {', '.join(col.words)}", shown(term) or "none", hint, field=col.name, line=at
             )
-        return one.words[word]
+        return col.words[term]
     text = cell.strip() if isinstance(cell, str) else cell
     if text is None or text == "":
         return math.nan
@@ -286,27 +302,27 @@ def _cell(cell: Any, one: TableColumn, source: LogSource, at: int) -> float:
         value = math.inf
     if math.isinf(value) or (isinstance(text, str) and "_" in text):
         expected = "a number, or an empty cell where nothing was measured"
-        raise _error(source, expected, shown(str(cell)), field=one.name, line=at)
-    return value * one.si
+        raise _error(source, expected, shown(str(cell)), field=col.name, line=at)
+    return value * col.si
 
 
 def _separator(path: Path) -> str:
-    """What stands between the cells of a CSV file, by its line of names; several spaces count as one."""
+    """Return the separator of a CSV file's cells by its line of names; several spaces count as one."""
     with path.open("rb") as data:
         names = data.readline(MOST_NAMES_BYTES).decode("utf-8-sig", "replace").strip()
     unquoted = re.sub(r'"[^"]*"', "", names)
-    by = max(SEPARATORS, key=unquoted.count)
-    return by if by in unquoted else " " if " " in unquoted else ","
+    sep = max(SEPARATORS, key=unquoted.count)
+    return sep if sep in unquoted else " " if " " in unquoted else ","
 
 
 @contextmanager
 def _rows(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
-    """The rows of a CSV file with their lines, as they are asked for."""
+    """Yield the rows of a CSV file with their lines, lazily."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as text:
-            by = _separator(path)
-            lines = (f"{line.strip()}\n" for line in text) if by == " " else text
-            reader = csv.reader(lines, strict=True, delimiter=by, skipinitialspace=by == " ")
+            sep = _separator(path)
+            lines = (f"{line.strip()}\n" for line in text) if sep == " " else text
+            reader = csv.reader(lines, strict=True, delimiter=sep, skipinitialspace=sep == " ")
 
             def rows() -> Iterator[tuple[int, list[str]]]:
                 while True:
@@ -317,7 +333,9 @@ def _rows(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
                     except csv.Error as error:
                         place = Place(file=path, line=reader.line_num)
                         raise LogError(
-                            place=place, expected=f"a table of cells with {by!r} between them", got=str(error)
+                            place=place,
+                            expected=f"a table of cells with {sep!r} between them",
+                            got=str(error),
                         ) from error
                     except UnicodeDecodeError as error:
                         place = Place(file=path, line=reader.line_num + 1)
@@ -354,7 +372,7 @@ def _error(
     field: str | None = None,
     line: int | None = None,
 ) -> LogError:
-    """At a line of a CSV; a Parquet file has rows."""
+    """Return a LogError at a line of a CSV file, or at a row of a Parquet file."""
     if source.ending == ".parquet":
         field = f"row {line}" + (f": {field}" if field else "") if line else field
         line = None

@@ -1,4 +1,4 @@
-"""The TCP's place that a log has, against its joints through the arm and the tool that its file names."""
+"""The log's own TCP, against its joints through the arm and tool in its file."""
 
 from __future__ import annotations
 
@@ -21,36 +21,36 @@ HINT = "another arm, tool, zero position, sign, unit or frame? a UR controller's
 def checked_tcp(
     tcp: LogSamples, known_to_m: float, joints: LogSamples, facts: JointFacts, robot: AnyRobot
 ) -> TcpCheck:
-    """Compare every sample of ``tcp`` with where the joints have it; LogError for the first that contradicts.
+    """Compare every sample of ``tcp`` with the TCP by the joints; LogError for the first contradiction.
 
-    A sample between two of the joints is as far off as these may turn meanwhile.
+    Between two joint samples, the tolerance covers the angle that the joints may turn in between.
     """
     arm = arm_model(robot)
-    time_s, tcp_s = ((one.time_ns - joints.time_ns[0]) / NS for one in (joints, tcp))
+    time_s, tcp_s = ((stream.time_ns - joints.time_ns[0]) / NS for stream in (joints, tcp))
     angles = joints.values[:, : len(arm.joint_names)]
     step_s = np.diff(time_s)
     slope, hard = np.diff(angles, axis=0) / step_s[:, None], facts.accelerate_at_most_radps2
     most, known_to_rad = facts.move_at_most_radps, facts.known_to_rad
     off_rad = joint_off_rad(slope, step_s, most=most, hardest=hard, sample_rad=known_to_rad)
-    which = np.clip(np.searchsorted(time_s, tcp_s, side="right") - 1, 0, len(step_s) - 1)
-    off_rad = np.where(np.isin(tcp.time_ns, joints.time_ns), known_to_rad, off_rad[which])
+    span = np.clip(np.searchsorted(time_s, tcp_s, side="right") - 1, 0, len(step_s) - 1)
+    off_rad = np.where(np.isin(tcp.time_ns, joints.time_ns), known_to_rad, off_rad[span])
     off_m = known_to_m + off_rad * float(arm_with(arm, arm_capsules(robot)).reach_m.sum())
     poses = np.column_stack([np.interp(tcp_s, time_s, column) for column in angles.T])
     places = np.array([links_in_base(arm, pose)[-1, :3, 3] for pose in poses])
     apart_m = np.linalg.norm(places - tcp.values, axis=1)
     for index in np.flatnonzero(apart_m > off_m)[:1].tolist():
-        by_joints, told = (", ".join(f"{x:.4f}" for x in rows[index]) for rows in (places, tcp.values))
+        by_joints, logged = (", ".join(f"{x:.4f}" for x in rows[index]) for rows in (places, tcp.values))
         raise tcp.error(
             index,
             f"the TCP at {by_joints} m at {tcp_s[index]:.3f} s, where {joints.source.name} has it by the arm "
             f"{robot.label}, to within {off_m[index] * 1e3:.3g} mm",
-            f"{told} m, {apart_m[index] * 1e3:.4g} mm away",
+            f"{logged} m, {apart_m[index] * 1e3:.4g} mm away",
             HINT,
         )
     some, turns = np.linspace(0, len(poses) - 1, POSES_TURNED).astype(int), np.eye(len(arm.joint_names))
 
-    def seen(others: NDArray[np.float64]) -> bool:
-        away = [links_in_base(arm, pose)[-1, :3, 3] for pose in others] - places[some]
+    def seen(poses_rad: NDArray[np.float64]) -> bool:
+        away = [links_in_base(arm, pose)[-1, :3, 3] for pose in poses_rad] - places[some]
         return bool((np.linalg.norm(away, axis=1) > apart_m[some] + off_m[some]).any())
 
     turned = zip(arm.joint_names, turns * TURNED_RAD, strict=True)

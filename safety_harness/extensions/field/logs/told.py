@@ -1,8 +1,8 @@
-"""What a log has of its controller's own word: mode, limits, commands, predicted hands, decisions.
+"""A log's reports of its controller: mode, limits, commands, predicted hands, decisions.
 
-A program's word is no measurement: it is exact, and stands from its stamp until the next one.  What is not
-certain is the stamp, to within what the log's owner says, and whether a word was lost where none was told for
-longer than the longest gap.
+A program's report is no measurement: it is exact, and stands from its stamp until the next one. Two things
+are uncertain. The stamp has the uncertainty that the log's owner states. A report may be lost where none came
+for longer than the longest gap.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ MODES = {
     "stopped": Mode.PROTECTIVE_STOP,
     "object lost": Mode.OBJECT_LOST,
 }
-FLAGS = {"none": Limit.NONE} | {one.name.lower().replace("_", " "): one for one in Limit if one.name}
-OUTCOMES = {one.name.lower(): one for one in DecisionOutcome}
-TRIGGERS = {one.name.lower().replace("_", " "): one for one in Trigger}
+FLAGS = {"none": Limit.NONE} | {kind.name.lower().replace("_", " "): kind for kind in Limit if kind.name}
+OUTCOMES = {kind.name.lower(): kind for kind in DecisionOutcome}
+TRIGGERS = {kind.name.lower().replace("_", " "): kind for kind in Trigger}
 POSITIONS = {
     "hand": "hand_position_in_base_m",
     "tcp": "tcp_position_in_base_m",
@@ -85,13 +85,13 @@ class ToldStream:
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """(n, k)."""
+        """The numbers (n, k)."""
         return self.samples.values
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Told:
-    """All that a log has of it; ``decisions`` have the columns of ``fields``, in this order."""
+    """All reports in a log; ``decisions`` have the columns of ``fields``, in this order."""
 
     mode: ToldStream | None = None
     limits: ToldStream | None = None
@@ -104,7 +104,7 @@ class Told:
 
 @dataclass(frozen=True, kw_only=True)
 class ToldClock:
-    """How stamps become those of the joints' clock: that of hands shows more, known only to so much."""
+    """The lead of the hands' clock over the joints' clock, and its uncertainty."""
 
     hands_ahead_ns: int | None
     hands_known_to_ns: int
@@ -124,67 +124,82 @@ def read_told(
     placed: Places,
     to_base: Callable[[LogSource, Field], ToBase],
 ) -> Told:
-    """Every stream below ``log`` that is one of ``STREAMS``; LogError with its place for what is wrong."""
-    found: dict[str, object] = {}
+    """Return every stream below ``log`` that is one of ``STREAMS``.
+
+    Args:
+        given: The keys of LOG.yaml.
+        streams: The keys below ``log``.
+        joints: The joints in the log's words, in the arm's order.
+        clock: The lead of the hands' clock.
+        source_of: Return the stream that a field names.
+        positions: Read a stream of positions in the base frame, with NaN.
+        placed: Move three columns of samples from a frame to the base frame.
+        to_base: Return the transforms of a stream's messages from a stated frame.
+
+    Raises:
+        LogError: A stream or key cannot be used; the error has its place.
+
+    """
+    parts: dict[str, object] = {}
     for name in STREAMS:
         if name not in streams:
             if name in given:
                 hint = f"log: {{{name}: FILE}}"
                 raise given.required(name).error(f"a stream of {name} below log", got="none", hint=hint)
             continue
-        said = given.required(name).fields(KEYS_OF[name])
-        one = _Reading(name, streams.required(name), said, clock, source_of)
+        keys = given.required(name).fields(KEYS_OF[name])
+        own = _Reading(name, streams.required(name), keys, clock, source_of)
         if name in (MODE, LIMITS):
-            found[name] = one.stream(one.words(said.required("words"), MODES if name == MODE else FLAGS))
+            parts[name] = own.stream(own.codes_of(keys.required("words"), MODES if name == MODE else FLAGS))
         elif name == COMMANDS:
-            found[name] = one.commands(joints)
+            parts[name] = own.commands(joints)
         elif name == DETECTIONS:
-            found["tracks"] = one.tracks(positions)
-            found["ahead"] = said.required("ahead by")
+            parts["tracks"] = own.tracks(positions)
+            parts["ahead"] = keys.required("ahead by")
         else:
-            found[name], found["fields"] = one.decisions(placed, to_base)
-    return Told(**found)  # type: ignore[arg-type]
+            parts[name], parts["fields"] = own.decisions(placed, to_base)
+    return Told(**parts)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
 class _Reading:
-    """Reads one of the streams, ``field``, of which ``said`` is said."""
+    """A reader of one stream, ``field``, with the stream's own ``keys``."""
 
     name: str
     field: Field
-    said: Fields
+    keys: Fields
     clock: ToldClock
     source_of: Callable[[Field], LogSource]
 
-    def words(self, table: Field, ours: Mapping[str, int]) -> dict[str, float]:
-        """The log's words, or numbers, with what they mean; several of a kind are joined by "and"."""
-        found = {}
-        for word, one in table.entries("the log's words with ours, such as RETREAT: repulsing"):
-            told = one.scalar("a word of ours")
-            parts = told.split(" and ") if Limit.NONE in ours.values() else [told]
-            codes = [ours[part] if part in ours else one.one_of(dict(ours)) for part in parts]
-            found[word] = float(reduce(or_, (int(code) for code in codes)))
-        if not found:
+    def codes_of(self, table: Field, ours: Mapping[str, int]) -> dict[str, float]:
+        """Return the log's words, or numbers, with their codes; "and" joins several flags."""
+        meanings = {}
+        for term, entry in table.entries("the log's words with ours, such as RETREAT: repulsing"):
+            text = entry.scalar("a word of ours")
+            parts = text.split(" and ") if Limit.NONE in ours.values() else [text]
+            codes = [ours[part] if part in ours else entry.one_of(dict(ours)) for part in parts]
+            meanings[term] = float(reduce(or_, (int(code) for code in codes)))
+        if not meanings:
             raise table.error("a word at least")
-        return found
+        return meanings
 
-    def stream(self, words: dict[str, float]) -> ToldStream:
-        """Of one word a sample."""
+    def stream(self, codes: dict[str, float]) -> ToldStream:
+        """Return a stream of one word a sample."""
         source = self.source_of(self.field)
         if source.is_bag:
-            return self.told(self.read_bag(source, [Part(self.path(source), 1, 1.0, words)]))
-        return self.told(self.read(source, [TableColumn(self.column(source), 1.0, words)]))
+            return self.timed(self.read_bag(source, [Part(self.path(source), 1, 1.0, codes)]))
+        return self.timed(self.read(source, [TableColumn(self.column(source), 1.0, codes)]))
 
     def commands(self, joints: tuple[str, ...]) -> ToldStream:
-        """(n, j) speeds of the joints."""
-        source, unit = self.source_of(self.field), self.said.optional("unit")
-        word = None if unit is None else unit.one_of({one: one for one in ANGLE_UNITS})
+        """Return (n, j) speeds of the joints."""
+        source, unit = self.source_of(self.field), self.keys.optional("unit")
+        angle = None if unit is None else unit.one_of({item: item for item in ANGLE_UNITS})
         if source.is_bag:
-            si = ANGLE_UNITS[word or "rad"]
+            si = ANGLE_UNITS[angle or "rad"]
             part = Part(source.path or "velocity", len(joints), si, names="" if source.path else "name")
             samples = self.read_bag(source, [part], joints)
         else:
-            header, rate = header_of(source), None if word is None else f"{word}ps"
+            header, rate = header_of(source), None if angle is None else f"{angle}ps"
             columns = [
                 required_column(source, header, f"{source.what}{name}", RATE_UNITS, rate) for name in joints
             ]
@@ -192,51 +207,51 @@ class _Reading:
         self.refuse(samples, ~np.isfinite(samples.values), "a speed of each joint", "none")
         fast, most = np.abs(samples.values) > FASTEST_RADPS, np.degrees(FASTEST_RADPS)
         self.refuse(samples, fast, f"joint speeds of at most {most:.0f} deg/s", "more", 'the key "unit"')
-        return self.told(samples)
+        return self.timed(samples)
 
     def tracks(self, positions: Positions) -> tuple[ToldStream, ...]:
-        """Of one hand that is told each; a sample without numbers tells that it is not tracked."""
+        """Return a stream for each tracked hand; a sample without numbers means that it is not tracked."""
         field, several = self.field, isinstance(self.field.node, MappingNode)
         parts = field.entries("tracked hands by their names") if several else (("", field),)
         if not parts:
             raise field.error("a tracked hand at least")
-        found = []
-        for _, one in parts:
-            found.append(self.told(positions(one, self.said)))
-        return tuple(found)
+        streams = []
+        for _, stream in parts:
+            streams.append(self.timed(positions(stream, self.keys)))
+        return tuple(streams)
 
     def decisions(
         self, placed: Places, to_base: Callable[[LogSource, Field], ToBase]
     ) -> tuple[ToldStream, tuple[str, ...]]:
-        """A decision a sample: the numbers of each field that is mapped, in the order of ``FIELDS``."""
-        said = self.said.required("fields").fields(tuple(FIELDS))
-        words = self.said.optional("words")
-        given = None if words is None else words.fields((OUTCOME, TRIGGER))
+        """Return a decision a sample: the numbers of each mapped field, in the order of ``FIELDS``."""
+        mapped = self.keys.required("fields").fields(tuple(FIELDS))
+        table_keys = self.keys.optional("words")
+        given = None if table_keys is None else table_keys.fields((OUTCOME, TRIGGER))
         tables = {}
         for name, ours in ((OUTCOME, OUTCOMES), (TRIGGER, TRIGGERS)):
             table = None if given is None else given.optional(name)
             tables[name] = (
-                {w: float(c) for w, c in ours.items()} if table is None else self.words(table, ours)
+                {w: float(c) for w, c in ours.items()} if table is None else self.codes_of(table, ours)
             )
-        names = tuple(name for name in FIELDS if name in said)
+        names = tuple(name for name in FIELDS if name in mapped)
         if not names:
-            raise self.said.required("fields").error("a field at least", hint=", ".join(FIELDS))
+            raise self.keys.required("fields").error("a field at least", hint=", ".join(FIELDS))
         widths = tuple(width_of(name) for name in names)
-        source, unit = self.source_of(self.field), self.said.optional("unit")
-        word = None if unit is None else unit.one_of({one: one for one in LENGTH_UNITS})
-        called = {name: said.required(name).sentence("what the log calls it") for name in names}
+        source, unit = self.source_of(self.field), self.keys.optional("unit")
+        label = None if unit is None else unit.one_of({item: item for item in LENGTH_UNITS})
+        called = {name: mapped.required(name).sentence("what the log calls it") for name in names}
         if source.is_bag:
             parts = [
                 Part(
                     called[name],
                     width,
-                    1.0 if name in tables else LENGTH_UNITS[word or "m"],
+                    1.0 if name in tables else LENGTH_UNITS[label or "m"],
                     tables.get(name),
                 )
                 for name, width in zip(names, widths, strict=True)
             ]
             somewhere = any(name in POSITIONS for name in names)
-            framed = to_base(source, self.said.required("frame")) if somewhere else None
+            framed = to_base(source, self.keys.required("frame")) if somewhere else None
             samples = self.read_bag(source, parts, least=0, framed=framed)
         else:
             header, columns = header_of(source), []
@@ -247,17 +262,17 @@ class _Reading:
                     columns.append(TableColumn(stem, 1.0, tables[name]))
                     continue
                 stems = [stem] if name == THRESHOLD else [f"{stem}_{axis}" for axis in "xyz"]
-                columns += [required_column(source, header, one, LENGTH_UNITS, word) for one in stems]
+                columns += [required_column(source, header, item, LENGTH_UNITS, label) for item in stems]
             samples = self.read(source, columns, least=0)
         at = dict(zip(names, np.cumsum((0, *widths)).tolist(), strict=False))
         for name in names:
             if name in POSITIONS:
-                samples = placed(self.said.required("frame"), samples, at[name])
+                samples = placed(self.keys.required("frame"), samples, at[name])
         self.refuse_no_decision(samples, at)
-        return self.told(samples), names
+        return self.timed(samples), names
 
     def refuse_no_decision(self, samples: LogSamples, at: Mapping[str, int]) -> None:
-        """LogError for a decision whose numbers are none: only a stop has no position that was chosen."""
+        """Raise LogError for a decision without numbers: only a stop has no chosen position."""
         values = samples.values
         stops = np.zeros(len(values), np.bool_)
         if OUTCOME in at:
@@ -281,20 +296,20 @@ class _Reading:
                 )
 
     def refuse(
-        self, samples: LogSamples, wrong: NDArray[np.bool_], expected: str, got: str, hint: str = ""
+        self, samples: LogSamples, bad: NDArray[np.bool_], expected: str, got: str, hint: str = ""
     ) -> None:
-        """LogError at the first sample that is ``wrong`` (n, ...)."""
-        if wrong.any():
-            index = int(np.argmax(wrong.reshape(len(wrong), -1).any(axis=1)))
-            told = ", ".join(f"{value:.6g}" for value in samples.values[index])
-            raise samples.error(index, f"{self.name}: {expected}", f"{got} ({told})", hint)
+        """Raise LogError at the first sample that is ``bad`` (n, ...)."""
+        if bad.any():
+            index = int(np.argmax(bad.reshape(len(bad), -1).any(axis=1)))
+            numbers = ", ".join(f"{value:.6g}" for value in samples.values[index])
+            raise samples.error(index, f"{self.name}: {expected}", f"{got} ({numbers})", hint)
 
     def path(self, source: LogSource) -> str:
-        """The field of a message that the word is in."""
+        """Return the field of a message that has the word."""
         return source.path or "data"
 
     def column(self, source: LogSource, name: str | None = None) -> str:
-        """A column by its whole name; LogError if there is none."""
+        """Return a column by its whole name; LogError if it is missing."""
         wanted, header = source.what if name is None else name, header_of(source)
         if wanted not in header:
             columns = f"the columns: {', '.join(header)}"
@@ -304,10 +319,10 @@ class _Reading:
         return wanted
 
     def read(self, source: LogSource, columns: list[TableColumn], least: int = 1) -> LogSamples:
-        """From a table."""
-        said = self.said.optional("time")
+        """Return the samples of a table."""
+        time_key = self.keys.optional("time")
         time = time_column(
-            source, header_of(source), None if said is None else said.sentence("the name of a column")
+            source, header_of(source), None if time_key is None else time_key.sentence("the name of a column")
         )
         collector = Collector(source, len(columns), least=least)
         read_table(Table(*time, tuple(columns)), collector)
@@ -321,24 +336,24 @@ class _Reading:
         least: int = 1,
         framed: ToBase | None = None,
     ) -> LogSamples:
-        """From the messages of a topic."""
-        said = self.said.optional("time")
-        time = STAMP if said is None else said.one_of({one: one for one in (STAMP, RECEIVED)})
+        """Return the samples of a topic's messages."""
+        time_key = self.keys.optional("time")
+        time = STAMP if time_key is None else time_key.one_of({stamp: stamp for stamp in (STAMP, RECEIVED)})
         collector = Collector(source, sum(part.width for part in parts), least=least)
         read_parts(source, collector, parts, names, time=time, framed=framed)
         return collector.samples()
 
-    def told(self, samples: LogSamples) -> ToldStream:
-        """With its clock."""
-        clock, by_ns = self.said.optional("clock"), 0
-        off_ns = round(self.said.required("known to").quantity(TIME, least=0.0, most=LATEST_S) * NS)
+    def timed(self, samples: LogSamples) -> ToldStream:
+        """Return the samples as a stream on the clock of the joints."""
+        clock, by_ns = self.keys.optional("clock"), 0
+        off_ns = round(self.keys.required("known to").quantity(TIME, least=0.0, most=LATEST_S) * NS)
         if clock is not None and clock.one_of({OF_JOINTS: False, OF_HANDS: True}):
             if self.clock.hands_ahead_ns is None:
                 raise clock.error("the clock of the joints, where no hands are", got=OF_HANDS)
             by_ns, off_ns = self.clock.hands_ahead_ns, off_ns + self.clock.hands_known_to_ns
         longest_ns = None
         if self.name != DECISIONS:
-            gap = self.said.required("longest gap")
+            gap = self.keys.required("longest gap")
             if gap.scalar("a time, or: until the next") != UNTIL_THE_NEXT:
                 longest_ns = round(gap.quantity(TIME, above=0.0, most=LATEST_S) * NS)
         return ToldStream(
@@ -347,10 +362,10 @@ class _Reading:
 
 
 def width_of(name: str) -> int:
-    """How many numbers a field of a decision has."""
+    """Return how many numbers a field of a decision has."""
     return 3 if name in POSITIONS or name == SPREAD else 1
 
 
-def ahead_s(told: Told) -> float | None:
-    """How far ahead told hands are predicted, if there are any."""
-    return None if told.ahead is None else told.ahead.quantity(TIME, least=0.0, most=2.0)
+def ahead_s(reports: Told) -> float | None:
+    """Return the horizon [s] of the reported hands' predictions, None without any."""
+    return None if reports.ahead is None else reports.ahead.quantity(TIME, least=0.0, most=2.0)

@@ -1,1 +1,1 @@
-"""Recorded cells beside simulation: scenarios and spaces made of their logs, and worlds held against them."""
+"""Recorded cells beside simulation: scenarios and spaces from their logs, and worlds compared with them."""

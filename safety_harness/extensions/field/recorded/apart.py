@@ -1,9 +1,9 @@
-"""How far one motion lies from another: differences with intervals, and a delay and offsets between them.
+"""The difference between two motions: statistics with intervals, and a delay and offsets between them.
 
-Differences of one run follow each other closely, so that they are no independent sample.  Intervals are by
-the delete-a-block jackknife (Künsch, 1989): the run is cut into BLOCKS stretches, the estimate is made
-without each in turn, and Student's t with BLOCKS - 1 degrees of freedom stands for so few.  They are
-approximate, and of this recording: what another would show, they do not say.
+Differences of one run follow each other closely, so they are no independent sample. Intervals come from the
+delete-a-block jackknife (Künsch, 1989). It cuts the run into BLOCKS stretches and repeats the estimate
+without each in turn. Student's t has BLOCKS - 1 degrees of freedom, since the blocks are few. The intervals
+are approximate, and apply to this recording only.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LEAST_RADPS = 0.01  # root mean square of the joints' speeds about their means; 
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """``low`` to ``high`` with CONFIDENCE, approximately; None where too little is known for an interval."""
+    """A value, with ``low`` to ``high`` at about CONFIDENCE; None where the data suffice for no interval."""
 
     value: float
     low: float | None
@@ -35,8 +35,8 @@ class Estimate:
 class Difference:
     """Simulated minus recorded of one quantity, in ``unit`` (rad, m), over ``samples`` ticks.
 
-    Its size is ``usually`` at most so much, in USUALLY of the time; ``largest`` at ``at_s``.  What was
-    recorded is itself known to ``recorded_within``, so that the true largest lies that much about it.
+    Its absolute value is at most ``usually`` in USUALLY of the time, and ``largest`` at ``at_s``. The
+    recording itself is known to ``recorded_within``, so the true largest lies within that of it.
     """
 
     what: str
@@ -53,9 +53,9 @@ class Difference:
 class DelayFit:
     """recorded(t) = simulated(t - late) + offset of each joint, by least squares.
 
-    ``late`` [s] is None where the joints cannot show it, and ``why`` says so; ``offsets`` [rad] in the order
-    of the joints.  ``before`` and ``left`` are the root mean square of all joints' differences without it and
-    after.
+    ``late`` [s] is None where the joints' motion does not show it, and ``why`` states the reason. ``offsets``
+    [rad] are in the order of the joints. ``before`` and ``left`` [rad] are the root mean square of all
+    joints' differences without and with the fit.
     """
 
     late: Estimate | None
@@ -66,33 +66,46 @@ class DelayFit:
 
 
 def difference_of(
-    what: str, unit: str, time_s: Floats, apart: Floats, recorded_within: Floats
+    quantity: str, unit: str, time_s: Floats, differences: Floats, recorded_within: Floats
 ) -> Difference | None:
-    """Of ``apart`` (n,), simulated minus recorded at ``time_s`` (n,); None for too few to say anything of.
+    """Return the statistics of a difference; None for fewer than FEWEST samples.
 
-    ``recorded_within`` (n,) is how closely the recorded is known.
+    Args:
+        quantity: The name of the quantity.
+        unit: Its unit.
+        time_s: The times (n,) [s].
+        differences: Simulated minus recorded (n,), in ``unit``.
+        recorded_within: The uncertainty (n,) of the recorded values, in ``unit``.
+
     """
-    if len(apart) < FEWEST:
+    if len(differences) < FEWEST:
         return None
-    sums = np.column_stack([np.ones(len(apart)), apart])
+    sums = np.column_stack([np.ones(len(differences)), differences])
     value, half = _jackknife(sums, lambda total: np.array([total[1] / total[0]]))
-    worst = int(np.argmax(np.abs(apart)))
+    worst = int(np.argmax(np.abs(differences)))
     return Difference(
-        what=what,
+        what=quantity,
         unit=unit,
-        samples=len(apart),
+        samples=len(differences),
         mean=_estimate(value[0], half[0]),
-        usually=float(np.quantile(np.abs(apart), USUALLY, method="higher")),
-        largest=float(abs(apart[worst])),
+        usually=float(np.quantile(np.abs(differences), USUALLY, method="higher")),
+        largest=float(abs(differences[worst])),
         at_s=float(time_s[worst]),
         recorded_within=float(recorded_within.max()),
     )
 
 
 def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Floats) -> DelayFit | None:
-    """Joints ``recorded`` (n, j) at ``time_s`` (n,) against ``simulated`` (m, j) at ``simulated_s`` (m,).
+    """Return the delay and offsets of recorded joints against simulated joints; None for too few samples.
 
-    None for too few samples.  Before its beginning the simulated arm stands.
+    The simulated arm stands still before its first sample.
+
+    Args:
+        time_s: The times (n,) of the recording [s].
+        recorded: The recorded joints (n, j) [rad].
+        simulated_s: The times (m,) of the simulation [s].
+        simulated: The simulated joints (m, j) [rad].
+
     """
     most_s = min(LONGEST_S, float(simulated_s[-1]) / 8.0)
     there = time_s <= simulated_s[-1] - most_s
@@ -100,14 +113,14 @@ def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Flo
     if len(time_s) < FEWEST:
         return None
 
-    def off(late_s: float) -> Floats:
+    def differences(late_s: float) -> Floats:
         return recorded - _at(time_s - late_s, simulated_s, simulated)
 
     def left(late_s: float) -> float:
-        return float(off(late_s).var(axis=0).sum())
+        return float(differences(late_s).var(axis=0).sum())
 
     tried = np.arange(-most_s, most_s + STEP_S / 2.0, STEP_S)
-    first = float(tried[int(np.argmin([left(one) for one in tried]))])
+    first = float(tried[int(np.argmin([left(delay) for delay in tried]))])
     bounds = max(first - STEP_S, -most_s), min(first + STEP_S, most_s)
     late_s = float(
         scipy.optimize.minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": 1e-7}).x
@@ -122,38 +135,38 @@ def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Flo
         why = f"no delay within {most_s * 1e3:.0f} ms fits better than those beyond"
     if why:
         late_s, rates = 0.0, np.zeros_like(rates)
-    apart, joints = off(late_s), recorded.shape[1]
-    sums = np.column_stack([np.ones(len(apart)), apart, rates, rates * apart, rates * rates])
+    rest, joints = differences(late_s), recorded.shape[1]
+    sums = np.column_stack([np.ones(len(rest)), rest, rates, rates * rest, rates * rates])
     value, half = _jackknife(sums, lambda total: _normal(total, joints))
     return DelayFit(
         late=None if why else _estimate(late_s + value[0], half[0]),
         why=why,
         offsets=tuple(map(_estimate, value[1:], half[1:])),
-        before=float(np.sqrt((off(0.0) ** 2).mean())),
-        left=float(np.sqrt(((apart - value[1:] + value[0] * rates) ** 2).mean())),
+        before=float(np.sqrt((differences(0.0) ** 2).mean())),
+        left=float(np.sqrt(((rest - value[1:] + value[0] * rates) ** 2).mean())),
     )
 
 
 def _at(time_s: Floats, known_s: Floats, values: Floats) -> Floats:
-    """(n, j) straight between ``values`` (m, j), and the first of them before."""
+    """Return (n, j) linear interpolation between ``values`` (m, j), and the first of them before its time."""
     return np.column_stack([np.interp(time_s, known_s, column) for column in values.T])
 
 
 def _normal(total: Floats, joints: int) -> Floats:
-    """(1 + j,) a further delay d and offsets o: the least squares of apart = o - d rate, from their sums."""
+    """Return (1 + j,) a further delay d and offsets o: least squares of apart = o - d rate, from sums."""
     n, (apart, rate, both, square) = total[0], total[1:].reshape(4, joints)
     slope = (square - rate**2 / n).sum()
     more = 0.0 if slope <= 0.0 else -(both - rate * apart / n).sum() / slope
     return np.concatenate([[more], (apart + more * rate) / n])
 
 
-def _jackknife(rows: Floats, of: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
-    """An estimate from sums of ``rows`` (n, k), and half of its interval's length."""
+def _jackknife(rows: Floats, estimate: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
+    """Return an estimate from sums of ``rows`` (n, k), and half of its interval's length."""
     blocks = np.array([part.sum(axis=0) for part in np.array_split(rows, BLOCKS)])
     total = blocks.sum(axis=0)
-    without = np.array([of(total - block) for block in blocks])
+    without = np.array([estimate(total - block) for block in blocks])
     spread = np.sqrt((BLOCKS - 1) / BLOCKS * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
-    return of(total), float(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2.0, BLOCKS - 1)) * spread
+    return estimate(total), float(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2.0, BLOCKS - 1)) * spread
 
 
 def _estimate(value: float, half: float) -> Estimate:

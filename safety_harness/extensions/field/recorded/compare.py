@@ -1,7 +1,7 @@
-"""A log beside both worlds: the same controller under the recorded hands, and how far the arm is elsewhere.
+"""A log beside both worlds: the same controller under the recorded hands, and the arm's deviation.
 
-The recorded is what the log's trace says at its ticks, known to within its stated uncertainty; gaps are left
-out.  The simulated is straight between its own ticks.
+The recorded values come from the log's trace at its ticks, with its stated uncertainty and without its gaps.
+The simulated values are interpolated linearly between their own ticks.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class ClosestHand:
-    """The least distance of a hand [m]: simulated, and between which bounds the recorded one certainly was.
+    """The least distance of a hand [m] in simulation, and the bounds of its recorded least distance.
 
     ``recorded_least_m`` is None where the log has a gap, in which the hand may have been nearer.
     """
@@ -61,7 +61,7 @@ class ClosestHand:
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimOfBoth:
-    """One claim, judged of the log and of a run; margins as people read them."""
+    """One claim with its verdicts on the log and on a run; margins are texts."""
 
     sentence: str
     recorded: Verdict
@@ -71,7 +71,7 @@ class ClaimOfBoth:
 
     @property
     def decided(self) -> bool:
-        """Do both say something?"""
+        """Are both verdicts conclusive?"""
         return Verdict.INCONCLUSIVE not in (self.recorded, self.simulated)
 
     @property
@@ -81,13 +81,13 @@ class ClaimOfBoth:
 
     @property
     def optimistic(self) -> bool:
-        """Was violated what holds in simulation?"""
+        """Does the claim hold in simulation although the log violates it?"""
         return self.recorded is Verdict.VIOLATED and self.simulated is Verdict.HOLDS
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldBeside:
-    """One world beside the log; ``absent`` says what could not be compared, and why."""
+    """One world beside the log; ``absent`` lists the quantities that could not be compared, with reasons."""
 
     world: str
     joints: tuple[Difference, ...]
@@ -100,13 +100,13 @@ class WorldBeside:
 
     @property
     def contradicted(self) -> int:
-        """How many verdicts are."""
-        return sum(one.differs for one in self.claims)
+        """The number of contradictory verdicts."""
+        return sum(claim.differs for claim in self.claims)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CellComparison:
-    """Both worlds beside a recorded cell, with versions and the hashes (name, sha256) of what was read."""
+    """Both worlds beside a recorded cell, with versions and the hashes (name, sha256) of the files."""
 
     log: str
     title: str
@@ -129,15 +129,18 @@ class CellComparison:
 
     @property
     def claims(self) -> tuple[ClaimOfBoth, ...]:
-        """Of all worlds."""
+        """The claims of all worlds."""
         return tuple(claim for world in self.worlds for claim in world.claims)
 
 
 def compare_worlds(made: FromLog) -> CellComparison:
-    """Run the scenario of a log in every world, and hold it beside the log.
+    """Run the scenario of a log in every world, and compare each run with the log.
 
-    InstallationError for a world whose engine is missing; InadmissibleError where the scenario cannot be
-    tried, LogError where so little was recorded that nothing can be said.
+    Raises:
+        InstallationError: The engine of a world is missing.
+        InadmissibleError: The scenario cannot run.
+        LogError: The recording is too short for any statement.
+
     """
     trace = made.trace
     least_s = FEWEST * trace.scenario.settings.clock.control_period_s
@@ -148,10 +151,10 @@ def compare_worlds(made: FromLog) -> CellComparison:
     for world in WORLDS:
         world.opener()
     worlds = tuple(_beside(made, world, recorded) for world in WORLDS)
-    origin = provenance("recorded", tuple(one for world in WORLDS for one in world.libraries))
+    origin = provenance("recorded", tuple(name for world in WORLDS for name in world.libraries))
     read = [*made.log.files, *(file for file in (made.log.file, made.cell.file) if file is not None)]
     hashes = [(str(told(file)), sha256_of(file)) for file in read if file.is_file()]
-    hashes += [(one.name, one.hand.motion.sha256) for one in made.hands]
+    hashes += [(name.name, name.hand.motion.sha256) for name in made.hands]
     return CellComparison(
         log=str(told(made.log.file)) if made.log.file else made.log.name,
         title=trace.scenario.title,
@@ -187,27 +190,36 @@ def beside(
     *,
     world: str,
 ) -> WorldBeside:
-    """A log's trace beside that of a run, with what was judged of both by the same claims."""
+    """Return a world's comparison with the log.
+
+    Args:
+        recorded: The trace of the log.
+        simulated: The trace of the run.
+        of_recorded: The evaluations of the claims on the log.
+        of_simulated: The evaluations of the same claims on the run.
+        world: The label of the world.
+
+    """
     shared = recorded.time_s <= simulated.time_s[-1] + 1e-9
     absent = []
     if not simulated.complete:
         absent.append(f"what follows after {simulated.time_s[-1]:.3f} s: the run has {simulated.ended}")
     names = arm_model(recorded.scenario.robot).joint_names
     there = shared & recorded.known.measured(JOINTS, recorded.ticks)
-    within = recorded.known.within(JOINTS, len(recorded.ticks))[there]
+    off_by = recorded.known.within(JOINTS, len(recorded.ticks))[there]
     time_s, own = recorded.time_s[there], recorded.ticks[JOINTS][there]
-    apart = _simulated(simulated, JOINTS, time_s) - own
+    differences = _simulated(simulated, JOINTS, time_s) - own
     joints = [
-        difference_of(name, "rad", time_s, column, within)
-        for name, column in zip(names, apart.T, strict=True)
+        difference_of(name, "rad", time_s, column, off_by)
+        for name, column in zip(names, differences.T, strict=True)
     ]
     distances, closest = [], []
-    for one in _distances(recorded, simulated, shared, absent):
-        distances.append(one[0])
-        closest.append(one[1])
+    for pair in _distances(recorded, simulated, shared, absent):
+        distances.append(pair[0])
+        closest.append(pair[1])
     return WorldBeside(
         world=world,
-        joints=tuple(one for one in joints if one is not None),
+        joints=tuple(pair for pair in joints if pair is not None),
         tcp=_tcp(recorded, simulated, shared),
         distances=tuple(distances),
         closest=tuple(closest),
@@ -218,18 +230,18 @@ def beside(
 
 
 def _simulated(trace: Trace, name: str, time_s: Floats) -> Floats:
-    """(n, ...) a column at ``time_s`` (n,), straight between ticks."""
+    """Return (n, ...) a column at ``time_s`` (n,), by linear interpolation between ticks."""
     values = trace.ticks[name].reshape(len(trace.ticks), -1)
-    found = np.column_stack([np.interp(time_s, trace.time_s, column) for column in values.T])
-    return found.reshape(len(time_s), *trace.ticks[name].shape[1:])
+    columns = np.column_stack([np.interp(time_s, trace.time_s, column) for column in values.T])
+    return columns.reshape(len(time_s), *trace.ticks[name].shape[1:])
 
 
 def _tcp(recorded: Trace, simulated: Trace, shared: NDArray[np.bool_]) -> Difference | None:
-    """By how much the TCP is elsewhere, which has no sign."""
+    """Return the statistics of the distance between recorded and simulated TCP, which has no sign."""
     there = shared & recorded.known.measured(TCP, recorded.ticks)
-    time_s, within = recorded.time_s[there], recorded.known.within(TCP, len(recorded.ticks))[there]
+    time_s, off_by = recorded.time_s[there], recorded.known.within(TCP, len(recorded.ticks))[there]
     way_m = _simulated(simulated, TCP, time_s)[:, :3, 3] - recorded.ticks[TCP][there][:, :3, 3]
-    return difference_of("TCP", "m", time_s, np.linalg.norm(way_m, axis=1), within)
+    return difference_of("TCP", "m", time_s, np.linalg.norm(way_m, axis=1), off_by)
 
 
 def _distances(
@@ -245,12 +257,12 @@ def _distances(
         there = shared & measured[:, k]
         time_s, off_m = recorded.time_s[there], within_m[there]
         own_m, other_m = recorded.ticks[DISTANCE][there, k], _simulated(simulated, DISTANCE, time_s)[:, k]
-        found = difference_of(f"distance of {hand.name}", "m", time_s, other_m - own_m, off_m)
-        if found is None:
+        difference = difference_of(f"distance of {hand.name}", "m", time_s, other_m - own_m, off_m)
+        if difference is None:
             absent.append(f"the distance of {hand.name}: seen for too short a time")
             continue
         yield (
-            found,
+            difference,
             ClosestHand(
                 hand=hand.name,
                 simulated_m=float(other_m.min()),
@@ -270,13 +282,13 @@ def _claim(recorded: Evaluation, simulated: Evaluation) -> ClaimOfBoth:
     )
 
 
-def as_json(found: CellComparison) -> str:
-    """The text of ``compare-worlds.json``."""
-    return json.dumps({"format": FORMAT, **plain(found)}, indent=1, ensure_ascii=False) + "\n"
+def as_json(comparison: CellComparison) -> str:
+    """Return the text of ``compare-worlds.json``."""
+    return json.dumps({"format": FORMAT, **plain(comparison)}, indent=1, ensure_ascii=False) + "\n"
 
 
 def read_comparison(path: Path) -> CellComparison:
-    """What ``compare-worlds`` wrote; InputError, naming the field, for what is none."""
-    found = of_format(read_json(path, "what compare-worlds wrote"), FORMAT, path)
-    del found["format"]
-    return typed(found, CellComparison, path)
+    """Return the comparison in a file that ``compare-worlds`` wrote; InputError, with the field, if not."""
+    content = of_format(read_json(path, "what compare-worlds wrote"), FORMAT, path)
+    del content["format"]
+    return typed(content, CellComparison, path)

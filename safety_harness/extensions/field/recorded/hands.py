@@ -1,7 +1,7 @@
-"""The hands of a log as recordings of a scenario: their samples as they were, from the first instant on.
+"""The hands of a log as recordings of a scenario: their unchanged samples from the first instant on.
 
-Nothing is resampled, smoothed or mended.  Only where a hand was at the first instant is taken from the
-straight way between the two samples beside it.
+The code does not resample, smooth or repair. It interpolates only the place of a hand at the first instant,
+linearly between the two samples beside it.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from safety_harness.scenario.model import NOT_LOADED, RecordedHand
 from safety_harness.scenario.recording import load_recording, parse_recording
 from safety_harness.scenario.units import TIME
 
-SHORTEST_NS = 1_000
+SHORTEST_NS = 1_000  # a sample no later than this is the interpolated first instant
 LEAST_S = 0.1  # of a log that is worth being offered as a part
 HAND, ELBOW = "hand", "elbow"
 
 
 @dataclass(frozen=True, eq=False)
 class HandFile:
-    """One hand of a scenario, and the bytes of the recording that it names; ``notes`` are for people."""
+    """One hand of a scenario, and the bytes of its recording; ``notes`` are texts for the user."""
 
     hand: RecordedHand
     data: bytes
@@ -37,7 +37,7 @@ class HandFile:
 
     @property
     def name(self) -> str:
-        """Of the file, beside the scenario."""
+        """The name of the recording's file, beside the scenario."""
         return str(self.hand.recording)
 
 
@@ -57,9 +57,18 @@ class _Track:
 def hand_file(
     log: CellLog, body: Body, *, elbow_towards_in_base_m: Vector3 | None, forearm_length_m: float
 ) -> HandFile:
-    """A hand of a log; LogError for a gap that is longer than the log says may be.
+    """Return a hand of a log with its recording.
 
-    ``elbow_towards_in_base_m`` is needed where the forearm was not measured.
+    Args:
+        log: The log.
+        body: The hand, with its elbow if the log has one.
+        elbow_towards_in_base_m: The point (3,) towards which an unmeasured forearm leads [m]. None: not
+            known.
+        forearm_length_m: The length of the forearm [m].
+
+    Raises:
+        LogError: A gap is longer than the log allows, or the direction of the forearm is missing.
+
     """
     assert log.hand_facts is not None
     tracks, notes = {HAND: _track(log, body.hand.measured)}, []
@@ -85,7 +94,7 @@ def hand_file(
         elbow_towards_in_base_m=None if ELBOW in tracks else elbow_towards_in_base_m,
         starts_at_in_base_m=(start[0], start[1], start[2]),
         longest_gap_s=log.hand_facts.longest_gap_s,
-        fastest_jump_mps=_above(max(one.fastest_mps for one in tracks.values())),
+        fastest_jump_mps=_above(max(track.fastest_mps for track in tracks.values())),
     )
     recording = parse_recording(data, hand.recording)
     motion = load_recording(recording, hand, forearm_length_m=forearm_length_m)
@@ -94,12 +103,12 @@ def hand_file(
 
 
 def _above(speed_mps: float) -> float:
-    """A little more, to a millimetre a second."""
+    """Return a slightly larger speed, rounded up to a millimetre per second."""
     return math.ceil(speed_mps * 1e3 + 1.0) / 1e3
 
 
 def _track(log: CellLog, samples: LogSamples) -> _Track:
-    """From the first instant to the first sample at or after the end."""
+    """Return the samples from the first instant to the first sample at or after the end."""
     assert log.hand_facts is not None
     time_ns = samples.time_ns - log.hands_ahead_ns - log.origin_ns
     end_ns = (log.ticks - 1) * log.period_ns
@@ -123,7 +132,7 @@ def _track(log: CellLog, samples: LogSamples) -> _Track:
 def _refuse_gap(
     log: CellLog, samples: LogSamples, index: int, begin_ns: int, end_ns: int, *, half: bool = False
 ) -> None:
-    """LogError for a gap from ``begin_ns`` to ``end_ns``, and which part of the log has none there."""
+    """Raise LogError for a gap from ``begin_ns`` to ``end_ns``, with a hint to parts without it."""
     assert log.hand_facts is not None
     most_ms = log.hand_facts.longest_gap_s * (0.5e3 if half else 1e3)
     expected = f"a sample every {most_ms:g} ms, as hands: {{longest gap: ...}} says"
@@ -131,22 +140,22 @@ def _refuse_gap(
         expected = f"a sample within {most_ms:g} ms of either end, half the longest gap that is said"
     begin_s, end_s = begin_ns / NS, end_ns / NS
     part_s, over_s = _part_begins_s(log), (log.ticks - 1) * log.period_s
-    before, after = math.floor((part_s + begin_s) * 100.0 - 1.0), math.ceil((part_s + end_s) * 100.0 + 1.0)
-    parts = [f'--to "{before / 100.0:g} s"'] * (begin_s > LEAST_S)
-    parts += [f'--from "{after / 100.0:g} s"'] * (end_s < over_s - LEAST_S)
+    until, since = math.floor((part_s + begin_s) * 100.0 - 1.0), math.ceil((part_s + end_s) * 100.0 + 1.0)
+    parts = [f'--to "{until / 100.0:g} s"'] * (begin_s > LEAST_S)
+    parts += [f'--from "{since / 100.0:g} s"'] * (end_s < over_s - LEAST_S)
     got = f"none for {(end_s - begin_s) * 1e3:.0f} ms, from {begin_s:.3f} s to {end_s:.3f} s"
     hint = "nothing is filled in" + (f"; another part: {' or '.join(parts)}" if parts else "")
     raise samples.error(index, expected, got, hint)
 
 
 def _part_begins_s(log: CellLog) -> float:
-    """What ``log: {from: ...}`` says, by which ``from`` and ``to`` count."""
+    """Return the log's own ``from`` [s], to which the options ``from`` and ``to`` refer."""
     streams = dict(log.said.entries("the log of a cell"))["log"].entries("streams")
     return next((field.quantity(TIME) for key, field in streams if key == "from"), 0.0)
 
 
 def _csv(tracks: dict[str, _Track]) -> bytes:
-    """The tracks in one table, each where it has a sample of its own, and empty cells elsewhere."""
+    """Return the tracks as one table, with empty cells where a track has no sample of its own."""
     times = np.unique(np.concatenate([track.time_ns for track in tracks.values()]))
     header = ["time_s", *(f"{name}_{axis}_m" for name in tracks for axis in "xyz")]
     cells: list[Sequence[str]] = [[f"{time / NS:.9f}" for time in times.tolist()]]

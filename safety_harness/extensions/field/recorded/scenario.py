@@ -1,7 +1,7 @@
-"""From what happened to what could: the scenario of a log, and the space around it.
+"""Scenarios from a log of real events, and spaces around them.
 
-The log says where the arm began, where the hands were and what is claimed.  What it cannot say (the desired
-TCP, the object, what sees the hands, what decides) is that of a scenario of the cell.
+The log gives the start of the arm, the motion of the hands and the claims. A scenario of the cell gives the
+rest: the desired TCP, the object, the hand sensor and the controller.
 """
 
 from __future__ import annotations
@@ -40,15 +40,22 @@ _JUDGED_BY = ("hand", "braking")  # settings by which a log is judged as a run i
 
 
 def read_part(file: Path, begin: str | None = None, end: str | None = None) -> CellLog:
-    """The log in a LOG.yaml, or a part: texts such as ``1.5 s`` in place of its own ``from`` and ``to``."""
-    said, part = said_in(file), {}
+    """Return the log in a LOG.yaml, or a part of it.
+
+    Args:
+        file: The LOG.yaml.
+        begin: The begin of the part, a text such as ``1.5 s``. None: the file's own ``from``.
+        end: The end of the part, likewise. None: the file's own ``to``.
+
+    """
+    description, part = said_in(file), {}
     for key, text in (("from", begin), ("to", end)):
         if text is not None:
             parse_quantity(text, TIME, Place(field=f"--{key}"))
             part[key] = text
     if part:
-        said = said._replace(node=merged(said.node, _mapping({"log": _mapping(part)})))
-    return log_of(said, name=file.stem)
+        description = description._replace(node=merged(description.node, _mapping({"log": _mapping(part)})))
+    return log_of(description, name=file.stem)
 
 
 def _mapping(entries: dict[str, str] | dict[str, Mapping]) -> Mapping:
@@ -60,9 +67,9 @@ def _mapping(entries: dict[str, str] | dict[str, Mapping]) -> Mapping:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FromLog:
-    """What was made of ``log``: its own ``trace``, and the ``scenario`` in which its hands come again.
+    """The result for ``log``: its own ``trace``, and the ``scenario`` in which its hands move again.
 
-    ``cell`` is the scenario that says what the log does not, ``hands`` have their recordings.
+    ``cell`` is the scenario with the parts that the log lacks. ``hands`` have their recordings.
     """
 
     log: CellLog
@@ -75,7 +82,7 @@ class FromLog:
 
 @dataclass(frozen=True, kw_only=True)
 class Around:
-    """A space: hands up to ``shift_m`` elsewhere along each axis, and ``speeds`` (low, high) as fast."""
+    """A space: hands shifted by up to ``shift_m`` along each axis, ``speeds`` (low, high) times as fast."""
 
     shift_m: float | None = None
     speeds: tuple[float, float] | None = None
@@ -85,13 +92,21 @@ class Around:
 
 
 def scenario_from(log: CellLog, cell: Scenario, *, elbow_towards_in_base_m: Vector3 | None = None) -> FromLog:
-    """The scenario of a log in the cell of another scenario.
+    """Return the scenario of a log in the cell of another scenario.
 
-    LogError for a gap that is longer than the log says may be, for a forearm that nothing says the direction
-    of, and for another arm, other obstacles or hands than the cell's.
+    Args:
+        log: The log.
+        cell: The scenario with the parts that the log lacks.
+        elbow_towards_in_base_m: The point (3,) towards which unmeasured forearms lead [m]. None: as the hand
+            in ``cell``.
+
+    Raises:
+        LogError: A gap is longer than the log allows, the direction of a forearm is unknown, or arm,
+            obstacles or hands differ from the cell's.
+
     """
-    found = trace_of(log)
-    _refuse_another_cell(log, found.trace.scenario, cell)
+    data = trace_of(log)
+    _refuse_another_cell(log, data.trace.scenario, cell)
     length_m = cell.settings.hand.forearm_length_m
     hands = tuple(
         hand_file(
@@ -102,10 +117,10 @@ def scenario_from(log: CellLog, cell: Scenario, *, elbow_towards_in_base_m: Vect
         )
         for body in log.hands
     )
-    arm, told = arm_model(log.robot), log.joints.values[0, : log.joints.values.shape[1] // 2]
-    ends = np.clip(told, arm.position_lower_rad, arm.position_upper_rad)
-    start_rad = np.where(np.abs(told - ends) <= SLIGHTLY_BEYOND_RAD, ends, told)  # a note of the log says it
-    own = found.trace.scenario
+    arm, q = arm_model(log.robot), log.joints.values[0, : log.joints.values.shape[1] // 2]
+    ends = np.clip(q, arm.position_lower_rad, arm.position_upper_rad)
+    start_rad = np.where(np.abs(q - ends) <= SLIGHTLY_BEYOND_RAD, ends, q)  # a note of the log says it
+    own = data.trace.scenario
     claims = own.claims or cell.claims
     scenario = replace(
         cell,
@@ -114,30 +129,34 @@ def scenario_from(log: CellLog, cell: Scenario, *, elbow_towards_in_base_m: Vect
         about=own.about,
         duration_s=(log.ticks - 1) * log.period_s,
         start=JointStart(joint_position_rad=tuple(start_rad.tolist())),
-        hands=tuple(one.hand for one in hands),
+        hands=tuple(file.hand for file in hands),
         claims=tuple(replace(claim, expected=Verdict.HOLDS) for claim in claims),
         places={},
     )
-    notes = [note for one in hands for note in one.notes]
-    first = np.abs(found.trace.ticks["joint_velocity_radps"][0]).max()
+    notes = [note for file in hands for note in file.notes]
+    first = np.abs(data.trace.ticks["joint_velocity_radps"][0]).max()
     if np.degrees(first) >= 1.0:
         turned = f"a joint turned at {np.degrees(first):.0f} deg/s when the log begins; a run begins at rest"
         notes.append(f"{turned}: begin where the arm stood, with --from")
-    return FromLog(log=log, trace=found.trace, cell=cell, scenario=scenario, hands=hands, notes=tuple(notes))
+    return FromLog(log=log, trace=data.trace, cell=cell, scenario=scenario, hands=hands, notes=tuple(notes))
 
 
 USUAL = "opposite pose"
 
 
 def usual_cell(log: CellLog, desired_tcp_in_base_m: Vector3 | None = None) -> Scenario:
-    """A scenario of the log's arm, obstacles and settings, where nobody has one: what else it needs is usual.
+    """Return a scenario of the log's arm, obstacles and settings, with defaults for the rest.
 
-    The desired TCP, if it is not given, is where the log ends, and the object lies under it as by default;
-    the avoider is ``USUAL``.
+    The avoider is ``USUAL``. The object lies under the desired TCP, as by default.
+
+    Args:
+        log: The log.
+        desired_tcp_in_base_m: The desired TCP (3,) [m]. None: the place where the log ends.
+
     """
     trace = trace_of(log).trace
     own, end_m = trace.scenario, trace.ticks["transform_tcp_to_base"][-1, :3, 3]
-    x, y, z = desired_tcp_in_base_m or tuple(round(float(one), 4) for one in end_m)
+    x, y, z = desired_tcp_in_base_m or tuple(round(float(x_m), 4) for x_m in end_m)
     place, lies = own.settings.cell, own.settings.object
     by_x, by_y = x - place.desired_tcp_position_in_base_m[0], y - place.desired_tcp_position_in_base_m[1]
     object_x, object_y, object_z = lies.position_in_base_m
@@ -148,8 +167,8 @@ def usual_cell(log: CellLog, desired_tcp_in_base_m: Vector3 | None = None) -> Sc
 
 
 def _elbow_towards(cell: Scenario, name: str) -> Vector3 | None:
-    """Of the cell's hand of this name, or of its only one."""
-    hands = [one for one in cell.hands if one.name == name] or list(cell.hands)
+    """Return the forearm's point from the cell's hand of this name, or from its only hand."""
+    hands = [hand for hand in cell.hands if hand.name == name] or list(cell.hands)
     if len(hands) != 1 or isinstance(hands[0], JoinedHand):
         return None
     return hands[0].elbow_towards_in_base_m
@@ -159,30 +178,36 @@ def _refuse_another_cell(log: CellLog, own: Scenario, cell: Scenario) -> None:
     pairs: list[tuple[str, object, object]] = [
         ("robot", own.robot, cell.robot),
         ("obstacles", own.obstacles, cell.obstacles),
-        *((f"settings.{one}", getattr(own.settings, one), getattr(cell.settings, one)) for one in _JUDGED_BY),
+        *((f"settings.{key}", getattr(own.settings, key), getattr(cell.settings, key)) for key in _JUDGED_BY),
     ]
-    for field, said, other in pairs:
-        if said != other:
+    for field, ours, theirs in pairs:
+        if ours != theirs:
             raise LogError(
                 place=Place(file=log.file, field=field),
                 expected=f"the same {field.rpartition('.')[2]} as in the scenario {cell.name}",
-                got=f"{_told(said)}, and {_told(other)} there",
+                got=f"{_shortened(ours)}, and {_shortened(theirs)} there",
                 hint="say it in LOG.yaml as the scenario does, since both are judged by it",
             )
 
 
-def _told(value: object) -> str:
+def _shortened(value: object) -> str:
     text = str(value) if value else "none"
     return text if len(text) <= 120 else f"{text[:120]}..."
 
 
 def scenario_text(made: FromLog, *, named: str) -> str:
-    """The scenario file, with what is whose in comments; ``named`` is how to name the cell's scenario."""
+    """Return the scenario file; comments state the origin of each part.
+
+    ``named`` names the cell's scenario.
+    """
     return _comments([*_origin(made, named)]) + text_of(tree_of(made.scenario))
 
 
 def space_text(made: FromLog, around: Around, *, named: str) -> str:
-    """The space file around it: all hands are shifted, and sped up, together.  LogError without any."""
+    """Return the space file around it: all hands are shifted, and sped up, together.
+
+    Raise LogError without hands.
+    """
     if not made.hands:
         raise LogError.of_option(
             "--around, --speed", "a log with hands, which are what varies", "one without"
@@ -201,37 +226,37 @@ def space_text(made: FromLog, around: Around, *, named: str) -> str:
     hands = tree["hands"]
     assert isinstance(hands, list)
     tree["hands"] = [
-        _varied(hand, one.hand.motion.max_speed_mps * fastest, around)
-        for hand, one in zip(hands, made.hands, strict=True)
+        _varied(hand, file.hand.motion.max_speed_mps * fastest, around)
+        for hand, file in zip(hands, made.hands, strict=True)
     ]
     varied = []
     if around.shift_m is not None:
         varied.append(f"up to {nice(around.shift_m, LENGTH)} elsewhere along each axis")
     if around.speeds is not None:
         varied.append(f"{slowest:g} to {fastest:g} times as fast")
-    words = f"Every draw is what happened, with all hands {' and '.join(varied)}."
-    text = _comments([*_origin(made, named), words])
+    sentence = f"Every draw is what happened, with all hands {' and '.join(varied)}."
+    text = _comments([*_origin(made, named), sentence])
     return text + text_of({"scenario space": title, **tree, "choices": choices})
 
 
 def _varied(hand: Tree, fastest_mps: float, around: Around) -> dict[str, Tree]:
     assert isinstance(hand, dict)
-    found: dict[str, Tree] = dict(hand)
+    entries: dict[str, Tree] = dict(hand)
     if around.shift_m is not None:
-        found["shifted by"] = [f"the {SHIFT.format(axis)}" for axis in AXES]
+        entries["shifted by"] = [f"the {SHIFT.format(axis)}" for axis in AXES]
     if around.speeds is not None:
-        found["speed factor"] = f"the {PACE}"
-        found["speed at most"] = format_quantity(math.ceil(fastest_mps * 10.0 + 0.1) / 10.0, SPEED)
-    return found
+        entries["speed factor"] = f"the {PACE}"
+        entries["speed at most"] = format_quantity(math.ceil(fastest_mps * 10.0 + 0.1) / 10.0, SPEED)
+    return entries
 
 
 def _origin(made: FromLog, named: str) -> list[str]:
-    """What is whose, in paragraphs."""
+    """Return the origin of each part, in paragraphs."""
     log, cell, facts = made.log, made.cell, made.log.hand_facts
     stream = log.file.name if log.file else log.name
     lines = [f"Made of {stream} by safety-harness scenario from, version {installed_version()}."]
     begin_s = log.origin_ns / 1e9
-    seen = f"the hands as they were measured ({', '.join(one.name for one in made.hands)}), " * bool(
+    seen = f"the hands as they were measured ({', '.join(hand.name for hand in made.hands)}), " * bool(
         made.hands
     )
     claims = "the claims" if made.trace.scenario.claims else "but no claims: these are the scenario's"
@@ -246,30 +271,30 @@ def _origin(made: FromLog, named: str) -> list[str]:
             f"{nice(log.clock_known_to_s, TIME)}; between samples, at most {nice(facts.longest_gap_s, TIME)} "
             "apart, they go straight."
         )
-    what = f"the controller, {cell.controller}" if cell.driven else f"the avoider, {cell.avoider}"
+    decider = f"the controller, {cell.controller}" if cell.driven else f"the avoider, {cell.avoider}"
     lines.append(
         f"Not said by the log, and taken from {named}: the desired TCP, the object, the camera, the hand "
-        f"sensor, {what}, faults, seed and all settings."
+        f"sensor, {decider}, faults, seed and all settings."
     )
     unseen = [body.name for body in log.hands if body.elbow is None and body.forearm]
     if unseen:
         lines.append(f"The forearm of {' and '.join(unseen)} was not measured: where it points was said.")
-    said = [f"{claim.expected.value}: {claim.sentence}" for claim in made.trace.scenario.claims]
-    if said:
+    expected = [f"{claim.expected.value}: {claim.sentence}" for claim in made.trace.scenario.claims]
+    if expected:
         lines.append(
             "Every claim is expected to hold, since that is what to test for. LOG.yaml expects "
-            f"{'; '.join(said)}."
+            f"{'; '.join(expected)}."
         )
     return [*lines, *made.notes]
 
 
 def _comments(paragraphs: Sequence[str]) -> str:
-    lines = [line for one in paragraphs for line in textwrap.wrap(one, WIDTH)]
+    lines = [line for text in paragraphs for line in textwrap.wrap(text, WIDTH)]
     return "".join(f"# {line}\n" for line in lines)
 
 
 def write_all(files: dict[Path, bytes]) -> None:
-    """All of them, none if one is there already with other contents; OutputError for that."""
+    """Write all files, or no file if one exists already with other contents; OutputError in that case."""
     for path, data in files.items():
         if path.is_symlink() or (path.exists() and (not path.is_file() or path.read_bytes() != data)):
             raise OutputError.of_file(path, "a file that is not there yet, or the same", "another one")

@@ -1,4 +1,4 @@
-"""A recorded cell beside the worlds, in lines for people."""
+"""The comparison of a recorded cell with the worlds, as lines for people."""
 
 from __future__ import annotations
 
@@ -14,72 +14,72 @@ from safety_harness.extensions.field.recorded.compare import (
 )
 
 
-def comparison_lines(found: CellComparison) -> Iterator[str]:
-    """All of it."""
-    share = f"{found.confidence:.0%}"
-    yield f"{found.log}: {found.title}; {found.duration_s:g} s, {found.joint_samples} samples of the joints"
+def comparison_lines(cell: CellComparison) -> Iterator[str]:
+    """Yield the lines of the whole comparison."""
+    share = f"{cell.confidence:.0%}"
+    yield f"{cell.log}: {cell.title}; {cell.duration_s:g} s, {cell.joint_samples} samples of the joints"
     yield f"simulated minus recorded, with {share} intervals of the mean (approximate, of this recording):"
-    for world in found.worlds:
+    for world in cell.worlds:
         yield f"{world.world}:"
-        yield from (f"  {line}" for line in world_lines(world, found.usually))
+        yield from (f"  {line}" for line in world_lines(world, cell.usually))
 
 
 def world_lines(world: WorldBeside, usually: float) -> Iterator[str]:
-    """Of one world."""
-    for one in (*world.joints, *filter(None, [world.tcp]), *world.distances):
-        yield f"{one.what}: {difference_words(one, usually)}"
+    """Yield the lines of one world."""
+    for item in (*world.joints, *filter(None, [world.tcp]), *world.distances):
+        yield f"{item.what}: {difference_words(item, usually)}"
     yield from map(closest_words, world.closest)
     if world.fit is not None:
-        yield from fit_words(world.fit, [one.what for one in world.joints])
+        yield from fit_words(world.fit, [item.what for item in world.joints])
     for claim in world.claims:
         mark = "DIFF" if claim.differs else "ok  " if claim.decided else "open"
         yield f"{mark} {claim_words(claim)}"
-    yield from (f"not compared: {one}" for one in world.absent)
+    yield from (f"not compared: {item}" for item in world.absent)
 
 
-def difference_words(one: Difference, usually: float) -> str:
-    """Mean with its interval, what it usually is at most, the largest and when, how closely the log knows."""
+def difference_words(row: Difference, usually: float) -> str:
+    """Return the mean with its interval, the usual and largest values, and the log's uncertainty."""
     return (
-        f"mean {estimate(one.mean, one.unit)}; {usually:.0%} of the time within "
-        f"{shown(one.usually, one.unit)}, at most {shown(one.largest, one.unit)} at {one.at_s:.3f} s; "
-        f"recorded to within {shown(one.recorded_within, one.unit)}"
+        f"mean {estimate(row.mean, row.unit)}; {usually:.0%} of the time within "
+        f"{shown(row.usually, row.unit)}, at most {shown(row.largest, row.unit)} at {row.at_s:.3f} s; "
+        f"recorded to within {shown(row.recorded_within, row.unit)}"
     )
 
 
-def closest_words(one: ClosestHand) -> str:
-    """The least distance of a hand in both."""
-    least = "nobody knows how little" if one.recorded_least_m is None else shown(one.recorded_least_m, "m")
+def closest_words(row: ClosestHand) -> str:
+    """Return the least distance of a hand in both."""
+    least = "nobody knows how little" if row.recorded_least_m is None else shown(row.recorded_least_m, "m")
     return (
-        f"least distance of {one.hand}: simulated {shown(one.simulated_m, 'm')}, recorded {least} to "
-        f"{shown(one.recorded_most_m, 'm')}"
+        f"least distance of {row.hand}: simulated {shown(row.simulated_m, 'm')}, recorded {least} to "
+        f"{shown(row.recorded_most_m, 'm')}"
     )
 
 
 def fit_words(fit: DelayFit, joints: Sequence[str]) -> Iterator[str]:
-    """What delay and offsets explain."""
+    """Yield the effect of delay and offsets."""
     late = f"not estimated: {fit.why}" if fit.late is None else estimate(fit.late, "s")
     yield f"recorded joints later than simulated by: {late}"
-    offs = ", ".join(f"{name} {estimate(one, 'rad')}" for name, one in zip(joints, fit.offsets, strict=False))
+    offs = ", ".join(f"{name} {estimate(est, 'rad')}" for name, est in zip(joints, fit.offsets, strict=False))
     yield f"and off by: {offs}"
     yield f"which leaves {shown(fit.left, 'rad')} of {shown(fit.before, 'rad')} (root mean square)"
 
 
-def claim_words(one: ClaimOfBoth) -> str:
-    """Both verdicts."""
+def claim_words(row: ClaimOfBoth) -> str:
+    """Return both verdicts with their margins."""
     return (
-        f"{one.sentence}: recorded {one.recorded.value} {one.recorded_margin}, "
-        f"simulated {one.simulated.value} {one.simulated_margin}"
+        f"{row.sentence}: recorded {row.recorded.value} {row.recorded_margin}, "
+        f"simulated {row.simulated.value} {row.simulated_margin}"
     )
 
 
-def estimate(one: Estimate, unit: str) -> str:
-    """With its interval."""
-    if one.low is None or one.high is None:
-        return f"{shown(one.value, unit)} (no interval)"
-    return f"{shown(one.value, unit)} ({shown(one.low, unit)} to {shown(one.high, unit)})"
+def estimate(of_value: Estimate, unit: str) -> str:
+    """Return a value with its interval."""
+    if of_value.low is None or of_value.high is None:
+        return f"{shown(of_value.value, unit)} (no interval)"
+    return f"{shown(of_value.value, unit)} ({shown(of_value.low, unit)} to {shown(of_value.high, unit)})"
 
 
 def shown(value: float, unit: str) -> str:
-    """In degrees, millimetres or milliseconds."""
+    """Return a value in degrees, millimetres or milliseconds."""
     text = f"{degrees(value):.3f}" if unit == "rad" else f"{value * 1e3:.2f}"
     return f"{'0' if float(text) == 0.0 else text} {'deg' if unit == 'rad' else f'm{unit}'}"
