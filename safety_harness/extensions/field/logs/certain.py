@@ -446,7 +446,7 @@ def _system(scenario: Scenario) -> SystemUnderTest:
 
 def _provenance(log: CellLog) -> Provenance:
     """Return the provenance of our software, with the files of the log by their hashes."""
-    ours = provenance(RECORDED, RECORDED)
+    ours = provenance(RECORDED)
     return replace(ours, files=(*ours.files, *((str(told(file)), sha256_of(file)) for file in log.files)))
 
 
