@@ -32,6 +32,7 @@ class Output:
     Args:
         say: Takes lines of remarks, also none.
         result: Takes lines of results.
+        detail: Takes lines on each part of the work, which a command prints with --verbose.
         explain: Takes an InputError about an input that is left out.
         block: Opens a context; its value takes the lines that say where the job is.
         counting: Opens a context for a total and its unit; its value takes how many are done, in words what
@@ -41,6 +42,7 @@ class Output:
 
     say: Callable[..., None] = _ignore
     result: Callable[..., None] = _ignore
+    detail: Callable[..., None] = _ignore
     explain: Callable[[Exception], None] = lambda error: None
     block: Callable[[], AbstractContextManager[Callable[[list[str]], None]]] = _no_block
     counting: Callable[[int, str], AbstractContextManager[Callable[..., None]]] = _no_count
@@ -53,7 +55,7 @@ class Output:
             for line in lines:
                 each_line(line)
 
-        return cls(say=hear, result=hear)
+        return cls(say=hear, result=hear, detail=hear)
 
     @contextmanager
     def words(self) -> Iterator[Callable[[str], None]]:

@@ -61,6 +61,11 @@ def result(*lines: str) -> None:
         answer.lines += lines
 
 
+def next_step(command: str, purpose: str) -> None:
+    """Print the command that a user most likely wants next, and its purpose, on standard error."""
+    say(f"next: {command}    ({purpose})")
+
+
 def asked_for_json() -> bool:
     """Is what ``result`` is told printed by nobody?"""
     return _as_json.get() is not None

@@ -62,6 +62,7 @@ AttributionOut = Annotated[
 Executes = Annotated[
     bool, Option("--execute-programs", help="Allow the programs of what is given to be executed.")
 ]
+Verbose = Annotated[bool, Option("--verbose", "-v", help="Print every line, not only what matters.")]
 Workers = Annotated[int | None, Option(help="Processes; without it, one for each core.", min=1)]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
 _AsJson = Annotated[bool, Option("--json", help="One JSON document in place of lines for people.")]

@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rich.console import Console
@@ -100,3 +100,9 @@ def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
 
 
 TERMINAL = Output(say=say, result=result, explain=explain, block=block, counting=counting)
+VERBOSE = replace(TERMINAL, detail=result)
+
+
+def terminal(verbose: bool) -> Output:
+    """Return where a command's words go; with ``verbose`` lines on each part of the work as well."""
+    return VERBOSE if verbose else TERMINAL

@@ -21,13 +21,15 @@ from safety_harness.cli.console import (
     result,
     say,
 )
-from safety_harness.cli.progress import TERMINAL
+from safety_harness.cli.progress import TERMINAL, terminal
+from safety_harness.cli.run import print_verdicts
 from safety_harness.report.evidence import JudgedRun, basis_of
 from safety_harness.report.judge_job import A_CLAIM, judged_run, write_judged
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
-from safety_harness.report.run_job import result_lines, tested_line, watching_runs
+from safety_harness.report.run_job import watching_runs
 from safety_harness.report.run_result import DATA, REPORT
+from safety_harness.report.verdict_lines import every_line, short_basis, totals
 from safety_harness.scenario.model import VISUAL_SERVO
 from safety_harness.scenario.references import file_and_name
 from safety_harness.trace.compare import first_difference
@@ -113,6 +115,7 @@ def judge_again(
     *,
     keep_going: bool = False,
     out: Path | None = None,
+    verbose: bool = False,
 ) -> int:
     """Judge stored traces, and logs of cells, by their claims, with the present code, without simulating.
 
@@ -132,14 +135,16 @@ def judge_again(
                 raise
             refused.append(error)
             continue
-        result(*result_lines(run))
-        say(tested_line(run))
-        result(*measured_lines(run.trace))
-        say(*(f"note: {run.trace.scenario.name}: {note}" for note in run.notes if run.trace.known.recorded))
+        terminal(verbose).detail(*every_line(run))
         runs.append(run)
     evaluations = [evaluation for run in runs for _, evaluation in run.judged_claims()]
     document(runs=[run_data(run) for run in runs], basis=basis_of(runs), refused=refused_data(refused))
-    say(*[basis_of(runs)] * bool(runs))
+    print_verdicts(runs, verbose)
+    for run in runs:
+        result(*measured_lines(run.trace))
+        say(*(f"note: {run.trace.scenario.name}: {note}" for note in run.notes if run.trace.known.recorded))
+    say(*[basis_of(runs) if verbose else short_basis(basis_of(runs))] * bool(runs))
+    result(*[totals(runs)] * (len(runs) > 1))
     if out is not None and runs:
         write_judged(runs, refused, out, paths)
         say(f"report: {out / REPORT} (for programs: {DATA})")

@@ -46,7 +46,7 @@ def with_defaults(about: AboutRuns) -> AboutRuns:
     return _NOTHING | about
 
 
-_SEVERITY = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
+SEVERITY = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class JudgedRun:
         """
         ranked = [
             (
-                _SEVERITY.index(evaluation.verdict),
+                SEVERITY.index(evaluation.verdict),
                 evaluation.unit is not Unit.LENGTH,
                 evaluation.margin if evaluation.margin is not None and isfinite(evaluation.margin) else inf,
                 index,
@@ -134,7 +134,7 @@ class JudgedRun:
 
 def worst_verdict(verdicts: Iterable[Verdict]) -> Verdict:
     """Return the worst of some verdicts; inconclusive for none."""
-    return min(verdicts, key=_SEVERITY.index, default=Verdict.INCONCLUSIVE)
+    return min(verdicts, key=SEVERITY.index, default=Verdict.INCONCLUSIVE)
 
 
 def notes_of(scenario: Scenario) -> tuple[str, ...]:

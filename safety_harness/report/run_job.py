@@ -37,7 +37,7 @@ from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.report.decisions import fault_notes
 from safety_harness.report.evidence import JudgedRun, notes_of
 from safety_harness.report.run_result import TRACES, RunResult, save_mcap, saved
-from safety_harness.report.words import tested_words
+from safety_harness.report.verdict_lines import every_line
 from safety_harness.scenario.expand import Gathered, gather
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import Scenario
@@ -308,8 +308,7 @@ class RunSession:
         self.repeatability.add(judged.trace)
         say = self.output.say
         if self.asked.against is None:
-            self.output.result(*result_lines(judged))
-            say(tested_line(judged))
+            self.output.detail(*every_line(judged))
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
         say(*(f"note: {line}" for line in TriedParts.of(judged.trace).lines()))
         self.interrupted = not judged.trace.complete
@@ -352,27 +351,3 @@ class RunSession:
         if self.runs and not self.interrupted and self.unwritable is None:
             self.repeated = self.repeatability.reported(self.output)
             self.interrupted = self.repeated is None
-
-
-def result_lines(run: JudgedRun) -> Iterator[str]:
-    """Yield one line for each claim of a run, and one more for what could not be judged unmeasured."""
-    place = run.trace.scenario.places.get("avoider")
-    overridden = place.field if place is not None and (place.field or "").startswith("--") else ""
-    for claim, evaluation in run.judged_claims():
-        same = evaluation.verdict is claim.given(evaluation.margin) or not evaluation.applicable
-        mark = ("ok  " if same else "DIFF") if evaluation.applicable else "n/a "
-        when = "-" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
-        expected = "" if same else f"  (expected {claim.expectation})"
-        if overridden and claim.is_loosely(evaluation.verdict):
-            expected = f"  (expected of another than {overridden}: it may be for another reason)"
-        yield (
-            f"{mark} {evaluation.verdict.value:<12} {evaluation.margin_text():>13} at {when:>9}  "
-            f"{run.trace.scenario.name}: {claim.sentence}{expected}"
-        )
-        if evaluation.unmeasured:
-            yield f"     {evaluation.reason}"
-
-
-def tested_line(run: JudgedRun) -> str:
-    """Return what was tested in a run."""
-    return f"tested in {run.trace.scenario.name}: {tested_words(run.trace.scenario, run.trace.system)}"

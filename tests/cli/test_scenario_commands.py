@@ -48,7 +48,7 @@ def test_a_suite_of_a_matrix_is_run_and_every_scenario_has_its_trace(
     assert run([tmp_path / "suite.yaml"], tmp_path / "out") == AS_EXPECTED
     traces = sorted(file.name for file in (tmp_path / "out/traces").iterdir())
     assert traces == ["good.trace", "two[one].trace", "two[two].trace"]
-    assert "3 of 3 scenarios run" in capsys.readouterr().err
+    assert "3 of 3 scenarios run" in capsys.readouterr().out
 
 
 def test_the_trace_of_a_matrix_is_complete_in_itself(tmp_path: Path) -> None:
