@@ -61,9 +61,9 @@ def result(*lines: str) -> None:
         answer.lines += lines
 
 
-def next_step(command: str, purpose: str) -> None:
+def next_step(command: str, purpose: str = "") -> None:
     """Print the command that a user most likely wants next, and its purpose, on standard error."""
-    say(f"next: {command}    ({purpose})")
+    say(f"next: {command}" + (f"    ({purpose})" if purpose else ""))
 
 
 def asked_for_json() -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from functools import partial, update_wrapper, wraps
 from inspect import Parameter, cleandoc, signature
@@ -11,7 +12,16 @@ from typing import Annotated, ParamSpec
 from typer import Argument, Exit, Option, Typer
 
 from safety_harness.base.exceptions import InputError, SafetyHarnessError
-from safety_harness.cli.console import BAD_INPUT, INTERRUPTED, answered_as_json, explain, say
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    BAD_INPUT,
+    DIFFERS,
+    INTERRUPTED,
+    answered_as_json,
+    explain,
+    next_step,
+    say,
+)
 
 Files = Annotated[
     list[Path],
@@ -47,9 +57,12 @@ OfReference = Annotated[
     ),
 ]
 OfWorld = Annotated[
-    str,
+    str | None,
     Option(
-        "--world", help="PyBullet, the reference, or kinematic, which needs no PyBullet.", metavar="WORLD"
+        "--world",
+        help="PyBullet, the reference, or kinematic, which needs no PyBullet; without it PyBullet, if it is "
+        "installed.",
+        metavar="WORLD",
     ),
 ]
 OfSpace = Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")]
@@ -76,12 +89,14 @@ def command(
     interrupted: str = "",
     failed: int | None = None,
     json: bool = True,
+    then: str = "",
 ) -> Callable[[Callable[_Asked, int]], Callable[_Asked, int]]:
     """A command of ``group``, of a function that returns an exit code, which it ends with.
 
     The user's mistakes are explained, and are exit code 2.  Any other error of ours is ``failed`` (None: it
     is raised), and Ctrl-C is answered with the words ``interrupted`` (none: it is raised).  Without ``json``
-    it has no option --json.
+    it has no option --json.  ``then`` names the next command, with the values of options in braces; it is
+    printed after exit code 0 or 1.
     """
 
     def registered(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
@@ -104,7 +119,10 @@ def command(
         def ended(*args: _Asked.args, **options: _Asked.kwargs) -> None:
             as_json = options.pop("as_json", False)
             answered = partial(answer, *args, **options)
-            raise Exit(answered_as_json(answered) if as_json else answered())
+            code = answered_as_json(answered) if as_json else answered()
+            if then and not as_json and code in (AS_EXPECTED, DIFFERS):
+                next_step(then.format_map({name: _quoted(value) for name, value in options.items()}))
+            raise Exit(code)
 
         update_wrapper(ended, work)
         if json:
@@ -118,3 +136,8 @@ def command(
         return answer
 
     return registered
+
+
+def _quoted(value: object) -> str:
+    """Return the value of an option, or each of several, as a shell takes it."""
+    return shlex.join(map(str, value)) if isinstance(value, list) else shlex.quote(str(value))

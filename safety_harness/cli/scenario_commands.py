@@ -34,7 +34,7 @@ def run(
     out: Out = Path("reports/run"),
     avoider: OfAvoider = None,
     against: OfReference = None,
-    world: OfWorld = "PyBullet",
+    world: OfWorld = None,
     keep_going: KeepGoing = False,
     controller: OfController = None,
     jobs: Workers = None,
@@ -68,7 +68,7 @@ def run(
         avoider,
         against,
         controller=controller,
-        world=world_named(world, "--world"),
+        world=None if world is None else world_named(world, "--world"),
         keep_going=keep_going,
         jobs=jobs,
         mcap=mcap,
@@ -91,7 +91,7 @@ def validate(files: Files, avoider: OfAvoider = None, controller: OfController =
     return validate_files(files, one_of(avoider, controller))
 
 
-@command(commands)
+@command(commands, then="safety-harness validate {files}")
 def fmt(
     files: Files,
     check: Annotated[bool, Option("--check", help="Change nothing; only say what would change.")] = False,
@@ -258,7 +258,11 @@ def show(
     return show_files(files, out=out, draws=draws, seed=seed)
 
 
-@command(commands, interrupted="interrupted: the files that were written are kept")
+@command(
+    commands,
+    interrupted="interrupted: the files that were written are kept",
+    then="safety-harness run {out}",
+)
 def sample(
     space: OfSpace,
     out: Annotated[Path, Option(help="Folder for the scenario files.")] = Path("reports/sample"),

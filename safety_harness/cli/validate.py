@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
@@ -24,11 +25,13 @@ from safety_harness.cli.console import (
     INTERRUPTED,
     document,
     explain_each,
+    next_step,
     result,
     say,
 )
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import Gathered, gather
+from safety_harness.scenario.files import told
 from safety_harness.scenario.kinds import added_input
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.ours import aside_lines
@@ -88,6 +91,10 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         for title, count in Counter(kind.title for kind, _ in read).items():
             rest += f" and {_count(count, title)}"
         say(f"{mistakes}; {rest} can be used")
+    for name, found in (("run", [one.scenario for one in checked]), ("fuzz", spaces)):
+        if found and not errors:
+            next_step(f"safety-harness {name} {shlex.quote(str(told(found[0].file or Path())))}")
+            break
     return BAD_INPUT if errors else AS_EXPECTED
 
 

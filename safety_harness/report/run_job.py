@@ -31,7 +31,7 @@ from safety_harness.base.extras import LOGS
 from safety_harness.base.input_errors import InputErrors, each_once, usable
 from safety_harness.base.output import QUIET, Output
 from safety_harness.base.whole_file import writing
-from safety_harness.cell.simulation.worlds import REFERENCE, WorldEntry, world_named
+from safety_harness.cell.simulation.worlds import DEFAULTED, REFERENCE, WorldEntry, default_world, world_named
 from safety_harness.claims.properties.against import Against, RunDifference
 from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.report.decisions import fault_notes
@@ -55,7 +55,7 @@ def run(
     avoider: str | Path | None = None,
     controller: str | Path | None = None,
     against: str | Path | None = None,
-    world: str | WorldEntry = REFERENCE,
+    world: str | WorldEntry | None = None,
     out: str | Path | None = None,
     keep_going: bool = False,
     jobs: int | None = None,
@@ -69,7 +69,7 @@ def run(
         avoider: What proposes retreats in place of what the scenarios name: a name, ``FILE.py:NAME``, ...
         controller: What drives the arm in place of the visual servo, likewise.
         against: A reference for either, which is run in the same draws.
-        world: A world or its label, such as ``kinematic``.
+        world: A world or its label, such as ``kinematic``; None: PyBullet, if it is installed.
         out: A folder that keeps each trace as soon as its run ends.
         keep_going: Run the others where some inputs cannot be used.
         jobs: Processes; None: one for each core, if there are many runs.
@@ -86,7 +86,9 @@ def run(
     if mcap:
         LOGS.require("--mcap")
         part_named(ExtensionPoint.RUN_FORMATS, "mcap", FunctionType)
-    chosen = world if isinstance(world, WorldEntry) else world_named(world, "world")
+    if world is None and (world := default_world()) is not REFERENCE:
+        output.say(DEFAULTED)
+    chosen = world_named(world, "world") if isinstance(world, str) else world
     tested = one_of(_reference(avoider), _reference(controller))
     reference = reference_for(tested, _reference(against))
     paths, objects = _paths_and_objects(scenarios)

@@ -219,7 +219,7 @@ class SearchSession:
             reference = self.trials.reference
             again += [] if reference is None else ["--against", reference.name]
             again += [] if self.reference else ["--world", KINEMATIC.label]
-            lines.append("again: " + shlex.join(again))
+            lines.append("next: " + shlex.join(again))
         return lines + ([] if unwritable is None else [f"error: {explanation(unwritable)}"])
 
     def moved_to(self, folder: Path) -> SearchSession:

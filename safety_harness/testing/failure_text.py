@@ -113,7 +113,7 @@ def again(scenario: Scenario, test: TestRun | None, *, runs: bool) -> list[str]:
     """The commands that show the failure again; only if ``runs`` one that runs the scenario's file."""
     avoider = session().avoider
     own = [] if avoider is None else ["--avoider", avoider]
-    chosen = [] if session().world == "PyBullet" else [session().world]
+    chosen = [session().world] if session().world not in ("", "PyBullet") else []
     lines = []
     file = scenario.file if in_store(scenario) or _is_what_its_file_holds(scenario) else None
     file = file or (test.kept if test is not None else None)

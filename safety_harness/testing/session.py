@@ -137,7 +137,7 @@ class Session:
     seed: int = 0
     avoider: str | None = None
     against: str | None = None
-    world: str = "PyBullet"
+    world: str = ""  # none is named: PyBullet, or kinematic where that is missing
     failures: Path = FAILURES
     report: Path | None = None
     saved: set[Path] = field(default_factory=set)  # traces that this process wrote for the report

@@ -18,7 +18,7 @@ from safety_harness.base.exceptions import FlakyAvoiderError, InputError, Place
 from safety_harness.cell.avoidance.avoider import Avoider
 from safety_harness.cell.avoidance.flaky import refuse_flaky
 from safety_harness.cell.simulation.simulate import INTERRUPTED
-from safety_harness.cell.simulation.worlds import world_named
+from safety_harness.cell.simulation.worlds import default_world, world_named
 from safety_harness.claims.properties.answered import by_default
 from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.report.decisions import computing_times
@@ -171,7 +171,8 @@ simulate = Simulate()  # one for all: claims of the same scenario are judged on 
 
 def _run(admitted: Admitted) -> Trace:
     """One run, looked at for Ctrl-C, which a trace only notes, and for an avoider that cannot be repeated."""
-    trace = run_trial(admitted, world=world_named(session().world, "--safety-world"))
+    named = session().world
+    trace = run_trial(admitted, world=world_named(named, "--safety-world") if named else default_world())
     if trace.ended == INTERRUPTED:
         raise KeyboardInterrupt
     if admitted.driver is None:

@@ -26,6 +26,8 @@ REACH = """\
 scenario: a hand reaches for the tool
 duration: 3 s
 avoider: opposite pose
+tcp start:
+  offset: [0 mm, -60 mm, 20 mm]
 hands:
   - hand: right hand
     starts at: [1100 mm, -700 mm, 300 mm]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, BadParameter, Option, Typer
 from typer.core import TyperGroup
 
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, result, say
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, next_step, result, say
 from safety_harness.cli.options import Executes, OfController, Workers, command
 
 if TYPE_CHECKING:
@@ -149,6 +150,10 @@ def certify(
     result(evidence.basis, f"{found.page}: {evidence.standing.value}")
     if not found.complete:
         say("interrupted: the report says what is missing; the same command goes on from there")
+    else:
+        folder = shlex.quote(str(found.folder))
+        next_step(f"safety-harness verify {folder}", "does the report stand?")
+        next_step(f"safety-harness certify seal {folder}", "a hash to lodge where its day cannot be changed")
     if found.delta is not None:
         _tell_delta(found.delta, found.folder)
     return found.exit_code
@@ -203,8 +208,6 @@ def tell_delta(
     Exit code 0: nothing got worse; 1: something did; 2: no report, one that is not finished, or one whose
     files were altered.
     """
-    import shlex
-
     from safety_harness.extensions.assurance.certification.delta import EarlierReport
     from safety_harness.extensions.assurance.certify_job import compare_reports
     from safety_harness.scenario.files import told
@@ -216,7 +219,7 @@ def tell_delta(
     return DIFFERS if delta.regressions else AS_EXPECTED
 
 
-@command(of_certify)
+@command(of_certify, then="safety-harness certify {plan}")
 def declare(
     plan: Annotated[Path, Argument(help="A plan that has not been run yet.", metavar="PLAN")],
     out: Annotated[
