@@ -11,6 +11,7 @@ from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, Place, TraceError
 from safety_harness.cell.simulation.worlds import world_of_trace
+from safety_harness.claims.properties.tally import short_basis
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -29,7 +30,7 @@ from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.report.run_job import watching_runs
 from safety_harness.report.run_result import DATA, REPORT
-from safety_harness.report.verdict_lines import every_line, short_basis, totals
+from safety_harness.report.verdict_lines import every_line, totals
 from safety_harness.scenario.model import VISUAL_SERVO
 from safety_harness.scenario.references import file_and_name
 from safety_harness.trace.compare import first_difference

@@ -13,7 +13,7 @@ from safety_harness.admission.avoiders import command_line_reference, replay_com
 from safety_harness.admission.taking import not_taken_words
 from safety_harness.base.exceptions import OutputError
 from safety_harness.base.input_errors import InputErrors
-from safety_harness.claims.properties.tally import far_lines, table_lines, untested_lines
+from safety_harness.claims.properties.tally import far_lines, short_basis, table_lines, untested_lines
 from safety_harness.cli.console import (
     BAD_INPUT,
     INTERRUPTED,
@@ -37,7 +37,7 @@ from safety_harness.report.evidence import JudgedRun, as_expected
 from safety_harness.report.run_job import run as run_scenarios
 from safety_harness.report.run_result import DATA, REPORT, TRACES, RunResult
 from safety_harness.report.shielding import shield_lines
-from safety_harness.report.verdict_lines import block_of, short_basis, surprise_lines, totals
+from safety_harness.report.verdict_lines import block_of, surprise_lines, totals
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.answer_times import UNHEEDED
 

@@ -47,6 +47,7 @@ from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_mom
 from safety_harness.report.replay import Replays
 from safety_harness.report.shielding import shield_lines, slowings
 from safety_harness.report.timeline import thinning, timeline
+from safety_harness.report.verdict_lines import nearest_hand_words
 from safety_harness.report.words import (
     MODE_WORDS,
     changes,
@@ -121,6 +122,7 @@ def render(
         summary=summary,
         replays=True,
         sections=sections,
+        worst=_worst(sections),
         unlike=[(one, row) for one in sections for row in one["claims"] if not row["as_expected"]],
         most_told=MOST_TOLD,
         tabled=_tabled(sections),
@@ -140,6 +142,22 @@ def render(
         minus=with_minus,
         most_numbers=MOST_NUMBERS,
     )
+
+
+def _worst(sections: Sequence[Row]) -> Row | None:
+    """Return the worst violation of the drawn runs, an unexpected one first, and a picture of its moment."""
+    violated = [
+        ((row["as_expected"], one["run"].shown_claim() != row["number"] - 1), one, row)
+        for one in sections
+        for row in one["claims"]
+        if one.get("views") and row["found"].verdict is Verdict.VIOLATED
+    ]
+    if not violated:
+        return None
+    _, section, row = min(violated, key=lambda found: found[0])
+    run = section["run"].under(row["claim"].sentence)
+    view = path_views(run, prefix="worst-")[1]
+    return {"section": section, "row": row, "view": view, "nearest": nearest_hand_words(run.trace)}
 
 
 def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:

@@ -86,9 +86,9 @@ def run(
     if mcap:
         LOGS.require("--mcap")
         part_named(ExtensionPoint.RUN_FORMATS, "mcap", FunctionType)
-    if world is None and (world := default_world()) is not REFERENCE:
+    chosen = world_named(world, "world") if isinstance(world, str) else world or default_world()
+    if world is None and chosen is not REFERENCE:
         output.say(DEFAULTED)
-    chosen = world_named(world, "world") if isinstance(world, str) else world
     tested = one_of(_reference(avoider), _reference(controller))
     reference = reference_for(tested, _reference(against))
     paths, objects = _paths_and_objects(scenarios)

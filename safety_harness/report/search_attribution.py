@@ -32,7 +32,7 @@ def confirming_line(replay: Replay, attribution: Attribution) -> str:
     return f"in {PYBULLET.label}, {replay.words or 'as it is'}: {replay.outcome.value}, {margin}"
 
 
-def findings_of(counterexamples: int, causes: Mapping[str, Sequence[str]]) -> int:
+def causes_of(counterexamples: int, causes: Mapping[str, Sequence[str]]) -> int:
     """How many there are where those that one change mends are one."""
     return counterexamples - sum(len(files) - 1 for files in causes.values())
 
@@ -54,7 +54,7 @@ class FaultsOfSearch:
         """In one line."""
         _, _, groups = self.tally.words.partition(": ")
         some = "" if self.attributed == self.groups else f"{self.attributed} of "
-        return f"whose fault, of {some}{self.groups} violations that lie apart: {groups or 'not asked'}"
+        return f"whose fault, of {some}{self.groups} groups of violations: {groups or 'not asked'}"
 
     def as_json(self) -> dict[str, object]:
         """As a tally's, with how many of how many."""
@@ -97,8 +97,8 @@ class SearchAttribution:
             found[change] = [name for one, name in left if one == change]
             left = [(one, name) for one, name in left if name not in found[change]]
         if found:
-            count = findings_of(len(session.written), found)
-            told = "1 finding" if count == 1 else f"{count} findings"
+            count = causes_of(len(session.written), found)
+            told = "1 cause" if count == 1 else f"{count} causes"
             session.output.say(f"{told} in {len(session.written)} counterexamples")
         for change, files in found.items():
             session.output.say(
@@ -107,10 +107,10 @@ class SearchAttribution:
         return found
 
     def of_search(self, session: SearchSession) -> FaultsOfSearch | None:
-        """All violations together; None where there are none, or the search was interrupted."""
+        """All violations together; None without any, if not all are explained, or after an interruption."""
         searches = [session.findings] + ([] if session.baseline is None else [session.baseline])
         groups = [group for one in searches for group in one.groups if group.claim is not None]
-        if not groups or session.interrupted:
+        if not groups or session.interrupted or not session.explains_all:
             return None
         every = -(-len(groups) // MOST_ATTRIBUTED)
         chosen = groups[::every]
@@ -119,7 +119,7 @@ class SearchAttribution:
         try:
             with session.output.words() as tell:
                 for together in _by_run(chosen):
-                    tell(f"whose fault: {done} of {len(chosen)} violations that lie apart")
+                    tell(f"whose fault: {done} of {len(chosen)} groups of violations")
                     try:
                         found += self._of_run(session, together)
                         done += len(together)

@@ -45,6 +45,7 @@ from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
 
 PAGE, COVERAGE = "fuzz.html", "coverage.svg"
+EXPLAIN = ("causes", "all")
 
 
 def fuzz(
@@ -58,6 +59,7 @@ def fuzz(
     searcher: str = "default",
     claims: tuple[str, ...] | list[str] = (),
     baseline: bool = False,
+    explain: str = "causes",
     out: str | Path | None = None,
     output: Output = QUIET,
 ) -> SearchResult:
@@ -73,6 +75,7 @@ def fuzz(
         searcher: A name that ``searcher_named`` takes.
         claims: Sentences in place of the space's claims.
         baseline: Sample the space uniformly as well, with the same budget.
+        explain: "causes": a violation of each claim, and others for as long as the search took; or "all".
         out: A folder that keeps each finding as soon as it is found.
         output: What hears of the progress.
 
@@ -84,6 +87,8 @@ def fuzz(
     """
     if budget < 1:
         raise ScenarioError.of_option("--budget", "at least 1 run", str(budget))
+    if explain not in EXPLAIN:
+        raise ScenarioError.of_option("--explain", " or ".join(EXPLAIN), repr(explain))
     make = searcher_named(searcher)
     if baseline and make is UniformSampling:
         expected = "another searcher, to compare with uniform sampling"
@@ -106,6 +111,8 @@ def fuzz(
         output=output,
         baseline=baseline,
         explain=attribution.explain,
+        explains_all=explain == "all",
+        concluding=_write_interim,
     )
     if session.unwritable is not None:
         return SearchResult(session, None, session.interrupted, session.unwritable)
@@ -205,6 +212,18 @@ class SearchResult:
         return made
 
 
+def _write_interim(session: SearchSession) -> None:
+    """Write a page with what the search found, before explanations: they may take long, or be ended."""
+    if session.keeps and session.findings.found and session.unwritable is None:
+        interrupted, session.findings.interrupted = session.findings.interrupted, True
+        try:
+            write_text(session.out / PAGE, render(evidence_of(session)))
+        except OutputError as error:
+            session.unwritable = error
+        finally:
+            session.findings.interrupted = interrupted
+
+
 def evidence_of(session: SearchSession, attribution: SearchAttribution | None = None) -> SearchEvidence:
     """Everything that the page shows."""
     trials = session.trials
@@ -261,6 +280,7 @@ def fuzz_command(session: SearchSession) -> str:
     command += [] if trials.avoider is None else [option_of(trials.avoider), told_avoider(trials.avoider)]
     command += [] if trials.reference is None else ["--against", trials.reference.name]
     command += [word for sentence in trials.sentences for word in ("--claim", sentence)]
+    command += ["--explain", "all"] if session.explains_all else []
     return shlex.join(command + ["--baseline"] * (session.baseline is not None))
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from math import isfinite
+from typing import Any
 
 from markupsafe import Markup
 
@@ -24,7 +25,7 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.replay import Replays
-from safety_harness.report.search_attribution import FaultsOfSearch, draw_attributions, findings_of
+from safety_harness.report.search_attribution import FaultsOfSearch, causes_of, draw_attributions
 from safety_harness.report.svg import DASHES, Ink, plain
 from safety_harness.report.words import margin_words, with_minus
 from safety_harness.scenario.files import told
@@ -97,6 +98,7 @@ def render(evidence: SearchEvidence) -> str:
     findings, baseline = evidence.findings, evidence.baseline
     searches = [findings] if baseline is None else [findings, baseline]
     replays = Replays()
+    sections = [_section(shown, number, replays) for number, shown in enumerate(evidence.shown, start=1)]
     return render_page(
         "search.html.j2",
         basis=basis_of_search(findings, evidence.confirmed),
@@ -109,13 +111,14 @@ def render(evidence: SearchEvidence) -> str:
             (goal.sentence, [_claim_line(one, k) for one in searches])
             for k, goal in enumerate(findings.goals)
         ],
-        findings=findings_of(len(evidence.shown), evidence.causes),
+        causes=causes_of(len(evidence.shown), evidence.causes),
         always=[g.sentence for k, g in enumerate(findings.goals) if findings.always_violated(k)],
         untested=[
             g.sentence for k, g in enumerate(findings.goals) if findings.tried and not findings.evidence[k]
         ],
         progress=Markup(progress_figure(searches, prefix="progress-")),
-        sections=[_section(shown, number, replays) for number, shown in enumerate(evidence.shown, start=1)],
+        sections=sections,
+        cards=_cards(evidence, sections),
         groups=[
             _group_row(findings, group)
             for claim in (*range(len(findings.goals)), None)
@@ -148,6 +151,16 @@ def render(evidence: SearchEvidence) -> str:
     )
 
 
+def _cards(evidence: SearchEvidence, sections: Sequence[dict[str, Any]]) -> list[dict[str, object]]:
+    """Return a card for each cause: the change that mends several, and the sections of counterexamples."""
+    by_file = {section["shown"].path.name: section for section in sections}
+    cards: list[dict[str, object]] = []
+    for change, files in evidence.causes.items():
+        cards.append({"change": change, "sections": [by_file.pop(file) for file in files]})
+    cards += [{"change": "", "sections": [section]} for section in by_file.values()]
+    return sorted(cards, key=lambda card: sections.index(card["sections"][0]))  # type: ignore[index]
+
+
 def map_of(evidence: SearchEvidence) -> str:
     """The coverage as an ``<svg>``, on the page and in a file of its own."""
     counts, title = evidence.violations.counts, f"Coverage of {evidence.space}"
@@ -175,7 +188,7 @@ def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, in
     return findings.sentence_of(group), kind, margin, group.count, group.worst.number
 
 
-def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dict[str, object]:
+def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dict[str, Any]:
     """What the page shows about one counterexample, with the commands that run it again."""
     one, evaluation, trace = shown.one, shown.one.evaluation, shown.trace_file
     found = "\u2013"
@@ -194,6 +207,9 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
         "found_margin": found,
         "parts": [line for each in one.evaluations for line in _part_lines(each, 0)],
         "run": run,
+        "card_view": next(
+            iter(_pictures(drawn, one.evaluations, one.complaint, f"card-{number}-")["views"][1:2]), ""
+        ),
         **_pictures(drawn, one.evaluations, one.complaint, f"{name}-"),
         "replay": drawn
         and replays.of(JudgedRun(drawn, one.evaluations, "").under(one.complaint.sentence), name),
@@ -217,7 +233,7 @@ def _told(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dict[s
 
 def _pictures(
     run: Trace | None, evaluations: tuple[Evaluation, ...], complaint: Complaint, prefix: str, most: int = 4
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """The first ``most`` drawings of a run, and the moment that they show; none of what was not run."""
     if run is None or len(run.ticks) == 0:
         return {"views": (), "moment_time": "", "moment_of": ""}

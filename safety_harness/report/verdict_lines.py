@@ -160,12 +160,6 @@ def totals(runs: Sequence[JudgedRun]) -> str:
     return f"{sum(expected)} of {len(expected)} verdicts as expected" + (f" ({words})" if words else "")
 
 
-def short_basis(basis: str) -> str:
-    """Return the sentence on what verdicts rest on, without the names of what nothing watched."""
-    head, watched, _ = basis.partition("; nothing watched: ")
-    return head + ("; what nothing watched: see the report, or -v" if watched else "")
-
-
 def tested_line(run: JudgedRun) -> str:
     """Return what was tested in a run."""
     return f"tested in {run.trace.scenario.name}: {tested_words(run.trace.scenario, run.trace.system)}"

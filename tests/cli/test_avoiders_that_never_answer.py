@@ -112,7 +112,7 @@ def test_fuzz_finds_it_says_it_and_keeps_one_file_that_runs_as_it_says(
     )
     shown = capsys.readouterr()
     assert "the avoider answered: the avoider gave no answer: " in shown.out
-    assert f"tried 6/6, refused 0, 0 violations apart, 1 kinds of mishap; {IN_PLACE}" in shown.err
+    assert f"tried 6/6, refused 0, 0 violations, 1 kinds of mishap; {IN_PLACE}" in shown.err
     (file,) = Path("out").glob("*.yaml")
     assert "the avoider answered: violated" in file.read_text()
     assert IN_PLACE in Path("out/fuzz.html").read_text().split("</h1>")[0]

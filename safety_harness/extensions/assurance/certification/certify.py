@@ -157,6 +157,7 @@ class Certification:
             budget=one.asked,
             seed=self.plan.seed,
             claims=[claim.sentence for claim in self.plan.claims],
+            explain="all",
             out=one.folder,
             output=output,
         )
