@@ -243,7 +243,7 @@ class Repeatability:
             found = self.check()
         except KeyboardInterrupt:
             return None
-        (output.say if found.problem else output.detail)(f"{'error: ' * bool(found.problem)}{found.line}")
+        (output.say if found.words else output.detail)(f"{'error: ' * bool(found.problem)}{found.line}")
         return found
 
     def _only_controllers_broke_off(self) -> bool:

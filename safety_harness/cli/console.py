@@ -146,7 +146,7 @@ def _write(text: str, name: str) -> None:
         stream.flush()
     except OSError as error:
         give_up(stream)
-        if error.errno not in (errno.EPIPE, errno.EBADF):
+        if error.errno not in (errno.EPIPE, errno.EBADF, errno.EIO):  # EIO: of a terminal that hung up
             place = "standard output" if name == "stdout" else "standard error"
             raise OutputError.of_option(place, "room for what is printed", str(error)) from error
 

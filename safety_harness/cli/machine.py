@@ -11,11 +11,7 @@ from safety_harness.cli.options import command
 commands = Typer()
 
 
-@command(
-    commands,
-    interrupted="interrupted: what was compiled is kept; warm goes on from there",
-    then="safety-harness run shipped:first-run",
-)
+@command(commands, interrupted="interrupted: what was compiled is kept; warm goes on from there")
 def warm(
     forget: Annotated[
         bool, Option("--forget", help="Remove what no process has used for 30 days, and compile nothing.")
@@ -33,11 +29,7 @@ def warm(
     return forget_old() if forget else warm_up()
 
 
-@command(
-    commands,
-    interrupted="interrupted: the rest was not looked at",
-    then="safety-harness run shipped:first-run",
-)
+@command(commands, interrupted="interrupted: the rest was not looked at")
 def doctor() -> int:
     """Check machine, Python, caches and packages, and judge one short run whose verdict is known.
 

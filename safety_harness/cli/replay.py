@@ -24,13 +24,13 @@ from safety_harness.cli.console import (
 )
 from safety_harness.cli.progress import TERMINAL, terminal
 from safety_harness.cli.run import print_verdicts
-from safety_harness.report.evidence import JudgedRun, basis_of
+from safety_harness.report.evidence import JudgedRun, answer, basis_of
 from safety_harness.report.judge_job import A_CLAIM, judged_run, write_judged
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.report.run_job import watching_runs
 from safety_harness.report.run_result import DATA, REPORT
-from safety_harness.report.verdict_lines import every_line, totals
+from safety_harness.report.verdict_lines import every_line
 from safety_harness.scenario.model import VISUAL_SERVO
 from safety_harness.scenario.references import file_and_name
 from safety_harness.trace.compare import first_difference
@@ -145,7 +145,7 @@ def judge_again(
         result(*measured_lines(run.trace))
         say(*(f"note: {run.trace.scenario.name}: {note}" for note in run.notes if run.trace.known.recorded))
     say(*[basis_of(runs) if verbose else short_basis(basis_of(runs))] * bool(runs))
-    result(*[totals(runs)] * (len(runs) > 1))
+    result(*[answer(runs)] * (len(runs) > 1))
     if out is not None and runs:
         write_judged(runs, refused, out, paths)
         say(f"report: {out / REPORT} (for programs: {DATA})")

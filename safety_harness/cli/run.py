@@ -33,11 +33,11 @@ from safety_harness.report.decisions import (
     overruling_of_each,
     possible_lines,
 )
-from safety_harness.report.evidence import JudgedRun, as_expected
+from safety_harness.report.evidence import JudgedRun, answer
 from safety_harness.report.run_job import run as run_scenarios
 from safety_harness.report.run_result import DATA, REPORT, TRACES, RunResult
 from safety_harness.report.shielding import shield_lines
-from safety_harness.report.verdict_lines import block_of, surprise_lines, totals
+from safety_harness.report.verdict_lines import block_of, surprise_lines
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.answer_times import UNHEEDED
 
@@ -92,26 +92,23 @@ def _print_summary(found: RunResult, verbose: bool) -> None:
     if found.against is None:
         print_verdicts(found.runs, verbose)
     overruled, took = overruling_lines(overruling_of_each(traces)), computing_time_lines(traces)
-    slow = took if len(traces) == 1 else [line for line in took if UNHEEDED in line]
     if verbose:
         say(*table_lines(coverage, columns_of(sys.stderr)))
-    elif len(slow) > 1 < len(traces):
-        slow = [f"on this machine answers of {len(slow)} took longer than the runs allow; -v says how long"]
+    elif len(traces) > 1:
+        took = [line for line in took if UNHEEDED in line]
     say(*far_lines(coverage))
     if untested := untested_lines(coverage):
         say(f"error: {untested[0]}", *untested[1:])
         say("  What hands do is drawn by: safety-harness show FILE")
     say(*[found.basis if verbose else short_basis(found.basis)] * bool(found.runs))
-    say(*(f"computing time: {line}" for line in (took if verbose else slow)))
+    say(*(f"computing time: {line}" for line in took))
     say(*(f"shield: {line}" for line in shield_lines(traces)))
     say(*(f"gate: {line}" for line in possible_lines(traces)))
     say(*(overruled if verbose else overruled[:1]))
-    _, others = as_expected(found.runs)
     fallback = DecisionTally.of(traces).fallback
     result(
-        f"{totals(found.runs)}, {len(found.runs)} of {found.planned + len(found.skipped)} scenarios run"
+        f"{answer(found.runs)}, {len(found.runs)} of {found.planned + len(found.skipped)} scenarios run"
         + (f", {len(found.failed)} could not be run to the end" if found.failed else "")
-        + (f", {others} claims not applicable to the controller" if others else "")
         + (f", {not_taken_words(found.skipped)}" if found.skipped else "")
         + (f", {len(found.refused)} of the inputs cannot be used" if found.refused else "")
         + (f"; {fallback}" if fallback else "")

@@ -91,7 +91,7 @@ def validate(files: Files, avoider: OfAvoider = None, controller: OfController =
     return validate_files(files, one_of(avoider, controller))
 
 
-@command(commands, then="safety-harness validate {files}")
+@command(commands)
 def fmt(
     files: Files,
     check: Annotated[bool, Option("--check", help="Change nothing; only say what would change.")] = False,
@@ -258,11 +258,7 @@ def show(
     return show_files(files, out=out, draws=draws, seed=seed)
 
 
-@command(
-    commands,
-    interrupted="interrupted: the files that were written are kept",
-    then="safety-harness run {out}",
-)
+@command(commands, interrupted="interrupted: the files that were written are kept")
 def sample(
     space: OfSpace,
     out: Annotated[Path, Option(help="Folder for the scenario files.")] = Path("reports/sample"),

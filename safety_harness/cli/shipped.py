@@ -25,7 +25,7 @@ commands = Typer()
 REFERRING = ("arm", "avoider", "capsules", "extends", "recording", "robot", "scenarios", "space", "urdf")
 
 
-@command(commands, "list", then="safety-harness copy shipped:NAME")
+@command(commands, "list")
 def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these.")] = None) -> int:
     """List what comes with the package, scenarios, spaces, plans, examples, recordings, robots, one a line.
 

@@ -65,7 +65,8 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         say("interrupted")
         return INTERRUPTED
     # Of every claim; admission stops at a scenario's first mistake.
-    claims = [(claim, scenario) for scenario in gathered.scenarios for claim in scenario.claims]
+    read_in_part = (*gathered.scenarios, *gathered.mended)
+    claims = [(claim, scenario) for scenario in read_in_part for claim in scenario.claims]
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
     errors = [*gathered.errors, *errors, *of_claims, *errors_of_spaces, *errors_of_added]
     bad = {error.place.file for error in errors}

@@ -170,20 +170,11 @@ def as_expected(runs: Iterable[JudgedRun]) -> tuple[list[bool], int]:
 
 
 def answer(runs: Sequence[JudgedRun]) -> str:
-    """All verdicts in one sentence: how many are as expected, and what they are."""
+    """Return in one line how many verdicts are as expected, and how many of each kind there are."""
     expected, others = as_expected(runs)
-    holds, violated, nothing = (sum(run.count(verdict) for run in runs) for verdict in Verdict)
-    if not all(expected):
-        of_violated = f"{violated} {'is' if violated == 1 else 'are'} violated"
-    elif violated == 1:
-        of_violated = "1 is a violation that its file expects"
-    else:
-        of_violated = f"{violated} are violations that the files expect"
-    parts = (
-        (holds, f"{holds} {'holds' if holds == 1 else 'hold'}"),
-        (violated, of_violated),
-        (nothing, f"{nothing} {'decides' if nothing == 1 else 'decide'} nothing"),
-        (others, f"{others} not applicable to the controller"),
+    counts = [sum(run.count(kind) for run in runs) for kind in Verdict]
+    kinds = ("hold", "violated", "inconclusive", "claims not applicable to the controller")
+    words = [f"{count} {kind}" for count, kind in zip((*counts, others), kinds, strict=True) if count]
+    return f"{sum(expected)} of {len(expected)} verdicts as expected" + (
+        f" ({', '.join(words)})" if words else ""
     )
-    words = ", ".join(one for count, one in parts if count) or "no claim was judged"
-    return f"{sum(expected)} of {len(expected)} as expected: {words}."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from math import isfinite
@@ -98,7 +98,6 @@ def render(evidence: SearchEvidence) -> str:
     findings, baseline = evidence.findings, evidence.baseline
     searches = [findings] if baseline is None else [findings, baseline]
     replays = Replays()
-    sections = [_section(shown, number, replays) for number, shown in enumerate(evidence.shown, start=1)]
     return render_page(
         "search.html.j2",
         basis=basis_of_search(findings, evidence.confirmed),
@@ -117,8 +116,7 @@ def render(evidence: SearchEvidence) -> str:
             g.sentence for k, g in enumerate(findings.goals) if findings.tried and not findings.evidence[k]
         ],
         progress=Markup(progress_figure(searches, prefix="progress-")),
-        sections=sections,
-        cards=_cards(evidence, sections),
+        sections=[_section(shown, number, replays) for number, shown in enumerate(evidence.shown, start=1)],
         groups=[
             _group_row(findings, group)
             for claim in (*range(len(findings.goals)), None)
@@ -149,16 +147,6 @@ def render(evidence: SearchEvidence) -> str:
         searched=KINEMATIC,
         confirming=PYBULLET,
     )
-
-
-def _cards(evidence: SearchEvidence, sections: Sequence[dict[str, Any]]) -> list[dict[str, object]]:
-    """Return a card for each cause: the change that mends several, and the sections of counterexamples."""
-    by_file = {section["shown"].path.name: section for section in sections}
-    cards: list[dict[str, object]] = []
-    for change, files in evidence.causes.items():
-        cards.append({"change": change, "sections": [by_file.pop(file) for file in files]})
-    cards += [{"change": "", "sections": [section]} for section in by_file.values()]
-    return sorted(cards, key=lambda card: sections.index(card["sections"][0]))  # type: ignore[index]
 
 
 def map_of(evidence: SearchEvidence) -> str:

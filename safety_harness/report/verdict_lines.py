@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
@@ -13,7 +12,7 @@ from safety_harness.claims.properties.against import SCALES
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.hand_distance import HandDistance
 from safety_harness.claims.properties.tally import made_in
-from safety_harness.report.evidence import SEVERITY, JudgedRun, as_expected
+from safety_harness.report.evidence import SEVERITY, JudgedRun
 from safety_harness.report.words import tested_words
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace
@@ -21,7 +20,6 @@ from safety_harness.trace.trace import Trace
 MOST_LINES = 20  # verdicts of each kind that a summary of many runs prints; -v prints all
 BEFORE_S = 2.0  # before a contact: the time in which hand and arm came together
 LONGEST = 60  # characters to which sentences of claims are filled up
-EVERY_VERDICT = "-v prints every verdict"
 
 
 @dataclass(frozen=True)
@@ -44,11 +42,6 @@ class VerdictLine:
     words: str
     remark: str
     differs: bool
-
-    @property
-    def decides(self) -> bool:
-        """Whether it holds or is violated, or does not concern the system under test."""
-        return self.evaluation.verdict is not Verdict.INCONCLUSIVE or not self.evaluation.applicable
 
     @property
     def margin(self) -> str:
@@ -109,55 +102,37 @@ def block_of(run: JudgedRun) -> Iterator[str]:
 def nearest_hand_words(trace: Trace) -> str:
     """Say which hand came how near to which part of the arm, and when; "contact" where it touched the arm.
 
-    Empty for a run without hands, and where the distance was not measured.
+    A simulated contact has the highest speeds of hand and TCP just before.  Empty for a run without hands,
+    and where the distance was not measured.
     """
     found = HandDistance(minimum_m=0.0, near_m=inf).evaluate(trace)
     if found.margin is None or found.worst_time_s is None:
         return ""
     moment = f"{found.reason} at {found.worst_time_s:.3f} s"
-    if found.verdict is not Verdict.VIOLATED:
-        return f"nearest hand: {moment}"
-    return f"contact: {moment}{_speeds_before(trace, found.worst_time_s)}"
-
-
-def _speeds_before(trace: Trace, time_s: float) -> str:
-    """Say how fast the touching hand and the TCP were at most just before; empty for a recorded run."""
-    if not trace.known.simulated:
-        return ""
+    if found.verdict is not Verdict.VIOLATED or not trace.known.simulated:
+        return f"{'contact' if found.verdict is Verdict.VIOLATED else 'nearest hand'}: {moment}"
     period_s = trace.scenario.settings.clock.control_period_s
-    last = min(int(time_s / period_s), len(trace.ticks) - 1)
+    last = min(int(found.worst_time_s / period_s), len(trace.ticks) - 1)
     before = trace.ticks[max(last - int(BEFORE_S / period_s), 0) : last + 1]
-    hand = int(np.argmin(trace.ticks["hand_distance_m"][last]))
-    paths_m = before["hand_position_in_base_m"][:, hand], before["transform_tcp_to_base"][:, :3, 3]
-    hand_mmps, tcp_mmps = (
-        1e3 * np.linalg.norm(np.diff(path_m, axis=0), axis=1).max(initial=0.0) / period_s
-        for path_m in paths_m
-    )
-    return f"; before, the hand moved at up to {hand_mmps:.0f} mm/s, the tool at up to {tcp_mmps:.0f} mm/s"
+    hand = int(np.argmin(before["hand_distance_m"][-1]))
+    before = before[before["hand_present"][:, hand]]
+    hand_m, tcp_m = before["hand_position_in_base_m"][:, hand], before["transform_tcp_to_base"][:, :3, 3]
+    steps_m = [np.linalg.norm(np.diff(path_m, axis=0), axis=1).max(initial=0.0) for path_m in (hand_m, tcp_m)]
+    hand_words, tcp_words = (f"at up to {1e3 * step_m / period_s:.0f} mm/s" for step_m in steps_m)
+    return f"contact: {moment}; before, the hand moved {hand_words}, the tool {tcp_words}"
 
 
 def surprise_lines(runs: Sequence[JudgedRun]) -> Iterator[str]:
     """Yield of many runs each verdict that differs from the expected one, then those that decide nothing."""
-    lines = [line for run in runs for line in lines_of(run)]
+    lines = [line for run in runs for line in lines_of(run) if line.evaluation.applicable]
     differing = sorted((line for line in lines if line.differs), key=lambda line: line.rank)
-    undecided = [line for line in lines if not line.differs and not line.decides]
-    for kind, found in (("differ from what their files expect", differing), ("decide nothing", undecided)):
+    undecided = [one for one in lines if not one.differs and one.evaluation.verdict is Verdict.INCONCLUSIVE]
+    for found in (differing, undecided):
         for line in found[:MOST_LINES]:
-            margin = f"  {line.margin}" if line.margin and line.decides else ""
-            yield f"{line.words}  {line.run}: {line.sentence}{margin}{line.remark}"
+            yield f"{line.words}  {line.run}: {line.sentence}  {line.margin}{line.remark}".rstrip()
             yield f"    {line.evaluation.reason}"
         if len(found) > MOST_LINES:
-            yield f"... {len(found) - MOST_LINES} more verdicts {kind}; {EVERY_VERDICT}"
-
-
-def totals(runs: Sequence[JudgedRun]) -> str:
-    """Return in one line how many verdicts are as expected, and how many of each kind there are."""
-    expected, _ = as_expected(runs)
-    counts = Counter(line.evaluation.verdict for run in runs for line in lines_of(run) if line.decides)
-    counts[Verdict.INCONCLUSIVE] = len(expected) - counts[Verdict.HOLDS] - counts[Verdict.VIOLATED]
-    kinds = ((Verdict.HOLDS, "hold"), (Verdict.VIOLATED, "violated"), (Verdict.INCONCLUSIVE, "inconclusive"))
-    words = ", ".join(f"{counts[kind]} {name}" for kind, name in kinds if counts[kind])
-    return f"{sum(expected)} of {len(expected)} verdicts as expected" + (f" ({words})" if words else "")
+            yield f"... {len(found) - MOST_LINES} more like these; -v prints every verdict"
 
 
 def tested_line(run: JudgedRun) -> str:

@@ -339,7 +339,9 @@ class KeyTable:
             if not key.attribute:
                 continue
             if field is not None or key.required:
-                found[key.attribute] = key.value.read(field or given.required(key.name))
+                found[key.attribute] = key.value.read(
+                    field or given.required(key.name, f"safety-harness explain {key.name}")
+                )
             elif key.fallback is not REQUIRED:
                 found[key.attribute] = key.fallback
         for attribute, table in self.beside:

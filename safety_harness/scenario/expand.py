@@ -45,6 +45,7 @@ class Gathered:
     scenarios: list[Scenario] = field(default_factory=list)
     spaces: list[tuple[Variant, Path]] = field(default_factory=list)  # trees, which another room reads
     errors: list[InputError] = field(default_factory=list)
+    mended: list[Scenario] = field(default_factory=list)  # files with mistakes, examples in their places
     aside: list[Path] = field(default_factory=list)  # YAML files of folders that are not taken
     _spaces_too: bool = False
     _library: Library = field(default_factory=Library)
@@ -89,7 +90,7 @@ class Gathered:
                 try:
                     scenario = scenario_of_variant(variant, file)
                 except InputError as first:
-                    self.errors += mistakes_of(variant, file, first)
+                    self.errors += mistakes_of(variant, file, first, self.mended)
                     return
                 if scenario.name.endswith("]"):
                     same = rows.setdefault(replace(scenario, name=""), scenario.name)
@@ -152,8 +153,11 @@ def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
     return found
 
 
-def mistakes_of(variant: Variant, file: Path, first: InputError) -> list[InputError]:
-    """The first mistake below each top key of a scenario, read with examples in place of the wrong ones."""
+def mistakes_of(variant: Variant, file: Path, first: InputError, mended: list[Scenario]) -> list[InputError]:
+    """The first mistake below each top key of a scenario, read with examples in place of the wrong ones.
+
+    The scenario that these examples make of it is added to ``mended``.
+    """
     found, tree, wrong, error = [first], variant.tree, set[str](), first
     while isinstance(tree, Mapping) and (name := _top_key(tree, error)) and name not in wrong:
         if wrong and wrong.isdisjoint(READ_WITH.get(name, ())):
@@ -164,7 +168,7 @@ def mistakes_of(variant: Variant, file: Path, first: InputError) -> list[InputEr
         example = next((key.lines for key in TOP.keys if key.name == name and key.required), "{}")
         tree = merged(without_keys(tree, {name}), parse_tree(example, None))
         try:
-            scenario_of_variant(replace(variant, tree=tree), file)
+            mended.append(scenario_of_variant(replace(variant, tree=tree), file))
             break
         except InputError as another:
             error = another

@@ -201,13 +201,13 @@ class Fields:
     def __iter__(self) -> Iterator[str]:
         return iter(self.by_key)
 
-    def required(self, key: str) -> Field:
+    def required(self, key: str, hint: str = "") -> Field:
         """The value of ``key``; ScenarioError when it is missing."""
         if key not in self.by_key:
             present = ", ".join(map(shown, self.by_key))
             place = replace(self.whole.place, field=join(self.whole.path, key))
             got = f"only {present}" if present else "nothing"
-            raise ScenarioError(place=place, expected=f'the key "{key}"', got=got)
+            raise ScenarioError(place=place, expected=f'the key "{key}"', got=got, hint=hint)
         return self.by_key[key]
 
     def optional(self, key: str) -> Field | None:

@@ -102,6 +102,7 @@ class WrittenCounterexample:
         return [
             f"violated {margin:>13}  {one.complaint.words}{AS_EXPECTED if self.expected else ''}",
             f"  {self.found_words}; shrunk in {one.shrunk.used} runs",
+            *(f"  {line}" for line in one.circumstances[: one.complaint.reference is not None]),
             *(f"  {line}" for line in one.attribution),
             f"  safety-harness run {shlex.quote(str(self.path))}",
         ]
@@ -134,8 +135,8 @@ class SearchSession:
     is what a second avoider answered to questions of the search; None if it was not asked.  ``flips`` are
     differences from a reference that are none when they are drawn again, ``overruled`` says that more of the
     avoider's proposals are than of the reference's.  Unless it ``explains_all``, it begins no explanation
-    beyond one of each claim once these took as long as the search, ``search_s``.  ``concluding`` hears when
-    the search is over.  ``keeps``: findings are written to ``out`` as they come.
+    beyond one of each claim (and of mishaps) once these took as long as the search, ``search_s``.
+    ``concluding`` hears when the search is over.  ``keeps``: findings are written to ``out`` as they come.
     """
 
     trials: Trials
@@ -347,7 +348,7 @@ class SearchSession:
             going, first = [*claims], True
             while going:
                 for claim in [*going]:
-                    late = not (first or self.explains_all) and time.monotonic() >= until_s
+                    late = not (first or self.explains_all or claim is None) and time.monotonic() >= until_s
                     if late or self.findings.interrupted or not explain_next(claim):
                         going.remove(claim)
                 first = False

@@ -170,7 +170,10 @@ def test_help_teaches_and_no_arguments_are_no_traceback() -> None:
     assert command("run").returncode == BAD_INPUT
 
 
-def test_ctrl_c_keeps_what_was_finished(good: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda one: one.name)
+def test_ctrl_c_and_signals_alike_keep_what_was_finished(
+    good: Path, tmp_path: Path, asked: signal.Signals
+) -> None:
     long = tmp_path / "long.yaml"
     long.write_text(GOOD.replace("300 ms", "1000 s"))
     process = subprocess.Popen(
@@ -196,7 +199,7 @@ def test_ctrl_c_keeps_what_was_finished(good: Path, tmp_path: Path) -> None:
     while not finished.exists() and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.1)
     time.sleep(1.0)  # into the long run
-    process.send_signal(signal.SIGINT)
+    process.send_signal(asked)
     out, err = process.communicate(timeout=300)
     assert process.returncode == INTERRUPTED, err
     assert "stopped before the end" in err

@@ -49,7 +49,7 @@ def test_the_others_are_run_and_the_end_is_bad_input(folder: Path, tmp_path: Pat
     assert "--keep-going" in page
     assert "Refused." in page
     assert 'class="banner fine"' not in page
-    assert 'class="banner doubt" role="note"><strong>2 of 2 as expected' in page
+    assert 'class="banner doubt" role="note"><strong>2 of 2 verdicts as expected' in page
     refused = json.loads((tmp_path / "out" / "report.json").read_text())["refused"]
     assert [(Path(one["file"]).name, one["line"]) for one in refused] == [
         ("a-bad.yaml", 3),

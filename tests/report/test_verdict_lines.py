@@ -11,14 +11,13 @@ from safety_harness import parse_scenario
 from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.cli.scenario_commands import judge, run
 from safety_harness.report import verdict_lines
-from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.evidence import JudgedRun, answer
 from safety_harness.report.run_job import run as run_scenarios
 from safety_harness.report.verdict_lines import (
     block_of,
     every_line,
     nearest_hand_words,
     surprise_lines,
-    totals,
 )
 from safety_harness.scenario.model import Scenario
 
@@ -83,7 +82,7 @@ def test_of_many_runs_only_surprises_and_undecided_claims_are_lines(reach: Judge
         "inconclusive, as expected",
     ]
     assert lines[0].endswith("(expected holds)")
-    assert totals([reach, other]) == "5 of 6 verdicts as expected (2 hold, 2 violated, 2 inconclusive)"
+    assert answer([reach, other]) == "5 of 6 verdicts as expected (2 hold, 2 violated, 2 inconclusive)"
 
 
 def _expecting_it_to_hold(run: JudgedRun) -> Scenario:
@@ -97,7 +96,7 @@ def test_a_long_list_is_cut_and_says_how_to_see_the_rest(
     monkeypatch.setattr(verdict_lines, "MOST_LINES", 2)
     lines = list(surprise_lines([reach] * 5))
     assert len(lines) == 5
-    assert lines[-1] == "... 3 more verdicts decide nothing; -v prints every verdict"
+    assert lines[-1] == "... 3 more like these; -v prints every verdict"
 
 
 def test_every_line_has_verdict_margin_and_moment(reach: JudgedRun) -> None:

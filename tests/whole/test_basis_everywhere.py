@@ -105,7 +105,7 @@ def test_fuzz_says_it(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
     monkeypatch.setattr(search_session, "SHRINKING_RUNS", 2)
     Path("short.yaml").write_text(TEXT)
     fuzz(Path("short.yaml"), out=Path("out"), budget=4, verbose=True)
-    said = [capsys.readouterr().err, Path("out/fuzz.html").read_text(), Path("out/findings.json").read_text()]
+    said = [capsys.readouterr().out, Path("out/fuzz.html").read_text(), Path("out/findings.json").read_text()]
     assert all(rests_on(one, "the kinematic world and in PyBullet") for one in said)
 
 

@@ -19,7 +19,7 @@ HINT = "safety-harness docs avoiders#a-python-file"
 
 def refuse_undefined(path: Path, name: str, place: Place) -> None:
     """InadmissibleError at ``place`` unless the file is Python and seems to define an avoider ``name``."""
-    refuse_undefined_there(path, name, METHODS, place, HINT)
+    refuse_undefined_there(path, name, METHODS, place, HINT, QUESTION)
 
 
 def avoider_in(path: Path, source: bytes, name: str) -> Avoider:

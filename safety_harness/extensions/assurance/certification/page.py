@@ -113,7 +113,8 @@ def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard)
         undeveloped=UNDEVELOPED,
         counts=_counts(evidence),
         answer=_answer(evidence),
-        bounded=_bounded,
+        at_most=at_most,
+        beside_target=beside_target,
         claims=by_gravity(evidence.claims),
         findings=_by_gravity(evidence),
         alone=confidence_alone(evidence),
@@ -172,21 +173,6 @@ def _answer(evidence: Evidence) -> str:
     words = (f"{standings.count(one)} {one.value}" for one in reversed(SEVERITY) if one in standings)
     claims = "the plan's one claim" if len(standings) == 1 else f"{len(standings)} claims"
     return f"Of {claims}: {', '.join(words)}. The plan as a whole stands as its gravest claim does."
-
-
-def _bounded(claim: ClaimEvidence) -> str:
-    """Say what share of runs violates a claim in its worst stratum, and the target; why, without a bound."""
-    if claim.standing is ClaimStatus.UNTESTED:
-        return f"none of {sum(one.runs for one in claim.outcomes):,} runs put it to the test"
-    bounded = [(one.bound, one.stratum) for one in claim.outcomes if one.bound is not None]
-    if not bounded:
-        return claim.why
-    bound, stratum = max(bounded, key=lambda found: found[0].upper)
-    if claim.target is None:
-        return f"at most {at_most(bound.upper)} of runs violate it ({stratum})"
-    limit, most = beside_target(bound, claim.target)
-    share = f"more than {limit}" if claim.standing is ClaimStatus.REFUTED else f"at most {most}"
-    return f"{share} of runs violate it ({stratum}), {limit} was the target"
 
 
 def _by_gravity(evidence: Evidence) -> list[OpenFinding]:

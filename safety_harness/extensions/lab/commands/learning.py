@@ -33,11 +33,7 @@ Cell = Annotated[
 commands = Typer()
 
 
-@command(
-    commands,
-    interrupted="interrupted: no data set was written",
-    then="safety-harness train mc-dropout --data {out}",
-)
+@command(commands, interrupted="interrupted: no data set was written")
 def dataset(
     out: Annotated[Path, Argument(help="Folder for arrays.npz and manifest.json.", metavar="FOLDER")],
     space: Annotated[str, Option(help="'seen', 'unseen hand', 'unseen tcp' or 'unseen both'.")] = "seen",
@@ -88,7 +84,7 @@ def dataset(
     return AS_EXPECTED
 
 
-@command(commands, then="safety-harness evaluate {out}/model.safetensors")
+@command(commands)
 def train(
     recipe: Annotated[
         str,
