@@ -1,4 +1,4 @@
-"""Options and arguments that several commands have, and how a command is called and ends."""
+"""Options and arguments of several commands, and the way in which a command is called and ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``safety-harness replay`` and ``judge``: a stored trace repeated, or judged again."""
+"""``safety-harness replay`` repeats a stored trace; ``judge`` judges it again."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
 def replay(path: Path, avoider: str | None = None) -> int:
-    """Repeat a recorded run: "identical", or the first step that differs; and does what is tested remember?
+    """Repeat a recorded run and print "identical" or the first step that differs; return the exit code.
 
-    ``avoider`` names the program anew that a trace of a user's own avoider was made with: a trace may
-    come from anybody, and repeating it must not execute what it says.
+    It also asks a second avoider, which finds an avoider with a memory.  ``avoider`` names the program of a
+    user's own avoider again: a stranger may have made the trace, and it must not choose what is executed.
     """
     stored = load_trace(path)
     refuse_not_simulated(stored, path)
@@ -82,7 +82,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
 
 
 def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
-    """TraceError where another controller would drive than did then, or the same from an edited file."""
+    """Raise TraceError if another controller would drive than then, or the same one from an edited file."""
     then = stored.system.controller
     now = admitted.driver.component if admitted.driver else Component(name=VISUAL_SERVO)
     known = then.sha256 if admitted.driver else ""
@@ -97,7 +97,7 @@ def _named(now: Component, admitted: Admitted) -> str:
 
 
 def changes(before: Trace, after: Trace) -> list[str]:
-    """What is not the same as when the trace was made."""
+    """Return lines on software and systems that differ from those of the trace."""
     stored, now = before.provenance, after.provenance
     names = ("package_version", "source_hash", "world", "python", "platform")
     values = ((name, getattr(stored, name), getattr(now, name)) for name in names)
@@ -118,11 +118,10 @@ def judge_again(
     out: Path | None = None,
     verbose: bool = False,
 ) -> int:
-    """Judge stored traces, and logs of cells, by their claims, with the present code, without simulating.
+    """Judge stored traces and logs of cells with the present code, without simulating; return the exit code.
 
-    ``sentences`` take the place of their own claims, and are expected to hold.  ``keep_going``: one
-    that cannot be judged is told, and the others are judged.  ``out``: a folder for a report, and for the
-    traces of logs.
+    ``sentences`` replace their own claims, and are expected to hold.  With ``keep_going`` the others are
+    judged where one cannot be.  ``out`` is a folder for a report and for the traces of logs.
     """
     runs: list[JudgedRun] = []
     refused: list[InputError] = []

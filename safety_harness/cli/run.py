@@ -1,4 +1,4 @@
-"""``safety-harness run``: what a terminal shows of the runs of scenario files."""
+"""``safety-harness run``: run scenario files and print their verdicts."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def run(
     verbose: bool = False,
     **options: Any,
 ) -> int:
-    """Run, print and write the report; returns the exit code.  ``options`` as of ``safety_harness.run``."""
+    """Run, print and write the report; return the exit code.  ``options`` as of ``safety_harness.run``."""
     say_shared_modules()
     output = terminal(verbose)
     try:

@@ -1,4 +1,4 @@
-"""``safety-harness validate``: read and check files, execute nothing, tell what is wrong."""
+"""``safety-harness validate``: read and check files without executing any, and report all mistakes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from safety_harness.space.space import ScenarioSpace
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
-    """A line for each file that can be used, the mistakes of the others; returns the exit code."""
+    """Print a line for each usable file and all mistakes of the other files; return the exit code."""
     added = [path for path in paths if _is_added(located(path))]
     others = [path for path in paths if path not in added]
     try:
@@ -113,7 +113,7 @@ def _checked(path: Path, looker: Looker) -> tuple[InputFile, CheckedFile]:
 
 
 def _tried_space(found: tuple[Variant, Path]) -> ScenarioSpace:
-    """A space of which a draw can be tried."""
+    """Return a space after one admissible draw."""
     variant, file = found
     space = space_of(variant.tree, file, name=variant.name)
     draw_admissible(space, seed=0, count=1)
@@ -129,7 +129,7 @@ def _untried_of(space: ScenarioSpace) -> list[str]:
 
 
 def _untried(checked: Sequence[Checked], *spaces: ScenarioSpace) -> list[str]:
-    """The moves and faults that none of them would try beside an arm that stands where it starts."""
+    """Return lines on moves and faults that no scenario would try beside an arm that stays at its start."""
     tried = TriedParts()
     for one in checked:
         tried.suppose(one.scenario, links_in_base(one.arm, one.joint_position_rad)[-1, :3, 3].copy())
@@ -147,7 +147,7 @@ def _data(scenario: Scenario) -> dict[str, object]:
 
 
 def _words(scenarios: Sequence[Scenario]) -> str:
-    """What a file holds: ``2 hands, 3 claims, 8 s``; for a matrix the number of its scenarios as well."""
+    """Return the content of a file: ``2 hands, 3 claims, 8 s``; for a matrix also its number of scenarios."""
     scenario = scenarios[0]
     words = [_count(len(scenario.hands), "hand"), _count(len(scenario.claims), "claim")]
     words += [f"{scenario.duration_s:g} s", scenario.under_test]
