@@ -1,4 +1,4 @@
-"""One self-contained HTML file about one or many runs: plain values, which the template only places."""
+"""Write one self-contained HTML file about one or many runs; the template only places plain values."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def render(
     generated_at: datetime,
     **about: Unpack[AboutRuns],
 ) -> str:
-    """The page as text; the same arguments give the same bytes."""
+    """Return the page as text; the same arguments give the same bytes."""
     said = with_defaults(about)
     summary = _summary(runs, whole=not (interrupted or said["skipped"] or said["refused"]))
     summary["interrupted"] = interrupted
@@ -161,7 +161,7 @@ def _worst(sections: Sequence[Row]) -> Row | None:
 
 
 def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
-    """What the reader sees first, counts over all runs; ``whole``: all that was asked for is here."""
+    """Return counts over all runs, which the reader sees first; ``whole``: no planned run is missing."""
     traces = [run.trace for run in runs]
     summary: Row = {
         "runs": len(runs),
@@ -188,7 +188,7 @@ def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
 
 
 def _doubt(summary: Row) -> str:
-    """What an inconclusive claim is worth."""
+    """Return a remark on the worth of inconclusive claims."""
     if not summary["inconclusive"]:
         return ""
     unmeasured = summary["unmeasured"]
@@ -199,7 +199,7 @@ def _doubt(summary: Row) -> str:
 
 
 def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
-    """Which runs are drawn: few are all, of many those not as expected, each claim's worst, violations."""
+    """Return for each run whether it is drawn: surprises, each claim's worst and violations first."""
     margins: dict[str, tuple[float, int]] = {}
     for k, run in enumerate(runs):
         for claim, found in run.judged_claims():
@@ -222,14 +222,14 @@ def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
 
 
 def _tabled(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
-    """(whether they are read later, sections): those whose verdicts the table opens with, and the rest."""
+    """Return (whether the browser reads them later, sections): the first rows of the table, then the rest."""
     rows = np.cumsum([len(section["claims"]) for section in sections])
     first = int(np.searchsorted(rows, MOST_AT_ONCE)) + 1
     return [(later, part) for later, part in ((False, sections[:first]), (True, sections[first:])) if part]
 
 
 def _parted(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
-    """(whether they are read later, sections), in order: all but the first and those that are drawn are."""
+    """Return (whether the browser reads them later, sections), in order; drawn runs are read at once."""
 
     def part(section: Row) -> tuple[int, bool]:
         hundred = section["number"] // MOST_AT_ONCE
@@ -239,7 +239,7 @@ def _parted(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
 
 
 def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
-    """What the page shows about one run; everything, if it is given the page's ``replays``."""
+    """Return the values of a run's section; those of a drawn run need the page's ``replays``."""
     run = replace(run, trace=as_measured(run.trace))
     counts = [f"{run.count(verdict)} {verdict.value}" for verdict in Verdict if run.count(verdict)]
     section = {
@@ -260,7 +260,7 @@ def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
 
 
 def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
-    """What the page shows of one run in full."""
+    """Return the further values of a run that is drawn."""
     trace = run.trace
     drawn = len(trace.ticks) > 0
     moment = shown_moment(run)
@@ -294,7 +294,7 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
 
 
 def claim_rows(run: JudgedRun) -> list[Row]:
-    """A row of the table of verdicts for each claim of ``run``."""
+    """Return a row of the table of verdicts for each claim of ``run``."""
     judged = zip(run.judged_claims(), run.as_expected, strict=True)
     return [
         {
@@ -312,7 +312,7 @@ def claim_rows(run: JudgedRun) -> list[Row]:
 
 
 def file_name(run: JudgedRun) -> str:
-    """What the scenario's file is called, and which one of its matrix this is; its name without a file."""
+    """Return the name of the scenario's file and its row of a matrix; without a file the scenario's name."""
     scenario = run.trace.scenario
     if scenario.file is None:
         return scenario.name
@@ -321,7 +321,7 @@ def file_name(run: JudgedRun) -> str:
 
 
 def _ticks_rows(trace: Trace, name: str, masks: dict[str, NDArray[np.bool_]]) -> list[Row]:
-    """Of what is true on any tick at which ``name`` was measured: on how many, their share, when first."""
+    """Return rows for each mask that is true on a measured tick of ``name``: count, share, first time."""
     there = measured(trace, name)
     return [
         {
@@ -336,13 +336,13 @@ def _ticks_rows(trace: Trace, name: str, masks: dict[str, NDArray[np.bool_]]) ->
 
 
 def notes(run: JudgedRun) -> list[str]:
-    """What the reader has to know: the caller's notes, what recordings bridged, which faults acted."""
+    """Return notes for the reader: the caller's, on recordings, and on faults that acted."""
     told = dict.fromkeys((*run.notes, *notes_of(run.trace.scenario)))  # commands note the recordings too
     return [*told, *acted_faults(run.trace)]
 
 
 def acted_faults(trace: Trace) -> list[str]:
-    """A sentence on each fault of the scenario, and on how many ticks it acted."""
+    """Return a sentence on each fault of the scenario, with the number of ticks on which it acted."""
     found = []
     for k, fault in enumerate(trace.scenario.faults):
         mask = (trace.ticks["faults"] >> k & 1) != 0

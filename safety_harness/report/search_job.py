@@ -198,7 +198,7 @@ class SearchResult:
         return replace(made, interrupted=self.interrupted or asked())
 
     def kept(self, folder: Path, output: Output) -> SearchResult:
-        """Write it, and say what keeps it from being written, and how to run the counterexamples again."""
+        """Write the files, report what prevents that, and name the command that runs the counterexamples."""
         made = self
         if self.unwritable is None:
             try:
@@ -213,7 +213,7 @@ class SearchResult:
 
 
 def _write_interim(session: SearchSession) -> None:
-    """Write a page with what the search found, before explanations: they may take long, or be ended."""
+    """Write a page with the findings before explanations, which may take long or be ended."""
     if session.keeps and session.findings.found and session.unwritable is None:
         interrupted, session.findings.interrupted = session.findings.interrupted, True
         try:
@@ -225,7 +225,7 @@ def _write_interim(session: SearchSession) -> None:
 
 
 def evidence_of(session: SearchSession, attribution: SearchAttribution | None = None) -> SearchEvidence:
-    """Everything that the page shows."""
+    """Return everything that the page shows."""
     trials = session.trials
     tested = trials.avoider or trials.space.simplest.under_test
     cost = cost_words(trials.space.simplest.settings.avoidance.decision_time, trials.declared_s)
@@ -285,7 +285,7 @@ def fuzz_command(session: SearchSession) -> str:
 
 
 def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
-    """Counts, the nearest margins, distinct violations with their points, and the coverage; SI throughout."""
+    """Return counts, least margins, groups of violations with their points, and the coverage, in SI units."""
     findings, baseline = evidence.findings, evidence.baseline
     return {
         "space": evidence.space,
@@ -331,12 +331,12 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
 
 
 def _held(against: Against) -> dict[str, object]:
-    """The summary alone: the runs are too many."""
+    """Return the summary without the many runs."""
     return {key: value for key, value in against.as_json().items() if key != "runs"}
 
 
 def _leads(goal: Goal, margin: float) -> bool:
-    """Is it no margin, but what led to a difference that was not found?"""
+    """Return whether a margin is only a search's score of a difference that was not found."""
     return bool(goal.against) and margin >= 0.0
 
 
@@ -357,7 +357,7 @@ def _of_claims(findings: Findings) -> list[dict[str, object]]:
 
 
 def _file_of(group: Group, evidence: SearchEvidence) -> str | None:
-    """The counterexample that it shrank to; None for what was not shrunk, or not confirmed."""
+    """Return the file of the counterexample to which a group shrank; None without one."""
     return next((shown.path.name for shown in evidence.shown if group in shown.groups), None)
 
 
