@@ -259,7 +259,8 @@ class Repeatability:
             result = self.check()
         except KeyboardInterrupt:
             return None
-        output.say(f"{'error: ' if result.problem else ''}{result.line}")
+        show = output.say if result.words else output.detail
+        show(f"{'error: ' if result.problem else ''}{result.line}")
         return result
 
     def _only_controllers_broke_off(self) -> bool:

@@ -34,6 +34,7 @@ class Output:
     Args:
         say: Takes lines of remarks, or no line.
         result: Takes lines of results.
+        detail: Takes lines on each part of the work, which a command prints with --verbose.
         explain: Takes an InputError about a skipped input.
         block: Opens a context; its value takes the lines with the job's current step.
         counting: Opens a context for a total and its unit; its value takes the number of finished items, the
@@ -43,6 +44,7 @@ class Output:
 
     say: Callable[..., None] = _ignore
     result: Callable[..., None] = _ignore
+    detail: Callable[..., None] = _ignore
     explain: Callable[[Exception], None] = lambda error: None
     block: Callable[[], AbstractContextManager[Callable[[list[str]], None]]] = _no_block
     counting: Callable[[int, str], AbstractContextManager[Callable[..., None]]] = _no_count
@@ -60,7 +62,7 @@ class Output:
             for line in lines:
                 each_line(line)
 
-        return cls(say=hear, result=hear)
+        return cls(say=hear, result=hear, detail=hear)
 
     @contextmanager
     def words(self) -> Iterator[Callable[[str], None]]:

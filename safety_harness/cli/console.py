@@ -1,6 +1,6 @@
-"""What the command line prints: results on standard output, everything else on standard error.
+"""Print results on standard output, and everything else on standard error.
 
-With ``--json`` the results are one document, and no lines.
+With ``--json`` the results are one document in place of lines.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 @dataclass
 class _Answer:
-    """What a command says that was asked for JSON."""
+    """The answer of a command with ``--json``, until it is printed."""
 
     result: dict[str, object] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
@@ -44,42 +44,47 @@ _as_json: ContextVar[_Answer | None] = ContextVar("as_json", default=None)
 
 
 def strip_control_chars(text: str) -> str:
-    """Without the characters that command a terminal: names of files and traces may come from anybody."""
+    """Replace the characters that command a terminal; a stranger may have chosen names of files."""
     return text if text.isprintable() else "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
 
 
 def say(*lines: str) -> None:
-    """Remarks on standard error."""
+    """Print remarks on standard error."""
     _print(lines, "stderr")
 
 
 def result(*lines: str) -> None:
-    """Lines of results on standard output; none with ``--json``."""
+    """Print lines of results on standard output; ``--json`` keeps them for its document."""
     if (answer := _as_json.get()) is None:
         _print(lines, "stdout")
     else:
         answer.lines += lines
 
 
+def next_step(command: str, purpose: str = "") -> None:
+    """Print the command that a user most likely wants next, and its purpose, on standard error."""
+    say(f"next: {command}" + (f"    ({purpose})" if purpose else ""))
+
+
 def asked_for_json() -> bool:
-    """Is what ``result`` is told printed by nobody?"""
+    """Return whether the command answers with a JSON document."""
     return _as_json.get() is not None
 
 
 def document(**fields: object) -> None:
-    """The same results for programs, which ``--json`` prints: names with their units, values as they are."""
+    """Add results for programs to the document of ``--json``; names have their units."""
     if (answer := _as_json.get()) is not None:
         answer.result |= fields
 
 
 def verbatim(text: str) -> None:
-    """A text for programs on standard output, its lines as they are."""
+    """Print a text for programs on standard output without folding its lines."""
     if _as_json.get() is None:
         _write(strip_control_chars(text) + "\n", "stdout")
 
 
 def answered_as_json(command: Callable[[], int]) -> int:
-    """The exit code of ``command``; what it says is printed as one document, however it ends."""
+    """Run ``command``, print its answer as one document however it ends, and return its exit code."""
     answer = _Answer()
     token = _as_json.set(answer)
     try:
@@ -103,7 +108,7 @@ def answered_as_json(command: Callable[[], int]) -> int:
 
 
 def _plain(value: object) -> Any:
-    """A value as JSON has it; a number that is not finite is null."""
+    """Return a value as JSON has it; a number that is not finite is null."""
     from msgspec import to_builtins
 
     own = to_builtins(value, enc_hook=_of_another_type, str_keys=True)
@@ -111,7 +116,7 @@ def _plain(value: object) -> Any:
 
 
 def _of_another_type(value: Any) -> object:
-    """Arrays and numbers of NumPy as Python's, anything else in its own words."""
+    """Return arrays and numbers of NumPy as Python's, and any other value as its text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
@@ -129,9 +134,13 @@ def _print(lines: Sequence[str], name: str) -> None:
 
 
 def _write(text: str, name: str) -> None:
-    """To a stream of ``sys``.  One that is closed, or that nobody reads to its end, takes no more, silently.
+    """Write to a stream of ``sys``.  A closed stream, or a pipe without a reader, silently takes no more.
 
-    The command goes on all the same: its files are what counts.  OutputError for a disk that is full.
+    The command goes on, because its files matter more.
+
+    Raises:
+        OutputError: The disk is full.
+
     """
     stream: TextIO | None = getattr(sys, name)
     if stream is None:
@@ -141,23 +150,23 @@ def _write(text: str, name: str) -> None:
         stream.flush()
     except OSError as error:
         give_up(stream)
-        if error.errno not in (errno.EPIPE, errno.EBADF):
+        if error.errno not in (errno.EPIPE, errno.EBADF, errno.EIO):  # EIO: of a terminal that hung up
             place = "standard output" if name == "stdout" else "standard error"
             raise OutputError.of_option(place, "room for what is printed", str(error)) from error
 
 
 def give_up(stream: TextIO) -> None:
-    """Let what is buffered, and what still comes, go nowhere."""
+    """Drop the buffered text of a stream and all that follows."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def no_escapes() -> bool:
-    """Is nothing to be printed that commands a terminal?  NO_COLOR, or one that knows no commands."""
+    """Return whether the terminal gets no commands: NO_COLOR is set, or it knows none."""
     return bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM", "").lower() in ("dumb", "unknown")
 
 
 def columns_of(stream: TextIO | None) -> int | None:
-    """Where lines are folded: at COLUMNS or a terminal's width; None for pipes and files, where they stay."""
+    """Return the width at which lines fold: COLUMNS or the terminal's; None for pipes and files."""
     asked = os.environ.get("COLUMNS", "")
     if asked.isdecimal() and 0 < int(asked) < 100_000:
         return max(int(asked), _NARROWEST)
@@ -168,7 +177,7 @@ def columns_of(stream: TextIO | None) -> int | None:
 
 
 def folded(text: str, columns: int | None) -> str:
-    """Text whose lines have at most so many columns, but for words that are longer (names of files)."""
+    """Fold lines to so many columns; longer words, such as names of files, stay whole."""
     if columns is None or all(len(line) <= columns for line in text.split("\n")):
         return text
     return "\n".join(part for line in text.split("\n") for part in _parts(line, columns))
@@ -194,14 +203,14 @@ def _parts(line: str, columns: int) -> list[str]:
 
 
 def explain(error: Exception) -> None:
-    """A user's mistake: where, what was expected, what came, and the hint on a line of its own."""
+    """Print a user's mistake: its place, what was expected, what came, and the hint on its own line."""
     if (answer := _as_json.get()) is not None:
         answer.errors.append(_told(error))
     say(f"error: {explanation(error)}")
 
 
 def _told(error: Exception) -> dict[str, object]:
-    """An error as data."""
+    """Return an error as data."""
     told: dict[str, object] = {"kind": type(error).__name__, "message": str(error)}
     if isinstance(error, InputError):
         place = {name: getattr(error.place, name) for name in ("file", "line", "field")}

@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Option, Typer
 
 from safety_harness.cli.console import document, say, say_shared_modules
-from safety_harness.cli.options import OfAvoider, OfController, OfReference, OfSpace, Seed, command
+from safety_harness.cli.options import OfAvoider, OfController, OfReference, OfSpace, Seed, Verbose, command
 
 commands = Typer()
 
@@ -41,15 +41,21 @@ def fuzz(
             help="Sample the space uniformly too, with the same budget.",
         ),
     ] = False,
+    explain: Annotated[
+        str,
+        Option(help="causes: a violation of each claim, and others for as long as the search took; or all."),
+    ] = "causes",
+    verbose: Verbose = False,
 ) -> int:
     """Search a space for violations, and write each distinct one as a scenario file that run takes.
 
     With --against it searches for what the avoider or controller violates and the reference keeps, on the
     same draws.
     Each such difference is drawn again; what is not clearly worse then is listed as a flip near the limit.
-    Counterexamples are shrunk, confirmed in PyBullet and attributed (whose fault they are, as attribute says
-    it), and so are all violations together.  A page, fuzz.html, is about them, with a map of what was
-    covered, coverage.svg; Ctrl-C keeps what was found so far.
+    A violation of each claim is shrunk, confirmed in PyBullet and attributed (whose fault it is, as attribute
+    says it), and others for as long as the search took; --explain all does the rest.
+    A page, fuzz.html, is about them, with a map of what was covered, coverage.svg; Ctrl-C keeps what was
+    found so far.
     A claim that the space expects to be violated has to be found within the budget.
     Exit code 0: as the space expects, which is no evidence of safety; 1: a violation that it does not expect,
     none of what it does, a claim that no run put to the test, or an avoider that gave no answer, or answered
@@ -57,11 +63,12 @@ def fuzz(
     """
     from safety_harness.admission.avoiders import one_of, with_avoider
     from safety_harness.admission.driving import named_system
-    from safety_harness.cli.progress import TERMINAL
+    from safety_harness.cli.progress import terminal
     from safety_harness.report.search_job import fuzz as fuzz_space
     from safety_harness.report.words import tested_words
 
     say_shared_modules()
+    output = terminal(verbose)
     found = fuzz_space(
         space,
         avoider=avoider,
@@ -72,9 +79,10 @@ def fuzz(
         searcher=searcher,
         claims=claims or (),
         baseline=baseline,
+        explain=explain,
         out=out,
-        output=TERMINAL,
-    ).kept(out, TERMINAL)
+        output=output,
+    ).kept(out, output)
     document(**found.data())
     read, asked = found.session.trials.space, one_of(avoider, controller)
     tested = read.simplest if asked is None else with_avoider(read.simplest, asked)

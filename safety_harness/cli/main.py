@@ -31,13 +31,19 @@ from safety_harness.cli.shipped import commands as of_shipped
 
 NAME = "safety-harness"
 CORE = (of_new, of_scenarios, of_search, of_shipped, of_machine)
-# The core's commands by task, in the order of the help.
+# Commands of this distribution by task, in the order of the help; those of other packages follow.
 TASKS = {
-    "Run and judge": ("run", "judge", "replay", "view"),
-    "Search": ("fuzz", "attribute", "sample"),
-    "Write scenarios": ("new", "validate", "explain", "claims", "show", "fmt", "schema"),
-    "This installation": ("list", "copy", "docs", "warm", "doctor"),
+    "The three jobs": ("run", "fuzz", "certify"),
+    "Write and run": ("new", "validate", "show", "sample", "explain", "claims", "fmt", "list", "copy"),
+    "Search and explain": ("attribute", "view", "judge", "replay", "history"),
+    "Evidence": ("campaign", "verify"),
+    "Your avoider, controller, robot, cell": (
+        *("evaluate", "prove", "metrics", "time", "dataset", "train", "export"),
+        *("robot", "scenario", "log", "monitor", "hands", "compare-worlds"),
+    ),
+    "Tools": ("doctor", "warm", "docs", "schema", "selftest", "reproduce"),
 }
+TASK_OF = {name: task for task, names in TASKS.items() for name in names}
 REINSTALL = f"pip install --force-reinstall {DISTRIBUTION}"
 # Commands of other packages: what somebody is told who has not got them.
 ELSEWHERE = {
@@ -55,11 +61,9 @@ class _Commands(MutableMapping[str, Any]):
     """
 
     def __init__(self, core: MutableMapping[str, Any]) -> None:
-        ordered = (name for names in TASKS.values() for name in names if name in core)
-        self._made = {name: core[name] for name in (*ordered, *core)}
-        for panel, names in TASKS.items():
-            for name in {*names} & {*core}:
-                core[name].rich_help_panel = panel
+        self._made = {**core}
+        for name, found in core.items():
+            found.rich_help_panel = TASK_OF[name]
         self._parts: dict[str, RegisteredPart] = {}
         self._hidden: list[RegisteredPart] = []  # whose names are taken
         for part in parts(ExtensionPoint.COMMANDS):
@@ -77,7 +81,10 @@ class _Commands(MutableMapping[str, Any]):
         return self._made[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys((*self._made, *self._parts, *ELSEWHERE)))
+        there = dict.fromkeys((*self._made, *self._parts, *ELSEWHERE))
+        return iter(
+            [*(name for name in TASK_OF if name in there), *(name for name in there if name not in TASK_OF)]
+        )
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
@@ -100,8 +107,9 @@ class _Commands(MutableMapping[str, Any]):
         if (found := commands_of(group).get(part.name)) is None:
             warn(part, f"it has no command {part.name}")
             return None
-        ours = part.value.removeprefix("safety_harness.extensions.").partition(".")[0]
-        found.rich_help_panel = (part.package or ours).removeprefix("safety_harness_").capitalize()
+        found.rich_help_panel = (
+            TASK_OF.get(part.name) or part.package.removeprefix("safety_harness_").capitalize()
+        )
         return found
 
 
@@ -144,8 +152,8 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
-    "it, score an avoider, and certify; make the data of a learned avoider, train and export it.",
+    help="Verify a hand-avoidance controller of a robot arm: run scenarios and judge them, search for what "
+    "breaks it, and certify it.",
 )
 for _core in CORE:
     app.add_typer(_core)

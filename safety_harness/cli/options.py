@@ -1,7 +1,8 @@
-"""Options and arguments that several commands have, and how a command is called and ends."""
+"""Options and arguments of several commands, and the way in which a command is called and ends."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from functools import partial, update_wrapper, wraps
 from inspect import Parameter, cleandoc, signature
@@ -11,7 +12,16 @@ from typing import Annotated, ParamSpec
 from typer import Argument, Exit, Option, Typer
 
 from safety_harness.base.exceptions import InputError, SafetyHarnessError
-from safety_harness.cli.console import BAD_INPUT, INTERRUPTED, answered_as_json, explain, say
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    BAD_INPUT,
+    DIFFERS,
+    INTERRUPTED,
+    answered_as_json,
+    explain,
+    next_step,
+    say,
+)
 
 Files = Annotated[
     list[Path],
@@ -47,9 +57,12 @@ OfReference = Annotated[
     ),
 ]
 OfWorld = Annotated[
-    str,
+    str | None,
     Option(
-        "--world", help="PyBullet, the reference, or kinematic, which needs no PyBullet.", metavar="WORLD"
+        "--world",
+        help="PyBullet, the reference, or kinematic, which needs no PyBullet; without it PyBullet, if it is "
+        "installed.",
+        metavar="WORLD",
     ),
 ]
 OfSpace = Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")]
@@ -62,10 +75,21 @@ AttributionOut = Annotated[
 Executes = Annotated[
     bool, Option("--execute-programs", help="Allow the programs of what is given to be executed.")
 ]
+Verbose = Annotated[bool, Option("--verbose", "-v", help="Print every line, not only what matters.")]
 Workers = Annotated[
     int | None, Option("--jobs", "--workers", help="Processes; without it, one for each core.", min=1)
 ]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
+# The command that a user most likely wants next, by functions of commands, with the values of their options.
+NEXT = {
+    "list_shipped": "safety-harness copy shipped:NAME",
+    "doctor": "safety-harness run shipped:first-run",
+    "warm": "safety-harness run shipped:first-run",
+    "sample": "safety-harness run {out}",
+    "dataset": "safety-harness train mc-dropout --data {out}",
+    "train": "safety-harness evaluate {out}/model.safetensors",
+    "declare": "safety-harness certify {plan}",
+}
 _AsJson = Annotated[bool, Option("--json", help="One JSON document in place of lines for people.")]
 _Asked = ParamSpec("_Asked")
 
@@ -83,6 +107,7 @@ def command(
     The user's mistakes are explained, and are exit code 2.  Any other error of ours is ``failed`` (None: it
     is raised), and Ctrl-C is answered with the words ``interrupted`` (none: it is raised).  Without ``json``
     it has no option --json.
+    After exit code 0 or 1 it prints the next command, if ``NEXT`` has any.
     """
 
     def registered(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
@@ -105,7 +130,11 @@ def command(
         def ended(*args: _Asked.args, **options: _Asked.kwargs) -> None:
             as_json = options.pop("as_json", False)
             answered = partial(answer, *args, **options)
-            raise Exit(answered_as_json(answered) if as_json else answered())
+            code = answered_as_json(answered) if as_json else answered()
+            if work.__name__ in NEXT and not as_json and code in (AS_EXPECTED, DIFFERS):
+                texts = {name: shlex.quote(str(value)) for name, value in options.items()}
+                next_step(NEXT[work.__name__].format_map(texts))
+            raise Exit(code)
 
         update_wrapper(ended, work)
         if json:

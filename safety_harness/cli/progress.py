@@ -1,7 +1,7 @@
-"""What long commands show: lines that change on a terminal; elsewhere a line every ten seconds.
+"""Show the progress of long commands: changing lines on a terminal, elsewhere a line every ten seconds.
 
-Elsewhere is a pipe, a file, or a terminal that is to get no escape codes.  It is told where a command is at
-the start, at most every ten seconds, and at the end, with the share that is done and the time that is left.
+Elsewhere is a pipe, a file, or a terminal that gets no escape codes.  It gets a line at the start, at most
+every ten seconds, and at the end.  Each line has the share that is done and the time that is left.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rich.console import Console
@@ -26,26 +26,26 @@ EVERY_S = 10.0
 
 
 def is_live() -> bool:
-    """May lines change on standard error?"""
+    """Return whether lines may change on standard error."""
     return sys.stderr is not None and sys.stderr.isatty() and not no_escapes()
 
 
 @dataclass
 class PacedLines:
-    """Says a line when it is due; the others make room for the next, and the last is said at the end."""
+    """Prints a line when it is due.  A newer line replaces a waiting one; the last is printed at the end."""
 
     now_s: Callable[[], float] = time.monotonic
     _said_s: float = -math.inf
     _waiting: str = ""
 
     def tell(self, line: str) -> None:
-        """A line that says where a command is."""
+        """Take a line on the progress of a command."""
         self._waiting = line
         if self.now_s() - self._said_s >= EVERY_S:
             self.end()
 
     def end(self) -> None:
-        """Say what was not said."""
+        """Print the waiting line."""
         if self._waiting:
             say(self._waiting)
         self._waiting, self._said_s = "", self.now_s()
@@ -53,7 +53,7 @@ class PacedLines:
 
 @contextmanager
 def paced_lines() -> Iterator[Callable[[str], None]]:
-    """Yields what is told lines that a log needs few of; a terminal gets them all."""
+    """Yield a function for lines on progress: a log gets few of them, a terminal all."""
     if is_live():
         yield say
         return
@@ -66,7 +66,7 @@ def paced_lines() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def block() -> Iterator[Callable[[list[str]], None]]:
-    """Yields what shows lines on a terminal; elsewhere the first of them, where that is due."""
+    """Yield a function that shows lines on a terminal; elsewhere it prints the first line when due."""
     if is_live():
         with Live(**_shown(), refresh_per_second=4) as live:
             yield lambda lines: live.update(Text("\n".join(lines)))
@@ -76,14 +76,14 @@ def block() -> Iterator[Callable[[list[str]], None]]:
 
 
 def _shown() -> dict[str, Any]:
-    """On standard error, and results above it; those that go to a file are left alone."""
+    """Return settings that draw on standard error below the results, unless these go to a file."""
     results = sys.stdout is not None and sys.stdout.isatty()
     return {"console": Console(stderr=True), "transient": True, "redirect_stdout": results}
 
 
 @contextmanager
 def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
-    """Yields what is told how many of ``total`` are done, and in words what comes next: a bar, or lines."""
+    """Yield a function that takes how many of ``total`` are done, and words on the next step."""
     if is_live():
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
         with Progress(*columns, TimeRemainingColumn(), **_shown()) as bar:
@@ -100,3 +100,9 @@ def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
 
 
 TERMINAL = Output(say=say, result=result, explain=explain, block=block, counting=counting)
+VERBOSE = replace(TERMINAL, detail=result)
+
+
+def terminal(verbose: bool) -> Output:
+    """Return where a command's words go; with ``verbose`` lines on each part of the work as well."""
+    return VERBOSE if verbose else TERMINAL

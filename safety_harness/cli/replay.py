@@ -1,4 +1,4 @@
-"""``safety-harness replay`` and ``judge``: a stored trace repeated, or judged again."""
+"""``safety-harness replay`` repeats a stored trace; ``judge`` judges it again."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, Place, TraceError
 from safety_harness.cell.simulation.worlds import world_of_trace
+from safety_harness.claims.properties.tally import short_basis
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -21,13 +22,15 @@ from safety_harness.cli.console import (
     result,
     say,
 )
-from safety_harness.cli.progress import TERMINAL
-from safety_harness.report.evidence import JudgedRun, basis_of
+from safety_harness.cli.progress import TERMINAL, terminal
+from safety_harness.cli.run import print_verdicts
+from safety_harness.report.evidence import JudgedRun, answer, basis_of
 from safety_harness.report.judge_job import A_CLAIM, judged_run, write_judged
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
-from safety_harness.report.run_job import result_lines, tested_line, watching_runs
+from safety_harness.report.run_job import watching_runs
 from safety_harness.report.run_result import DATA, REPORT
+from safety_harness.report.verdict_lines import every_line
 from safety_harness.scenario.model import VISUAL_SERVO
 from safety_harness.scenario.references import file_and_name
 from safety_harness.trace.compare import first_difference
@@ -38,10 +41,10 @@ from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
 def replay(path: Path, avoider: str | None = None) -> int:
-    """Repeat a recorded run: "identical", or the first step that differs; and does what is tested remember?
+    """Repeat a recorded run and print "identical" or the first step that differs; return the exit code.
 
-    ``avoider`` names the program anew that a trace of a user's own avoider was made with: a trace may
-    come from anybody, and repeating it must not execute what it says.
+    It also asks a second avoider, which finds an avoider with a memory.  ``avoider`` names the program of a
+    user's own avoider again: a stranger may have made the trace, and it must not choose what is executed.
     """
     stored = load_trace(path)
     refuse_not_simulated(stored, path)
@@ -79,7 +82,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
 
 
 def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
-    """TraceError where another controller would drive than did then, or the same from an edited file."""
+    """Raise TraceError if another controller would drive than then, or the same one from an edited file."""
     then = stored.system.controller
     now = admitted.driver.component if admitted.driver else Component(name=VISUAL_SERVO)
     known = then.sha256 if admitted.driver else ""
@@ -94,7 +97,7 @@ def _named(now: Component, admitted: Admitted) -> str:
 
 
 def changes(before: Trace, after: Trace) -> list[str]:
-    """What is not the same as when the trace was made."""
+    """Return lines on software and systems that differ from those of the trace."""
     stored, now = before.provenance, after.provenance
     names = ("package_version", "source_hash", "world", "python", "platform")
     values = ((name, getattr(stored, name), getattr(now, name)) for name in names)
@@ -113,12 +116,12 @@ def judge_again(
     *,
     keep_going: bool = False,
     out: Path | None = None,
+    verbose: bool = False,
 ) -> int:
-    """Judge stored traces, and logs of cells, by their claims, with the present code, without simulating.
+    """Judge stored traces and logs of cells with the present code, without simulating; return the exit code.
 
-    ``sentences`` take the place of their own claims, and are expected to hold.  ``keep_going``: one
-    that cannot be judged is told, and the others are judged.  ``out``: a folder for a report, and for the
-    traces of logs.
+    ``sentences`` replace their own claims, and are expected to hold.  With ``keep_going`` the others are
+    judged where one cannot be.  ``out`` is a folder for a report and for the traces of logs.
     """
     runs: list[JudgedRun] = []
     refused: list[InputError] = []
@@ -132,14 +135,16 @@ def judge_again(
                 raise
             refused.append(error)
             continue
-        result(*result_lines(run))
-        say(tested_line(run))
-        result(*measured_lines(run.trace))
-        say(*(f"note: {run.trace.scenario.name}: {note}" for note in run.notes if run.trace.known.recorded))
+        terminal(verbose).detail(*every_line(run))
         runs.append(run)
     evaluations = [evaluation for run in runs for _, evaluation in run.judged_claims()]
     document(runs=[run_data(run) for run in runs], basis=basis_of(runs), refused=refused_data(refused))
-    say(*[basis_of(runs)] * bool(runs))
+    print_verdicts(runs, verbose)
+    for run in runs:
+        result(*measured_lines(run.trace))
+        say(*(f"note: {run.trace.scenario.name}: {note}" for note in run.notes if run.trace.known.recorded))
+    say(*[basis_of(runs) if verbose else short_basis(basis_of(runs))] * bool(runs))
+    result(*[answer(runs)] * (len(runs) > 1))
     if out is not None and runs:
         write_judged(runs, refused, out, paths)
         say(f"report: {out / REPORT} (for programs: {DATA})")

@@ -1,8 +1,9 @@
-"""``safety-harness run``: what a terminal shows of the runs of scenario files."""
+"""``safety-harness run``: run scenario files and print their verdicts."""
 
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,18 +13,19 @@ from safety_harness.admission.avoiders import command_line_reference, replay_com
 from safety_harness.admission.taking import not_taken_words
 from safety_harness.base.exceptions import OutputError
 from safety_harness.base.input_errors import InputErrors
-from safety_harness.claims.properties.tally import far_lines, table_lines, untested_lines
+from safety_harness.claims.properties.tally import far_lines, short_basis, table_lines, untested_lines
 from safety_harness.cli.console import (
     BAD_INPUT,
     INTERRUPTED,
     columns_of,
     document,
     explain,
+    next_step,
     result,
     say,
     say_shared_modules,
 )
-from safety_harness.cli.progress import TERMINAL
+from safety_harness.cli.progress import terminal
 from safety_harness.report.decisions import (
     DecisionTally,
     computing_time_lines,
@@ -31,20 +33,29 @@ from safety_harness.report.decisions import (
     overruling_of_each,
     possible_lines,
 )
-from safety_harness.report.evidence import JudgedRun, as_expected
+from safety_harness.report.evidence import JudgedRun, answer
 from safety_harness.report.run_job import run as run_scenarios
 from safety_harness.report.run_result import DATA, REPORT, TRACES, RunResult
 from safety_harness.report.shielding import shield_lines
+from safety_harness.report.verdict_lines import block_of, surprise_lines
 from safety_harness.scenario.model import Verdict
+from safety_harness.trace.answer_times import UNHEEDED
 
 
 def run(
-    paths: Sequence[Path], out: Path, avoider: str | None = None, against: str | None = None, **options: Any
+    paths: Sequence[Path],
+    out: Path,
+    avoider: str | None = None,
+    against: str | None = None,
+    *,
+    verbose: bool = False,
+    **options: Any,
 ) -> int:
-    """Run, print and write the report; returns the exit code.  ``options`` as of ``safety_harness.run``."""
+    """Run, print and write the report; return the exit code.  ``options`` as of ``safety_harness.run``."""
     say_shared_modules()
+    output = terminal(verbose)
     try:
-        found = run_scenarios(paths, avoider=avoider, against=against, out=out, output=TERMINAL, **options)
+        found = run_scenarios(paths, avoider=avoider, against=against, out=out, output=output, **options)
     except InputErrors as error:
         go_on = "; --keep-going runs the others" if error.left else ""
         say(f"{len(error.errors)} of the inputs cannot be used; nothing was run{go_on}.")
@@ -54,7 +65,7 @@ def run(
         return INTERRUPTED
     if found.runs:
         try:
-            found = found.write(out, output=TERMINAL)
+            found = found.write(out, output=output)
         except OutputError as error:
             explain(error)
             return INTERRUPTED if found.interrupted else BAD_INPUT
@@ -62,32 +73,42 @@ def run(
             say(f"no report was written; the traces are in {out / TRACES}")
             return INTERRUPTED
         document(**json.loads((out / DATA).read_text("utf-8")), failed=found.failed)
-    _say_summary(found)
+    _print_summary(found, verbose)
     if found.runs:
         say(f"report: {out / REPORT} (for programs: {DATA})")
-    _say_whose_fault(found.runs)
+        _say_next(found.runs, out)
     return found.exit_code
 
 
-def _say_summary(found: RunResult) -> None:
-    """How often each claim was exercised, what the runs cost, and how many verdicts are as expected."""
-    coverage = found.coverage
-    say(*table_lines(coverage, columns_of(sys.stderr)), *far_lines(coverage))
+def print_verdicts(runs: Sequence[JudgedRun], verbose: bool) -> None:
+    """Print a single run in full, of many runs the surprises; with ``verbose`` all were printed before."""
+    if not verbose:
+        result(*(block_of(runs[0]) if len(runs) == 1 else surprise_lines(runs)))
+
+
+def _print_summary(found: RunResult, verbose: bool) -> None:
+    """Print verdicts, what was never exercised, and in one line the totals; the rest with ``verbose``."""
+    coverage, traces = found.coverage, [run.trace for run in found.runs]
+    if found.against is None:
+        print_verdicts(found.runs, verbose)
+    overruled, took = overruling_lines(overruling_of_each(traces)), computing_time_lines(traces)
+    if verbose:
+        say(*table_lines(coverage, columns_of(sys.stderr)))
+    elif len(traces) > 1:
+        took = [line for line in took if UNHEEDED in line]
+    say(*far_lines(coverage))
     if untested := untested_lines(coverage):
         say(f"error: {untested[0]}", *untested[1:])
         say("  What hands do is drawn by: safety-harness show FILE")
-    say(*[found.basis] * bool(found.runs))
-    traces = [run.trace for run in found.runs]
-    say(*(f"computing time: {line}" for line in computing_time_lines(traces)))
+    say(*[found.basis if verbose else short_basis(found.basis)] * bool(found.runs))
+    say(*(f"computing time: {line}" for line in took))
     say(*(f"shield: {line}" for line in shield_lines(traces)))
     say(*(f"gate: {line}" for line in possible_lines(traces)))
-    say(*overruling_lines(overruling_of_each(traces)))
-    verdicts, others = as_expected(found.runs)
+    say(*(overruled if verbose else overruled[:1]))
     fallback = DecisionTally.of(traces).fallback
-    say(
-        f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "
-        f"{len(found.runs)} of {found.planned + len(found.skipped)} scenarios run"
-        + (f", {others} claims not applicable to the controller" if others else "")
+    result(
+        f"{answer(found.runs)}, {len(found.runs)} of {found.planned + len(found.skipped)} scenarios run"
+        + (f", {len(found.failed)} could not be run to the end" if found.failed else "")
         + (f", {not_taken_words(found.skipped)}" if found.skipped else "")
         + (f", {len(found.refused)} of the inputs cannot be used" if found.refused else "")
         + (f"; {fallback}" if fallback else "")
@@ -96,13 +117,22 @@ def _say_summary(found: RunResult) -> None:
         result(*found.against.lines())
 
 
-def _say_whose_fault(found: Sequence[JudgedRun]) -> None:
-    """The commands that attribute what was violated and not expected to be: one for each avoider."""
+def _say_next(runs: Sequence[JudgedRun], out: Path) -> None:
+    """Name the next command: for each avoider the one that attributes its violations, else one that shows."""
     wrong: dict[str, list[JudgedRun]] = {}
-    for one in found:
-        if any(e.verdict is Verdict.VIOLATED is not c.given(e.margin) for c, e in one.judged_claims()):
-            wrong.setdefault(command_line_reference(one.trace.scenario), []).append(one)
-    for runs in wrong.values():
-        files = [one.trace_file for one in runs if one.trace_file is not None]
-        command = replay_command(runs[0].trace.scenario, *files, verb="attribute", told=Path)
-        say(f"whose fault: {command}")
+    for run in runs:
+        if any(
+            found.verdict is Verdict.VIOLATED
+            and (len(runs) == 1 or claim.given(found.margin) is Verdict.HOLDS)
+            for claim, found in run.judged_claims()
+        ):
+            wrong.setdefault(command_line_reference(run.trace.scenario), []).append(run)
+    for violated in wrong.values():
+        files = [run.trace_file for run in violated if run.trace_file is not None]
+        command = replay_command(violated[0].trace.scenario, *files, verb="attribute", told=Path)
+        next_step(command, "whose fault it is")
+    file = runs[0].trace_file
+    if len(runs) > 1 and not wrong:
+        next_step(f"safety-harness judge {shlex.quote(str(out / TRACES))}/*.trace -v", "every verdict")
+    elif file is not None and not wrong:
+        next_step(f"safety-harness view {shlex.quote(str(file))}", "the run in 3-D")

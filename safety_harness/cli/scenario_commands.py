@@ -20,6 +20,7 @@ from safety_harness.cli.options import (
     OfWorld,
     Out,
     Seed,
+    Verbose,
     Workers,
     command,
 )
@@ -33,7 +34,7 @@ def run(
     out: Out = Path("reports/run"),
     avoider: OfAvoider = None,
     against: OfReference = None,
-    world: OfWorld = "PyBullet",
+    world: OfWorld = None,
     keep_going: KeepGoing = False,
     controller: OfController = None,
     jobs: Workers = None,
@@ -41,12 +42,14 @@ def run(
         bool,
         Option("--mcap", help="Write each run as MCAP too, into a folder beside its trace, as export does."),
     ] = False,
+    verbose: Verbose = False,
 ) -> int:
     """Run scenario files in PyBullet or another world, judge their claims and write a report.
 
     A program that they name as avoider or controller is executed, which is said on standard error.
-    One line a claim goes to standard output: verdict, margin, time of the worst moment.
-    At the end a table says how often each claim was put to the test.
+    A single run prints its claims, worst first. Many runs print the verdicts that differ from what their
+    files expect, those that decide nothing, and a line of totals. --verbose prints each verdict with margin
+    and worst moment, and a table that says how often each claim was put to the test.
     That the avoider answered is judged of every run, whether its file claims it or not.
     A scenario that an avoider of --avoider or --against cannot take (another workspace) is skipped, with the
     reason, and counted.
@@ -65,10 +68,11 @@ def run(
         avoider,
         against,
         controller=controller,
-        world=world_named(world, "--world"),
+        world=None if world is None else world_named(world, "--world"),
         keep_going=keep_going,
         jobs=jobs,
         mcap=mcap,
+        verbose=verbose,
     )
 
 
@@ -202,6 +206,7 @@ def judge(
     out: Annotated[
         Path | None, Option(help="Folder for report.html, report.json and the traces of logs.")
     ] = None,
+    verbose: Verbose = False,
 ) -> int:
     """Judge stored traces, or logs of a real cell, by their claims, or by others, without simulating.
 
@@ -209,7 +214,7 @@ def judge(
     """
     from safety_harness.cli.replay import judge_again
 
-    return judge_again(traces, claim or (), keep_going=keep_going, out=out)
+    return judge_again(traces, claim or (), keep_going=keep_going, out=out, verbose=verbose)
 
 
 @command(commands, interrupted="interrupted: nothing was written")

@@ -1,7 +1,8 @@
-"""``safety-harness validate``: read and check files, execute nothing, tell what is wrong."""
+"""``safety-harness validate``: read and check files without executing any, and report all mistakes."""
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
@@ -24,11 +25,13 @@ from safety_harness.cli.console import (
     INTERRUPTED,
     document,
     explain_each,
+    next_step,
     result,
     say,
 )
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import Gathered, gather
+from safety_harness.scenario.files import told
 from safety_harness.scenario.kinds import added_input
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.ours import aside_lines
@@ -37,7 +40,7 @@ from safety_harness.space.space import ScenarioSpace
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
-    """A line for each file that can be used, the mistakes of the others; returns the exit code."""
+    """Print a line for each usable file and all mistakes of the other files; return the exit code."""
     added = [path for path in paths if _is_added(located(path))]
     others = [path for path in paths if path not in added]
     try:
@@ -62,7 +65,8 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         say("interrupted")
         return INTERRUPTED
     # Of every claim; admission stops at a scenario's first mistake.
-    claims = [(claim, scenario) for scenario in gathered.scenarios for claim in scenario.claims]
+    read_in_part = (*gathered.scenarios, *gathered.mended)
+    claims = [(claim, scenario) for scenario in read_in_part for claim in scenario.claims]
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
     errors = [*gathered.errors, *errors, *of_claims, *errors_of_spaces, *errors_of_added]
     bad = {error.place.file for error in errors}
@@ -88,6 +92,10 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         for title, count in Counter(kind.title for kind, _ in read).items():
             rest += f" and {_count(count, title)}"
         say(f"{mistakes}; {rest} can be used")
+    for name, found in (("run", [one.scenario for one in checked]), ("fuzz", spaces)):
+        if found and not errors:
+            next_step(f"safety-harness {name} {shlex.quote(str(told(found[0].file or Path())))}")
+            break
     return BAD_INPUT if errors else AS_EXPECTED
 
 
@@ -105,7 +113,7 @@ def _checked(path: Path, looker: Looker) -> tuple[InputFile, CheckedFile]:
 
 
 def _tried_space(found: tuple[Variant, Path]) -> ScenarioSpace:
-    """A space of which a draw can be tried."""
+    """Return a space after one admissible draw."""
     variant, file = found
     space = space_of(variant.tree, file, name=variant.name)
     draw_admissible(space, seed=0, count=1)
@@ -121,7 +129,7 @@ def _untried_of(space: ScenarioSpace) -> list[str]:
 
 
 def _untried(checked: Sequence[Checked], *spaces: ScenarioSpace) -> list[str]:
-    """The moves and faults that none of them would try beside an arm that stands where it starts."""
+    """Return lines on moves and faults that no scenario would try beside an arm that stays at its start."""
     tried = TriedParts()
     for one in checked:
         tried.suppose(one.scenario, links_in_base(one.arm, one.joint_position_rad)[-1, :3, 3].copy())
@@ -139,7 +147,7 @@ def _data(scenario: Scenario) -> dict[str, object]:
 
 
 def _words(scenarios: Sequence[Scenario]) -> str:
-    """What a file holds: ``2 hands, 3 claims, 8 s``; for a matrix the number of its scenarios as well."""
+    """Return the content of a file: ``2 hands, 3 claims, 8 s``; for a matrix also its number of scenarios."""
     scenario = scenarios[0]
     words = [_count(len(scenario.hands), "hand"), _count(len(scenario.claims), "claim")]
     words += [f"{scenario.duration_s:g} s", scenario.under_test]

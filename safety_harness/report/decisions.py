@@ -70,7 +70,7 @@ class DecisionTally:
 
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> DecisionTally:
-        """The decisions of all ``traces`` together."""
+        """Count the decisions of all ``traces``."""
         counts: Counter[int] = Counter()
         faults = missing = 0
         for trace in filter(are_counted, traces):
@@ -88,7 +88,7 @@ class DecisionTally:
 
     @property
     def fallback(self) -> str:
-        """For headlines: that the fallback stood in for the avoider, and how often; empty if it did not."""
+        """The words of a headline on how often the fallback replaced the avoider; empty if it never did."""
         return fallback_words(self.unanswered, self.made)
 
     @property
@@ -105,24 +105,24 @@ class DecisionTally:
 
 
 def are_counted(trace: Trace) -> bool:
-    """Is it known of a trace's decisions what came of them?"""
+    """Return whether a trace has the outcomes of its decisions."""
     return is_measured(trace) and decided(trace, "tick") and not trace.known.of("faults").limited
 
 
 def avoiders(traces: Iterable[Trace]) -> list[tuple[str, int]]:
-    """(name, runs) of every avoider or controller, in the order in which they first occur."""
+    """Return (name, runs) of each avoider or controller, in the order of their first runs."""
     return list(Counter(trace.system.tested.name for trace in traces).items())
 
 
 def tested_words(traces: Iterable[Trace]) -> str:
-    """What ``avoiders`` names: ``Avoider``, ``Controllers``, or both."""
+    """Return the heading for ``avoiders``: ``Avoider``, ``Controllers``, or both."""
     names = {trace.system.tested.name: trace.system.avoider is not None for trace in traces}
     kinds = [w for w, asks in (("Avoider", True), ("Controller", False)) if asks in names.values()]
     return " and ".join(kinds).capitalize() + "s" * (len(names) > 1)
 
 
 def overruling_of_each(traces: Iterable[Trace]) -> dict[str, Overruling]:
-    """Of every avoider that proposed anything, in the order in which they first occur."""
+    """Return the overruling of each avoider with proposals, in the order of their first runs."""
     found: dict[str, Overruling] = {}
     for trace in traces:
         name = trace.system.tested.name
@@ -131,15 +131,15 @@ def overruling_of_each(traces: Iterable[Trace]) -> dict[str, Overruling]:
 
 
 def overruling_lines(each: Mapping[str, Overruling]) -> list[str]:
-    """Of all together, and below it of each avoider if there are several."""
+    """Return a line on all avoiders, and one on each if there are several."""
     whole = sum(each.values(), Overruling()).words
     return [whole, *(f"{name}: {one.words}" for name, one in each.items() if len(each) > 1)] if whole else []
 
 
 def decision_rows(trace: Trace) -> list[DecisionRow]:
-    """A row for each of the first ``MOST_DECISION_ROWS`` decisions, positions in mm.
+    """Return a row for each of the first ``MOST_DECISION_ROWS`` decisions, positions in mm.
 
-    A dash stands for what was not measured; no rows if it was not measured when anything was decided.
+    A dash stands for an unmeasured value.  Without measured times of decisions there are no rows.
     """
     if not decided(trace, "tick", "time_s"):
         return []
@@ -175,14 +175,14 @@ def decision_rows(trace: Trace) -> list[DecisionRow]:
 
 
 def failed_checks(trace: Trace) -> list[tuple[str, str]]:
-    """(name, meaning) of every check that a candidate of this run failed."""
+    """Return (name, meaning) of each check that a candidate of this run failed."""
     flags = trace.decisions["proposed_failed"] | trace.decisions["opposite_failed"]
     failed = int(np.bitwise_or.reduce(flags)) if len(flags) else 0
     return [(flag_words(check), CHECK_MEANINGS[check]) for check in Check if check and check & failed]
 
 
 def fault_notes(trace: Trace) -> list[str]:
-    """A sentence on each way in which the avoider gave no usable answer, the first ones first."""
+    """Return a sentence on each way in which the avoider gave no usable answer, in order of time."""
     decisions = trace.decisions
     counts = Counter(str(fault) for fault in decisions["fault"] if fault)
     found = []
@@ -196,7 +196,7 @@ def fault_notes(trace: Trace) -> list[str]:
 
 
 def latency_words(trace: Trace) -> str:
-    """Median and slowest decision on the wall's clock; empty where nothing was measured.
+    """Return the median and the slowest decision on the wall clock; empty without measurements.
 
     A replay does not ask again for an answer that came too late, and records no time for it.
     """
@@ -226,7 +226,7 @@ class ComputingTime:
 
 
 def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
-    """What a decision costs by the settings, ``declared_s`` if they leave it to the avoider."""
+    """Return the cost of a decision by the settings, or ``declared_s`` if they leave it to the avoider."""
     if cost is DecisionCost.WALL_CLOCK:
         return "what each answer took on the wall's clock: the run repeats from its record only"
     if not isinstance(cost, DecisionTimes):
@@ -273,7 +273,7 @@ def lines_of(runs: Iterable[ComputingTime]) -> list[str]:
 
 
 def refused_for_possible(trace: Trace) -> int:
-    """How many proposals failed TOWARDS_A_HAND though they lead away from every predicted hand."""
+    """Count the proposals that failed TOWARDS_A_HAND though they lead away from each predicted hand."""
     count = 0
     for decision in trace.decisions:
         if decision["proposed_failed"] & Check.TOWARDS_A_HAND:
@@ -285,12 +285,12 @@ def refused_for_possible(trace: Trace) -> int:
 
 
 def asks_of_hands(trace: Trace) -> bool:
-    """Has the gate such a rule?"""
+    """Return whether the gate has a rule about where a hand may be."""
     return trace.scenario.gate is not None and trace.scenario.gate.hands_within is not None
 
 
 def possible_lines(traces: Iterable[Trace]) -> list[str]:
-    """One line on all runs whose gate has such a rule; none where no run has."""
+    """Return one line on all runs whose gate has such a rule; empty without such a run."""
     ruled = [trace for trace in traces if asks_of_hands(trace)]
     if not ruled:
         return []

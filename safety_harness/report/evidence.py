@@ -1,4 +1,4 @@
-"""One judged run: a trace, what every claim came out as, and how to see it again."""
+"""One judged run: a trace, the evaluation of each claim, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from safety_harness.trace.trace import Trace
 
 
 class AboutRuns(TypedDict, total=False):
-    """What a report says of all its runs together.
+    """The facts of a report about all its runs together.
 
-    ``coverage`` is how often each claim was put to the test, where that was in more runs than are shown;
-    ``skipped`` is what an avoider could not take, ``refused`` what could not be used at all, ``against`` what
-    is worse than with a reference, ``repeated`` what a second avoider answered to their questions.
+    ``coverage`` counts how often each claim was exercised, if more runs were judged than the report shows.
+    ``skipped`` are scenarios that an avoider cannot take, ``refused`` errors of unusable inputs.  ``against``
+    has the differences from a reference, ``repeated`` the answers of a second avoider.
     """
 
     coverage: Sequence[ClaimTally] | None
@@ -40,24 +40,27 @@ _NOTHING: AboutRuns = {"coverage": None, "skipped": (), "refused": (), "against"
 
 
 def with_defaults(about: AboutRuns) -> AboutRuns:
-    """Return it with what was left out; TypeError for any other keyword."""
+    """Return the facts with defaults for missing ones; TypeError for any other keyword."""
     if others := about.keys() - _NOTHING.keys():
         raise TypeError(f"unknown keywords: {', '.join(sorted(others))}")
     return _NOTHING | about
 
 
-_SEVERITY = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
+SEVERITY = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
 
 
 @dataclass(frozen=True)
 class JudgedRun:
-    """A trace with one evaluation for each of its scenario's claims, in their order.
+    """A trace with one evaluation for each claim of its scenario, in their order.
 
-    A run in which the avoider did not answer has one claim more than its scenario makes: that it did.
-    ``replay_command`` is the command line that repeats this run; ``notes`` are sentences for the
-    reader (what was bridged in a recording, say); ``trace_file`` is where the trace is kept.  ``about`` is
-    the index of the claim under whose heading it stands, None below one that is no claim's.
-    Raises ValueError when the numbers of evaluations and claims differ.
+    A run in which the avoider did not answer has one claim more: that it answered.  ``replay_command`` is the
+    command line that repeats this run.  ``notes`` are sentences for the reader, such as bridged gaps of a
+    recording.  ``trace_file`` holds the trace.  ``about`` is the index of the claim under whose heading the
+    run stands; None below another heading.
+
+    Raises:
+        ValueError: The numbers of evaluations and claims differ.
+
     """
 
     trace: Trace
@@ -74,19 +77,19 @@ class JudgedRun:
             raise ValueError(f"scenario {name!r} has {claims} claims, got {judged} evaluations")
 
     def judged_claims(self) -> Iterator[tuple[Claim, Evaluation]]:
-        """Each claim with its evaluation; last that the avoider answered, where it did not."""
+        """Yield each claim with its evaluation; at the end "the avoider answered", if it did not."""
         yield from zip(self.trace.scenario.claims, self.evaluations, strict=True)
         if self._fallback is not None:
             yield DEFAULT_CLAIM, self._fallback
 
     @cached_property
     def _fallback(self) -> Evaluation | None:
-        """The word on an avoider that did not answer, where the scenario makes no claim of that itself."""
+        """The evaluation of an avoider that did not answer, unless the scenario has that claim itself."""
         return None if is_claimed(self.trace.scenario.claims) else by_default(self.trace)
 
     @property
     def as_expected(self) -> tuple[bool, ...]:
-        """For each claim, whether the verdict is the one that its author expects; so are claims of others."""
+        """For each claim, whether its author expects the verdict; true for claims about other systems."""
         return tuple(
             evaluation.verdict is claim.given(evaluation.margin) or not evaluation.applicable
             for claim, evaluation in self.judged_claims()
@@ -94,32 +97,32 @@ class JudgedRun:
 
     @property
     def applicable(self) -> tuple[bool, ...]:
-        """For each claim, whether it is one about the system under test."""
+        """For each claim, whether it is about the system under test."""
         return tuple(evaluation.applicable for _, evaluation in self.judged_claims())
 
     @property
     def all_as_expected(self) -> bool:
-        """Whether every claim came out as expected, and any is of the system; true without claims."""
+        """Whether each claim has its expected verdict, and any is about the system; true without claims."""
         return all(self.as_expected) and (any(self.applicable) or not self.applicable)
 
     def count(self, verdict: Verdict) -> int:
-        """How many claims came out as ``verdict``."""
+        """Count the claims with this verdict."""
         return sum(e.verdict is verdict and e.applicable for _, e in self.judged_claims())
 
     def under(self, sentence: str) -> JudgedRun:
-        """The same run below a heading with this claim's sentence; below no claim's, if it has none such."""
+        """Return the same run below the heading of a claim; below no claim's if it lacks that sentence."""
         sentences = [claim.sentence for claim in self.trace.scenario.claims]
         return replace(self, about=sentences.index(sentence) if sentence in sentences else None)
 
     def shown_claim(self) -> int | None:
-        """Index of the claim whose worst moment every picture and replay shows; None when it names none.
+        """Return the index of the claim whose worst moment each picture and replay shows, or None.
 
-        It is the heading's.  Below no claim's heading it is the one that went worst: violated before
-        inconclusive before holds, lengths before other units, then the smallest margin.
+        It is the heading's claim.  Below another heading it is the worst claim: violated before inconclusive
+        before holds, lengths before other units, then the smallest margin.
         """
         ranked = [
             (
-                _SEVERITY.index(evaluation.verdict),
+                SEVERITY.index(evaluation.verdict),
                 evaluation.unit is not Unit.LENGTH,
                 evaluation.margin if evaluation.margin is not None and isfinite(evaluation.margin) else inf,
                 index,
@@ -134,11 +137,11 @@ class JudgedRun:
 
 def worst_verdict(verdicts: Iterable[Verdict]) -> Verdict:
     """Return the worst of some verdicts; inconclusive for none."""
-    return min(verdicts, key=_SEVERITY.index, default=Verdict.INCONCLUSIVE)
+    return min(verdicts, key=SEVERITY.index, default=Verdict.INCONCLUSIVE)
 
 
 def notes_of(scenario: Scenario) -> tuple[str, ...]:
-    """What a reader has to know of recordings (gaps that were bridged, jumps removed) and of a program."""
+    """Return notes on recordings (bridged gaps, removed jumps) and on a program under test."""
     unknown = unknown_files(scenario).removeprefix("; ")
     return (unknown,) * bool(unknown) + tuple(
         f"{hand.name}, {hand.recording}: {note}"
@@ -149,7 +152,7 @@ def notes_of(scenario: Scenario) -> tuple[str, ...]:
 
 
 def tallies(runs: Iterable[JudgedRun]) -> tuple[ClaimTally, ...]:
-    """How often each claim was put to the test over all ``runs``."""
+    """Count how often each claim was exercised over all ``runs``."""
     return tally_claims(
         Judged(run=run.trace.scenario.name, evaluation=evaluation, expected=claim.expected)
         for run in runs
@@ -158,32 +161,23 @@ def tallies(runs: Iterable[JudgedRun]) -> tuple[ClaimTally, ...]:
 
 
 def basis_of(runs: Sequence[JudgedRun], coverage: Sequence[ClaimTally] | None = None) -> str:
-    """Say what the verdicts of ``runs`` rest on; ``coverage`` where more runs were judged than are here."""
+    """Return the sentence on what the verdicts rest on; ``coverage`` if more were judged than given."""
     return basis_of_tallies((made_in(run.trace) for run in runs), coverage or tallies(runs))
 
 
 def as_expected(runs: Iterable[JudgedRun]) -> tuple[list[bool], int]:
-    """Whether each verdict is the expected one, and how many claims do not concern what was tested."""
+    """Return whether each verdict is the expected one, and the number of claims about other systems."""
     pairs = [same for run in runs for same in zip(run.as_expected, run.applicable, strict=True)]
     own = [expected for expected, applicable in pairs if applicable]
     return own, len(pairs) - len(own)
 
 
 def answer(runs: Sequence[JudgedRun]) -> str:
-    """All verdicts in one sentence: how many are as expected, and what they are."""
+    """Return in one line how many verdicts are as expected, and how many of each kind there are."""
     expected, others = as_expected(runs)
-    holds, violated, nothing = (sum(run.count(verdict) for run in runs) for verdict in Verdict)
-    if not all(expected):
-        of_violated = f"{violated} {'is' if violated == 1 else 'are'} violated"
-    elif violated == 1:
-        of_violated = "1 is a violation that its file expects"
-    else:
-        of_violated = f"{violated} are violations that the files expect"
-    parts = (
-        (holds, f"{holds} {'holds' if holds == 1 else 'hold'}"),
-        (violated, of_violated),
-        (nothing, f"{nothing} {'decides' if nothing == 1 else 'decide'} nothing"),
-        (others, f"{others} not applicable to the controller"),
+    counts = [sum(run.count(kind) for run in runs) for kind in Verdict]
+    kinds = ("hold", "violated", "inconclusive", "claims not applicable to the controller")
+    words = [f"{count} {kind}" for count, kind in zip((*counts, others), kinds, strict=True) if count]
+    return f"{sum(expected)} of {len(expected)} verdicts as expected" + (
+        f" ({', '.join(words)})" if words else ""
     )
-    words = ", ".join(one for count, one in parts if count) or "no claim was judged"
-    return f"{sum(expected)} of {len(expected)} as expected: {words}."

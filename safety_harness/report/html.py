@@ -1,4 +1,4 @@
-"""One self-contained HTML file about one or many runs: plain values, which the template only places."""
+"""Write one self-contained HTML file about one or many runs; the template only places plain values."""
 
 from __future__ import annotations
 
@@ -47,6 +47,7 @@ from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_mom
 from safety_harness.report.replay import Replays
 from safety_harness.report.shielding import shield_lines, slowings
 from safety_harness.report.timeline import thinning, timeline
+from safety_harness.report.verdict_lines import nearest_hand_words
 from safety_harness.report.words import (
     MODE_WORDS,
     changes,
@@ -104,7 +105,7 @@ def render(
     generated_at: datetime,
     **about: Unpack[AboutRuns],
 ) -> str:
-    """The page as text; the same arguments give the same bytes."""
+    """Return the page as text; the same arguments give the same bytes."""
     said = with_defaults(about)
     summary = _summary(runs, whole=not (interrupted or said["skipped"] or said["refused"]))
     summary["interrupted"] = interrupted
@@ -121,6 +122,7 @@ def render(
         summary=summary,
         replays=True,
         sections=sections,
+        worst=_worst(sections),
         unlike=[(one, row) for one in sections for row in one["claims"] if not row["as_expected"]],
         most_told=MOST_TOLD,
         tabled=_tabled(sections),
@@ -142,8 +144,24 @@ def render(
     )
 
 
+def _worst(sections: Sequence[Row]) -> Row | None:
+    """Return the worst violation of the drawn runs, an unexpected one first, and a picture of its moment."""
+    violated = [
+        ((row["as_expected"], one["run"].shown_claim() != row["number"] - 1), one, row)
+        for one in sections
+        for row in one["claims"]
+        if one.get("views") and row["found"].verdict is Verdict.VIOLATED
+    ]
+    if not violated:
+        return None
+    _, section, row = min(violated, key=lambda found: found[0])
+    run = section["run"].under(row["claim"].sentence)
+    view = path_views(run, prefix="worst-")[1]
+    return {"section": section, "row": row, "view": view, "nearest": nearest_hand_words(run.trace)}
+
+
 def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
-    """What the reader sees first, counts over all runs; ``whole``: all that was asked for is here."""
+    """Return counts over all runs, which the reader sees first; ``whole``: no planned run is missing."""
     traces = [run.trace for run in runs]
     summary: Row = {
         "runs": len(runs),
@@ -170,7 +188,7 @@ def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
 
 
 def _doubt(summary: Row) -> str:
-    """What an inconclusive claim is worth."""
+    """Return a remark on the worth of inconclusive claims."""
     if not summary["inconclusive"]:
         return ""
     unmeasured = summary["unmeasured"]
@@ -181,7 +199,7 @@ def _doubt(summary: Row) -> str:
 
 
 def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
-    """Which runs are drawn: few are all, of many those not as expected, each claim's worst, violations."""
+    """Return for each run whether it is drawn: surprises, each claim's worst and violations first."""
     margins: dict[str, tuple[float, int]] = {}
     for k, run in enumerate(runs):
         for claim, found in run.judged_claims():
@@ -204,14 +222,14 @@ def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
 
 
 def _tabled(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
-    """(whether they are read later, sections): those whose verdicts the table opens with, and the rest."""
+    """Return (whether the browser reads them later, sections): the first rows of the table, then the rest."""
     rows = np.cumsum([len(section["claims"]) for section in sections])
     first = int(np.searchsorted(rows, MOST_AT_ONCE)) + 1
     return [(later, part) for later, part in ((False, sections[:first]), (True, sections[first:])) if part]
 
 
 def _parted(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
-    """(whether they are read later, sections), in order: all but the first and those that are drawn are."""
+    """Return (whether the browser reads them later, sections), in order; drawn runs are read at once."""
 
     def part(section: Row) -> tuple[int, bool]:
         hundred = section["number"] // MOST_AT_ONCE
@@ -221,7 +239,7 @@ def _parted(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
 
 
 def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
-    """What the page shows about one run; everything, if it is given the page's ``replays``."""
+    """Return the values of a run's section; those of a drawn run need the page's ``replays``."""
     run = replace(run, trace=as_measured(run.trace))
     counts = [f"{run.count(verdict)} {verdict.value}" for verdict in Verdict if run.count(verdict)]
     section = {
@@ -242,7 +260,7 @@ def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
 
 
 def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
-    """What the page shows of one run in full."""
+    """Return the further values of a run that is drawn."""
     trace = run.trace
     drawn = len(trace.ticks) > 0
     moment = shown_moment(run)
@@ -276,7 +294,7 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
 
 
 def claim_rows(run: JudgedRun) -> list[Row]:
-    """A row of the table of verdicts for each claim of ``run``."""
+    """Return a row of the table of verdicts for each claim of ``run``."""
     judged = zip(run.judged_claims(), run.as_expected, strict=True)
     return [
         {
@@ -294,7 +312,7 @@ def claim_rows(run: JudgedRun) -> list[Row]:
 
 
 def file_name(run: JudgedRun) -> str:
-    """What the scenario's file is called, and which one of its matrix this is; its name without a file."""
+    """Return the name of the scenario's file and its row of a matrix; without a file the scenario's name."""
     scenario = run.trace.scenario
     if scenario.file is None:
         return scenario.name
@@ -303,7 +321,7 @@ def file_name(run: JudgedRun) -> str:
 
 
 def _ticks_rows(trace: Trace, name: str, masks: dict[str, NDArray[np.bool_]]) -> list[Row]:
-    """Of what is true on any tick at which ``name`` was measured: on how many, their share, when first."""
+    """Return rows for each mask that is true on a measured tick of ``name``: count, share, first time."""
     there = measured(trace, name)
     return [
         {
@@ -318,13 +336,13 @@ def _ticks_rows(trace: Trace, name: str, masks: dict[str, NDArray[np.bool_]]) ->
 
 
 def notes(run: JudgedRun) -> list[str]:
-    """What the reader has to know: the caller's notes, what recordings bridged, which faults acted."""
+    """Return notes for the reader: the caller's, on recordings, and on faults that acted."""
     told = dict.fromkeys((*run.notes, *notes_of(run.trace.scenario)))  # commands note the recordings too
     return [*told, *acted_faults(run.trace)]
 
 
 def acted_faults(trace: Trace) -> list[str]:
-    """A sentence on each fault of the scenario, and on how many ticks it acted."""
+    """Return a sentence on each fault of the scenario, with the number of ticks on which it acted."""
     found = []
     for k, fault in enumerate(trace.scenario.faults):
         mask = (trace.ticks["faults"] >> k & 1) != 0

@@ -1,4 +1,4 @@
-"""What of a trace was measured, by what and how well, as words and as data."""
+"""Return the sources and uncertainties of a trace's columns, as words and as data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ALL_OF_DECISIONS = frozenset(name for name in COLUMNS_OF_A_TRACE if name.startsw
 
 @dataclass(frozen=True)
 class MeasuredRow:
-    """Columns of which the same is known: by what, to within what, and when not."""
+    """Columns with the same source, uncertainty and gaps."""
 
     columns: tuple[str, ...]
     source: str
@@ -33,7 +33,7 @@ class MeasuredRow:
 
 
 def measured_rows(trace: Trace) -> list[MeasuredRow]:
-    """A row for each way of measuring, what was not measured last; none if all is simulated truth."""
+    """Return a row for each source, unmeasured columns last; empty if all is simulated truth."""
     if trace.known.simulated:
         return []
     groups: dict[tuple[bool, str, str, str], list[str]] = {}
@@ -49,7 +49,7 @@ def measured_rows(trace: Trace) -> list[MeasuredRow]:
 
 
 def measured_lines(trace: Trace) -> list[str]:
-    """The rows below the run's name; none if all is simulated truth."""
+    """Return the rows below the run's name; empty if all is simulated truth."""
     rows = measured_rows(trace)
     return (
         [f"what was measured of {trace.scenario.name}:", *(f"  {row.words}" for row in rows)] if rows else []
@@ -57,7 +57,7 @@ def measured_lines(trace: Trace) -> list[str]:
 
 
 def known_data(trace: Trace) -> dict[str, Any]:
-    """For JSON, of each column that is not simulated truth: source, uncertainty [SI], gaps in ticks."""
+    """Return source, uncertainty [SI] and gaps in ticks of each column that is not simulated truth."""
     return {
         name: {
             "source": one.source.value,
@@ -72,7 +72,7 @@ def known_data(trace: Trace) -> dict[str, Any]:
 
 
 def unmeasured_words(evaluations: Iterable[Evaluation]) -> str:
-    """How many were inconclusive for want of measurement, and how many never exercised; empty for none."""
+    """Count inconclusive claims without measurements and without exercise in words; empty for none."""
     every = list(evaluations)
     unmeasured = sum(bool(one.unmeasured) for one in every)
     idle = sum(one.reason.startswith("never exercised") for one in every)

@@ -31,13 +31,13 @@ from safety_harness.base.extras import LOGS
 from safety_harness.base.input_errors import InputErrors, each_once, usable
 from safety_harness.base.output import QUIET, Output
 from safety_harness.base.whole_file import writing
-from safety_harness.cell.simulation.worlds import REFERENCE, WorldEntry, world_named
+from safety_harness.cell.simulation.worlds import DEFAULTED, REFERENCE, WorldEntry, default_world, world_named
 from safety_harness.claims.properties.against import Against, RunDifference
 from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.report.decisions import fault_notes
 from safety_harness.report.evidence import JudgedRun, notes_of
 from safety_harness.report.run_result import TRACES, RunResult, save_mcap, saved
-from safety_harness.report.words import tested_words
+from safety_harness.report.verdict_lines import every_line
 from safety_harness.scenario.expand import Gathered, gather
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import Scenario
@@ -55,7 +55,7 @@ def run(
     avoider: str | Path | None = None,
     controller: str | Path | None = None,
     against: str | Path | None = None,
-    world: str | WorldEntry = REFERENCE,
+    world: str | WorldEntry | None = None,
     out: str | Path | None = None,
     keep_going: bool = False,
     jobs: int | None = None,
@@ -69,7 +69,7 @@ def run(
         avoider: What proposes retreats in place of what the scenarios name: a name, ``FILE.py:NAME``, ...
         controller: What drives the arm in place of the visual servo, likewise.
         against: A reference for either, which is run in the same draws.
-        world: A world or its label, such as ``kinematic``.
+        world: A world or its label, such as ``kinematic``; None: PyBullet, if it is installed.
         out: A folder that keeps each trace as soon as its run ends.
         keep_going: Run the others where some inputs cannot be used.
         jobs: Processes; None: one for each core, if there are many runs.
@@ -86,7 +86,9 @@ def run(
     if mcap:
         LOGS.require("--mcap")
         part_named(ExtensionPoint.RUN_FORMATS, "mcap", FunctionType)
-    chosen = world if isinstance(world, WorldEntry) else world_named(world, "world")
+    chosen = world_named(world, "world") if isinstance(world, str) else world or default_world()
+    if world is None and chosen is not REFERENCE:
+        output.say(DEFAULTED)
     tested = one_of(_reference(avoider), _reference(controller))
     reference = reference_for(tested, _reference(against))
     paths, objects = _paths_and_objects(scenarios)
@@ -308,8 +310,7 @@ class RunSession:
         self.repeatability.add(judged.trace)
         say = self.output.say
         if self.asked.against is None:
-            self.output.result(*result_lines(judged))
-            say(tested_line(judged))
+            self.output.detail(*every_line(judged))
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
         say(*(f"note: {line}" for line in TriedParts.of(judged.trace).lines()))
         self.interrupted = not judged.trace.complete
@@ -352,27 +353,3 @@ class RunSession:
         if self.runs and not self.interrupted and self.unwritable is None:
             self.repeated = self.repeatability.reported(self.output)
             self.interrupted = self.repeated is None
-
-
-def result_lines(run: JudgedRun) -> Iterator[str]:
-    """Yield one line for each claim of a run, and one more for what could not be judged unmeasured."""
-    place = run.trace.scenario.places.get("avoider")
-    overridden = place.field if place is not None and (place.field or "").startswith("--") else ""
-    for claim, evaluation in run.judged_claims():
-        same = evaluation.verdict is claim.given(evaluation.margin) or not evaluation.applicable
-        mark = ("ok  " if same else "DIFF") if evaluation.applicable else "n/a "
-        when = "-" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
-        expected = "" if same else f"  (expected {claim.expectation})"
-        if overridden and claim.is_loosely(evaluation.verdict):
-            expected = f"  (expected of another than {overridden}: it may be for another reason)"
-        yield (
-            f"{mark} {evaluation.verdict.value:<12} {evaluation.margin_text():>13} at {when:>9}  "
-            f"{run.trace.scenario.name}: {claim.sentence}{expected}"
-        )
-        if evaluation.unmeasured:
-            yield f"     {evaluation.reason}"
-
-
-def tested_line(run: JudgedRun) -> str:
-    """Return what was tested in a run."""
-    return f"tested in {run.trace.scenario.name}: {tested_words(run.trace.scenario, run.trace.system)}"

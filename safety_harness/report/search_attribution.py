@@ -1,4 +1,4 @@
-"""Whose fault the violations of a search are: of each one written, of all together, and as a picture."""
+"""Attribute the violations of a search: each counterexample, all groups together, and as a picture."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ MOST_ATTRIBUTED = 100  # groups of violations of one search
 
 
 def confirming_line(replay: Replay, attribution: Attribution) -> str:
-    """What the reference world says of a violation, as it is or with something changed."""
+    """Return the reference world's verdict on a violation, unchanged or with something changed."""
     margin = attribution.unit.margin_text(replay.margin)
     return f"in {PYBULLET.label}, {replay.words or 'as it is'}: {replay.outcome.value}, {margin}"
 
 
-def findings_of(counterexamples: int, causes: Mapping[str, Sequence[str]]) -> int:
-    """How many there are where those that one change mends are one."""
+def causes_of(counterexamples: int, causes: Mapping[str, Sequence[str]]) -> int:
+    """Count the causes: counterexamples that one change mends have one cause."""
     return counterexamples - sum(len(files) - 1 for files in causes.values())
 
 
@@ -51,13 +51,13 @@ class FaultsOfSearch:
 
     @property
     def words(self) -> str:
-        """In one line."""
+        """The groups of violations by their cause, in one line."""
         _, _, groups = self.tally.words.partition(": ")
         some = "" if self.attributed == self.groups else f"{self.attributed} of "
-        return f"whose fault, of {some}{self.groups} violations that lie apart: {groups or 'not asked'}"
+        return f"whose fault, of {some}{self.groups} groups of violations: {groups or 'not asked'}"
 
     def as_json(self) -> dict[str, object]:
-        """As a tally's, with how many of how many."""
+        """Return the tally as JSON, with the numbers of groups and of attributed groups."""
         counts = {"groups_of_violations": self.groups, "attributed": self.attributed}
         return {"words": self.words} | counts | self.tally.as_json()
 
@@ -70,7 +70,7 @@ class SearchAttribution:
     _admitter: Admitter = field(default_factory=Admitter)
 
     def explain(self, scenario: Scenario, claim: Claim) -> tuple[str, ...]:
-        """Lines for people about one counterexample; what would have helped is run in PyBullet too."""
+        """Return lines on one counterexample; changes that help are run in PyBullet too."""
         try:
             admitted = self._admitter.admit(scenario)
             (one,) = attribute(admitted, (claim,))
@@ -83,9 +83,9 @@ class SearchAttribution:
         return (f"whose fault: {one.words}", *(confirming_line(replay, one) for replay in changed))
 
     def causes(self, session: SearchSession) -> dict[str, list[str]]:
-        """Which counterexamples the same change of one ingredient mends, where it mends more than one.
+        """Return the changes of one ingredient that mend several counterexamples, with their files.
 
-        Each once, under the change that mends most.
+        Each file is listed once, under the change that mends most.
         """
         paths = [one.path for one in session.written if one.path.stem in self.found]
         left = [(change, path.name) for path in paths for change in self.found[path.stem].mending]
@@ -97,8 +97,8 @@ class SearchAttribution:
             found[change] = [name for one, name in left if one == change]
             left = [(one, name) for one, name in left if name not in found[change]]
         if found:
-            count = findings_of(len(session.written), found)
-            told = "1 finding" if count == 1 else f"{count} findings"
+            count = causes_of(len(session.written), found)
+            told = "1 cause" if count == 1 else f"{count} causes"
             session.output.say(f"{told} in {len(session.written)} counterexamples")
         for change, files in found.items():
             session.output.say(
@@ -107,10 +107,10 @@ class SearchAttribution:
         return found
 
     def of_search(self, session: SearchSession) -> FaultsOfSearch | None:
-        """All violations together; None where there are none, or the search was interrupted."""
+        """Attribute all groups; None without any, if not all are explained, or after an interruption."""
         searches = [session.findings] + ([] if session.baseline is None else [session.baseline])
         groups = [group for one in searches for group in one.groups if group.claim is not None]
-        if not groups or session.interrupted:
+        if not groups or session.interrupted or not session.explains_all:
             return None
         every = -(-len(groups) // MOST_ATTRIBUTED)
         chosen = groups[::every]
@@ -119,7 +119,7 @@ class SearchAttribution:
         try:
             with session.output.words() as tell:
                 for together in _by_run(chosen):
-                    tell(f"whose fault: {done} of {len(chosen)} violations that lie apart")
+                    tell(f"whose fault: {done} of {len(chosen)} groups of violations")
                     try:
                         found += self._of_run(session, together)
                         done += len(together)
@@ -131,7 +131,7 @@ class SearchAttribution:
         return FaultsOfSearch(tally, done, len(groups), session.interrupted)
 
     def _of_run(self, session: SearchSession, groups: list[Group]) -> tuple[Attribution, ...]:
-        """Groups with the same worst run, which is made again once."""
+        """Attribute groups with the same worst run, which is repeated once."""
         trials, worst = session.trials, groups[0].worst
         claims = tuple(trials.claims[group.claim] for group in groups if group.claim is not None)
         return attribute(self._admitter.admit(trials.scenario(worst.point, worst.number)), claims)
@@ -154,7 +154,7 @@ INKS = {
 
 
 def draw_attributions(groups: Mapping[str, int]) -> str:
-    """An ``<svg>`` element for a page, or ``standalone``: how many violations each group has."""
+    """Return an ``<svg>`` element for a page, or ``standalone``: the number of violations of each cause."""
     total = sum(groups.values())
     height = HEAD_PX + ROW_PX * max(len(groups), 1)
     size = {"width": str(WIDTH_PX), "height": str(height), "viewBox": f"0 0 {WIDTH_PX} {height}"}

@@ -45,6 +45,7 @@ from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
 
 PAGE, COVERAGE = "fuzz.html", "coverage.svg"
+EXPLAIN = ("causes", "all")
 
 
 def fuzz(
@@ -58,6 +59,7 @@ def fuzz(
     searcher: str = "default",
     claims: tuple[str, ...] | list[str] = (),
     baseline: bool = False,
+    explain: str = "causes",
     out: str | Path | None = None,
     output: Output = QUIET,
 ) -> SearchResult:
@@ -73,6 +75,7 @@ def fuzz(
         searcher: A name that ``searcher_named`` takes.
         claims: Sentences in place of the space's claims.
         baseline: Sample the space uniformly as well, with the same budget.
+        explain: "causes": a violation of each claim, and others for as long as the search took; or "all".
         out: A folder that keeps each finding as soon as it is found.
         output: What hears of the progress.
 
@@ -84,6 +87,8 @@ def fuzz(
     """
     if budget < 1:
         raise ScenarioError.of_option("--budget", "at least 1 run", str(budget))
+    if explain not in EXPLAIN:
+        raise ScenarioError.of_option("--explain", " or ".join(EXPLAIN), repr(explain))
     make = searcher_named(searcher)
     if baseline and make is UniformSampling:
         expected = "another searcher, to compare with uniform sampling"
@@ -106,6 +111,8 @@ def fuzz(
         output=output,
         baseline=baseline,
         explain=attribution.explain,
+        explains_all=explain == "all",
+        concluding=_write_interim,
     )
     if session.unwritable is not None:
         return SearchResult(session, None, session.interrupted, session.unwritable)
@@ -191,7 +198,7 @@ class SearchResult:
         return replace(made, interrupted=self.interrupted or asked())
 
     def kept(self, folder: Path, output: Output) -> SearchResult:
-        """Write it, and say what keeps it from being written, and how to run the counterexamples again."""
+        """Write the files, report what prevents that, and name the command that runs the counterexamples."""
         made = self
         if self.unwritable is None:
             try:
@@ -205,8 +212,20 @@ class SearchResult:
         return made
 
 
+def _write_interim(session: SearchSession) -> None:
+    """Write a page with the findings before explanations, which may take long or be ended."""
+    if session.keeps and session.findings.found and session.unwritable is None:
+        interrupted, session.findings.interrupted = session.findings.interrupted, True
+        try:
+            write_text(session.out / PAGE, render(evidence_of(session)))
+        except OutputError as error:
+            session.unwritable = error
+        finally:
+            session.findings.interrupted = interrupted
+
+
 def evidence_of(session: SearchSession, attribution: SearchAttribution | None = None) -> SearchEvidence:
-    """Everything that the page shows."""
+    """Return everything that the page shows."""
     trials = session.trials
     tested = trials.avoider or trials.space.simplest.under_test
     cost = cost_words(trials.space.simplest.settings.avoidance.decision_time, trials.declared_s)
@@ -261,11 +280,12 @@ def fuzz_command(session: SearchSession) -> str:
     command += [] if trials.avoider is None else [option_of(trials.avoider), told_avoider(trials.avoider)]
     command += [] if trials.reference is None else ["--against", trials.reference.name]
     command += [word for sentence in trials.sentences for word in ("--claim", sentence)]
+    command += ["--explain", "all"] if session.explains_all else []
     return shlex.join(command + ["--compare-with-uniform"] * (session.baseline is not None))
 
 
 def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
-    """Counts, the nearest margins, distinct violations with their points, and the coverage; SI throughout."""
+    """Return counts, least margins, groups of violations with their points, and the coverage, in SI units."""
     findings, baseline = evidence.findings, evidence.baseline
     return {
         "space": evidence.space,
@@ -311,12 +331,12 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
 
 
 def _held(against: Against) -> dict[str, object]:
-    """The summary alone: the runs are too many."""
+    """Return the summary without the many runs."""
     return {key: value for key, value in against.as_json().items() if key != "runs"}
 
 
 def _leads(goal: Goal, margin: float) -> bool:
-    """Is it no margin, but what led to a difference that was not found?"""
+    """Return whether a margin is only a search's score of a difference that was not found."""
     return bool(goal.against) and margin >= 0.0
 
 
@@ -337,7 +357,7 @@ def _of_claims(findings: Findings) -> list[dict[str, object]]:
 
 
 def _file_of(group: Group, evidence: SearchEvidence) -> str | None:
-    """The counterexample that it shrank to; None for what was not shrunk, or not confirmed."""
+    """Return the file of the counterexample to which a group shrank; None without one."""
     return next((shown.path.name for shown in evidence.shown if group in shown.groups), None)
 
 

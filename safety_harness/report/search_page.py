@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from math import isfinite
+from typing import Any
 
 from markupsafe import Markup
 
@@ -24,7 +25,7 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.replay import Replays
-from safety_harness.report.search_attribution import FaultsOfSearch, draw_attributions, findings_of
+from safety_harness.report.search_attribution import FaultsOfSearch, causes_of, draw_attributions
 from safety_harness.report.svg import DASHES, Ink, plain
 from safety_harness.report.words import margin_words, with_minus
 from safety_harness.scenario.files import told
@@ -88,12 +89,12 @@ class SearchEvidence:
 
     @property
     def shrunk(self) -> int:
-        """How many groups of violations were."""
+        """The number of groups that were shrunk."""
         return sum(len(one.groups) for one in self.shown)
 
 
 def render(evidence: SearchEvidence) -> str:
-    """The page as text; the same evidence gives the same bytes."""
+    """Return the page as text; the same evidence gives the same bytes."""
     findings, baseline = evidence.findings, evidence.baseline
     searches = [findings] if baseline is None else [findings, baseline]
     replays = Replays()
@@ -109,7 +110,7 @@ def render(evidence: SearchEvidence) -> str:
             (goal.sentence, [_claim_line(one, k) for one in searches])
             for k, goal in enumerate(findings.goals)
         ],
-        findings=findings_of(len(evidence.shown), evidence.causes),
+        causes=causes_of(len(evidence.shown), evidence.causes),
         always=[g.sentence for k, g in enumerate(findings.goals) if findings.always_violated(k)],
         untested=[
             g.sentence for k, g in enumerate(findings.goals) if findings.tried and not findings.evidence[k]
@@ -149,13 +150,13 @@ def render(evidence: SearchEvidence) -> str:
 
 
 def map_of(evidence: SearchEvidence) -> str:
-    """The coverage as an ``<svg>``, on the page and in a file of its own."""
+    """Return the coverage as an ``<svg>``, for the page and for a file of its own."""
     counts, title = evidence.violations.counts, f"Coverage of {evidence.space}"
     return coverage_map(evidence.coverage, counts, prefix="coverage-", title=title)
 
 
 def _claim_line(findings: Findings, claim: int) -> dict[str, str]:
-    """A claim in one search: how often and how soon it was violated, and the least margin."""
+    """Return a claim's row in one search: how often and how soon it was violated, and the least margin."""
     first, near = int(findings.first_violation[claim]), findings.nearest[claim]
     goal = findings.goals[claim]
     least = "\u2013" if near is None else with_minus(goal.margin_text(float(near.margins[claim])))
@@ -167,7 +168,7 @@ def _claim_line(findings: Findings, claim: int) -> dict[str, str]:
 
 
 def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, int]:
-    """What is wrong, of which kind, the worst margin, how many runs near it, the worst point's number."""
+    """Return a group's row: sentence, kind, worst margin, number of runs, number of the worst point."""
     margin = "\u2013"
     if group.claim is not None:
         margin = with_minus(findings.goals[group.claim].margin_text(group.worst_margin()))
@@ -175,8 +176,8 @@ def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, in
     return findings.sentence_of(group), kind, margin, group.count, group.worst.number
 
 
-def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dict[str, object]:
-    """What the page shows about one counterexample, with the commands that run it again."""
+def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dict[str, Any]:
+    """Return the values of a counterexample's section, with the commands that repeat it."""
     one, evaluation, trace = shown.one, shown.one.evaluation, shown.trace_file
     found = "\u2013"
     if evaluation is not None and one.found_margin is not None:
@@ -194,6 +195,9 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
         "found_margin": found,
         "parts": [line for each in one.evaluations for line in _part_lines(each, 0)],
         "run": run,
+        "card_view": next(
+            iter(_pictures(drawn, one.evaluations, one.complaint, f"card-{number}-")["views"][1:2]), ""
+        ),
         **_pictures(drawn, one.evaluations, one.complaint, f"{name}-"),
         "replay": drawn
         and replays.of(JudgedRun(drawn, one.evaluations, "").under(one.complaint.sentence), name),
@@ -201,7 +205,7 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
 
 
 def _told(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dict[str, object]:
-    """What one of two worlds says of a finding: in words, and drawn from above and from the side."""
+    """Return one world's view of a finding: in words, and drawn from above and from the side."""
     run = None if world is None else world.run
     evaluations: tuple[Evaluation, ...] = ()
     verdict, drawn = "inconclusive", None
@@ -217,8 +221,8 @@ def _told(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dict[s
 
 def _pictures(
     run: Trace | None, evaluations: tuple[Evaluation, ...], complaint: Complaint, prefix: str, most: int = 4
-) -> dict[str, object]:
-    """The first ``most`` drawings of a run, and the moment that they show; none of what was not run."""
+) -> dict[str, Any]:
+    """Return the first ``most`` drawings of a run and their moment; empty without a run."""
     if run is None or len(run.ticks) == 0:
         return {"views": (), "moment_time": "", "moment_of": ""}
     judged = JudgedRun(run, evaluations, "").under(complaint.sentence)
@@ -232,7 +236,7 @@ def _pictures(
 
 
 def _part_lines(evaluation: Evaluation, depth: int) -> list[dict[str, object]]:
-    """An evaluation and its conjuncts, ``depth`` steps below the claim."""
+    """Return rows for an evaluation and its conjuncts, ``depth`` steps below the claim."""
     own: dict[str, object] = {
         "depth": depth,
         "verdict": evaluation.verdict.value,
@@ -244,11 +248,10 @@ def _part_lines(evaluation: Evaluation, depth: int) -> list[dict[str, object]]:
 
 
 def progress_figure(searches: list[Findings], *, prefix: str) -> str:
-    """How near it came to each claim, as an ``<svg>``: the least margin so far, one panel a claim.
+    """Return the least margins so far as an ``<svg>`` with a panel for each claim.
 
-    Of the one or two searches the second is the baseline; runs are on a logarithmic axis.  A cross is the
-    first violation.  Empty text where no claim has a margin yet, and with a reference: what leads to
-    differences is no margin.
+    The second search, if any, is the baseline.  Runs are on a logarithmic axis; a cross is the first
+    violation.  Empty if no claim has a margin yet, and with a reference, whose scores are no margins.
     """
     goals = searches[0].goals
     claims = [k for k in range(len(goals)) if any(one.improvements[k] for one in searches)]

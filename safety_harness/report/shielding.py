@@ -1,4 +1,4 @@
-"""What the shields of runs did, in words and as data: when, how much, for which part and which hand."""
+"""Return the effect of shields in words and as data: when, how much, for which part and which hand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NOTHING_SEEN = "before the first frame"
 
 
 def slowed_by_part(trace: Trace) -> Counter[str]:
-    """How many ticks were slowed for each part of the arm, by its name; empty without a shield."""
+    """Count the slowed ticks for each part of the arm, by its name; empty without a shield."""
     done, names = trace.interventions, capsules_of(trace).names
     slowed = done["capsule"][done["scale"] < 1.0].tolist()
     return Counter(names[k].replace("_", " ") if k >= 0 else NOTHING_SEEN for k in slowed)
@@ -47,7 +47,7 @@ class Slowing:
 
 
 def slowings(trace: Trace) -> list[Slowing]:
-    """Each stretch, in order of time; none without a shield."""
+    """Return the slowed stretches in order of time; empty without a shield."""
     slowed = np.concatenate([[False], trace.interventions["scale"] < 1.0, [False]])
     edges = np.flatnonzero(slowed[1:] != slowed[:-1]).reshape(-1, 2)
     return [_slowing(trace, int(begin), int(end)) for begin, end in edges]
@@ -69,7 +69,7 @@ def _slowing(trace: Trace, begin: int, end: int) -> Slowing:
 
 
 def shield_data(trace: Trace) -> dict[str, Any] | None:
-    """``ticks``, ``slowed``, ``by_part`` and the ``least_scale``; None for a run without a shield."""
+    """Return ``ticks``, ``slowed``, ``by_part`` and the ``least_scale``; None for a run without a shield."""
     if len(trace.interventions) == 0:
         return None
     by_part = slowed_by_part(trace)
@@ -84,7 +84,7 @@ def shield_data(trace: Trace) -> dict[str, Any] | None:
 
 
 def shield_lines(traces: Iterable[Trace]) -> list[str]:
-    """Lines on all runs that have a shield; none where no run has."""
+    """Return lines on all runs with a shield; empty without such a run."""
     shielded = [trace for trace in traces if len(trace.interventions)]
     if not shielded:
         return []

@@ -1,4 +1,4 @@
-"""Numbers, settings and codes of a trace as words for people: millimetres, degrees, plain names."""
+"""Return numbers, settings and codes of a trace as words: millimetres, degrees, plain names."""
 
 from __future__ import annotations
 
@@ -59,17 +59,17 @@ _PER_METRE = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
 def with_minus(text: str) -> str:
-    """Hyphens that begin a number as minus signs, not those within a name."""
+    """Replace hyphens that begin a number by minus signs; those within a name stay."""
     return re.sub(r"(?<!\w)-(?=[\d.])|(?<=\de)-(?=\d)", "\u2212", text)
 
 
 def count_words(count: int, one: str, many: str) -> str:
-    """A number and what is counted, in the singular or the plural."""
+    """Return a number and its noun, in the singular or the plural."""
     return f"{count} {one if count == 1 else many}"
 
 
 def margin_words(evaluation: Evaluation) -> str:
-    """The margin with sign and unit, "at least" where nothing beyond was looked for; a dash for none."""
+    """Return the margin with sign and unit, "at least" at the limit of the computation, or a dash."""
     margin_m = evaluation.margin
     if evaluation.sentence in _REACHABLE and margin_m is not None and margin_m >= BEYOND_M - 1e-9:
         return f"at least {BEYOND_M * 1e3:.0f} mm"
@@ -78,15 +78,15 @@ def margin_words(evaluation: Evaluation) -> str:
 
 
 def milliseconds_words(time_s: float) -> str:
-    """A duration in ms with two significant digits, more only before the decimal point."""
+    """Return a duration in ms with two significant digits, or all digits before the decimal point."""
     shown = time_s * 1e3
     return f"{shown:.0f} ms" if shown >= 10.0 else f"{shown:.2g} ms"
 
 
 def spread_words(spread_m: Array3, threshold_m: float) -> str:
-    """The largest axis of a predictive spread [mm], and what it may be at most.
+    """Return the largest axis of a predictive spread [mm] and its threshold.
 
-    Empty for an avoider that states neither.  As many digits as it takes to see which is larger.
+    Empty for an avoider that states neither.  It has enough digits to show which is larger.
     """
     limited = bool(np.isfinite(threshold_m))
     if not limited and not (np.all(np.isfinite(spread_m)) and np.any(spread_m)):
@@ -104,7 +104,7 @@ def spread_words(spread_m: Array3, threshold_m: float) -> str:
 
 
 def point_words(position_m: Array3) -> str:
-    """A position in whole millimetres; a dash when it is not finite."""
+    """Return a position in whole millimetres; a dash if it is not finite."""
     if not np.all(np.isfinite(position_m)):
         return "\u2013"
     whole = np.rint(position_m * 1e3).astype(np.int64)
@@ -112,13 +112,13 @@ def point_words(position_m: Array3) -> str:
 
 
 def flag_words(flags: IntFlag) -> str:
-    """The names of the set flags, in words."""
+    """Return the names of the set flags."""
     names = ((flag.name or str(flag.value)).lower().replace("_", " ") for flag in flags)
     return ", ".join(names).replace("tcp", "TCP")
 
 
 def failed_words(proposed: Check, opposite: Check, fault: str = "") -> str:
-    """Which checks the two candidates of a decision failed, and why the avoider gave no usable answer."""
+    """Return the checks that the two candidates of a decision failed, and the avoider's fault if any."""
     parts = []
     for name, check in (("proposed", proposed), ("opposite", opposite)):
         if check:
@@ -129,7 +129,7 @@ def failed_words(proposed: Check, opposite: Check, fault: str = "") -> str:
 
 
 def setting_words(name: str, value: object) -> str:
-    """A setting's value in the unit that people use, told by the suffix of its name."""
+    """Return a setting's value in a common unit, by the suffix of its name."""
     if isinstance(value, Enum):
         return str(value.value)
     if isinstance(value, bool) or not isinstance(value, int | float | tuple):
@@ -149,19 +149,19 @@ def _numbers(value: Any, factor: float) -> str:
 
 
 def changed_settings(settings: Settings) -> list[tuple[str, str, str]]:
-    """(name, default, this run) of every setting that differs from ``DEFAULTS``."""
+    """Return (name, default, this run) of each setting that differs from ``DEFAULTS``."""
     return list(_changes("", DEFAULTS, settings))
 
 
 def changes(scenario: Scenario) -> list[tuple[str, str, str]]:
-    """(setting, default, this run) where they differ, the robot and its drives first."""
+    """Return (setting, default, this run) where they differ, the robot and its drives first."""
     robot = [("robot", Robot.UR10.value, scenario.robot.label)] if scenario.robot is not Robot.UR10 else []
     drives = drives_as_modelled(scenario.robot, scenario.settings.clock.control_period_s)
     return robot + drives + changed_settings(scenario.settings)
 
 
 def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
-    """What a verdict is about: avoider or controller, shield, and each value that is not the default."""
+    """Return the tested system: avoider or controller, shield, and each value that is not the default."""
     shield = [] if scenario.shield is None else [f"shield {scenario.shield.kind.value}"]
     gate = [] if scenario.gate is None else [f"gate {', '.join(scenario.gate.words)}"]
     changed = (f"{name} {value}" for name, _, value in changes(scenario))
@@ -169,7 +169,7 @@ def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
 
 
 def unknown_files(scenario: Scenario) -> str:
-    """Say of a program that is started, or listens, that what it opens is not known; empty for any other."""
+    """Return a remark on the unknown files of a program under test; empty for any other system."""
     if not names_a_program(scenario.under_test):
         return ""
     declared = ", but for those that it declares in HARNESS_FILES" * scenario.under_test.startswith(EXEC)
@@ -187,7 +187,7 @@ def _changes(prefix: str, default: Any, own: Any) -> Iterator[tuple[str, str, st
 
 
 def drives_as_modelled(robot: AnyRobot, period_s: float) -> list[tuple[str, str, str]]:
-    """(name, default, this run) of what an own arm's drives do, as rounded and limited; none by default."""
+    """Return (name, default, this run) of the drives of a user's arm, as modelled; empty by default."""
     drives = robot.drives if isinstance(robot, OwnRobot) else None
     if drives is None:
         return []
@@ -207,7 +207,7 @@ def drives_as_modelled(robot: AnyRobot, period_s: float) -> list[tuple[str, str,
 
 
 def claimed_hand_distance_m(evaluation: Evaluation) -> float | None:
-    """The one length that a sentence about the hand distance names, or None when there is not just one."""
+    """Return the only length [m] in a sentence about the hand distance; None without exactly one."""
     sentence = evaluation.sentence.lower().replace("predicted hand distance", "")
     if evaluation.unit is not Unit.LENGTH or "hand distance" not in sentence:
         return None
@@ -215,7 +215,7 @@ def claimed_hand_distance_m(evaluation: Evaluation) -> float | None:
 
 
 def claimed_tcp_speed_mps(evaluation: Evaluation) -> float | None:
-    """The one speed that a sentence about the TCP speed names, or None when there is not just one."""
+    """Return the only speed [m/s] in a sentence about the TCP speed; None without exactly one."""
     if evaluation.unit is not Unit.SPEED or "tcp speed" not in evaluation.sentence.lower():
         return None
     return _only_number(_SPEED_IN_SENTENCE, evaluation.sentence)

@@ -371,7 +371,9 @@ class KeyTable:
             if not key.attribute:
                 continue
             if field is not None or key.required:
-                read_values[key.attribute] = key.value.read(field or given.required(key.name))
+                read_values[key.attribute] = key.value.read(
+                    field or given.required(key.name, f"safety-harness explain {key.name}")
+                )
             elif key.fallback is not REQUIRED:
                 read_values[key.attribute] = key.fallback
         for attribute, table in self.beside:

@@ -45,6 +45,7 @@ class Gathered:
     scenarios: list[Scenario] = field(default_factory=list)
     spaces: list[tuple[Variant, Path]] = field(default_factory=list)  # trees, for the package ``space``
     errors: list[InputError] = field(default_factory=list)
+    mended: list[Scenario] = field(default_factory=list)  # files with mistakes, examples in their places
     aside: list[Path] = field(default_factory=list)  # YAML files of folders that are not ours
     _spaces_too: bool = False
     _library: Library = field(default_factory=Library)
@@ -98,7 +99,7 @@ class Gathered:
                 try:
                     scenario = scenario_of_variant(variant, file)
                 except InputError as first:
-                    self.errors += mistakes_of(variant, file, first)
+                    self.errors += mistakes_of(variant, file, first, self.mended)
                     return
                 if scenario.name.endswith("]"):
                     same = rows.setdefault(replace(scenario, name=""), scenario.name)
@@ -174,10 +175,11 @@ def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
     return gathered
 
 
-def mistakes_of(variant: Variant, file: Path, first: InputError) -> list[InputError]:
+def mistakes_of(variant: Variant, file: Path, first: InputError, mended: list[Scenario]) -> list[InputError]:
     """Return the first mistake below each top key of a scenario.
 
-    To find the next mistake, the scenario is read again with an example in place of each wrong value.
+    To find the next mistake, the scenario is read again with an example in place of each wrong value.  The
+    scenario that these examples make of it is added to ``mended``.
     """
     errors, tree, faulty, error = [first], variant.tree, set[str](), first
     while isinstance(tree, Mapping) and (name := _top_key(tree, error)) and name not in faulty:
@@ -189,7 +191,7 @@ def mistakes_of(variant: Variant, file: Path, first: InputError) -> list[InputEr
         example = next((key.lines for key in TOP.keys if key.name == name and key.required), "{}")
         tree = merged(without_keys(tree, {name}), parse_tree(example, None))
         try:
-            scenario_of_variant(replace(variant, tree=tree), file)
+            mended.append(scenario_of_variant(replace(variant, tree=tree), file))
             break
         except InputError as another:
             error = another

@@ -227,13 +227,13 @@ class Fields:
     def __iter__(self) -> Iterator[str]:
         return iter(self.by_key)
 
-    def required(self, key: str) -> Field:
-        """Return the value of ``key``; ScenarioError if it is absent."""
+    def required(self, key: str, hint: str = "") -> Field:
+        """Return the value of ``key``; ScenarioError, with the hint, if it is absent."""
         if key not in self.by_key:
             present = ", ".join(map(shown, self.by_key))
             place = replace(self.whole.place, field=join(self.whole.path, key))
             got = f"only {present}" if present else "nothing"
-            raise ScenarioError(place=place, expected=f'the key "{key}"', got=got)
+            raise ScenarioError(place=place, expected=f'the key "{key}"', got=got, hint=hint)
         return self.by_key[key]
 
     def optional(self, key: str) -> Field | None:

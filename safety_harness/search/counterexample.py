@@ -126,11 +126,13 @@ class Counterexample:
     @property
     def explanation(self) -> list[str]:
         """The explanation, as lines for people."""
-        lines = [*self.attribution, *self.circumstances]
-        if self.draws is not None:
-            often = f"it happens in {self.draws} of {DRAWS} draws of it"
-            lines.append(f"the avoider's own randomness: {often}")
-        return lines
+        return [*self.attribution, *self.further]
+
+    @property
+    def further(self) -> list[str]:
+        """Lines beside whose fault it is: circumstances, decisions, and other draws of the avoider."""
+        often = f"the avoider's own randomness: it happens in {self.draws} of {DRAWS} draws of it"
+        return [*self.circumstances, *[often] * (self.draws is not None)]
 
     @property
     def evaluation(self) -> Evaluation | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import shlex
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -28,7 +29,7 @@ from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.answered import fallback_words
 from safety_harness.claims.properties.base import Unit, close_to, far_words
-from safety_harness.claims.properties.tally import basis
+from safety_harness.claims.properties.tally import basis, short_basis
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Disagreement, disagreement_of
@@ -75,8 +76,13 @@ def basis_of_search(findings: Findings, confirmed: int) -> str:
     return basis([str(KINEMATIC), *[str(PYBULLET)] * bool(confirmed)], counts)
 
 
-def _say_at(say: Callable[[str], None], place: str, step: str) -> None:
-    say(f"{place}: {step}")
+def _violations(count: int) -> str:
+    """Return a count of violations: of one claim in one run each."""
+    return f"{count:,} violation{'s' * (count != 1)}"
+
+
+def _tell(tell: Callable[[str], None], where: str, what: str) -> None:
+    tell(f"{where}: {what}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,15 +103,33 @@ class WrittenCounterexample:
 
     @property
     def lines(self) -> list[str]:
-        """The lines for a terminal, once for all groups that shrank to it."""
-        case, runs = self.one, sum(group.count for group in self.groups)
-        margin = "-" if case.evaluation is None else case.evaluation.margin_text()
-        groups = f" in {len(self.groups)} groups that lie apart" if len(self.groups) > 1 else ""
+        """The counterexample, whose fault it is, and the command that runs it."""
+        one = self.one
+        margin = "-" if one.evaluation is None else one.evaluation.margin_text()
         return [
-            f"violated {margin:>13}  {case.complaint.words}{AS_EXPECTED if self.expected else ''}",
-            f"  {self.path}: {runs} runs led to it{groups}; shrunk in {case.shrunk.used} runs",
-            *(f"  {line}" for line in case.explanation),
+            f"violated {margin:>13}  {one.complaint.words}{AS_EXPECTED if self.expected else ''}",
+            f"  {self.found_words}; shrunk in {one.shrunk.used} runs",
+            *(f"  {line}" for line in one.circumstances[: one.complaint.reference is not None]),
+            *(f"  {line}" for line in one.attribution),
+            f"  safety-harness run {shlex.quote(str(self.path))}",
         ]
+
+    @property
+    def found_words(self) -> str:
+        """How many violations led to it, the confirmed margin before it was shrunk, and contact."""
+        one, count = self.one, sum(group.count for group in self.groups)
+        words = [f"{_violations(count)} led to it"]
+        if one.evaluation is not None and one.found_margin is not None:
+            words.append(f"the worst by {one.evaluation.unit.margin_text(one.found_margin)}")
+        return ", ".join([*words, *["contact"] * self.touches])
+
+    @property
+    def touches(self) -> bool:
+        """Whether a hand touches the arm in its run."""
+        run = self.one.run
+        return (
+            isinstance(run, Trace) and len(run.ticks) > 0 and bool((run.ticks["hand_distance_m"] < 0.0).any())
+        )
 
 
 @dataclass(eq=False)
@@ -117,8 +141,10 @@ class SearchSession:
     ``confirmed`` stays 0.  ``unwritable`` is the reason why the session stopped writing.  ``explain``
     explains each violation.  ``repeated`` compares answers with a second instance of the avoider; None if it
     was not run.  ``flips`` lists differences from a reference that a redraw did not show.  ``overruled``
-    reports that the gate overrules the avoider more often than the reference.  ``keeps`` tells whether
-    findings are written to ``out`` as they come.
+    reports that the gate overrules the avoider more often than the reference.  Unless it ``explains_all``, it
+    begins no explanation beyond one for each claim (and for mishaps) once these took as long as the search,
+    ``search_s``.  It calls ``concluding`` after the search.  ``keeps`` tells whether findings are written to
+    ``out`` as they come.
     """
 
     trials: Trials
@@ -128,6 +154,8 @@ class SearchSession:
     confirming: ScenarioRunner = in_pybullet
     reference: bool = True
     explain: Explain = unexplained
+    explains_all: bool = True
+    concluding: Callable[[SearchSession], None] = lambda session: None
     findings: Findings = field(init=False)
     baseline: Findings | None = None
     written: list[WrittenCounterexample] = field(default_factory=list)
@@ -138,6 +166,7 @@ class SearchSession:
     flips: list[str] = field(default_factory=list)
     overruled: str = ""
     keeps: bool = True
+    search_s: float = 0.0
 
     @property
     def interrupted(self) -> bool:
@@ -200,6 +229,7 @@ class SearchSession:
         whole = summary(findings, self.budget) + (f"; {fallback}" if fallback else "")
         overruled = filter(None, [self.trials.overruling.words])
         lines = [*self.trials.space.notes, whole, *overruled, *nearest_lines(findings)]
+        self.concluding(self)
         if self.baseline is not None:
             lines += [f"uniform: {summary(self.baseline, self.budget)}", *nearest_lines(self.baseline)]
         alone = len(findings.groups) - _MOST_AS_FOUND
@@ -213,11 +243,13 @@ class SearchSession:
         if findings.interrupted:
             say("interrupted: what was found is kept as it was found, not shrunk")
         elif self.unwritable is None:
-            for claim in (*range(len(findings.goals)), None):
-                self._shrink_groups(claim)
+            self._explain_groups()
         for line in remarks(self.trials, findings, self.overruled):
             say(line)
-        say(basis_of_search(findings, self.confirmed))
+        self.output.detail("coverage: " + str(self.trials.coverage).replace("\n", "\n  "))
+        whole_basis = basis_of_search(findings, self.confirmed)
+        say(short_basis(whole_basis))
+        self.output.detail(whole_basis)
         for sentence in self.not_found:
             self.output.result(f"NOT FOUND  {sentence}: {not_found_words(findings)}")
         if self.written and not self.reference:
@@ -233,7 +265,7 @@ class SearchSession:
             reference = self.trials.reference
             again += [] if reference is None else ["--against", reference.name]
             again += [] if self.reference else ["--world", KINEMATIC.label]
-            lines.append("again: " + shlex.join(again))
+            lines.append(f"next: {shlex.join(again)}    (they run as they say)")
         return lines + ([] if unwritable is None else [f"error: {explanation(unwritable)}"])
 
     def moved_to(self, folder: Path) -> SearchSession:
@@ -293,38 +325,59 @@ class SearchSession:
         doubt += [] if self.reference else [NO_REFERENCE]
         return [*doubt, *origin_of(self.trials, group.worst, searcher)]
 
-    def _shrink_groups(self, claim: int | None) -> None:
-        """Shrink the groups of a claim; a claim that only the baseline violates counts as much."""
+    def _explain_groups(self) -> None:
+        """Shrink and explain a violation of each claim, then others in turn, until all or the time is spent.
+
+        A claim that only the baseline violates is worth as much.
+        """
+        claims = (*range(len(self.findings.goals)), None)
         searches = [self.findings] if self.baseline is None else [self.findings, self.baseline]
-        findings = next((case for case in searches if case.of_claim(claim)), self.findings)
-        groups = _one_of_each_kind_first(findings.of_claim(claim))
-        written: list[WrittenCounterexample] = []
-        tried = shrunk = 0
-        with self.output.words() as say:
-            for group in groups:
-                if len(written) == MOST_SHRUNK or shrunk == 2 * MOST_SHRUNK or self.findings.interrupted:
-                    break
-                at = f"violation {tried + 1} of {len(groups)} that lie apart, {findings.sentence_of(group)}"
-                case = self._counterexample(group, len(written) + 1, partial(_say_at, say, at))
-                tried, shrunk = tried + 1, shrunk + (case is not None)
-                if case is None:
+        found = {
+            claim: next((one for one in searches if one.of_claim(claim)), self.findings) for claim in claims
+        }
+        left = {claim: _one_of_each_kind_first(found[claim].of_claim(claim)) for claim in claims}
+        told: dict[int | None, list[WrittenCounterexample]] = {claim: [] for claim in claims}
+        shrunk = Counter[int | None]()
+        until_s = time.monotonic() + self.search_s
+
+        def explain_next(claim: int | None) -> bool:
+            """Explain the next violation that the confirming world shows; false where there is none."""
+            while left[claim] and len(told[claim]) < MOST_SHRUNK and shrunk[claim] < 2 * MOST_SHRUNK:
+                at = f"{found[claim].sentence_of(left[claim][0])}, example {shrunk[claim] + 1}"
+                group = left[claim].pop(0)
+                one = self._counterexample(group, len(told[claim]) + 1, partial(_tell, tell, at))
+                if self.findings.interrupted and one is None:
+                    return False
+                if one is None:
                     continue
-                for same in written:
-                    if case.is_same_as(same.one):
+                shrunk[claim] += 1
+                for same in told[claim]:
+                    if one.is_same_as(same.one):
                         same.groups.append(group)
-                        break
-                else:
-                    written.append(self._save(case, [group], findings.searcher))
-        for entry in written:
-            for line in entry.lines:
-                self.output.result(line)
-        left = groups[tried:]
-        if left and not self.findings.interrupted:
-            runs = sum(group.count for group in left)
-            self.output.say(
-                f"{findings.sentence_of(left[0])}: {len(left)} more groups of violations ({runs} runs) were "
-                f"not shrunk; they may be the same or others ({FINDINGS}, {AS_FOUND})"
-            )
+                        return True
+                told[claim].append(self._save(one, [group], found[claim].searcher))
+                return True
+            return False
+
+        with self.output.words() as tell:
+            going, first = [*claims], True
+            while going:
+                for claim in [*going]:
+                    late = not (first or self.explains_all or claim is None) and time.monotonic() >= until_s
+                    if late or self.findings.interrupted or not explain_next(claim):
+                        going.remove(claim)
+                first = False
+        for claim in claims:
+            for written in told[claim]:
+                self.output.result(*written.lines)
+                self.output.detail(*(f"  {line}" for line in written.one.further))
+            if left[claim] and not self.findings.interrupted:
+                count = sum(group.count for group in left[claim])
+                rest = "" if self.explains_all else "; --explain all"
+                self.output.say(
+                    f"{found[claim].sentence_of(left[claim][0])}: {_violations(count)} not explained, "
+                    f"of the same cause or others ({FINDINGS}, {AS_FOUND}{rest})"
+                )
 
     def _counterexample(
         self, group: Group, number: int, on_step: Callable[[str], None]
@@ -425,6 +478,8 @@ def search_space(
     output: Output,
     baseline: bool = False,
     explain: Explain = unexplained,
+    explains_all: bool = True,
+    concluding: Callable[[SearchSession], None] = lambda session: None,
 ) -> SearchSession:
     """Search a space, then shrink, confirm, explain and write the findings.
 
@@ -439,6 +494,8 @@ def search_space(
         output: Receives lines and progress.
         baseline: Also sample the space uniformly, with the same budget, for comparison.
         explain: Explains a violation.
+        explains_all: Explain all violations; otherwise for as long as the search took.
+        concluding: Receives the session after the search, before the first explanation.
 
     Returns:
         The session.
@@ -449,7 +506,8 @@ def search_space(
     """
     there = PYBULLET.is_installed
     confirming = in_pybullet if there else in_kinematic
-    session = SearchSession(trials, out or Path(), budget, output, confirming, there, explain)
+    session = SearchSession(trials, out or Path(), budget, output, confirming, there, explain, explains_all)
+    session.concluding = concluding
     session.keeps = out is not None
     at = session.out
     files = [*at.glob("*.yaml"), *(at / AS_FOUND).rglob("*.yaml")] if (at / FINDINGS).exists() else []
@@ -457,7 +515,9 @@ def search_space(
         output.say(f"{out} keeps the files of an earlier search, {files[0].name} among them")
     if not there:
         output.say(NO_REFERENCE)
+    begun_s = time.monotonic()
     session.findings = session.search(make, trials)
+    session.search_s = time.monotonic() - begun_s
     if baseline and not session.findings.interrupted and session.unwritable is None:
         output.say("the baseline: uniform sampling with the same budget")
         anew = replace(trials, coverage=Coverage(), violations=Coverage())
@@ -528,11 +588,10 @@ def summary(findings: Findings, budget: int) -> str:
         budget: The number of runs.
 
     """
-    violations = sum(group.claim is not None for group in findings.groups)
-    mishaps = len(findings.groups) - violations
+    mishaps = sum(group.claim is None for group in findings.groups)
     return (
-        f"tried {findings.tried}/{budget}, refused {findings.refused.total()}, {violations} violations apart"
-        + (f", {mishaps} kinds of mishap" if mishaps else "")
+        f"tried {findings.tried}/{budget}, refused {findings.refused.total()}, "
+        f"{_violations(int(findings.violated.sum()))}" + (f", {mishaps} kinds of mishap" if mishaps else "")
     )
 
 
@@ -593,5 +652,4 @@ def remarks(trials: Trials, findings: Findings, overruled: str = "") -> list[str
             f"nothing found in {findings.tried} runs. A search estimates nothing: that is no evidence of "
             "safety in the rest of the space"
         )
-    lines.append("coverage: " + str(trials.coverage).replace("\n", "\n  "))
     return lines

@@ -1,4 +1,4 @@
-"""``assert_holds``: a claim that has to hold of a run, or the test fails with everything one has to know."""
+"""``assert_holds``: fail a test whose run violates a claim, with margin, moment, decision and command."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TRUTH = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", 
 
 
 class SafetyViolation(SafetyHarnessError, AssertionError):
-    """A claim did not come out as it has to; the text shows when, why and how to see it again."""
+    """A claim has another verdict than the test requires; the text shows when and why."""
 
     __module__ = "safety_harness.testing"  # as one imports it, and as test summaries show it
 
@@ -52,7 +52,7 @@ class SafetyViolation(SafetyHarnessError, AssertionError):
 
     @property
     def scenario(self) -> Scenario:
-        """As the test asked for it, before ``--avoider``."""
+        """The scenario of the test, before ``--avoider`` changes it."""
         return original(self.trace)
 
     def __str__(self) -> str:
@@ -62,18 +62,24 @@ class SafetyViolation(SafetyHarnessError, AssertionError):
 
 
 class NotEstablished(SafetyHarnessError, AssertionError):
-    """A test drew scenarios, and not one of them put what it asserts to the test."""
+    """A test drew scenarios, and none of them exercised its claims."""
 
 
 def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     """Fail the test unless ``claim`` holds of ``trace``; returns the evaluation.
 
-    ``claim`` is a formula, a property, or a sentence as in a scenario file.  SafetyViolation if it is
-    violated, or if the run is no evidence either way.  Only where Hypothesis draws the scenarios is one
-    run that decides nothing (the hand never came near) left to the others: a test in which no run
-    decides anything fails all the same.  SafetyViolation as well if the avoider gave no answer in the run,
-    unless the scenario claims that (``the avoider answered: violated``).  InputError for a sentence that
-    nobody knows.
+    Args:
+        claim: A formula, a property, or a sentence as in a scenario file.
+        trace: The run.
+
+    Where Hypothesis draws the scenarios, an inconclusive run fails nothing (the hand never came near), but a
+    test without any conclusive run fails.
+
+    Raises:
+        SafetyViolation: The claim is violated, or the run is inconclusive.  Or the avoider gave no answer,
+            and the scenario does not claim that (``the avoider answered: violated``).
+        InputError: The sentence is neither a claim of the catalogue nor a formula.
+
     """
     __tracebackhide__ = True
     try:
@@ -89,7 +95,7 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
 
 
 def judged_of(prop: Property, trace: Trace) -> Evaluation:
-    """Its word on ``trace``: inconclusive where not all was measured, if it does not say what it reads."""
+    """Judge ``trace``; a property that does not name its columns is inconclusive unless all was measured."""
     if trace.known.whole or columns_read_by(prop) is not None:
         return prop.evaluate(trace)
     limited = tuple(name for name, one in trace.known.columns.items() if one.limited)
@@ -99,7 +105,7 @@ def judged_of(prop: Property, trace: Trace) -> Evaluation:
 
 
 def refuse_fallback(trace: Trace) -> None:
-    """SafetyViolation if the avoider did not answer in the run, and its scenario does not expect that."""
+    """Raise SafetyViolation if the avoider did not answer and the scenario does not expect that."""
     __tracebackhide__ = True
     evaluation = by_default(trace)
     if evaluation is not None:
@@ -109,9 +115,9 @@ def refuse_fallback(trace: Trace) -> None:
 def require(
     evaluation: Evaluation, expected: Verdict, trace: Trace, judge: Callable[[Trace], Evaluation]
 ) -> None:
-    """SafetyViolation if the test that is running has to fail for what ``judge`` said of the run.
+    """Raise SafetyViolation if the running test has to fail for the evaluation that ``judge`` gives.
 
-    A run that was not simulated is not held against a reference, which cannot be run in its place.
+    A run that was not simulated is not compared with a reference, which cannot be run in its place.
     """
     __tracebackhide__ = True
     if trace.known.simulated:
@@ -124,7 +130,7 @@ def require(
 def violation_of(
     evaluation: Evaluation, trace: Trace, expected: Verdict, found: ClaimDifference | None
 ) -> SafetyViolation:
-    """With a note on what the reference does, if there is one."""
+    """Return the violation, with a note on the reference's verdict if there is a reference."""
     violation = SafetyViolation(evaluation, trace, expected)
     if found is not None:
         violation.add_note(note_of(found))
@@ -132,7 +138,7 @@ def violation_of(
 
 
 def run_of(trace: Trace) -> Run:
-    """What is remembered of a run."""
+    """Return the facts that outlive a run's trace."""
     return Run(
         name=trace.scenario.name,
         tested=trace.system.words,
@@ -193,7 +199,7 @@ def _property(claim: Formula | Property | str, scenario: Scenario) -> Property:
 
 
 def _caller() -> Place:
-    """The nearest line below that is not of this file."""
+    """Return the nearest line below that another file has."""
     frame = inspect.currentframe()
     while frame is not None and frame.f_code.co_filename == __file__:
         frame = frame.f_back
@@ -205,7 +211,7 @@ def _caller() -> Place:
 def against_reference(
     trace: Trace, mine: Evaluation, judge: Callable[[Trace], Evaluation]
 ) -> ClaimDifference | None:
-    """The same claim in the same scenario with the reference, noted for the summary; None without one."""
+    """Judge the same claim with the reference and note it for the summary; None without a reference."""
     if session().against is None:
         return None
     other = simulate.with_reference(trace)
@@ -225,7 +231,7 @@ def against_reference(
 
 
 def is_shared(found: ClaimDifference | None) -> bool:
-    """Does the reference do no better?  Then the running test does not fail for it, and is skipped."""
+    """Return whether the reference does no better; the running test is then skipped and does not fail."""
     test = session().test
     if found is None or test is None or found.change in _WORSE:
         return False
@@ -234,7 +240,7 @@ def is_shared(found: ClaimDifference | None) -> bool:
 
 
 def note_of(found: ClaimDifference) -> str:
-    """For a failure: what the reference does in the same scenario."""
+    """Return a note for a failure: the reference's verdict in the same scenario."""
     return f"{found.change.value}: {found.words(_name())}"
 
 

@@ -1,4 +1,4 @@
-"""``scenarios``: what a file, a folder or a space holds, as a Hypothesis strategy."""
+"""``scenarios``: the scenarios of a file, a folder or a space as a Hypothesis strategy."""
 
 from __future__ import annotations
 
@@ -24,12 +24,16 @@ _MARK = "_safety_harness_scenarios"
 
 
 def scenarios(source: str | Path | ScenarioSpace) -> st.SearchStrategy[Scenario]:
-    """Scenarios to put a test through.
+    """Return a strategy of scenarios for a test.
 
-    ``source`` is a scenario space (a file, or an object): draws of it that can be tried; or a scenario
-    file, a matrix, a suite or a folder: one of its scenarios.  A relative path is sought from the folder
-    of the file that asks for it, then from pytest's root; ``shipped:NAME`` is one of ours.  All of it is
-    read and checked here: InputError says where the mistake stands, and a note which line asked.
+    Args:
+        source: A scenario space (a file or an object), whose admissible draws the test gets.  Or a scenario
+            file, a matrix, a suite or a folder, whose scenarios it gets.  A relative path is sought from the
+            folder of the calling file, then from pytest's root; ``shipped:NAME`` is a shipped one.
+
+    Raises:
+        InputError: A file cannot be used; a note names the calling line.  All files are read here.
+
     """
     frame = inspect.currentframe()
     asked = frame.f_back if frame is not None else None
@@ -61,32 +65,34 @@ def _of_files(path: Path) -> st.SearchStrategy[Scenario]:
 
 
 def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
-    """Draws of a space that admission lets through, each with a name of its own.
+    """Draw admissible scenarios of a space, each with its own name.
 
-    InputError for a space of which next to nothing can be tried.
+    Raises:
+        InputError: Hardly any draw of the space is admissible.
+
     """
     looker.look(as_asked(first_of(space)))
     return _marked(_admissible(space), one_system(space))
 
 
 def first_of(space: ScenarioSpace) -> Scenario:
-    """A draw that can be tried, as far as its avoider goes not into it; InputError if next to none can be."""
+    """Return an admissible draw, whatever its avoider; InputError if hardly any draw is admissible."""
     return draw_admissible(space, seed=0, count=1).scenarios[0]
 
 
 def gives_scenarios(strategy: object) -> bool:
-    """Is it a strategy from here?"""
+    """Return whether a strategy is one of ``scenarios``."""
     return hasattr(strategy, _MARK)
 
 
 def one_system(space: ScenarioSpace) -> Scenario | None:
-    """A scenario with the avoider or the controller of all draws; None for a space that varies it."""
+    """Return a scenario with the avoider or controller of all draws; None for a space that varies it."""
     tested = [one for key, one in space.template.entries if key.text in ("avoider", "controller")]
     return space.simplest if all(isinstance(one, Scalar) for one in tested) else None
 
 
 def one_system_of(strategy: object) -> Scenario | None:
-    """That of a strategy from here; None as well where its scenarios come from several files."""
+    """Return the common system of a strategy; None if its scenarios come from several files."""
     return getattr(strategy, _MARK, None)
 
 

@@ -1,4 +1,4 @@
-"""What a failed claim prints: margin, moment, the decision before it, a picture, how to see it again."""
+"""The text of a failed claim: margin, moment, the decision before it, a picture, and the command."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from safety_harness.trace.unmeasured import as_measured, decided
 def failure_text(
     evaluation: Evaluation, trace: Trace, *, expected: Verdict, scenario: Scenario, test: TestRun | None
 ) -> str:
-    """The whole text; ``scenario`` is as the test asked for it, ``test`` the one that failed."""
+    """Return the whole text; ``scenario`` is the test's own, ``test`` the failed test."""
     runs = not is_of_an_object(trace)
     trace = as_measured(trace)
     parts = [
@@ -75,7 +75,7 @@ def _facts(evaluation: Evaluation, trace: Trace) -> list[str]:
 
 
 def _decision(evaluation: Evaluation, trace: Trace) -> list[str]:
-    """The last decision up to the worst moment, the one that was in force then."""
+    """Return lines on the decision in force at the worst moment."""
     rows = decision_rows(trace)
     if not decided(trace, "tick", "time_s"):
         return ["  what was decided was not measured"]
@@ -101,7 +101,7 @@ def _row(row: DecisionRow, count: int) -> list[str]:
 
 
 def _scenario(scenario: Scenario, test: TestRun | None) -> list[str]:
-    """The text of what was tried, unless it is a file that the reader has."""
+    """Return the scenario's text, or its file if the reader has that."""
     if (test is None or not test.draws) and _is_what_its_file_holds(scenario):
         assert scenario.file is not None
         return [f"  scenario  {near(scenario.file)}"]
@@ -110,10 +110,10 @@ def _scenario(scenario: Scenario, test: TestRun | None) -> list[str]:
 
 
 def again(scenario: Scenario, test: TestRun | None, *, runs: bool) -> list[str]:
-    """The commands that show the failure again; only if ``runs`` one that runs the scenario's file."""
+    """Return the commands that repeat a failure; with ``runs`` also one that runs the scenario's file."""
     avoider = session().avoider
     own = [] if avoider is None else ["--avoider", avoider]
-    chosen = [] if session().world == "PyBullet" else [session().world]
+    chosen = [session().world] if session().world not in ("", "PyBullet") else []
     lines = []
     file = scenario.file if in_store(scenario) or _is_what_its_file_holds(scenario) else None
     file = file or (test.kept if test is not None else None)
@@ -130,20 +130,20 @@ def _with(option: str, values: list[str]) -> list[str]:
 
 
 def _is_what_its_file_holds(scenario: Scenario) -> bool:
-    """Not a draw of a space, and not made from a file by other code."""
+    """Return whether a scenario is as its file has it, and no draw or change of it."""
     if scenario.file is None:
         return False
     return digest_of(scenario) in map(digest_of, gather([scenario.file], spaces=True).scenarios)
 
 
 def in_store(scenario: Scenario) -> bool:
-    """Is it read from the folder of kept failures?"""
+    """Return whether a scenario comes from the folder of kept failures."""
     file = scenario.file
     return file is not None and session().failures.resolve() in file.resolve().parents
 
 
 def near(file: Path) -> Path:
-    """As seen from the working directory, if it is below it; by its name, if it is shipped."""
+    """Return a path relative to the working directory if it is below it, and a shipped file's name."""
     try:
         return file.resolve().relative_to(Path.cwd())
     except ValueError:
@@ -156,7 +156,7 @@ _FARTHEST_M = 0.8  # what is farther away is drawn at the upper edge
 
 @dataclass(frozen=True, eq=False)
 class _Signal:
-    """Drawn are ``values`` (n,) at the ticks: the ``worst`` in each column, ``most`` at the upper edge."""
+    """The drawn ``values`` (n,) at the ticks: the ``worst`` in each column, ``most`` at the upper edge."""
 
     title: str
     values: NDArray[np.float64]
@@ -166,9 +166,9 @@ class _Signal:
 
 
 def picture(trace: Trace, evaluation: Evaluation) -> list[str]:
-    """Lines of at most 70 characters; none for a trace without anything to draw.
+    """Return lines of at most 70 characters; an empty list if the trace has nothing to draw.
 
-    The TCP speed for a claim about it, else the distance of the nearest hand from the arm's surface.
+    They draw the TCP speed for a claim about it, else the nearest hand's distance from the arm's surface.
     Each column shows the least distance, or the largest speed, of its time.
     """
     if len(trace.ticks) < 2:
@@ -208,13 +208,13 @@ def _drawn(trace: Trace, evaluation: Evaluation, signal: _Signal) -> list[str]:
 
 
 def _line_of(value: float, bottom: float, top: float) -> int:
-    """The line of a value, counted from the top."""
+    """Return the line of a value, counted from the top."""
     share = (min(value, top) - bottom) / (top - bottom)
     return round((1.0 - share) * (HEIGHT - 1))
 
 
 def _axis(trace: Trace, evaluation: Evaluation, width: int) -> list[str]:
-    """The time axis with D for decisions and ! for the worst moment."""
+    """Return the time axis with D for decisions and ! for the worst moment."""
     end_s = float(trace.time_s[-1])
 
     def column(time_s: float) -> int:

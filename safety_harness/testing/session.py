@@ -1,4 +1,4 @@
-"""What the tests of one session share: what was asked for, and the test that is running now.
+"""The options that the tests of a session share, and the test that is running now.
 
 Nothing heavy is imported here: the pytest plug-in reads this file in every project.
 """
@@ -26,7 +26,7 @@ FAILURES = Path(".safety-harness") / "failures"
 
 @dataclass(frozen=True)
 class Profile:
-    """``examples`` scenarios of each test that draws them, ``shrinking_runs`` simulations after a failure."""
+    """``examples``: scenarios that each test draws; ``shrinking_runs``: simulations after a failure."""
 
     name: str
     examples: int
@@ -39,7 +39,7 @@ PROFILES = (QUICK, Profile("nightly", 500, 400), Profile("certify", 3000, 2000))
 
 @dataclass(frozen=True)
 class Run:
-    """What is remembered of a run when its trace is gone; ``sound``: it was whole, and of finite numbers."""
+    """The facts that outlive a run's trace; ``sound``: it was whole, and of finite numbers."""
 
     name: str  # of its scenario
     tested: str  # "avoider" or "controller", and its name
@@ -51,7 +51,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """One claim judged in one run of a test; ``expected`` is what the test or the file says."""
+    """A claim judged in a run of a test; ``expected`` is the verdict of the test or the file."""
 
     run: Run
     evaluation: Evaluation
@@ -59,7 +59,7 @@ class Judgement:
 
     @property
     def severity(self) -> tuple[bool, float]:
-        """Smaller for what is worse: what is not as expected first, then the least margin."""
+        """Return a sort key, worst first: unexpected verdicts, then the least margin."""
         evaluation, margin = self.evaluation, self.evaluation.margin
         broken = evaluation.verdict is not self.expected and evaluation.verdict.value != "inconclusive"
         return not broken, inf if margin is None else margin
@@ -67,11 +67,11 @@ class Judgement:
 
 @dataclass(eq=False)
 class TestRun:
-    """A test that is running: what was judged in it, and whether it has failed already.
+    """A running test with its judgements, and whether it has failed already.
 
-    ``draws``: Hypothesis chooses its scenarios, so that one run that decides nothing is no failure;
-    all of them are.  After its first ``failure`` Hypothesis goes on only to make that one smaller, and
-    what it tries is no longer counted.
+    ``draws``: Hypothesis chooses its scenarios.  An inconclusive run is then no failure, unless all runs are
+    inconclusive.  After the first ``failure`` Hypothesis only makes that example smaller; those runs do not
+    count.
     """
 
     __test__ = False  # its name is not meant for pytest
@@ -104,16 +104,16 @@ class TestRun:
 
     @property
     def counts(self) -> bool:
-        """Is what is judged now evidence, and not an attempt to make a failure smaller?"""
+        """Return whether the current run is evidence, and no attempt to make a failure smaller."""
         return self.failure is None or not self.draws
 
     def fail(self, failure: BaseException) -> None:
-        """The present example failed."""
+        """Note that the present example failed."""
         self.failure = failure
         self.failing |= self.simulated
 
     def note(self, judgement: Judgement, trace: Trace | None) -> None:
-        """Count one judgement, and keep it if it is the worst one of its sentence so far."""
+        """Count a judgement, and keep it if it is the worst of its sentence so far."""
         self.judgements.append(judgement)
         before = self.worst.get(judgement.evaluation.sentence)
         if before is None or judgement.severity < before.severity:
@@ -129,7 +129,7 @@ class TestRun:
 
 @dataclass(eq=False)
 class Session:
-    """One session of tests; the defaults are those of a script or a notebook without pytest."""
+    """A session of tests; the defaults are for a script or a notebook without pytest."""
 
     root: Path = field(default_factory=Path.cwd)
     profile: Profile = QUICK
@@ -137,7 +137,7 @@ class Session:
     seed: int = 0
     avoider: str | None = None
     against: str | None = None
-    world: str = "PyBullet"
+    world: str = ""  # none is named: PyBullet, or kinematic where that is missing
     failures: Path = FAILURES
     report: Path | None = None
     saved: set[Path] = field(default_factory=set)  # traces that this process wrote for the report
@@ -152,12 +152,12 @@ _current = Session()
 
 
 def session() -> Session:
-    """The session of this process."""
+    """Return the session of this process."""
     return _current
 
 
 def begin(new: Session) -> Session:
-    """Make ``new`` the session of this process; returns the one before it."""
+    """Make ``new`` the session of this process, and return the session before it."""
     global _current
     before, _current = _current, new
     return before

@@ -1,4 +1,4 @@
-"""From a scenario to its trace: the fixture ``simulate``."""
+"""The fixture ``simulate``, which runs a scenario and returns its trace."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from safety_harness.base.exceptions import FlakyAvoiderError, InputError, Place
 from safety_harness.cell.avoidance.avoider import Avoider
 from safety_harness.cell.avoidance.flaky import refuse_flaky
 from safety_harness.cell.simulation.simulate import INTERRUPTED
-from safety_harness.cell.simulation.worlds import world_named
+from safety_harness.cell.simulation.worlds import default_world, world_named
 from safety_harness.claims.properties.answered import by_default
 from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.report.decisions import computing_times
@@ -38,17 +38,17 @@ _of_objects: WeakSet[Trace] = WeakSet()
 
 
 def original(trace: Trace) -> Scenario:
-    """The scenario as a test asked for it, before ``--avoider`` put another avoider into it."""
+    """Return the scenario of a test, before ``--avoider`` put another avoider into it."""
     return _asked_for.get(trace, trace.scenario)
 
 
 def is_of_an_object(trace: Trace) -> bool:
-    """Did a test give an avoider or a controller as an object, which no file and no command names?"""
+    """Return whether a test gave an avoider or a controller as an object, which no command can name."""
     return trace in _of_objects
 
 
 def digest_of(scenario: Scenario) -> str:
-    """Hex digits that two scenarios share if they mean the same, whatever they are called."""
+    """Return hex digits that two scenarios share if they differ at most in their names."""
     text = write_scenario(scenario)
     hands = [hand.motion.sha256 for hand in scenario.hands if isinstance(hand, RecordedHand)]
     parts = [text, *hands, command_line_reference(scenario)]
@@ -56,18 +56,18 @@ def digest_of(scenario: Scenario) -> str:
 
 
 def run_key(trace: Trace) -> str:
-    """What the same run has in every process: who is tested, and in which scenario."""
+    """Return the key of a run in every process: the system under test and the scenario."""
     return f"{trace.system.tested.name}: {digest_of(trace.scenario)}"
 
 
 def as_asked(scenario: Scenario) -> Scenario:
-    """The scenario with the avoider of ``--avoider``, if there is one."""
+    """Return the scenario with the avoider of ``--avoider``, if there is any."""
     reference = session().avoider
     return scenario if reference is None else with_avoider(scenario, reference)
 
 
 def avoiders_asked() -> list[tuple[str | None, str]]:
-    """That of ``--avoider``, or None, and that of ``--safety-against`` if any; each with its option."""
+    """Return the avoider of ``--avoider`` or None, and the reference if any, with their options."""
     now = session()
     reference = [] if now.against is None else [(now.against, "--safety-against")]
     return [(now.avoider, option_of(now.avoider or "")), *reference]
@@ -78,7 +78,7 @@ admitter = Admitter()  # one for all: an avoider that keeps something of a run i
 
 
 def sought_from(path: Path, asked: FrameType | None) -> Path:
-    """A relative path from the folder of whoever asks, else from pytest's root."""
+    """Return a relative path from the folder of the calling file, else from pytest's root."""
     if path.is_absolute() or asked is None:
         return path
     beside = Path(asked.f_code.co_filename).parent / path
@@ -90,11 +90,15 @@ class Simulate:
 
     It runs in PyBullet, or in the world of ``--safety-world``.
 
-    A path, also as a text, is that of a scenario file; a relative one is sought as ``scenarios`` does.
-    The avoider is that of ``--avoider``, else the scenario's own, or the object given as ``avoider``; or
-    ``controller`` drives the arm, in place of the visual servo.
-    InputError for a scenario that cannot be tried; FlakyAvoiderError for an avoider that, asked the
-    questions of the run once more, answers otherwise.
+    Args:
+        scenario: A scenario, or the path of its file; a relative path is sought as ``scenarios`` does.
+        avoider: An avoider in place of that of ``--avoider`` or of the scenario.
+        controller: What drives the arm in place of the visual servo.
+
+    Raises:
+        InputError: The scenario is not admissible.
+        FlakyAvoiderError: The avoider answers the questions of the run otherwise when they are repeated.
+
     """
 
     def __init__(self) -> None:
@@ -110,7 +114,7 @@ class Simulate:
         avoider: Avoider | None = None,
         controller: UserController | None = None,
     ) -> Trace:
-        """Run ``scenario``, or remember a run of the same."""
+        """Run ``scenario``, or return the trace of an earlier run of the same scenario."""
         __tracebackhide__ = True
         frame, test = inspect.currentframe(), session().test
         if test is not None:
@@ -140,7 +144,7 @@ class Simulate:
         return trace
 
     def with_reference(self, trace: Trace) -> Trace:
-        """A run of the same scenario with the avoider of ``--safety-against``; errors as of a call."""
+        """Run the same scenario with the avoider of ``--safety-against``; errors as of a call."""
         reference = session().against
         assert reference is not None
         place = Place(field="--safety-against")
@@ -170,8 +174,9 @@ simulate = Simulate()  # one for all: claims of the same scenario are judged on 
 
 
 def _run(admitted: Admitted) -> Trace:
-    """One run, looked at for Ctrl-C, which a trace only notes, and for an avoider that cannot be repeated."""
-    trace = run_trial(admitted, world=world_named(session().world, "--safety-world"))
+    """Run a scenario; raise after Ctrl-C, which a trace only notes, and for a flaky avoider."""
+    named = session().world
+    trace = run_trial(admitted, world=world_named(named, "--safety-world") if named else default_world())
     if trace.ended == INTERRUPTED:
         raise KeyboardInterrupt
     if admitted.driver is None:
@@ -182,7 +187,7 @@ def _run(admitted: Admitted) -> Trace:
 
 
 def _refuse_more_shrinking(test: TestRun | None, digest: str) -> None:
-    """After a failure only so many further scenarios are simulated; the rest is not worth the wait."""
+    """Refuse further scenarios after a failure beyond the profile's number, to save time."""
     if test is None or test.counts:
         return
     if digest in test.refused:

@@ -1,8 +1,8 @@
 """A Hypothesis test under a safety profile: its settings, its kept failures first, every example watched.
 
-Failures are kept as scenario files: written where a person finds them, read back and tried first next time.
+Failures are kept as scenario files, where a person finds them; the next session tries them first.
 Hypothesis's own database holds choices as bytes, which mean nothing once a space, a strategy or
-Hypothesis has changed; a scenario file goes on meaning the same.
+Hypothesis has changed.  A scenario file keeps its meaning.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _LONGEST = 60  # characters of a part of a path
 
 
 def under_profile(own: settings | None = None, *, fixed: bool = False) -> settings:
-    """``own`` (or the usual) settings as the profile has them; ``fixed``: they have their own examples."""
+    """Return ``own`` (or the usual) settings under the profile; ``fixed`` ones have their own examples."""
     own = own or settings.default
     assert own is not None
     examples = own.max_examples if fixed else session().profile.examples
@@ -66,7 +66,7 @@ def under_profile(own: settings | None = None, *, fixed: bool = False) -> settin
 
 @contextmanager
 def watched(function: Any, test: TestRun) -> Iterator[None]:
-    """``function``, a test with ``@given``, is run below as ``under_profile`` says; nothing of it remains."""
+    """Run ``function``, a test with ``@given``, under the profile below; restore it afterwards."""
     handle = function.hypothesis
     before = {
         "_hypothesis_internal_use_settings": function._hypothesis_internal_use_settings,
@@ -92,7 +92,7 @@ def watched(function: Any, test: TestRun) -> Iterator[None]:
 
 
 def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]:
-    """``inner``, one example, telling ``test`` of its failure."""
+    """Return ``inner``, which runs one example, so that ``test`` hears of its failure."""
 
     @functools.wraps(inner)
     def watched_example(*args: Any, **kwargs: Any) -> None:
@@ -111,7 +111,7 @@ def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]
 
 
 def _kept(function: Any, test: TestRun) -> Iterator[Any]:
-    """The test's kept failures as explicit examples; none for a test that draws more than a scenario."""
+    """Yield a test's kept failures as explicit examples; empty if it draws more than a scenario."""
     names = list(function.hypothesis._given_kwargs)
     if len(names) != 1:
         return
@@ -120,13 +120,13 @@ def _kept(function: Any, test: TestRun) -> Iterator[Any]:
 
 
 def folder_of(test_id: str) -> Path:
-    """Where the failures of a test are kept."""
+    """Return the folder of a test's kept failures."""
     path, *names = test_id.split("::")
     return session().failures.joinpath(*path.split("/"), *map(_slug, names))
 
 
 def keep(test_id: str, violation: SafetyViolation) -> Path:
-    """Write the scenario of ``violation``; returns the file.  OutputError if it cannot be written."""
+    """Write the scenario of ``violation`` and return its file; OutputError if it cannot be written."""
     folder = folder_of(test_id)
     scenario, evaluation = violation.scenario, violation.evaluation
     file = folder / f"{_slug(evaluation.sentence)}-{digest_of(scenario)[:6]}.yaml"
@@ -147,10 +147,10 @@ def keep(test_id: str, violation: SafetyViolation) -> Path:
 
 
 def kept_for(test: TestRun, like: Scenario | None) -> Iterator[Scenario]:
-    """The failures that are kept of a test, in the order of their names; InputError for a spoilt file.
+    """Return a test's kept failures in the order of their names; InputError for a spoilt file.
 
-    What a file was kept with is not what the test tests today: of the file are hands and start, the avoider
-    or the controller is that of ``like``, where there is one.
+    Hands and start come from the file, avoider or controller from ``like`` if there is any, since the test
+    may test another system today.
     """
     for file in sorted(folder_of(test.id).glob("*.yaml")):
         if file.is_file():
@@ -161,7 +161,7 @@ def kept_for(test: TestRun, like: Scenario | None) -> Iterator[Scenario]:
 
 
 def _is_known(claim: Claim, scenario: Scenario) -> bool:
-    """Can the sentence be read back?  That of a property that a user made need not."""
+    """Return whether a sentence can be read back; that of a user's property need not be readable."""
     try:
         property_of(claim, scenario)
     except InputError:
@@ -180,7 +180,7 @@ _LARGEST = 2**64
 
 
 class Independent(HypothesisProvider):
-    """Hypothesis's way of drawing, but for numbers between two bounds: each draw independent of the others.
+    """Hypothesis's drawing, with independent draws of numbers between two bounds.
 
     Hypothesis likes to repeat itself: most of its examples are variations of earlier ones, which finds bugs
     in parsers, and leaves half of fifty hands at the same place.  So half of the examples are drawn afresh,
@@ -195,7 +195,7 @@ class Independent(HypothesisProvider):
         weights: dict[int, float] | None = None,
         shrink_towards: int = 0,
     ) -> int:
-        """Uniform between two bounds without weights."""
+        """Draw uniformly between two bounds without weights."""
         self._stop_at_half()
         if min_value is None or max_value is None or weights or self._random is None:
             return super().draw_integer(min_value, max_value, weights=weights, shrink_towards=shrink_towards)
@@ -209,7 +209,7 @@ class Independent(HypothesisProvider):
         allow_nan: bool = True,
         smallest_nonzero_magnitude: float,
     ) -> float:
-        """Uniform between two bounds that are not too far apart to mean anything."""
+        """Draw uniformly between two bounds, unless they are too far apart to mean anything."""
         self._stop_at_half()
         if not -_LARGEST < min_value <= max_value < _LARGEST or self._random is None:
             return super().draw_float(

@@ -195,7 +195,7 @@ def test_the_toys_controller_drives_and_its_hash_is_in_the_trace(toy: Path) -> N
     (toy / "driven.yaml").write_text(DRIVEN)
     done = called(toy, "run", "driven.yaml", "--world", "kinematic", "--out", "driven")
     assert done.returncode == 0, done.stderr
-    assert "1 of 1 verdicts as expected" in done.stderr
+    assert "1 of 1 verdicts as expected" in done.stdout
     code = """
 from pathlib import Path
 from safety_harness import load_trace

@@ -53,12 +53,12 @@ def test_run_and_replay_notice_it(name: str, capsys: pytest.CaptureFixture[str])
 
 
 def test_run_and_replay_say_how_often_a_function_was_asked(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run([Path("visit.yaml")], Path("out"), "mine.py:Pure") == AS_EXPECTED
+    assert run([Path("visit.yaml")], Path("out"), "mine.py:Pure", verbose=True) == AS_EXPECTED
     told = json.loads(Path("out/report.json").read_text())["repeatability"]
     assert told["asked"] == told["questions"] > 0
     assert (told["differing"], told["words"], told["apart"]) == (0, "", True)
     line = f"{told['asked']} of {told['asked']} questions asked again"
-    assert line in capsys.readouterr().err
+    assert line in capsys.readouterr().out
     assert replay(Path("out/traces/visit.trace"), "mine.py:Pure") == AS_EXPECTED
     shown = capsys.readouterr()
     assert "identical: visit" in shown.out
@@ -125,8 +125,8 @@ def test_the_documented_avoider_around_one_of_ours_is_used_asked_again_and_repea
     Path("mine.py").write_text(found[1])
     assert len([line for line in found[1].splitlines() if line]) <= 6  # an import, and five
     assert run([Path("visit.yaml")], Path("ours"), "mc-dropout") == AS_EXPECTED
-    assert run([Path("visit.yaml")], Path("out"), "mine.py:higher") == AS_EXPECTED
-    assert "a process of its own, alone and in another order" in capsys.readouterr().err
+    assert run([Path("visit.yaml")], Path("out"), "mine.py:higher", verbose=True) == AS_EXPECTED
+    assert "a process of its own, alone and in another order" in capsys.readouterr().out
     ours, around = (load_trace(Path(f"{one}/traces/visit.trace")) for one in ("ours", "out"))
     first, higher = (one.decisions["proposed_position_in_base_m"][0] for one in (ours, around))
     assert higher - first == pytest.approx([0.0, 0.0, 0.02], abs=1e-12)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -59,8 +60,8 @@ def space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return Path("two.yaml")
 
 
-def found_in(out: Path) -> dict[str, object]:
-    found: dict[str, object] = json.loads((out / "findings.json").read_text())
+def found_in(out: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((out / "findings.json").read_text())
     return found
 
 
@@ -70,7 +71,7 @@ def test_one_story_from_two_sides_is_one_counterexample_with_all_its_runs(
     monkeypatch.setattr(search_session, "SHRINKING_RUNS", 60)
     monkeypatch.setattr(search_session, "MOST_SHRUNK", 2)
     monkeypatch.setattr(progress, "EVERY_S", 0.0)  # else lines of a pipe come every ten seconds
-    assert fuzz(space, out=Path("out"), budget=12) == DIFFERS
+    assert fuzz(space, out=Path("out"), budget=12, explain="all") == DIFFERS
     (file,) = Path("out").glob("*.yaml")
     distinct = found_in(Path("out"))["distinct"]
     assert isinstance(distinct, list)
@@ -80,16 +81,16 @@ def test_one_story_from_two_sides_is_one_counterexample_with_all_its_runs(
     assert {group["kind"].split(",")[0] for group in shrunk} == {"right", "left"}
     runs = sum(group["runs"] for group in shrunk)
     out, err = capsys.readouterr()
-    assert f"{runs} runs led to it in {len(shrunk)} groups that lie apart" in out
+    assert f"{runs} violations led to it, the worst by " in out
     assert out.count("violated  ") == 1
-    at = f"violation 1 of {len(distinct)} that lie apart, {distinct[0]['complaint']}"
+    at = f"{distinct[0]['complaint']}, example 1"
     for step in ("confirming", "shrinking, run 1 of at most 60", "asking whose fault it is"):
         assert f"{at}: {step}\n" in err
-    assert f"whose fault: 0 of {len(distinct)} violations that lie apart\n" in err
-    left = len(distinct) - len(shrunk)
-    assert (f"{left} more groups of violations" in err) is (left > 0)
+    assert f"whose fault: 0 of {len(distinct)} groups of violations\n" in err
+    left = sum(group["runs"] for group in distinct if not group["counterexample"])
+    assert (f"{left} violation" in err and "not explained" in err) is (left > 0)
     page = Path("out/fuzz.html").read_text()
-    assert f"{runs} runs of searcher default led to it, in {len(shrunk)} groups that lie apart" in page
+    assert f"{runs} violations of searcher default led to it, in {len(shrunk)} groups" in page
 
 
 def test_two_ways_not_to_answer_are_two_stories(space: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,5 +115,37 @@ def test_what_is_left_when_enough_was_shrunk_is_said_with_its_runs(
     left = [group for group in distinct if group["counterexample"] is None]
     assert left
     runs = sum(group["runs"] for group in left)
-    said = f"{len(left)} more groups of violations ({runs} runs) were not shrunk; they may be the same or"
+    said = f"{runs} violation{'s' * (runs > 1)} not explained, of the same cause or others (findings"
     assert said in capsys.readouterr().err
+
+
+def test_explanations_beyond_one_of_each_claim_take_no_longer_than_the_search(
+    space: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 2)
+    explained = search_session.SearchSession._explain_groups
+
+    def after_a_search_in_no_time(session: search_session.SearchSession) -> None:
+        session.search_s = 0.0
+        explained(session)
+
+    monkeypatch.setattr(search_session.SearchSession, "_explain_groups", after_a_search_in_no_time)
+    few, every = Path("few"), Path("every")
+    assert fuzz(space, out=few, budget=12) == DIFFERS
+    assert "--explain all" in capsys.readouterr().err
+    assert fuzz(space, out=every, budget=12, explain="all") == DIFFERS
+    one, several = (
+        [group for group in found_in(out)["distinct"] if group["counterexample"]] for out in (few, every)
+    )
+    assert len(one) == 1 < len(several)
+    assert found_in(few)["attribution"] is None
+    assert found_in(every)["attribution"] is not None
+
+
+def test_the_page_is_there_before_anything_is_explained(space: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def killed(session: search_session.SearchSession) -> None:
+        raise SystemExit((session.out / "fuzz.html").read_text())
+
+    monkeypatch.setattr(search_session.SearchSession, "_explain_groups", killed)
+    with pytest.raises(SystemExit, match="hand distance never below"):
+        fuzz(space, out=Path("out"), budget=12)

@@ -42,7 +42,7 @@ def _little_shrinking(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 def found(text: str, claim: str, budget: int, avoider: str | None = None) -> dict[str, object]:
     Path("space.yaml").write_text(text)
-    fuzz(Path("space.yaml"), out=Path("out"), claims=[claim], budget=budget, avoider=avoider)
+    fuzz(Path("space.yaml"), out=Path("out"), claims=[claim], budget=budget, avoider=avoider, explain="all")
     read: dict[str, object] = json.loads(Path("out/findings.json").read_text())
     return read
 
@@ -75,7 +75,7 @@ def test_a_fault_of_the_avoider_is_told_wherever_fuzz_says_something(
     distinct = data["distinct"]
     assert isinstance(distinct, list)
     assert all_of_them["groups"] == {"avoider": len(distinct)}
-    assert f"of {len(distinct)} violations that lie apart: {len(distinct)} avoider" in err
+    assert f"of {len(distinct)} groups of violations: {len(distinct)} avoider" in err
     maps = ("refused", "groups", "would_have_helped", "coverage", "violations_by_cell", "overruling")
     names = names_in(data, but=(*maps, "attribution_of_counterexamples"))
     assert {"nearest_hand_m", "groups_of_violations", "least_sets"} <= names
@@ -92,17 +92,19 @@ def test_one_planted_cause_is_one_finding_in_the_terminal_and_on_the_page(
     Path("mine.py").write_text(TOWARDS)
     Path("space.yaml").write_text(TEXT)
     claims = [AWAY, "proposals within 60 mm of the optimum", "at most 50 % of proposals overruled"]
-    fuzz(Path("space.yaml"), out=Path("out"), claims=claims, budget=8, avoider="mine.py:Towards")
+    fuzz(
+        Path("space.yaml"), out=Path("out"), claims=claims, budget=8, avoider="mine.py:Towards", explain="all"
+    )
     files = json.loads(Path("out/findings.json").read_text())["counterexamples"]
     assert len(files) == 3
     ((change, mended),) = json.loads(Path("out/findings.json").read_text())["causes"].items()
     assert sorted(mended) == sorted(files)
     err = capsys.readouterr().err
-    assert "1 finding in 3 counterexamples\n" in err
+    assert "1 cause in 3 counterexamples\n" in err
     assert f"one cause of 3 counterexamples: {change} mends {', '.join(mended)}" in err
     page = Path("out/fuzz.html").read_text()
-    assert "1 finding in 3 distinct counterexamples" in page
-    assert f"One cause of 3 of them: <strong>{change}</strong> mends {', '.join(mended)}." in page
+    assert "1 cause in 3 counterexamples" in page
+    assert f"One cause of 3 counterexamples: <strong>{change}</strong> also mends" in page
 
 
 def test_a_hand_that_pursues_the_arm_is_called_unavoidable(capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,7 +125,7 @@ def test_of_many_violations_some_are_attributed_and_that_is_said(
     assert isinstance(distinct, list)
     assert len(distinct) > 1
     assert (attribution["attributed"], attribution["groups_of_violations"]) == (1, len(distinct))
-    assert f"whose fault, of 1 of {len(distinct)} violations" in capsys.readouterr().err
+    assert f"whose fault, of 1 of {len(distinct)} groups of violations" in capsys.readouterr().err
 
 
 def test_ctrl_c_while_all_are_attributed_keeps_what_was_said_until_then(

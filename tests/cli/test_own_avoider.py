@@ -134,7 +134,7 @@ def test_a_run_with_an_avoider_that_hangs_has_failed_and_has_no_verdict(
     assert run([visit], Path("out"), "mine.py:Mine") == DIFFERS
     out, err = capfd.readouterr()
     assert "the avoider 'hostile' gave no answer within 0.5 s of wall time" in err
-    assert "0 of 0 verdicts as expected, 0 of 1 scenarios run" in err
+    assert "0 of 0 verdicts as expected, 0 of 1 scenarios run" in out
     assert "Traceback" not in err
     assert "holds" not in out
     assert not trace_of("out").exists()

@@ -48,7 +48,7 @@ def test_a_suite_of_a_matrix_is_run_and_every_scenario_has_its_trace(
     assert run([tmp_path / "suite.yaml"], tmp_path / "out") == AS_EXPECTED
     traces = sorted(file.name for file in (tmp_path / "out/traces").iterdir())
     assert traces == ["good.trace", "two[one].trace", "two[two].trace"]
-    assert "3 of 3 scenarios run" in capsys.readouterr().err
+    assert "3 of 3 scenarios run" in capsys.readouterr().out
 
 
 def test_the_trace_of_a_matrix_is_complete_in_itself(tmp_path: Path) -> None:
@@ -259,3 +259,62 @@ def test_the_commands_reach_their_functions(tmp_path: Path) -> None:
     assert CliRunner().invoke(app, ["validate", file]).exit_code == AS_EXPECTED
     assert CliRunner().invoke(app, ["fmt", "--check", file]).exit_code == AS_EXPECTED
     assert CliRunner().invoke(app, ["explain", "seed"]).exit_code == AS_EXPECTED
+
+
+def test_validate_tells_all_mistakes_of_a_file_and_executes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("many.yaml").write_text(
+        "scenario: many\nduration: 4\ntcp start:\n  offset: [0 mm, -60 mm, 20 mm]\n"
+        "settings: {clock: {wall limt: 1 s}}\nclaims:\n  hand distance never bellow 50 mm: holds\n"
+        "  joint speed within limits: holds\n"
+    )
+    assert validate([Path("many.yaml")]) == BAD_INPUT
+    err = capsys.readouterr().err
+    for place in (
+        "2: duration",
+        "5: settings.clock.wall limt",
+        "7: claims.hand distance",
+        "8: claims.joint speed",
+    ):
+        assert f"error: many.yaml:{place}" in err
+    assert "4 mistakes" in err
+    Path("missing.yaml").write_text(
+        "scenario: one\nduration: 4 s\nclaims:\n  joint speeds within limits: holds\n"
+    )
+    assert validate([Path("missing.yaml")]) == BAD_INPUT
+    assert "hint     safety-harness explain tcp start\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("parameters", "fits"),
+    [
+        ("self, hand, tcp", False),
+        ("self, *, hand_position_in_base_m, tcp_position_in_base_m", False),
+        ("self, *, hand_position_in_base_m, tcp_position_in_base_m, seed, more", False),
+        ("self, hand_position_in_base_m, tcp_position_in_base_m, seed, /", False),
+        ("self, *, hand_position_in_base_m, tcp_position_in_base_m, seed", True),
+        ("self, hand_position_in_base_m, tcp_position_in_base_m, seed=0, more=1", True),
+        ("self, **question", True),
+    ],
+)
+def test_validate_finds_a_propose_without_the_keywords_in_the_files_text(
+    parameters: str,
+    fits: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(
+        f"print('EXECUTED')\nclass Mine:\n    name = 'mine'\n    def propose({parameters}):\n        pass\n"
+    )
+    Path("short.yaml").write_text(
+        "scenario: short\nduration: 300 ms\navoider: mine.py:Mine\n"
+        "tcp start:\n  offset: [0 mm, -60 mm, 20 mm]\nclaims:\n  joint speeds within limits: holds\n"
+    )
+    assert validate([Path("short.yaml")]) == (AS_EXPECTED if fits else BAD_INPUT)
+    out, err = capsys.readouterr()
+    assert "EXECUTED" not in out + err
+    assert fits or "Mine to have propose(*, hand_position_in_base_m, tcp_position_in_base_m, seed)" in err

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from safety_harness.report.search_attribution import SearchAttribution, findings_of
+from safety_harness.report.search_attribution import SearchAttribution, causes_of
 
 
 def attribution(*mending: str) -> Any:
@@ -30,7 +30,7 @@ def test_what_one_change_mends_is_told_once_and_is_one_finding() -> None:
     )
     assert found == {"the first made sound": ["a.yaml", "c.yaml"]}
     assert said == [
-        "4 findings in 5 counterexamples",
+        "4 causes in 5 counterexamples",
         "one cause of 2 counterexamples: the first made sound mends a.yaml, c.yaml",
     ]
 
@@ -40,5 +40,5 @@ def test_a_change_that_mends_two_merges_them_although_another_mends_the_one_as_w
         a=attribution("another", "the same"), b=attribution("the same"), c=attribution("another")
     )
     assert sorted(map(len, found.values())) == [2]
-    assert findings_of(3, found) == 2
+    assert causes_of(3, found) == 2
     assert causes(a=attribution("one"), b=attribution("other")) == ({}, [])

@@ -111,7 +111,7 @@ def test_the_action_runs_tells_the_job_and_fails_with_what_is_not_as_expected(tm
         for name in ("Run", "Summary")
     ]
     assert codes == [1, 0]
-    assert "0 of 1 as expected" in (tmp_path / "job.md").read_text()
+    assert "0 of 1 verdicts as expected" in (tmp_path / "job.md").read_text()
     (found,) = json.loads((tmp_path / defaults["out"] / "report.sarif").read_text())["runs"]
     (place,) = found["results"][0]["locations"]
     assert place["physicalLocation"] == {"artifactLocation": {"uri": "a.yaml"}, "region": {"startLine": 6}}

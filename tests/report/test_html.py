@@ -123,7 +123,7 @@ def test_every_row_leads_to_the_section_of_its_scenario(full: Node) -> None:
 
 def test_a_verdict_is_a_word_and_a_symbol_never_a_colour_alone(full: Node) -> None:
     shown = full.all("span", "verdict")
-    assert len(shown) == 14  # each claim in the table and in its section
+    assert len(shown) == 14 + 1  # each claim in the table and in its section, the worst violation on top
     for verdict in shown:
         assert verdict.text in {each.value for each in Verdict}
         assert verdict.all("use")[0].attributes["href"] == f"#icon-{verdict.text}"
@@ -131,20 +131,30 @@ def test_a_verdict_is_a_word_and_a_symbol_never_a_colour_alone(full: Node) -> No
 
 
 def test_interruption_differences_doubt_and_truncation_are_said_first(full: Node) -> None:
-    answer = "5 of 7 as expected: 3 hold, 2 are violated, 2 decide nothing."
+    answer = "5 of 7 verdicts as expected (3 hold, 2 violated, 2 inconclusive)."
     assert banners(full) == ["Interrupted.", answer, "Cut short."]
     assert "no evidence of safety" in full.all("div", "grave")[0].text
 
 
+def test_the_worst_violation_stands_on_top_with_margin_moment_part_contact_and_picture(full: Node) -> None:
+    (box,) = full.all("div", "answer")
+    assert "grave" in box.attributes["class"]
+    first, *_ = (row for row in full.all("tr", "differs") if row.all("span", "violated"))
+    assert all(cell.text in box.text for cell in first.all("td", "number"))
+    assert first.all("td")[-1].text in box.text  # the reason, which names the part
+    assert len(box.all("svg")) == 2  # the verdict's sign and the picture
+    assert parse(text_for([factory.holds_run()])).all("div", "answer") == []
+
+
 def test_a_report_in_which_all_came_out_as_expected_says_just_that() -> None:
     page = parse(text_for([factory.holds_run()]))
-    assert banners(page) == ["2 of 2 as expected: 2 hold."]
+    assert banners(page) == ["2 of 2 verdicts as expected (2 hold)."]
     assert page.all("p", "fine")
 
 
 def test_a_report_with_an_expected_inconclusive_claim_is_not_all_green() -> None:
     page = parse(text_for([factory.holds_run(), factory.no_hands_run()]))
-    assert banners(page) == ["3 of 3 as expected: 2 hold, 1 decides nothing."]
+    assert banners(page) == ["3 of 3 verdicts as expected (2 hold, 1 inconclusive)."]
     assert "no evidence of safety" in page.all("p", "banner")[0].text
     assert not page.all("p", "fine")
 
@@ -155,7 +165,7 @@ def test_a_foreseen_violation_is_not_shown_as_green() -> None:
     scenario = replace(run.trace.scenario, claims=claims)
     run = JudgedRun(replace(run.trace, scenario=scenario), run.evaluations[:2], "again")
     page = parse(text_for([run]))
-    assert banners(page) == ["2 of 2 as expected: 2 are violations that the files expect."]
+    assert banners(page) == ["2 of 2 verdicts as expected (2 violated)."]
     assert not page.all("p", "fine")
 
 
@@ -294,7 +304,7 @@ def test_headings_descend_one_level_at_a_time_and_tables_have_captions(full: Nod
 
 def test_every_drawing_says_what_it_is(full: Node) -> None:
     drawings = [node for node in full.all("svg") if node.attributes.get("role") == "img"]
-    assert len(drawings) == 4 * 5
+    assert len(drawings) == 4 * 5 + 1  # the worst moment on top
     for drawing in drawings:
         assert drawing.all("title")[0].text
         assert drawing.all("desc")[0].text

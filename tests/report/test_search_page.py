@@ -208,16 +208,21 @@ def test_the_drawings_show_the_worst_moment_of_the_claim_in_the_heading() -> Non
         assert all(f"Hands are drawn in full at {moment_s:.2f} s" in words for words in drawn)
 
 
-def test_counterexamples_of_one_cause_are_counted_as_one_finding() -> None:
+def test_counterexamples_of_one_cause_are_one_card() -> None:
     three = tuple(replace(shown(), path=Path(f"out/{name}.yaml")) for name in "abc")
     causes = {"avoider (exact optimum)": ["a.yaml", "c.yaml"]}
     page = parse(render(evidence(shown=three, causes=causes)))
-    assert "2 findings in 3 distinct counterexamples" in page.text
-    assert "One cause of 2 of them: avoider (exact optimum) mends a.yaml, c.yaml." in page.text
-    assert "findings2in 3 counterexamples" in page.all("dl", "counts")[0].text
+    assert "2 causes in 3 counterexamples" in page.text
+    assert "One cause of 2 counterexamples: avoider (exact optimum) also mends" in page.text
+    assert "causes2in 3 counterexamples" in page.all("dl", "counts")[0].text
+    cards = page.all("div", "answer")
+    assert len(cards) == 2
+    assert all("as found" in card.text and "shrunk" in card.text for card in cards)
+    assert all("contact" in card.text and "safety-harness run " in card.text for card in cards)
+    assert all(len(card.all("svg")) == 1 for card in cards)
     alone = parse(render(evidence(shown=three)))
-    assert "3 distinct counterexamples" in alone.text
-    assert "finding in" not in alone.text
+    assert "3 counterexamples, each" in alone.text
+    assert len(alone.all("div", "answer")) == 3
 
 
 def test_what_pybullet_does_not_confirm_is_listed_and_called_no_violation(page: Node) -> None:

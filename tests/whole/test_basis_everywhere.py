@@ -78,9 +78,14 @@ def test_run_judge_view_and_history_say_it_in_the_terminal_and_in_every_file(
     world = "the kinematic world"
     Path("visit.yaml").write_text(VISIT)
     run([Path("visit.yaml")], Path("out/1"), world="kinematic")
+    assert (
+        f"Basis: in {world}; claims exercised in 1 of 1 runs; what nothing watched: "
+        in capsys.readouterr().err
+    )
+    run([Path("visit.yaml")], Path("out/1"), world="kinematic", verbose=True)
     assert rests_on(capsys.readouterr().err, world)
     traces = sorted(Path("out/1/traces").glob("*.trace"))
-    judge(traces, out=Path("out/2"))
+    judge(traces, out=Path("out/2"), verbose=True)
     assert rests_on(capsys.readouterr().err, world)
     for folder in ("out/1", "out/2"):
         for name in ("report.html", "summary.md"):
@@ -99,8 +104,8 @@ def test_run_judge_view_and_history_say_it_in_the_terminal_and_in_every_file(
 def test_fuzz_says_it(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(search_session, "SHRINKING_RUNS", 2)
     Path("short.yaml").write_text(TEXT)
-    fuzz(Path("short.yaml"), out=Path("out"), budget=4)
-    said = [capsys.readouterr().err, Path("out/fuzz.html").read_text(), Path("out/findings.json").read_text()]
+    fuzz(Path("short.yaml"), out=Path("out"), budget=4, verbose=True)
+    said = [capsys.readouterr().out, Path("out/fuzz.html").read_text(), Path("out/findings.json").read_text()]
     assert all(rests_on(one, "the kinematic world and in PyBullet") for one in said)
 
 

@@ -22,7 +22,7 @@ def refuse_undefined(path: Path, name: str, place: Place) -> None:
 
     The file must be Python.
     """
-    refuse_undefined_there(path, name, METHODS, place, HINT)
+    refuse_undefined_there(path, name, METHODS, place, HINT, QUESTION)
 
 
 def avoider_in(path: Path, source: bytes, name: str) -> Avoider:

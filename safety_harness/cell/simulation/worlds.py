@@ -167,9 +167,15 @@ KINEMATIC = WorldEntry(
     name="kinematic", label="kinematic", load=_kinematic, batch=True, confirmed_by=PYBULLET
 )
 """Joints follow the drives exactly; many episodes run together."""
-REFERENCE = PYBULLET  # the default
+REFERENCE = PYBULLET
+DEFAULTED = f"no world is named, and {REFERENCE} is not installed: runs are made in {KINEMATIC}"
 WORLDS = Registry([PYBULLET, KINEMATIC], ExtensionPoint.WORLDS, WorldEntry)
 """Every world. A new one is a class and an entry here, or an entry point of a package."""
+
+
+def default_world() -> WorldEntry:
+    """Return the world of runs that name none: the reference if it is installed, else the kinematic world."""
+    return REFERENCE if REFERENCE.is_installed else KINEMATIC
 
 
 def has_rendered_images(scenario: Scenario) -> bool:

@@ -66,6 +66,12 @@ def basis(
     return f"Basis: in {places}; {exercised}; nothing watched: {names}"
 
 
+def short_basis(basis: str) -> str:
+    """Return the sentence on what verdicts rest on, without the names of what nothing watched."""
+    head, watched, _ = basis.partition("; nothing watched: ")
+    return head + ("; what nothing watched: see the report, or -v" if watched else "")
+
+
 def made_in(trace: Trace) -> str:
     """Return the world in words in which a trace was made: "PyBullet", "a log" for one of a cell."""
     name = trace.provenance.world

@@ -35,7 +35,9 @@ def source_of(path: Path, place: Place) -> bytes:
     return source
 
 
-def refuse_undefined(path: Path, name: str, methods: Sequence[str], place: Place, hint: str) -> None:
+def refuse_undefined(
+    path: Path, name: str, methods: Sequence[str], place: Place, hint: str, keywords: Sequence[str] = ()
+) -> None:
     """Raise InadmissibleError at ``place`` unless the file is Python and seems to define ``name``.
 
     A class without bases must have the ``methods``. The run itself meets any fault that only execution shows,
@@ -58,6 +60,24 @@ def refuse_undefined(path: Path, name: str, methods: Sequence[str], place: Place
         if definitions and _lacks(definitions[-1], method):
             expected, got = f"{name} to have a method {method}", "a class without one"
             raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
+        if definitions and keywords and (got := _misfit(definitions[-1], method, {*keywords})):
+            expected = f"{name} to have {method}(*, {', '.join(keywords)})"
+            raise InadmissibleError(place=place, expected=expected, got=f"{method}({got})", hint=hint)
+
+
+def _misfit(node: ast.AST, method: str, keywords: set[str]) -> str:
+    """The parameters of a class's plain method that no call with these keywords, or "seen" too, fits."""
+    if not isinstance(node, ast.ClassDef):
+        return ""
+    own = [one for one in node.body if isinstance(one, ast.FunctionDef) and one.name == method]
+    if not own or own[-1].decorator_list or own[-1].args.kwarg:
+        return ""
+    given = own[-1].args
+    plain = [*given.posonlyargs, *given.args]
+    needed = {one.arg for one in plain[1 : len(plain) - len(given.defaults)]}
+    needed |= {one.arg for one, none in zip(given.kwonlyargs, given.kw_defaults, strict=True) if none is None}
+    fits = keywords <= {one.arg for one in (*given.args, *given.kwonlyargs)} and needed <= keywords | {"seen"}
+    return "" if fits else ast.unparse(given)
 
 
 def _lacks(node: ast.AST, method: str) -> bool:

@@ -101,6 +101,7 @@ class Ending:
             *self._computing_times(),
             *self._untried(),
             *self._remarks(),
+            *self._world(),
         ):
             say(line)
 
@@ -177,6 +178,13 @@ class Ending:
         if now.report is not None:
             lines.append(self._unwritten or f"report: {near(now.report)}")
         return lines
+
+    def _world(self) -> list[str]:
+        """Say that no world was named and which one took its place."""
+        from safety_harness.cell.simulation.worlds import DEFAULTED, KINEMATIC
+
+        made_in = {j.run.world for j in self._judgements()}
+        return [DEFAULTED] if not current().world and str(KINEMATIC) in made_in else []
 
     def _fallback(self) -> str:
         """Of the runs in which the avoider did not answer: in how many decisions the fallback stood in."""

@@ -62,7 +62,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption("--safety-report", metavar="FILE", help="Write an HTML report, and JSON beside it.")
     parser.addini("safety_profile", f"one of {', '.join(names)}", default=QUICK.name)
-    parser.addini("safety_world", "PyBullet or kinematic", default="PyBullet")
+    parser.addini(
+        "safety_world", "PyBullet or kinematic; without it PyBullet, if it is installed", default=""
+    )
     parser.addini(
         "safety_derandomize", "draw the same scenarios in every session", type="bool", default=False
     )

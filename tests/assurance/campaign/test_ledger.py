@@ -324,3 +324,32 @@ def test_no_part_of_an_identity_is_named_twice() -> None:
     twice = json.dumps([["Python", "3.11"], ["Python", "3.10"]])
     with pytest.raises(ValueError, match="named twice"):
         Identity.from_json(twice)
+
+
+def test_nothing_is_left_beside_a_ledger_that_was_run_and_read(tmp_path: Path, plan: Plan) -> None:
+    with ledger_in(tmp_path, plan) as made:
+        path = made.path
+    with only_runner(path), Ledger.open(path, write=True):
+        assert path.with_name(f"{path.name}.lock").exists()
+    with Ledger.open(path) as first:
+        with Ledger.open(path):
+            assert path.with_name(f"{path.name}-wal").exists()
+        assert path.with_name(f"{path.name}-wal").exists()  # the first still reads
+        assert first.declared
+    assert [file.name for file in tmp_path.glob(f"{path.name}?*")] == []
+
+
+def test_a_runner_whose_lock_was_just_removed_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "ledger.sqlite"
+    lock = path.with_name(f"{path.name}.lock")
+    flock = opening.fcntl.flock
+
+    def removed_meanwhile(stream: object, operation: int) -> None:
+        flock(stream, operation)  # type: ignore[arg-type]
+        lock.unlink()
+
+    monkeypatch.setattr(opening.fcntl, "flock", removed_meanwhile)
+    with pytest.raises(LedgerError, match="no other runner"), only_runner(path):
+        pass

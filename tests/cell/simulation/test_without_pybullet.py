@@ -13,7 +13,7 @@ from examples import VISIT, scenario
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_all, run_trial
 from safety_harness.base.exceptions import MissingPackageError
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.cell.simulation.worlds import DEFAULTED, KINEMATIC, PYBULLET
 from safety_harness.cli.attribute import attribute_runs
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
@@ -59,15 +59,13 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_run_names_it_and_the_world_that_does_without(
+def test_run_takes_the_world_that_does_without_and_says_so_in_one_line(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run([file], tmp_path / "out") == BAD_INPUT
-    (line,) = capsys.readouterr().err.splitlines()
-    assert NEEDS in line
-    assert "--world kinematic" in line
-    assert not (tmp_path / "out").exists()
-    assert run([file], tmp_path / "out", world="kinematic") == AS_EXPECTED
+    assert run([file], tmp_path / "out") == AS_EXPECTED
+    out, err = capsys.readouterr()
+    assert err.splitlines()[0] == DEFAULTED
+    assert "in the kinematic world, seed 0" in out.splitlines()[0]
     assert '"world": "kinematic"' in (tmp_path / "out" / "report.json").read_text()
     assert "--world kinematic" in (tmp_path / "out" / "report.html").read_text()
 
@@ -130,6 +128,8 @@ def test_simulate_of_a_test_runs_in_the_world_of_its_session() -> None:
     try:
         assert Simulate()(example).provenance.world == KINEMATIC.name
         begin(Session())
+        assert Simulate()(example).provenance.world == KINEMATIC.name
+        begin(Session(world="PyBullet"))
         with pytest.raises(MissingPackageError, match=NEEDS):
             Simulate()(example)
     finally:

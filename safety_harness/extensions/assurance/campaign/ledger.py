@@ -36,6 +36,7 @@ from safety_harness.extensions.assurance.campaign.opening import (
     create,
     explained,
     refuse_any_file,
+    remove_empty_log,
     unusable,
 )
 from safety_harness.extensions.assurance.campaign.plan import Plan
@@ -119,6 +120,7 @@ class Ledger:
         self.path = path
         self.connection = connection
         self.declared = _declared(connection, path)
+        self.tidies = False
         self._looked_at: object = None
         self._found = ""
 
@@ -165,7 +167,9 @@ class Ledger:
         """
         connection = connect(path, write=write, check=check, alone=alone)
         try:
-            return cls(path, connection)
+            ledger = cls(path, connection)
+            ledger.tidies = not alone
+            return ledger
         except BaseException:
             connection.close()
             raise
@@ -177,8 +181,10 @@ class Ledger:
         self.close()
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file, and remove an empty log beside it, unless the file was opened only to read."""
         self.connection.close()
+        if self.tidies:
+            remove_empty_log(self.path)
 
     def refuse_other(
         self,

@@ -7,7 +7,7 @@ import os
 import re
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from urllib.parse import quote
@@ -153,7 +153,8 @@ def explained(path: Path) -> Iterator[None]:
 def only_runner(path: Path) -> Iterator[None]:
     """Hold the lock of a ledger's runner; LedgerError if another process has it.
 
-    The operating system releases the lock when the process ends in any way.
+    The operating system releases the lock when the process ends in any way. After work that ended well, the
+    lock's file is gone.
     """
     file = path.with_name(path.name + ".lock")
     with writing(file):
@@ -162,6 +163,8 @@ def only_runner(path: Path) -> Iterator[None]:
     with stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not os.path.samestat(os.fstat(stream.fileno()), file.stat()):
+                raise BlockingIOError  # the runner that had it has just removed it
         except OSError as error:
             stream.seek(0)
             got = f"the process {stream.read().strip()}"
@@ -170,6 +173,16 @@ def only_runner(path: Path) -> Iterator[None]:
         stream.write(f"{os.getpid()}\n")
         stream.flush()
         yield
+        file.unlink(missing_ok=True)
+
+
+def remove_empty_log(path: Path) -> None:
+    """Let SQLite remove the empty log that a reader leaves; it stays while other connections use it."""
+    log = path.with_name(path.name + "-wal")
+    with suppress(sqlite3.Error, OSError):
+        if log.stat().st_size == 0:
+            with closing(_open(path, "rw")) as connection:
+                connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
 
 
 def refuse_any_file(path: Path) -> None:

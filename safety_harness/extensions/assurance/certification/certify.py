@@ -192,6 +192,7 @@ class Certification:
             budget=searched.asked,
             seed=self.plan.seed,
             claims=[claim.sentence for claim in self.plan.claims],
+            explain="all",
             out=searched.folder,
             output=output,
         )

@@ -35,7 +35,12 @@ from safety_harness.extensions.assurance.certification.guard import ReportGuard
 from safety_harness.extensions.assurance.certification.result_tables import confidence_alone
 from safety_harness.extensions.assurance.certification.stored import cells_of
 from safety_harness.extensions.assurance.certification.tables import TABLES
-from safety_harness.extensions.assurance.certification.verdicts import confidence_words, percent
+from safety_harness.extensions.assurance.certification.verdicts import (
+    at_most,
+    beside_target,
+    confidence_words,
+    percent,
+)
 from safety_harness.extensions.lab.pages.proof_page import SCALE, STATES, drawn_maps
 from safety_harness.extensions.lab.pages.question_maps import key_of
 from safety_harness.report.coverage_map import coverage_map
@@ -115,6 +120,8 @@ def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard)
         undeveloped=UNDEVELOPED,
         counts=_counts(evidence),
         answer=_answer(evidence),
+        at_most=at_most,
+        beside_target=beside_target,
         claims=by_gravity(evidence.claims),
         findings=_by_gravity(evidence),
         alone=confidence_alone(evidence),

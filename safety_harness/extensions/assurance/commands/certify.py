@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, BadParameter, Option, Typer
 from typer.core import TyperGroup
 
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, result, say
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, next_step, result, say
 from safety_harness.cli.options import Executes, OfController, Workers, command
 
 if TYPE_CHECKING:
@@ -163,6 +164,10 @@ def certify(
     result(evidence.basis, f"{certified.page}: {evidence.standing.value}")
     if not certified.complete:
         say("interrupted: the report says what is missing; the same command goes on from there")
+    else:
+        folder = shlex.quote(str(certified.folder))
+        next_step(f"safety-harness verify {folder}", "does the report stand?")
+        next_step(f"safety-harness certify seal {folder}", "a hash to lodge where its day cannot be changed")
     if certified.delta is not None:
         _tell_delta(certified.delta, certified.folder)
     return certified.exit_code
@@ -220,8 +225,6 @@ def tell_delta(
     Exit code 1: a regression.
     Exit code 2: a folder is no report, is not finished, or has altered files.
     """
-    import shlex
-
     from safety_harness.extensions.assurance.certification.delta import EarlierReport
     from safety_harness.extensions.assurance.certify_job import compare_reports
     from safety_harness.scenario.files import told

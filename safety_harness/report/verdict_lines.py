@@ -1,0 +1,140 @@
+"""Verdicts as lines of a terminal: one run in full, and the surprises of many runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+
+from safety_harness.claims.properties.against import SCALES
+from safety_harness.claims.properties.base import Evaluation
+from safety_harness.claims.properties.hand_distance import HandDistance
+from safety_harness.claims.properties.tally import made_in
+from safety_harness.report.evidence import SEVERITY, JudgedRun
+from safety_harness.report.words import tested_words
+from safety_harness.scenario.model import Verdict
+from safety_harness.trace.trace import Trace
+
+MOST_LINES = 20  # verdicts of each kind that a summary of many runs prints; -v prints all
+BEFORE_S = 2.0  # before a contact: the time in which hand and arm came together
+LONGEST = 60  # characters to which sentences of claims are filled up
+
+
+@dataclass(frozen=True)
+class VerdictLine:
+    """The verdict on one claim of a run, in words.
+
+    Args:
+        run: The scenario's name.
+        sentence: The claim.
+        evaluation: Its evaluation.
+        words: The verdict: "holds"; "violated, as expected"; in capitals if its file expects another.
+        remark: What the file expects instead, or of which avoider; empty without a difference.
+        differs: Whether the file expects another verdict.
+
+    """
+
+    run: str
+    sentence: str
+    evaluation: Evaluation
+    words: str
+    remark: str
+    differs: bool
+
+    @property
+    def margin(self) -> str:
+        """The margin and its moment; empty without a margin."""
+        found = self.evaluation
+        when = "" if found.worst_time_s is None else f" at {found.worst_time_s:.3f} s"
+        return "" if found.margin is None else f"{found.margin_text()}{when}"
+
+    @property
+    def rank(self) -> tuple[bool, int, float]:
+        """Sort key, worst first: surprises, then the gravest verdict, then the margin in its unit's scale."""
+        found = self.evaluation
+        margin = inf if found.margin is None else found.margin / SCALES[found.unit]
+        return not self.differs, SEVERITY.index(found.verdict), margin
+
+
+def lines_of(run: JudgedRun) -> Iterator[VerdictLine]:
+    """Yield the verdict on each claim of a run, in the order of its file."""
+    place = run.trace.scenario.places.get("avoider")
+    overridden = place.field if place is not None and (place.field or "").startswith("--") else ""
+    for (claim, found), same in zip(run.judged_claims(), run.as_expected, strict=True):
+        words, remark = found.verdict.value, ""
+        if not found.applicable:
+            words = "not applicable"
+        elif not same:
+            words, remark = words.upper(), f" (expected {claim.expectation})"
+        elif found.verdict is not Verdict.HOLDS:
+            words += ", as expected"
+        if overridden and claim.is_loosely(found.verdict):
+            remark = f" (expected of another than {overridden}: it may be for another reason)"
+        yield VerdictLine(run.trace.scenario.name, claim.sentence, found, words, remark, not same)
+
+
+def every_line(run: JudgedRun) -> Iterator[str]:
+    """Yield one line for each claim of a run, one more for what was not measured, and what was tested."""
+    for line in lines_of(run):
+        margin, _, when = line.margin.partition(" at ")
+        columns = f"{line.words:<25} {margin or '-':>13} at {when or '-':>9}"
+        yield f"{columns}  {line.run}: {line.sentence}{line.remark}"
+        if line.evaluation.unmeasured:
+            yield f"     {line.evaluation.reason}"
+    yield tested_line(run)
+
+
+def block_of(run: JudgedRun) -> Iterator[str]:
+    """Yield the lines on a single run: what was tested, the nearest hand, and the claims, worst first."""
+    lines = sorted((line for line in lines_of(run) if line.evaluation.applicable), key=lambda line: line.rank)
+    yield f"{tested_line(run)}, in {made_in(run.trace)}, seed {run.trace.scenario.seed}"
+    yield from [words for words in [nearest_hand_words(run.trace)] if words]
+    wide = max((len(line.words) for line in lines), default=0)
+    longest = min(max((len(line.sentence) for line in lines), default=0), LONGEST)
+    for line in lines:
+        yield f"{line.words:<{wide}}  {line.sentence:<{longest}}  {line.margin}{line.remark}".rstrip()
+        if line.differs or line.evaluation.verdict is not Verdict.HOLDS:
+            yield f"{'':{wide}}  {line.evaluation.reason}"
+
+
+def nearest_hand_words(trace: Trace) -> str:
+    """Say which hand came how near to which part of the arm, and when; "contact" where it touched the arm.
+
+    A simulated contact has the highest speeds of hand and TCP just before.  Empty for a run without hands,
+    and where the distance was not measured.
+    """
+    found = HandDistance(minimum_m=0.0, near_m=inf).evaluate(trace)
+    if found.margin is None or found.worst_time_s is None:
+        return ""
+    moment = f"{found.reason} at {found.worst_time_s:.3f} s"
+    if found.verdict is not Verdict.VIOLATED or not trace.known.simulated:
+        return f"{'contact' if found.verdict is Verdict.VIOLATED else 'nearest hand'}: {moment}"
+    period_s = trace.scenario.settings.clock.control_period_s
+    last = min(int(found.worst_time_s / period_s), len(trace.ticks) - 1)
+    before = trace.ticks[max(last - int(BEFORE_S / period_s), 0) : last + 1]
+    hand = int(np.argmin(before["hand_distance_m"][-1]))
+    before = before[before["hand_present"][:, hand]]
+    hand_m, tcp_m = before["hand_position_in_base_m"][:, hand], before["transform_tcp_to_base"][:, :3, 3]
+    steps_m = [np.linalg.norm(np.diff(path_m, axis=0), axis=1).max(initial=0.0) for path_m in (hand_m, tcp_m)]
+    hand_words, tcp_words = (f"at up to {1e3 * step_m / period_s:.0f} mm/s" for step_m in steps_m)
+    return f"contact: {moment}; before, the hand moved {hand_words}, the tool {tcp_words}"
+
+
+def surprise_lines(runs: Sequence[JudgedRun]) -> Iterator[str]:
+    """Yield of many runs each verdict that differs from the expected one, then those that decide nothing."""
+    lines = [line for run in runs for line in lines_of(run) if line.evaluation.applicable]
+    differing = sorted((line for line in lines if line.differs), key=lambda line: line.rank)
+    undecided = [one for one in lines if not one.differs and one.evaluation.verdict is Verdict.INCONCLUSIVE]
+    for found in (differing, undecided):
+        for line in found[:MOST_LINES]:
+            yield f"{line.words}  {line.run}: {line.sentence}  {line.margin}{line.remark}".rstrip()
+            yield f"    {line.evaluation.reason}"
+        if len(found) > MOST_LINES:
+            yield f"... {len(found) - MOST_LINES} more like these; -v prints every verdict"
+
+
+def tested_line(run: JudgedRun) -> str:
+    """Return what was tested in a run."""
+    return f"tested in {run.trace.scenario.name}: {tested_words(run.trace.scenario, run.trace.system)}"
