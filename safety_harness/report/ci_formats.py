@@ -1,4 +1,4 @@
-"""What came out, for those who read a change: SARIF for the lines of its files, Markdown for its summary."""
+"""The verdicts for readers of a change: SARIF for the lines of its files, Markdown for its summary."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ MOST_LINES = 50  # of a summary; a job's has a limit of its own
 
 
 def write_for_ci(folder: Path, runs: Sequence[JudgedRun]) -> None:
-    """Write ``summary.md`` and ``report.sarif`` into the folder.  Raises OSError."""
+    """Write ``summary.md`` and ``report.sarif`` into the folder; OSError if it cannot."""
     write_whole(folder / SUMMARY, markdown(runs))
     write_whole(folder / SARIF, json.dumps(sarif(runs), indent=1) + "\n")
 
 
 def _told(runs: Sequence[JudgedRun]) -> Iterator[tuple[JudgedRun, Claim, Evaluation, bool]]:
-    """What is not as expected, and then the violations that are; with whether it is as expected."""
+    """Yield the unexpected verdicts, then the expected violations, each with whether it is as expected."""
     for wanted in (False, True):
         for run in runs:
-            for (claim, found), expected in zip(run.judged_claims(), run.as_expected, strict=True):
-                if expected is wanted and (not expected or found.verdict is Verdict.VIOLATED):
-                    yield run, claim, found, expected
+            for (claim, evaluation), expected in zip(run.judged_claims(), run.as_expected, strict=True):
+                if expected is wanted and (not expected or evaluation.verdict is Verdict.VIOLATED):
+                    yield run, claim, evaluation, expected
 
 
 def markdown(runs: Sequence[JudgedRun]) -> str:
-    """The summary of a job: the answer, and a table of what is not as expected or violated."""
+    """Return the summary of a job: the answer, and a table of unexpected verdicts and violations."""
     told_of = list(_told(runs))
     lines = [f"### {answer(runs)}", ""]
     if told_of:
         lines += ["| scenario | claim | verdict | expected | margin | at |", "|---|---|---|---|---|---|"]
-    for run, claim, found, expected in told_of[:MOST_LINES]:
-        verdict = found.verdict.value if expected else f"**{found.verdict.value}**"
-        at = "" if found.worst_time_s is None else f"{found.worst_time_s:.3f} s"
+    for run, claim, evaluation, expected in told_of[:MOST_LINES]:
+        verdict = evaluation.verdict.value if expected else f"**{evaluation.verdict.value}**"
+        at = "" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
         cells = (
             run.trace.scenario.name,
             claim.sentence,
             verdict,
             claim.expectation,
-            margin_words(found),
+            margin_words(evaluation),
             at,
         )
         lines.append(f"| {' | '.join(map(_cell, cells))} |")
@@ -62,13 +62,16 @@ def markdown(runs: Sequence[JudgedRun]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Text that stays in its cell and is no markup of its own."""
+    """Return text that stays in its table cell and has no markup of its own."""
     words = text.replace("&", "&amp;").replace("<", "&lt;")
     return " ".join(re.sub(r"[\\|`\[\]*!]", r"\\\g<0>", words).split())
 
 
 def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
-    """SARIF 2.1.0: a result at the line of each claim that is not as expected (error) or violated (note)."""
+    """Return SARIF 2.1.0: a result at the line of each claim with an unexpected verdict or a violation.
+
+    An unexpected verdict is an error, an expected violation a note.
+    """
     told_of = list(_told(runs))
     rules = dict.fromkeys(claim.sentence for _, claim, _, _ in told_of)
     tool = {
@@ -76,7 +79,7 @@ def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
         "version": installed_version(),
         "rules": [{"id": sentence, "shortDescription": {"text": sentence}} for sentence in rules],
     }
-    results = [_result(run, claim, found, expected) for run, claim, found, expected in told_of]
+    results = [_result(run, claim, evaluation, expected) for run, claim, evaluation, expected in told_of]
     run = {"tool": {"driver": tool}, "columnKind": "unicodeCodePoints", "results": results}
     run["properties"] = {"basis": basis_of(runs)}
     return {

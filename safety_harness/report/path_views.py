@@ -1,7 +1,7 @@
-"""The paths of one run seen from above (x-y) and from the side (x-z), each whole and close to the TCP.
+"""The paths of one run from above (x-y) and from the side (x-z), each whole and close to the TCP.
 
-What draws the cell, the arm, hands, the TCP or decisions draws base x to the right and base ``axis``
-(1: y, 2: z) upwards, in millimetres.
+The functions that draw the cell, the arm, hands, the TCP or decisions put base x to the right.  They put
+base ``axis`` (1: y, 2: z) upwards, in millimetres.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MM = 1e3
 
 @dataclass(frozen=True)
 class Moment:
-    """The instant at which hands, forearms and the arm are drawn in full."""
+    """The instant at which a view draws hands, forearms and the arm in full."""
 
     tick: int
     time_s: float
@@ -43,9 +43,9 @@ class Moment:
 
 
 def shown_moment(run: JudgedRun) -> Moment | None:
-    """The worst moment of ``run.shown_claim()``, else the nearest hand; None without either.
+    """Return the worst moment of ``run.shown_claim()``, else the nearest hand; None without either.
 
-    Every picture, button and replay of a run takes its moment from here.
+    Every picture, button and replay of a run uses this moment.
     """
     ticks = run.trace.ticks
     if len(ticks) == 0:
@@ -64,7 +64,13 @@ def shown_moment(run: JudgedRun) -> Moment | None:
 
 
 def path_views(run: JudgedRun, *, prefix: str) -> tuple[Markup, ...]:
-    """The paths as SVG from above and from the side, both again close to the TCP; needs at least one tick."""
+    """Return the paths as SVG: from above, from the side, and both close to the TCP.
+
+    Args:
+        run: A run with at least one tick.
+        prefix: The start of every id.
+
+    """
     moment = shown_moment(run)
     return tuple(
         Markup(_view(run, moment, axis, close_up=close_up, prefix=prefix))
@@ -74,7 +80,7 @@ def path_views(run: JudgedRun, *, prefix: str) -> tuple[Markup, ...]:
 
 
 def _view(run: JudgedRun, moment: Moment | None, axis: int, *, close_up: bool, prefix: str) -> str:
-    """One view: base x to the right, base ``axis`` (1: y, 2: z) upwards, in millimetres."""
+    """Return one view: base x to the right, base ``axis`` (1: y, 2: z) upwards, in millimetres."""
     trace = run.trace
     picture = Picture(WIDTH_PX, HEIGHT_PX)
     left, right, below, above = MARGINS_PX
@@ -126,7 +132,7 @@ def _description(run: JudgedRun, moment: Moment | None, axis: int) -> str:
 
 
 def close_up_mm(trace: Trace) -> tuple[Floats, Floats]:
-    """The two corners (3,) [mm] of the box that holds all of the TCP's path and every decision."""
+    """Return two corners (3,) [mm] of the box that holds all of the TCP's path and every decision."""
     points = np.vstack(
         [
             trace.ticks["transform_tcp_to_base"][:, :3, 3],
@@ -141,26 +147,26 @@ def close_up_mm(trace: Trace) -> tuple[Floats, Floats]:
 
 
 def name_table(axes: Axes, cell: Cell) -> None:
-    """The height of the table's surface, written below it."""
+    """Write the height of the table's surface below its line."""
     height_mm = cell.table_height_m * MM
-    words = with_minus(f"table, z = {height_mm:.0f}")
-    axes.text(words, Share(1.0), height_mm, shift=(0.0, 14.0), anchor="end", ink=Ink.MUTED)
+    label = with_minus(f"table, z = {height_mm:.0f}")
+    axes.text(label, Share(1.0), height_mm, shift=(0.0, 14.0), anchor="end", ink=Ink.MUTED)
 
 
 def draw_close_up_frame(axes: Axes, trace: Trace, axis: int) -> None:
-    """What part of the whole view the close-up shows."""
+    """Draw the part of the whole view that the close-up shows."""
     x, y = rectangle(*close_up_mm(trace), axis)
     axes.line(x, y, Ink.MUTED, width=0.8)
 
 
 def rectangle(low: Array3, high: Array3, axis: int) -> Floats:
-    """The closed outline (2, 5) of the box between two corners (3,): base x, and base ``axis``."""
+    """Return the closed outline (2, 5) of the box between two corners (3,): base x, and base ``axis``."""
     across = np.array([low[0], high[0], high[0], low[0], low[0]])
     return np.stack([across, np.array([low[axis], low[axis], high[axis], high[axis], low[axis]])])
 
 
 def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
-    """Object, desired TCP and, from the side, the table's edge."""
+    """Draw the object, the desired TCP and, from the side, the table's edge."""
     cell, corners = settings.cell, object_polygon_in_base(settings) * MM
     if axis == 2:
         axes.hline(cell.table_height_m * MM, Ink.TEXT, width=1.6)
@@ -171,7 +177,7 @@ def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
 
 
 def draw_obstacles(axes: Axes, obstacles: Sequence[Obstacle], axis: int) -> None:
-    """The boxes of the cell."""
+    """Draw the boxes of the cell."""
     for box in obstacles:
         corners = box.corners_in_base_m * MM
         outline = (
@@ -182,7 +188,7 @@ def draw_obstacles(axes: Axes, obstacles: Sequence[Obstacle], axis: int) -> None
 
 
 def draw_arm(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
-    """The arm as straight lines between its link frames."""
+    """Draw the arm as straight lines between its link frames."""
     arm = arm_model(trace.scenario.robot)
     joints = np.ascontiguousarray(trace.ticks["joint_position_rad"][moment.tick])
     if not np.all(np.isfinite(joints)):
@@ -193,7 +199,7 @@ def draw_arm(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
 
 
 def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
-    """The outline of each forearm's capsule at the moment."""
+    """Draw the outline of each forearm's capsule at the moment."""
     size = trace.scenario.settings.hand
     tick = trace.ticks[moment.tick]
     for hand in np.flatnonzero(tick["hand_present"]):
@@ -207,7 +213,7 @@ def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
 
 
 def capsule_outline(start: Array3, end: Array3, radius: float) -> Floats:
-    """The outline (k, 2) of all points within ``radius`` of the segment; a disc when it has no length."""
+    """Return the outline (k, 2) of all points within ``radius`` of a segment; a disc for zero length."""
     along = end - start
     heading = float(np.arctan2(along[1], along[0]))
     turn = np.linspace(0.5 * np.pi, 1.5 * np.pi, 33) + heading
@@ -217,7 +223,7 @@ def capsule_outline(start: Array3, end: Array3, radius: float) -> Floats:
 
 
 def draw_hands(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None:
-    """The way of each hand's centre, and its sphere at the moment."""
+    """Draw the path of each hand's centre, and its sphere at the moment."""
     radius_mm = trace.scenario.settings.hand.radius_m * MM
     for hand, ink in enumerate(HANDS[: trace.scenario.hand_slots]):
         present = trace.ticks["hand_present"][:, hand]
@@ -234,7 +240,7 @@ def draw_hands(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> No
 
 
 def draw_tcp(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None:
-    """The way of the TCP, and where it is at the moment."""
+    """Draw the path of the TCP, and its place at the moment."""
     path = trace.ticks["transform_tcp_to_base"][:, :3, 3] * MM
     _draw_path(axes, path, axis, Ink.TCP, dashed=False)
     _draw_ends(axes, path, axis, Ink.TCP)
@@ -244,7 +250,7 @@ def draw_tcp(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None
 
 
 def _draw_path(axes: Axes, path_mm: Floats, axis: int, ink: Ink, *, dashed: bool) -> None:
-    """A path (n, 3), thinned so that the extremes of both coordinates survive."""
+    """Draw a path (n, 3), thinned so that the extremes of both coordinates survive."""
     order = np.arange(len(path_mm), dtype=np.float64)
     kept = np.union1d(*(keep_extremes(order, path_mm[:, k], COLUMNS)[0] for k in (0, axis)))
     points = path_mm[kept.astype(np.int64)]
@@ -252,22 +258,22 @@ def _draw_path(axes: Axes, path_mm: Floats, axis: int, ink: Ink, *, dashed: bool
 
 
 def _draw_ends(axes: Axes, path_mm: Floats, axis: int, ink: Ink) -> None:
-    """A ring where a path (n, 3) starts, a square where it ends."""
+    """Draw a ring at the start of a path (n, 3) and a square at its end."""
     for point, shape, fill in ((path_mm[0], "o", Ink.PAPER), (path_mm[-1], "s", ink)):
         axes.marks(point[[0]], point[[axis]], shape, 6.5, fill=fill, edge=ink, width=1.6)
 
 
 def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
-    """From where the TCP stood at each decision to the repulsive position that was chosen."""
+    """Draw a line from the TCP at each decision to the chosen repulsive position."""
     decisions = trace.decisions
-    asked = decisions["tcp_position_in_base_m"] * MM
+    starts = decisions["tcp_position_in_base_m"] * MM
     chosen = decisions["chosen_position_in_base_m"] * MM
-    ways = np.stack([asked, chosen, np.full_like(asked, np.nan)], axis=1).reshape(-1, 3)
-    axes.line(ways[:, 0], ways[:, axis], Ink.CHOSEN, width=1.0, dashes=(1, 2))
-    for points, shape, ink in ((chosen, "D", Ink.CHOSEN), (asked, "v", Ink.TEXT)):
+    lines = np.stack([starts, chosen, np.full_like(starts, np.nan)], axis=1).reshape(-1, 3)
+    axes.line(lines[:, 0], lines[:, axis], Ink.CHOSEN, width=1.0, dashes=(1, 2))
+    for points, shape, ink in ((chosen, "D", Ink.CHOSEN), (starts, "v", Ink.TEXT)):
         axes.marks(points[:, 0], points[:, axis], shape, 7, fill=ink, edge=Ink.PAPER)
     if len(decisions) > MOST_NUMBERS:
         return
-    for number, point in enumerate(asked, start=1):
+    for number, point in enumerate(starts, start=1):
         if np.all(np.isfinite(point)):
             axes.text(str(number), point[0], point[axis], shift=(5.0, -4.0))

@@ -1,4 +1,4 @@
-"""``assert_holds``: a claim that has to hold of a run, or the test fails with everything one has to know."""
+"""``assert_holds``: fail a test with a full explanation unless a claim holds in a run."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TRUTH = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", 
 
 
 class SafetyViolation(SafetyHarnessError, AssertionError):
-    """A claim did not come out as it has to; the text shows when, why and how to see it again."""
+    """The error of a claim with the wrong verdict; its text shows time, reason and a replay command."""
 
     __module__ = "safety_harness.testing"  # as one imports it, and as test summaries show it
 
@@ -52,7 +52,7 @@ class SafetyViolation(SafetyHarnessError, AssertionError):
 
     @property
     def scenario(self) -> Scenario:
-        """As the test asked for it, before ``--avoider``."""
+        """Return the scenario as the test requested it, before ``--avoider`` replaced its avoider."""
         return original(self.trace)
 
     def __str__(self) -> str:
@@ -62,18 +62,27 @@ class SafetyViolation(SafetyHarnessError, AssertionError):
 
 
 class NotEstablished(SafetyHarnessError, AssertionError):
-    """A test drew scenarios, and not one of them put what it asserts to the test."""
+    """The error of a test that drew scenarios, and in which no run tested its claims."""
 
 
 def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
-    """Fail the test unless ``claim`` holds of ``trace``; returns the evaluation.
+    """Fail the test unless ``claim`` holds in ``trace``.
 
-    ``claim`` is a formula, a property, or a sentence as in a scenario file.  SafetyViolation if it is
-    violated, or if the run is no evidence either way.  Only where Hypothesis draws the scenarios is one
-    run that decides nothing (the hand never came near) left to the others: a test in which no run
-    decides anything fails all the same.  SafetyViolation as well if the avoider gave no answer in the run,
-    unless the scenario claims that (``the avoider answered: violated``).  InputError for a sentence that
-    nobody knows.
+    Under Hypothesis, one sound run that decides nothing (the hand never came near) fails no test.
+    Such a test fails at its end if no run decides anything.
+
+    Args:
+        claim: a formula, a property, or a sentence as in a scenario file.
+        trace: the run to judge, as ``simulate(scenario)`` returns it.
+
+    Returns:
+        The evaluation of the claim: verdict, margin and reason.
+
+    Raises:
+        SafetyViolation: the run violates the claim, or is no evidence either way.  Also if the avoider gave
+            no answer in the run, unless the scenario claims that (``the avoider answered: violated``).
+        InputError: the harness does not know the sentence, or an argument has the wrong type.
+
     """
     __tracebackhide__ = True
     try:
@@ -89,17 +98,20 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
 
 
 def judged_of(prop: Property, trace: Trace) -> Evaluation:
-    """Its word on ``trace``: inconclusive where not all was measured, if it does not say what it reads."""
+    """Return the property's evaluation of ``trace``.
+
+    The verdict is inconclusive if measurements are missing and the property does not declare its columns.
+    """
     if trace.known.whole or columns_read_by(prop) is not None:
         return prop.evaluate(trace)
-    limited = tuple(name for name, one in trace.known.columns.items() if one.limited)
+    limited = tuple(name for name, column in trace.known.columns.items() if column.limited)
     why = f"the claim does not say what it reads, and not all was measured: {limited[0]}"
     why += f" and {len(limited) - 1} others" * (len(limited) > 1)
     return replace(inconclusive(prop, why), unmeasured=limited)
 
 
 def refuse_fallback(trace: Trace) -> None:
-    """SafetyViolation if the avoider did not answer in the run, and its scenario does not expect that."""
+    """Raise SafetyViolation if the avoider gave no answer, and the scenario does not expect that."""
     __tracebackhide__ = True
     evaluation = by_default(trace)
     if evaluation is not None:
@@ -109,9 +121,17 @@ def refuse_fallback(trace: Trace) -> None:
 def require(
     evaluation: Evaluation, expected: Verdict, trace: Trace, judge: Callable[[Trace], Evaluation]
 ) -> None:
-    """SafetyViolation if the test that is running has to fail for what ``judge`` said of the run.
+    """Raise SafetyViolation if the running test has to fail for ``evaluation``.
 
-    A run that was not simulated is not held against a reference, which cannot be run in its place.
+    A session with a reference (``--against``) judges the reference's run too.  A log has no such
+    comparison, because the reference cannot run in its place.
+
+    Args:
+        evaluation: the judgement of ``trace``.
+        expected: the verdict with which the test passes.
+        trace: the run.
+        judge: evaluates the same claim in the run of the reference.
+
     """
     __tracebackhide__ = True
     if trace.known.simulated:
@@ -124,7 +144,7 @@ def require(
 def violation_of(
     evaluation: Evaluation, trace: Trace, expected: Verdict, found: ClaimDifference | None
 ) -> SafetyViolation:
-    """With a note on what the reference does, if there is one."""
+    """Return the violation to raise, with a note on the reference's run if there is one."""
     violation = SafetyViolation(evaluation, trace, expected)
     if found is not None:
         violation.add_note(note_of(found))
@@ -132,7 +152,7 @@ def violation_of(
 
 
 def run_of(trace: Trace) -> Run:
-    """What is remembered of a run."""
+    """Return the record that a session keeps of a run: names, seed, world and soundness."""
     return Run(
         name=trace.scenario.name,
         tested=trace.system.words,
@@ -148,7 +168,7 @@ def _is_measured(trace: Trace) -> bool:
 
 
 def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | None) -> bool:
-    """Count a judgement in the test that is running; False if the test has to fail for it."""
+    """Count a judgement in the running test, and return False if the test has to fail for it."""
     test = session().test
     # A sound run may simply be no test of the claim; of one cut short or not finite that is not said.
     undecided = evaluation.verdict is Verdict.INCONCLUSIVE and run.sound
@@ -164,7 +184,7 @@ def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | N
 
 
 def aim(evaluation: Evaluation, expected: Verdict) -> None:
-    """Tell Hypothesis how near the run was to a failure, so that it looks for nearer ones."""
+    """Tell Hypothesis how near the run was to a failure, so that it searches for nearer ones."""
     margin = evaluation.margin
     if margin is None or not isfinite(margin) or expected is Verdict.INCONCLUSIVE:
         return
@@ -193,7 +213,7 @@ def _property(claim: Formula | Property | str, scenario: Scenario) -> Property:
 
 
 def _caller() -> Place:
-    """The nearest line below that is not of this file."""
+    """Return the nearest line of the call stack outside this file."""
     frame = inspect.currentframe()
     while frame is not None and frame.f_code.co_filename == __file__:
         frame = frame.f_back
@@ -205,27 +225,36 @@ def _caller() -> Place:
 def against_reference(
     trace: Trace, mine: Evaluation, judge: Callable[[Trace], Evaluation]
 ) -> ClaimDifference | None:
-    """The same claim in the same scenario with the reference, noted for the summary; None without one."""
+    """Judge the same claim in the reference's run of the scenario; None without a reference.
+
+    The running test keeps the difference for the summary.
+
+    Args:
+        trace: the run of the avoider under test.
+        mine: the evaluation of that run.
+        judge: evaluates the claim in the reference's run.
+
+    """
     if session().against is None:
         return None
-    other = simulate.with_reference(trace)
-    found = ClaimDifference(mine=mine, reference=judge(other))
+    reference = simulate.with_reference(trace)
+    difference = ClaimDifference(mine=mine, reference=judge(reference))
     test = session().test
     if test is not None and test.counts:
         new = RunDifference(
             run=trace.scenario.name,
             claims=(),
             mine=Overruling.of([trace]),
-            reference=Overruling.of([other]),
+            reference=Overruling.of([reference]),
         )
         run = test.differences.setdefault(digest_of(trace.scenario), new)
-        claims = (*run.claims, found)
+        claims = (*run.claims, difference)
         test.differences[digest_of(trace.scenario)] = replace(run, claims=claims)
-    return found
+    return difference
 
 
 def is_shared(found: ClaimDifference | None) -> bool:
-    """Does the reference do no better?  Then the running test does not fail for it, and is skipped."""
+    """Return whether the reference does no better; the running test then ends as skipped, not as failed."""
     test = session().test
     if found is None or test is None or found.change in _WORSE:
         return False
@@ -234,7 +263,7 @@ def is_shared(found: ClaimDifference | None) -> bool:
 
 
 def note_of(found: ClaimDifference) -> str:
-    """For a failure: what the reference does in the same scenario."""
+    """Return the line of a failure that compares it with the reference's run of the scenario."""
     return f"{found.change.value}: {found.words(_name())}"
 
 

@@ -1,4 +1,4 @@
-"""``scenarios``: what a file, a folder or a space holds, as a Hypothesis strategy."""
+"""``scenarios``: the scenarios of a file, a folder or a space as a Hypothesis strategy."""
 
 from __future__ import annotations
 
@@ -24,25 +24,32 @@ _MARK = "_safety_harness_scenarios"
 
 
 def scenarios(source: str | Path | ScenarioSpace) -> st.SearchStrategy[Scenario]:
-    """Scenarios to put a test through.
+    """Return a Hypothesis strategy for the scenarios of ``source``.
 
-    ``source`` is a scenario space (a file, or an object): draws of it that can be tried; or a scenario
-    file, a matrix, a suite or a folder: one of its scenarios.  A relative path is sought from the folder
-    of the file that asks for it, then from pytest's root; ``shipped:NAME`` is one of ours.  All of it is
-    read and checked here: InputError says where the mistake stands, and a note which line asked.
+    This call reads and checks the whole source.
+
+    Args:
+        source: a scenario space (a file or an object), whose admissible draws the strategy returns.  A
+            scenario file, a matrix, a suite or a folder yields one of its scenarios.  The harness seeks a
+            relative path from the folder of the calling file, then from pytest's root.
+            ``shipped:NAME`` names a scenario of the package.
+
+    Raises:
+        InputError: the source is not valid.  The error states the place, and a note names the calling line.
+
     """
     frame = inspect.currentframe()
-    asked = frame.f_back if frame is not None else None
+    caller = frame.f_back if frame is not None else None
     try:
         if isinstance(source, ScenarioSpace):
             return drawn(source)
         expected = "a path or a scenario space"
         refuse_other_type("scenarios(source)", source, str, Path, expected=expected)
         path = as_path(source, "scenarios(source)", of_text="parse_space")
-        return _of_files(sought_from(path, asked))
+        return _of_files(sought_from(path, caller))
     except InputError as error:
-        if asked is not None:
-            error.add_note(f"asked for at {asked.f_code.co_filename}:{asked.f_lineno}")
+        if caller is not None:
+            error.add_note(f"asked for at {caller.f_code.co_filename}:{caller.f_lineno}")
         raise
 
 
@@ -61,32 +68,34 @@ def _of_files(path: Path) -> st.SearchStrategy[Scenario]:
 
 
 def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
-    """Draws of a space that admission lets through, each with a name of its own.
+    """Return a strategy for the admissible draws of a space, each with its own name.
 
-    InputError for a space of which next to nothing can be tried.
+    Raises:
+        InputError: admission refuses nearly every draw of the space.
+
     """
     looker.look(as_asked(first_of(space)))
     return _marked(_admissible(space), one_system(space))
 
 
 def first_of(space: ScenarioSpace) -> Scenario:
-    """A draw that can be tried, as far as its avoider goes not into it; InputError if next to none can be."""
+    """Return an admissible draw (a check without the avoider); InputError if admission refuses nearly all."""
     return draw_admissible(space, seed=0, count=1).scenarios[0]
 
 
 def gives_scenarios(strategy: object) -> bool:
-    """Is it a strategy from here?"""
+    """Return whether this module made the strategy."""
     return hasattr(strategy, _MARK)
 
 
 def one_system(space: ScenarioSpace) -> Scenario | None:
-    """A scenario with the avoider or the controller of all draws; None for a space that varies it."""
-    tested = [one for key, one in space.template.entries if key.text in ("avoider", "controller")]
-    return space.simplest if all(isinstance(one, Scalar) for one in tested) else None
+    """Return a scenario with the avoider or controller of all draws; None for a space that varies it."""
+    tested = [value for key, value in space.template.entries if key.text in ("avoider", "controller")]
+    return space.simplest if all(isinstance(value, Scalar) for value in tested) else None
 
 
 def one_system_of(strategy: object) -> Scenario | None:
-    """That of a strategy from here; None as well where its scenarios come from several files."""
+    """Return the scenario of ``one_system`` for a strategy; None if its scenarios come from several files."""
     return getattr(strategy, _MARK, None)
 
 
