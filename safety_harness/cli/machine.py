@@ -1,4 +1,4 @@
-"""Commands about this machine: compile ahead, and say what is wrong with the installation."""
+"""Commands about this machine: compile ahead, and check the installation."""
 
 from __future__ import annotations
 

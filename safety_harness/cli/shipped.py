@@ -1,4 +1,4 @@
-"""``safety-harness list``, ``copy`` and ``docs``: what comes with the package, and how to get at it."""
+"""``safety-harness list``, ``copy`` and ``docs``: the files and documents of the package."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def copy(
 
 
 def _with_references(source: Path) -> dict[Path, Path]:
-    """Relative places of the files of ``source``, and of all that they refer to, with the files."""
+    """Return the files of ``source`` and all files that they refer to, by their relative places."""
     import os
 
     waiting = sorted(source.rglob("*")) if source.is_dir() else [source]
@@ -95,7 +95,7 @@ def _with_references(source: Path) -> dict[Path, Path]:
 
 
 def _references(path: Path) -> Iterator[Path]:
-    """The files that a text in a YAML file names."""
+    """Yield the files that the texts of a YAML file name."""
     from safety_harness.scenario.nodes import parse_tree, references_in
     from safety_harness.scenario.references import file_and_name
 
@@ -133,7 +133,7 @@ def docs(
 
 
 def _open(uri: str) -> None:
-    """In a browser, if there is one."""
+    """Open a page in a browser, if there is a browser."""
     import webbrowser
 
     try:
