@@ -28,13 +28,13 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
         return BAD_INPUT
 
 
-def conclude(found: AttributionResult, out: Path | None) -> int:
+def conclude(attributed: AttributionResult, out: Path | None) -> int:
     """Print the groups of an attribution and write the files; return the exit code."""
-    result(*found.tally.lines())
-    document(**found.data())
+    result(*attributed.tally.lines())
+    document(**attributed.data())
     if out is not None:
-        found.write(out)
+        attributed.write(out)
         say(f"picture: {out / PICTURE} (for programs: {DATA})")
-    if found.interrupted:
+    if attributed.interrupted:
         say("interrupted: what was attributed until then is above")
-    return found.exit_code
+    return attributed.exit_code

@@ -71,7 +71,7 @@ def _machine() -> Iterator[Examined]:
     """Yield the checks of the machine, of Python, and of the folder for machine code."""
     yield Examined("machine", State.OK, f"{platform.platform()}, {os.cpu_count()} processors")
     python, wanted = platform.python_version(), metadata.metadata(DISTRIBUTION)["Requires-Python"] or ""
-    good = within(python, wanted)
+    good = fits(python, wanted)
     text = python if good else f"{python}, which this package is not made for: {wanted}"
     yield Examined("Python", State.OK if good else State.PROBLEM, text)
     problem = cache_problem(cache_root())
@@ -99,7 +99,7 @@ def _required() -> Iterator[Examined]:
 
 
 def _installed(name: str, version: str, wanted: str, modules: list[str]) -> Examined:
-    if not within(version, wanted):
+    if not fits(version, wanted):
         return Examined(name, State.PROBLEM, f"{version}, which is not {wanted}")
     module = name if name in modules else next((item for item in modules if not item.startswith("_")), None)
     module = "safety_harness.cell.simulation.engine" if name == "pybullet" else module  # which is quiet
@@ -168,13 +168,13 @@ def required() -> dict[str, str]:
         assert match is not None, text  # our own
         name, wanted, marker = match[1], match[2].strip(), match[3] or ""
         python = re.search(r"python_version\s*([<>=!]+)\s*['\"]([\d.]+)['\"]", marker)
-        if "extra" in marker or (python and not within(platform.python_version(), python[1] + python[2])):
+        if "extra" in marker or (python and not fits(platform.python_version(), python[1] + python[2])):
             continue
         ranges[name] = wanted
     return ranges
 
 
-def within(version: str, wanted: str) -> bool:
+def fits(version: str, wanted: str) -> bool:
     """Return whether a version lies in a range such as ``>=2.0,<3``, with numbers only.
 
     A shorter limit covers all versions that begin with it: 2.4.6 is ``==2.4`` and not ``>2.4``.

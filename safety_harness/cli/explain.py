@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 WIDTH = 110
 
 
-def explain_key(words: Sequence[str]) -> int:
+def explain_key(typed: Sequence[str]) -> int:
     """Print the meaning of a key in every mapping that has it, or list all keys; return the exit code.
 
     Args:
-        words: the words of the key; empty lists all keys.
+        typed: the words of the key; empty lists all keys.
 
     Raises:
         ScenarioError: no mapping has the key.
@@ -34,7 +34,7 @@ def explain_key(words: Sequence[str]) -> int:
     """
     added = (kind.tables() for kind in input_files().values() if kind.tables is not None)
     tables = (*every_table(), *(table for tables in added for table in tables))
-    query = " ".join(" ".join(words).replace(":", " ").split())
+    query = " ".join(" ".join(typed).replace(":", " ").split())
     if not query:
         result(*(f"{table.where}: {', '.join(table.names)}" for table in tables))
         document(tables=[{"where": table.where, "keys": table.names} for table in tables])
@@ -46,11 +46,11 @@ def explain_key(words: Sequence[str]) -> int:
     return _explain("explain", query, expected, known, [_key_lines(*pair) for pair in matches])
 
 
-def explain_claims(words: Sequence[str]) -> int:
+def explain_claims(typed: Sequence[str]) -> int:
     """Print every sentence of the catalogue, or details of the matching sentences; return the exit code.
 
     Args:
-        words: some words of a sentence, or a whole sentence with the user's own limit.  Empty lists all.
+        typed: some words of a sentence, or a whole sentence with the user's own limit.  Empty lists all.
 
     Raises:
         ScenarioError: no sentence matches.
@@ -59,7 +59,7 @@ def explain_claims(words: Sequence[str]) -> int:
     from safety_harness.claims.formulas.signals import SIGNALS
     from safety_harness.claims.properties.catalogue import CATALOGUE  # slow to import
 
-    query = " ".join(" ".join(words).split())
+    query = " ".join(" ".join(typed).split())
     examples = [entry.example for entry in CATALOGUE]
     if not query:
         result(*examples)
@@ -76,13 +76,13 @@ def explain_claims(words: Sequence[str]) -> int:
 
 
 def _explain(
-    field: str, asked: str, expected: str, known: Iterable[str], found: Sequence[Iterator[str]]
+    field: str, query: str, expected: str, known: Iterable[str], matches: Sequence[Iterator[str]]
 ) -> int:
     """Print the lines of each match, separated by an empty line; ScenarioError with near names if empty."""
-    if not found:
-        hint = near_miss(asked, known, most=3)
-        raise ScenarioError(place=Place(field=field), expected=expected, got=asked, hint=hint)
-    for number, lines in enumerate(found):
+    if not matches:
+        hint = near_miss(query, known, most=3)
+        raise ScenarioError(place=Place(field=field), expected=expected, got=query, hint=hint)
+    for number, lines in enumerate(matches):
         result(*([""] if number else []), *lines)
     return AS_EXPECTED
 

@@ -69,7 +69,7 @@ def new(
     Exit code 0; 2: no such template, such a file already, or it cannot be written; 130: interrupted.
     """
     if listed:
-        document(templates=[{"name": name, "about": one.about} for name, one in TEMPLATES.items()])
+        document(templates=[{"name": name, "about": entry.about} for name, entry in TEMPLATES.items()])
         result(*_listed())
         return AS_EXPECTED
     added = None if template in TEMPLATES else input_files().get(template or "")
@@ -78,7 +78,7 @@ def new(
     if plan is not None:
         raise InputError.of_option("new", "one file, but for a plan", str(plan))
     if template is None:
-        template, file = _asked()
+        template, file = _ask_at_terminal()
     chosen = _template(template)
     scenario = _scenario_file(template, file)
     written = _texts(template, chosen, scenario)
@@ -93,7 +93,7 @@ def _listed() -> list[str]:
     return [f"{name:<11} {template.about}" for name, template in TEMPLATES.items()]
 
 
-def _asked() -> tuple[str, Path]:
+def _ask_at_terminal() -> tuple[str, Path]:
     """Ask at the terminal for the template and the file; without a terminal raise an error with a list."""
     if not sys.stdin.isatty():
         raise _unknown("none, and no terminal to ask at")

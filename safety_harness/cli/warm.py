@@ -54,7 +54,7 @@ def warm_up() -> int:
         list(run_many([admitted], world=KINEMATIC))
     for _, make in loaded(ExtensionPoint.WARMING, FunctionType):
         make()
-    return _told()
+    return _report_cache()
 
 
 def _installed_worlds() -> Iterator[WorldEntry]:
@@ -78,7 +78,7 @@ def forget_old() -> int:
     return AS_EXPECTED
 
 
-def _told() -> int:
+def _report_cache() -> int:
     came, kept = compilation(), machine_code_bytes()
     document(
         folder=cache_root(),

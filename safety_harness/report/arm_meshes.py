@@ -91,11 +91,11 @@ def _stl(file: Path) -> Triangles:
 def _obj(file: Path) -> Triangles:
     points, faces = [], []
     for line in file.read_text(encoding="utf-8").splitlines():
-        kind, *words = line.split() or [""]
+        kind, *fields = line.split() or [""]
         if kind == "v":
-            points.append([float(word) for word in words[:3]])
+            points.append([float(text) for text in fields[:3]])
         elif kind == "f":
-            corners = [int(word.split("/")[0]) for word in words]
+            corners = [int(text.split("/")[0]) for text in fields]
             faces += [(corners[0], *pair) for pair in pairwise(corners[1:])]
     index = np.array(faces, np.int64).reshape(-1, 3)
     return np.array(points).reshape(-1, 3)[np.where(index > 0, index - 1, index)]

@@ -103,12 +103,12 @@ class AttributionResult:
         """Return the command's exit code."""
         if self.interrupted:
             return INTERRUPTED
-        missing = any(one.answer is AttributionAnswer.NOT_ATTRIBUTED for one in self.attributions)
+        missing = any(entry.answer is AttributionAnswer.NOT_ATTRIBUTED for entry in self.attributions)
         return DIFFERS if missing or self.failed else AS_EXPECTED
 
     def __repr__(self) -> str:
-        words = self.tally.words if self.attributions else "nothing to attribute"
-        return f"<violations in {KINEMATIC}, {words}>"
+        summary = self.tally.words if self.attributions else "nothing to attribute"
+        return f"<violations in {KINEMATIC}, {summary}>"
 
     def data(self) -> dict[str, object]:
         """Return the content of attribution.json."""

@@ -125,7 +125,7 @@ class Axis:
         if ticks is None:
             rounded = round_values(min(self.view()), max(self.view()), self.steps)
             ticks = [(value, with_minus(f"{value:g}")) for value in rounded]
-        return [(self.at(value), words) for value, words in ticks if self.has(self.at(value))]
+        return [(self.at(value), label) for value, label in ticks if self.has(self.at(value))]
 
 
 def round_values(low: float, high: float, steps: int) -> list[float]:
@@ -164,8 +164,8 @@ class Axes:
         name: str | None = None,  # in the key
     ) -> None:
         """Draw a curve."""
-        across, up = self.x.see(x), self.y.see(y)
-        self._stroke(lambda: (self.x.place(across), self.y.place(up)), ink, width, dashes, opacity, name)
+        across, heights = self.x.see(x), self.y.see(y)
+        self._stroke(lambda: (self.x.place(across), self.y.place(heights)), ink, width, dashes, opacity, name)
 
     def hline(self, y: float, ink: Ink, *, width: float = 0.8, dashes: Sequence[float] = ()) -> None:
         """Draw a line across the whole width."""
@@ -207,11 +207,11 @@ class Axes:
         width: float = 1.8,
     ) -> None:
         """Fill the area within an outline."""
-        across, up = self.x.see(x), self.y.see(y)
+        across, heights = self.x.see(x), self.y.see(y)
         style = _style(fill, edge, width, opacity)
 
         def draw(root: Element, clip: str) -> None:
-            drawn = _strokes(self.x.place(across), self.y.place(up), closed=True)
+            drawn = _strokes(self.x.place(across), self.y.place(heights), closed=True)
             _path(root, drawn, style | {"clip-path": clip})
 
         self._items.append(draw)
@@ -256,11 +256,11 @@ class Axes:
         name: str | None = None,  # in the key
     ) -> None:
         """Draw a mark at each place."""
-        across, up = self.x.see(x), self.y.see(y)
+        across, heights = self.x.see(x), self.y.see(y)
         style = _style(fill, edge, width, opacity)
 
         def draw(root: Element, _: str) -> None:
-            places = zip(self.x.place(across).tolist(), self.y.place(up).tolist(), strict=True)
+            places = zip(self.x.place(across).tolist(), self.y.place(heights).tolist(), strict=True)
             shown = [place for place in places if self.x.has(place[0]) and self.y.has(place[1])]
             _path(root, "".join(_mark(shape, size, *place) for place in shown), style)
 
@@ -276,7 +276,7 @@ class Axes:
 
     def text(
         self,
-        words: str,
+        label: str,
         x: float,
         y: float,
         *,
@@ -291,18 +291,18 @@ class Axes:
             place = self.x.at(x), self.y.at(y)
             if self.x.has(place[0]) and self.y.has(place[1]):
                 at = place[0] + shift[0], place[1] + shift[1]
-                _text(root, words, *at, anchor=anchor, ink=ink, size=size)
+                _text(root, label, *at, anchor=anchor, ink=ink, size=size)
 
         self._items.append(draw)
 
     def title(
-        self, words: str, *, anchor: str = "start", up: float = 8.0, bold: bool = True, ink: Ink = Ink.TEXT
+        self, label: str, *, anchor: str = "start", lift: float = 8.0, bold: bool = True, ink: Ink = Ink.TEXT
     ) -> None:
-        """Write words above the axes, aligned with their start or their end."""
+        """Write words ``lift`` pixels above the axes, aligned with their start or their end."""
 
         def draw(root: Element, _: str) -> None:
-            x, y = self.x.ends_px()[int(anchor == "end")], self.y.ends_px()[1] - up
-            _text(root, words, x, y, anchor=anchor, ink=ink, bold=bold)
+            x, y = self.x.ends_px()[int(anchor == "end")], self.y.ends_px()[1] - lift
+            _text(root, label, x, y, anchor=anchor, ink=ink, bold=bold)
 
         self._above.append(draw)
 
@@ -347,21 +347,21 @@ class Axes:
                 line += "".join(self._along(axis, at, 3.0, -3.0) for at, _ in axis.labels())
                 line += "".join(self._along(axis, axis.at(value), 2.0, -2.0) for value in axis.minor)
                 _path(root, line, _style(None, Ink.MUTED))
-        for at, words in self.x.labels() if self.x.labelled else ():
-            _text(root, words, at, bottom + 15.0, anchor="middle", ink=Ink.MUTED)
-        for at, words in self.y.labels() if self.y.labelled else ():
-            _text(root, words, left - 7.0, at + 4.0, anchor="end", ink=Ink.MUTED)
+        for at, label in self.x.labels() if self.x.labelled else ():
+            _text(root, label, at, bottom + 15.0, anchor="middle", ink=Ink.MUTED)
+        for at, label in self.y.labels() if self.y.labelled else ():
+            _text(root, label, left - 7.0, at + 4.0, anchor="end", ink=Ink.MUTED)
         _text(root, self.x.label, right, bottom + 32.0, anchor="end", ink=Ink.MUTED)
         middle = 0.5 * (bottom + top)
         _text(root, self.y.label, left - 58.0, middle, anchor="middle", ink=Ink.MUTED, turned=True)
         for item in (*self._items, *self._above):
             item(root, f"url(#{clip})")
 
-    def _along(self, axis: Axis, at_px: float, down: float, right: float) -> str:
+    def _along(self, axis: Axis, at_px: float, down_px: float, right_px: float) -> str:
         """Return a short line from the edge of the axes at a tick of ``axis``."""
         if axis is self.x:
-            return f"M{_short(at_px)} {_short(self.y.start_px)}v{_short(down)}"
-        return f"M{_short(self.x.start_px)} {_short(at_px)}h{_short(right)}"
+            return f"M{_short(at_px)} {_short(self.y.start_px)}v{_short(down_px)}"
+        return f"M{_short(self.x.start_px)} {_short(at_px)}h{_short(right_px)}"
 
 
 class Picture:
@@ -394,7 +394,7 @@ class Picture:
         return tostring(root, encoding="unicode")
 
 
-def text_px(words: str) -> float:
+def text_px(text: str) -> float:
     """Return the approximate width [px] of words at ``FONT_PX``, rather too wide than too narrow."""
     return FONT_PX * sum(
         1.0
@@ -404,7 +404,7 @@ def text_px(words: str) -> float:
         else 0.35
         if letter in "ijlt.,:;'|! "
         else 0.62
-        for letter in words
+        for letter in text
     )
 
 
@@ -421,8 +421,8 @@ def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
     places = np.round(np.column_stack([x, y]), 1)
     places = np.where(np.isfinite(places), np.clip(places, -_FAR_PX, _FAR_PX) + 0.0, np.nan)
     places = np.delete(places, 1 + np.flatnonzero((np.diff(places, axis=0) == 0.0).all(axis=1)), axis=0)
-    across, up = np.diff(places, axis=0).T
-    along = (up[1:] == 0.0) & (up[:-1] == 0.0) & (across[1:] * across[:-1] > 0.0)
+    across, rise = np.diff(places, axis=0).T
+    along = (rise[1:] == 0.0) & (rise[:-1] == 0.0) & (across[1:] * across[:-1] > 0.0)
     places = np.delete(places, 1 + np.flatnonzero(along), axis=0)
     good = np.isfinite(places.sum(axis=1))
     drawn = []
@@ -495,7 +495,7 @@ def _path(root: Element, drawn: str, style: dict[str, str]) -> None:
 
 def _text(
     root: Element,
-    words: str,
+    label: str,
     x: float,
     y: float,
     *,
@@ -505,10 +505,10 @@ def _text(
     bold: bool = False,
     turned: bool = False,
 ) -> None:
-    if not words:
+    if not label:
         return
     attributes = {"x": _short(x), "y": _short(y), "fill": f"var({ink.variable})", "text-anchor": anchor}
     attributes |= {"font-size": f"{size:g}"} if size != FONT_PX else {}
     attributes |= {"font-weight": "bold"} if bold else {}
     attributes |= {"transform": f"rotate(-90 {_short(x)} {_short(y)})"} if turned else {}
-    SubElement(root, "text", attributes).text = words
+    SubElement(root, "text", attributes).text = label

@@ -28,7 +28,7 @@ def write_for_ci(folder: Path, runs: Sequence[JudgedRun]) -> None:
     write_whole(folder / SARIF, json.dumps(sarif(runs), indent=1) + "\n")
 
 
-def _told(runs: Sequence[JudgedRun]) -> Iterator[tuple[JudgedRun, Claim, Evaluation, bool]]:
+def _reported(runs: Sequence[JudgedRun]) -> Iterator[tuple[JudgedRun, Claim, Evaluation, bool]]:
     """Yield the unexpected verdicts, then the expected violations, each with whether it is as expected."""
     for wanted in (False, True):
         for run in runs:
@@ -39,11 +39,11 @@ def _told(runs: Sequence[JudgedRun]) -> Iterator[tuple[JudgedRun, Claim, Evaluat
 
 def markdown(runs: Sequence[JudgedRun]) -> str:
     """Return the summary of a job: the answer, and a table of unexpected verdicts and violations."""
-    told_of = list(_told(runs))
+    rows = list(_reported(runs))
     lines = [f"### {answer(runs)}", ""]
-    if told_of:
+    if rows:
         lines += ["| scenario | claim | verdict | expected | margin | at |", "|---|---|---|---|---|---|"]
-    for run, claim, evaluation, expected in told_of[:MOST_LINES]:
+    for run, claim, evaluation, expected in rows[:MOST_LINES]:
         verdict = evaluation.verdict.value if expected else f"**{evaluation.verdict.value}**"
         at = "" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
         cells = (
@@ -55,16 +55,16 @@ def markdown(runs: Sequence[JudgedRun]) -> str:
             at,
         )
         lines.append(f"| {' | '.join(map(_cell, cells))} |")
-    if len(told_of) > MOST_LINES:
-        lines += ["", f"{len(told_of) - MOST_LINES} more are in report.html."]
+    if len(rows) > MOST_LINES:
+        lines += ["", f"{len(rows) - MOST_LINES} more are in report.html."]
     lines += ["", basis_of(runs)]
     return "\n".join(lines) + "\n"
 
 
 def _cell(text: str) -> str:
     """Return text that stays in its table cell and has no markup of its own."""
-    words = text.replace("&", "&amp;").replace("<", "&lt;")
-    return " ".join(re.sub(r"[\\|`\[\]*!]", r"\\\g<0>", words).split())
+    plain = text.replace("&", "&amp;").replace("<", "&lt;")
+    return " ".join(re.sub(r"[\\|`\[\]*!]", r"\\\g<0>", plain).split())
 
 
 def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
@@ -72,14 +72,14 @@ def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
 
     An unexpected verdict is an error, an expected violation a note.
     """
-    told_of = list(_told(runs))
-    rules = dict.fromkeys(claim.sentence for _, claim, _, _ in told_of)
+    rows = list(_reported(runs))
+    rules = dict.fromkeys(claim.sentence for _, claim, _, _ in rows)
     tool = {
         "name": "safety-harness",
         "version": installed_version(),
         "rules": [{"id": sentence, "shortDescription": {"text": sentence}} for sentence in rules],
     }
-    results = [_result(run, claim, evaluation, expected) for run, claim, evaluation, expected in told_of]
+    results = [_result(run, claim, evaluation, expected) for run, claim, evaluation, expected in rows]
     run = {"tool": {"driver": tool}, "columnKind": "unicodeCodePoints", "results": results}
     run["properties"] = {"basis": basis_of(runs)}
     return {
@@ -89,11 +89,11 @@ def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
     }
 
 
-def _result(run: JudgedRun, claim: Claim, found: Evaluation, expected: bool) -> dict[str, Any]:
-    at = "" if found.worst_time_s is None else f" at {found.worst_time_s:.3f} s"
+def _result(run: JudgedRun, claim: Claim, evaluation: Evaluation, expected: bool) -> dict[str, Any]:
+    at = "" if evaluation.worst_time_s is None else f" at {evaluation.worst_time_s:.3f} s"
     text = (
-        f"{run.trace.scenario.name}: {claim.sentence}: {found.verdict.value}, "
-        f"expected {claim.expectation}; margin {margin_words(found)}{at}; {found.reason}"
+        f"{run.trace.scenario.name}: {claim.sentence}: {evaluation.verdict.value}, "
+        f"expected {claim.expectation}; margin {margin_words(evaluation)}{at}; {evaluation.reason}"
     )
     result: dict[str, Any] = {
         "ruleId": claim.sentence,

@@ -109,8 +109,8 @@ def _draw_empty(root: Element, coverage: Coverage) -> None:
 
 def _draw_cell(parent: Element, cell: CoverageCell, count: int, violated: int) -> None:
     group = SubElement(parent, "g")
-    words = f"{cell}: {_runs(count)}" + (f", {violated:,} with a violation" if violated else "")
-    SubElement(group, "title").text = words
+    label = f"{cell}: {_runs(count)}" + (f", {violated:,} with a violation" if violated else "")
+    SubElement(group, "title").text = label
     _draw_square(group, SIZES_PX[size_class(count)], _place(cell), violated=bool(violated))
 
 
@@ -129,8 +129,8 @@ def _draw_square(parent: Element, size_px: int, where: tuple[int, int], *, viola
 
 def _name_axes(root: Element) -> None:
     """Write the names of the axes before the first column and above the first row."""
-    for y, words in ((14, "Least distance"), (34, "In the training data"), (TOP_PX - 60, "Gravest decision")):
-        _label(root, LEFT_PX - 8, y, words, text_anchor="end")
+    for y, label in ((14, "Least distance"), (34, "In the training data"), (TOP_PX - 60, "Gravest decision")):
+        _label(root, LEFT_PX - 8, y, label, text_anchor="end")
     _label(root, 0, TOP_PX - 8, "Hand comes from")
     _label(root, LEFT_PX - 8, TOP_PX - 8, "Its speed", text_anchor="end")
 
@@ -155,8 +155,8 @@ def _name_columns(root: Element, coverage: Coverage) -> None:
         right = X_PX[distance, SEEN[-1], OUTCOMES[-1]] + CELL_PX
         _text(root, right, 14, _runs(runs), text_anchor="end", ink=Ink.MUTED)
         for seen in SEEN:
-            for line, word in enumerate(seen.split()):
-                _label(root, X_PX[distance, seen, OUTCOMES[0]], 34 + 12 * line, word)
+            for line, part in enumerate(seen.split()):
+                _label(root, X_PX[distance, seen, OUTCOMES[0]], 34 + 12 * line, part)
             for outcome in OUTCOMES:
                 _upright(root, X_PX[distance, seen, outcome], TOP_PX - 8, outcome)
     totals: Counter[tuple[str, str, str]] = Counter()
@@ -170,30 +170,30 @@ def _name_columns(root: Element, coverage: Coverage) -> None:
 def _draw_key(root: Element, top: int) -> None:
     _text(root, 0, top + 10, "Runs in a cell:", ink=Ink.MUTED)
     left = LEFT_PX
-    for size_px, words in zip(SIZES_PX, CLASSES, strict=True):
+    for size_px, label in zip(SIZES_PX, CLASSES, strict=True):
         _draw_square(root, size_px, (left, top), violated=False)
-        _text(root, left + 17, top + 10, words)
-        left += 36 + 7 * len(words)
+        _text(root, left + 17, top + 10, label)
+        left += 36 + 7 * len(label)
     _draw_square(root, 7, (left + 10, top), violated=True)
     _text(root, left + 27, top + 10, "violations among them")
 
 
 def _text(
-    parent: Element, x: float, y: float, words: str, ink: Ink = Ink.TEXT, size: float = 11, **others: str
+    parent: Element, x: float, y: float, label: str, ink: Ink = Ink.TEXT, size: float = 11, **others: str
 ) -> None:
     """Write words; ``others`` are attributes by their names, with ``_`` in place of a hyphen."""
     attributes = {"x": f"{x:g}", "y": f"{y:g}", "fill": _colour(ink), "font-size": f"{size:g}"}
     attributes |= {name.replace("_", "-"): value for name, value in others.items()}
-    SubElement(parent, "text", attributes).text = words
+    SubElement(parent, "text", attributes).text = label
 
 
-def _label(parent: Element, x: float, y: float, words: str, **others: str) -> None:
-    _text(parent, x, y, words, Ink.MUTED, 10, **others)
+def _label(parent: Element, x: float, y: float, label: str, **others: str) -> None:
+    _text(parent, x, y, label, Ink.MUTED, 10, **others)
 
 
-def _upright(parent: Element, left: float, y: float, words: str, **others: str) -> None:
+def _upright(parent: Element, left: float, y: float, label: str, **others: str) -> None:
     """Write words in a column, to read from below."""
-    _label(parent, left + 10, y, words, transform=f"rotate(-90 {left + 10:g} {y:g})", **others)
+    _label(parent, left + 10, y, label, transform=f"rotate(-90 {left + 10:g} {y:g})", **others)
 
 
 def _runs(count: int) -> str:
@@ -208,7 +208,7 @@ def _description(coverage: Coverage, violations: Mapping[CoverageCell, int]) -> 
     """Return the totals by axis, for readers who cannot see the picture."""
     parts = [str(coverage).split("\n")[0]]
     for axis in AXES:
-        parts.append(f"{axis}: " + ", ".join(f"{word} {runs}" for word, runs in coverage.along(axis).items()))
+        parts.append(f"{axis}: " + ", ".join(f"{name} {runs}" for name, runs in coverage.along(axis).items()))
     if violations:
         parts.append(f"{len(violations)} cells have violations")
     return ". ".join(parts) + "."

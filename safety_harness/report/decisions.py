@@ -100,8 +100,8 @@ class DecisionTally:
     def departures(self) -> list[str]:
         """Return brief texts on the outcomes that differ from the avoider's proposals."""
         of_all = f"of {count_words(self.made, 'decision', 'decisions')}"
-        ways = (("fell back to the opposite pose", self.opposite), ("stopped the arm", self.stops))
-        return [f"{count} {of_all} {event}" for event, count in ways if count]
+        events = (("fell back to the opposite pose", self.opposite), ("stopped the arm", self.stops))
+        return [f"{count} {of_all} {event}" for event, count in events if count]
 
 
 def are_counted(trace: Trace) -> bool:
@@ -221,8 +221,8 @@ class ComputingTime:
     def of(cls, trace: Trace) -> ComputingTime:
         """Return the computing time in the record of ``trace``."""
         cost = trace.scenario.settings.avoidance.decision_time
-        words = NOT_MODELLED if trace.scenario.driven else cost_words(cost, most_cost_s(trace))
-        return cls(trace.system.tested.name, words, AnswersTook.of(trace))
+        cost_text = NOT_MODELLED if trace.scenario.driven else cost_words(cost, most_cost_s(trace))
+        return cls(trace.system.tested.name, cost_text, AnswersTook.of(trace))
 
 
 def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
@@ -266,8 +266,8 @@ def lines_of(runs: Iterable[ComputingTime]) -> list[str]:
         groups[key] = groups.get(key, AnswersTook()) + run.times
     return [
         f"{tested}: {line}"
-        for (tested, words), times in groups.items()
-        for line in (words, times.words)
+        for (tested, cost_text), times in groups.items()
+        for line in (cost_text, times.words)
         if line
     ]
 

@@ -70,6 +70,6 @@ def write_judged(
     runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]
 ) -> None:
     """Write the report of runs that the harness judged without simulating; OutputError if it cannot."""
-    words = ["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))]
-    command, title = shlex.join(words), "Judged without simulating"
+    arguments = ["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))]
+    command, title = shlex.join(arguments), "Judged without simulating"
     write_files(out, runs, title=title, command=command, interrupted=False, refused=refused)

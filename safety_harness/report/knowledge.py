@@ -39,7 +39,7 @@ def measured_rows(trace: Trace) -> list[MeasuredRow]:
     groups: dict[tuple[bool, str, str, str], list[str]] = {}
     for name in COLUMNS_OF_A_TRACE:
         fact = trace.known.of(name)
-        key = (fact.source is Source.NONE, fact.source.value, _within(name, fact), _gaps(trace, fact.gaps))
+        key = (fact.source is Source.NONE, fact.source.value, _accuracy(name, fact), _gaps(trace, fact.gaps))
         groups.setdefault(key, []).append(name)
     rest = (Source.SIMULATED.value, "", "")
     return [
@@ -79,8 +79,8 @@ def unmeasured_words(evaluations: Iterable[Evaluation]) -> str:
     every = list(evaluations)
     unmeasured = sum(bool(item.unmeasured) for item in every)
     idle = sum(item.reason.startswith("never exercised") for item in every)
-    words = ((unmeasured, "not measured"), (idle, "never exercised"))
-    return ", ".join(f"{count} {reason}" for count, reason in words if count) if unmeasured else ""
+    counts = ((unmeasured, "not measured"), (idle, "never exercised"))
+    return ", ".join(f"{count} {reason}" for count, reason in counts if count) if unmeasured else ""
 
 
 def _short(names: list[str]) -> tuple[str, ...]:
@@ -90,7 +90,7 @@ def _short(names: list[str]) -> tuple[str, ...]:
     return (*(name for name in names if name not in ALL_OF_DECISIONS), "all of decisions")
 
 
-def _within(name: str, fact: Measurement) -> str:
+def _accuracy(name: str, fact: Measurement) -> str:
     if fact.uncertainty == 0.0:
         return ""
     return setting_words("position_m" if name.startswith("transform") else name, fact.uncertainty)

@@ -34,9 +34,9 @@ FORMAT = "safety-harness report 1"
 COUNTED = ("runs", "exercised", "occasions", "holds", "violated", "inconclusive", "unmeasured")
 
 
-def write_json(path: Path, found: dict[str, Any]) -> None:
+def write_json(path: Path, data: dict[str, Any]) -> None:
     """Write the result of ``report_data`` to ``path``, whole or not at all; OSError if it cannot."""
-    write_whole(path, json.dumps(found, indent=1, allow_nan=False) + "\n")
+    write_whole(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
 def report_data(

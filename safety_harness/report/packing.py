@@ -39,6 +39,6 @@ def deflated(plain: bytes) -> str:
     return base64.b64encode(zlib.compress(plain, 9)).decode()
 
 
-def as_attribute(found: dict[str, Any]) -> str:
+def as_attribute(data: dict[str, Any]) -> str:
     """Return deflated JSON, which has only letters, digits, +, / and =."""
-    return deflated(json.dumps(found, separators=(",", ":"), allow_nan=False).encode())
+    return deflated(json.dumps(data, separators=(",", ":"), allow_nan=False).encode())

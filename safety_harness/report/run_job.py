@@ -250,7 +250,7 @@ class RunSession:
 
         Args:
             admitted: Each scenario, with its reference if there is one.
-            jobs: The number of processes; None lets the harness choose.
+            jobs: The number of processes; None: one for each core, if there are many runs.
 
         """
         self._run_all(admitted, jobs)

@@ -170,14 +170,14 @@ class RunResult:
             write_files(out, runs, title=title, command=self._command(out), **self._of_all)
         return replace(self, runs=runs, interrupted=self.interrupted or stopped())
 
-    def _kept(self, one: JudgedRun, out: Path) -> JudgedRun:
+    def _kept(self, run: JudgedRun, out: Path) -> JudgedRun:
         """Return the run with its trace in the folder."""
-        if one.trace_file is not None and one.trace_file.parent == out / TRACES:
-            return one
-        file = saved(one.trace, out / TRACES)
+        if run.trace_file is not None and run.trace_file.parent == out / TRACES:
+            return run
+        file = saved(run.trace, out / TRACES)
         if self.mcap:
-            save_mcap(one, file)
-        return replace(one, trace_file=file, replay_command=replay_command(one.trace.scenario, file))
+            save_mcap(run, file)
+        return replace(run, trace_file=file, replay_command=replay_command(run.trace.scenario, file))
 
     def _command(self, out: Path) -> str:
         """Return the command line that makes these runs again, and write scenarios that were no files."""
@@ -224,9 +224,9 @@ def saved(trace: Trace, folder: Path, recordings: Mapping[str, bytes] | None = N
     return file
 
 
-def save_mcap(one: JudgedRun, file: Path) -> Path:
+def save_mcap(run: JudgedRun, file: Path) -> Path:
     """Write a run as MCAP to a folder beside its trace's file, and return the folder."""
     write_mcap = part_named(ExtensionPoint.RUN_FORMATS, "mcap", FunctionType)
     folder = file.with_suffix("")
-    write_mcap(one.trace, one.evaluations, folder / "run.mcap")
+    write_mcap(run.trace, run.evaluations, folder / "run.mcap")
     return folder

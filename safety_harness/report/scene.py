@@ -39,7 +39,7 @@ def draw_scene(path: Path, previews: Sequence[Preview], *, title: str, regions: 
         axes = picture.axes(LEFT_PX, top, SIDE_PX, PANEL_PX)
         _draw_side(axes, previews, axis, regions)
         if axis == 1:
-            axes.title(plain(title, longest=100), up=34.0)
+            axes.title(plain(title, longest=100), lift=34.0)
     camera = previews[0].scenario.settings.camera
     height_px = min(PANEL_PX, RIGHT_PX * camera.height_px / camera.width_px)
     _draw_image(picture.axes(SECOND_PX, TOP_PX, RIGHT_PX, height_px), previews)

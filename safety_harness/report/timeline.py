@@ -133,12 +133,12 @@ def _description(run: JudgedRun) -> str:
     trace = run.trace
     modes = trace.ticks["mode"]
     shares = [
-        f"{words} {share_words(int(np.count_nonzero(modes == mode)), len(modes))}"
-        for mode, words in MODE_WORDS.items()
+        f"{label} {share_words(int(np.count_nonzero(modes == mode)), len(modes))}"
+        for mode, label in MODE_WORDS.items()
     ]
     outcomes = trace.decisions["outcome"]
     counts = [
-        f"{int(np.count_nonzero(outcomes == outcome))} {words}" for outcome, words in OUTCOME_WORDS.items()
+        f"{int(np.count_nonzero(outcomes == outcome))} {label}" for outcome, label in OUTCOME_WORDS.items()
     ]
     return (
         f"Panels from {trace.time_s[0]:.2f} to {trace.time_s[-1]:.2f} s: controller mode, distance of hands, "

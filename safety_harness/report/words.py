@@ -63,9 +63,9 @@ def with_minus(text: str) -> str:
     return re.sub(r"(?<!\w)-(?=[\d.])|(?<=\de)-(?=\d)", "\u2212", text)
 
 
-def count_words(count: int, one: str, many: str) -> str:
-    """Return a number with its noun, in the singular ``one`` or the plural ``many``."""
-    return f"{count} {one if count == 1 else many}"
+def count_words(count: int, singular: str, plural: str) -> str:
+    """Return a number with its noun in the singular or the plural."""
+    return f"{count} {singular if count == 1 else plural}"
 
 
 def margin_words(evaluation: Evaluation) -> str:

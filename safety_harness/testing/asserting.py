@@ -136,18 +136,18 @@ def require(
     __tracebackhide__ = True
     if trace.known.simulated:
         session().judged.add(run_key(trace))
-    found = against_reference(trace, evaluation, judge) if trace.known.simulated else None
-    if not settle(evaluation, run_of(trace), expected, trace) and not is_shared(found):
-        raise violation_of(evaluation, trace, expected, found)
+    difference = against_reference(trace, evaluation, judge) if trace.known.simulated else None
+    if not settle(evaluation, run_of(trace), expected, trace) and not is_shared(difference):
+        raise violation_of(evaluation, trace, expected, difference)
 
 
 def violation_of(
-    evaluation: Evaluation, trace: Trace, expected: Verdict, found: ClaimDifference | None
+    evaluation: Evaluation, trace: Trace, expected: Verdict, difference: ClaimDifference | None
 ) -> SafetyViolation:
     """Return the violation to raise, with a note on the reference's run if there is one."""
     violation = SafetyViolation(evaluation, trace, expected)
-    if found is not None:
-        violation.add_note(note_of(found))
+    if difference is not None:
+        violation.add_note(note_of(difference))
     return violation
 
 
@@ -253,27 +253,27 @@ def against_reference(
     return difference
 
 
-def is_shared(found: ClaimDifference | None) -> bool:
+def is_shared(difference: ClaimDifference | None) -> bool:
     """Return whether the reference does no better; the running test then ends as skipped, not as failed."""
     test = session().test
-    if found is None or test is None or found.change in _WORSE:
+    if difference is None or test is None or difference.change in _WORSE:
         return False
-    test.shared.append(f"{found.mine.sentence}: {_words(found)}")
+    test.shared.append(f"{difference.mine.sentence}: {_comparison(difference)}")
     return True
 
 
-def note_of(found: ClaimDifference) -> str:
+def note_of(difference: ClaimDifference) -> str:
     """Return the line of a failure that compares it with the reference's run of the scenario."""
-    return f"{found.change.value}: {found.words(_name())}"
+    return f"{difference.change.value}: {difference.words(_name())}"
 
 
-def _words(found: ClaimDifference) -> str:
-    mine, other = found.mine, found.reference
-    if mine.verdict is other.verdict:
+def _comparison(difference: ClaimDifference) -> str:
+    mine, theirs = difference.mine, difference.reference
+    if mine.verdict is theirs.verdict:
         return (
-            f"{other.verdict.value} with {_name()} too ({mine.margin_text()} against {other.margin_text()})"
+            f"{theirs.verdict.value} with {_name()} too ({mine.margin_text()} against {theirs.margin_text()})"
         )
-    return f"{mine.verdict.value}, and {other.verdict.value} with {_name()}"
+    return f"{mine.verdict.value}, and {theirs.verdict.value} with {_name()}"
 
 
 def _name() -> str:
