@@ -61,11 +61,11 @@ def new(
         bool, Option("--list", help="Say which templates there are, and write nothing.")
     ] = False,
 ) -> int:
-    """Write a scenario with comments to start from; it runs as it is.
+    """Write a scenario with comments to start from.
 
-    new plan SPACE drafts a plan of a space's claims, with the fewest runs that can show 2 %.
-    The template log brings a recording, policy an avoider in Python and a test of it, beside the scenario.
-    Nothing is overwritten.
+    The file runs as it is. new plan SPACE drafts a plan of a space's claims, with the fewest runs that can
+    show 2 %. The template log adds a recording beside the scenario; policy adds an avoider in Python and its
+    test. The command overwrites no file.
     Exit code 0; 2: no such template, such a file already, or it cannot be written; 130: interrupted.
     """
     if listed:

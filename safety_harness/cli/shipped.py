@@ -27,10 +27,10 @@ REFERRING = ("arm", "avoider", "capsules", "extends", "recording", "robot", "sce
 
 @command(commands, "list")
 def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these.")] = None) -> int:
-    """List what comes with the package, scenarios, spaces, plans, examples, recordings, robots, one a line.
+    """List the scenarios, spaces and other files of the package.
 
-    Each has a name, shipped:NAME, that stands for its file wherever a file is asked for; shipped:scenarios
-    and so on for their folders.
+    The list also has plans, examples, recordings and robots, one a line. Each has a name, shipped:NAME, which
+    stands for its file wherever a command takes a file. shipped:scenarios and so on stand for their folders.
     Exit code 0.
     """
     found = [one for one in shipped_files() if kind in (None, one.kind)]
@@ -54,10 +54,10 @@ def copy(
     folder: Annotated[Path, Argument(help="Where to.")] = Path(),
     overwrite: Annotated[bool, Option("--overwrite", help="Also over files that are otherwise.")] = False,
 ) -> int:
-    """Copy something shipped, with the files that it refers to, to be edited.
+    """Copy a shipped file, with the files that it refers to.
 
-    The files keep their places among each other; the path of each copy goes to standard output, that of what
-    was asked for first.
+    You can then edit the copies. They keep their relative places. The path of each copy goes to standard
+    output, the requested file first.
     Exit code 0; 2: there is no such name, or another file is there already: then nothing is copied.
     """
     from safety_harness.base.whole_file import writing
@@ -113,7 +113,7 @@ def docs(
     ] = None,
     where: Annotated[bool, Option("--where", help="Only print where it is; open nothing.")] = False,
 ) -> int:
-    """Open the documents, which come with the package, in a browser.
+    """Open the package's documents in a browser.
 
     The path goes to standard output; without a terminal or a browser that is all.
     Exit code 0; 2: there is no such section, or the documents were not built (make docs).
