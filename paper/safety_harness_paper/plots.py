@@ -35,7 +35,7 @@ def svg(plot: Plot, *, prefix: str) -> str:
 
 
 def _decorate(axes: Axes, panel: Panel) -> None:
-    axes.title(panel.title, up=26.0, bold=False)
+    axes.title(panel.title, lift=26.0, bold=False)
     axes.x.label, axes.y.label = panel.x_label, panel.y_label
     axes.x.steps, axes.y.steps, axes.y.grid = 8, 6, True
     axes.legend(anchor="start")

@@ -1,4 +1,4 @@
-"""``safety-harness attribute``: what a terminal shows of an attribution."""
+"""``safety-harness attribute``: the output of an attribution in a terminal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,15 @@ from safety_harness.report.attribution_job import DATA, PICTURE, AttributionResu
 
 
 def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None, confirm: bool) -> int:
-    """Attribute, print, write; returns the exit code."""
+    """Attribute the violations of runs, print and write the result; return the exit code.
+
+    Args:
+        paths: scenario files, traces or folders.
+        avoider: the program of the traces; None if they need no program.
+        out: the folder to write; None writes no files.
+        confirm: whether PyBullet repeats each attribution.
+
+    """
     try:
         return conclude(attribute(paths, avoider=avoider, confirm=confirm, output=TERMINAL), out)
     except InputErrors as error:
@@ -20,13 +28,13 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
         return BAD_INPUT
 
 
-def conclude(found: AttributionResult, out: Path | None) -> int:
-    """Print the groups, write the files; returns the exit code."""
-    result(*found.tally.lines())
-    document(**found.data())
+def conclude(attributed: AttributionResult, out: Path | None) -> int:
+    """Print the groups of an attribution and write the files; return the exit code."""
+    result(*attributed.tally.lines())
+    document(**attributed.data())
     if out is not None:
-        found.write(out)
+        attributed.write(out)
         say(f"picture: {out / PICTURE} (for programs: {DATA})")
-    if found.interrupted:
+    if attributed.interrupted:
         say("interrupted: what was attributed until then is above")
-    return found.exit_code
+    return attributed.exit_code

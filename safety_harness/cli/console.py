@@ -219,7 +219,7 @@ def _told(error: Exception) -> dict[str, object]:
 
 
 def explain_each(errors: Sequence[InputError]) -> list[InputError]:
-    """Each once, and which: what is wrong in a file that others extend is the same mistake for all."""
+    """Explain each distinct error once and return them; files that extend a faulty file share its error."""
     once = each_once(errors)
     for error in once:
         explain(error)
@@ -227,7 +227,7 @@ def explain_each(errors: Sequence[InputError]) -> list[InputError]:
 
 
 def say_shared_modules() -> None:
-    """Warn of packages that own the same module: one lies over the other, and nobody knows which runs."""
+    """Warn of packages that own the same module; their versions do not tell whose code runs."""
     from safety_harness.trace.provenance import shared_modules
 
     for module, packages in shared_modules().items():

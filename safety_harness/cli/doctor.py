@@ -1,4 +1,4 @@
-"""``safety-harness doctor``: what of the installation works, what is missing, and what is wrong."""
+"""``safety-harness doctor``: the working, missing and wrong parts of the installation."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _REQUIREMENT = re.compile(r"([\w.-]+)(?:\[.*?\])?\s*\(?([^;)]*)\)?\s*(?:;\s*(.*)
 
 
 class State(StrEnum):
-    """What a check found."""
+    """The outcome of a check."""
 
     OK = "ok"
     MISSING = "missing"
@@ -49,7 +49,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Examined:
-    """One check: ``what`` was looked at, and what was found in ``words``; does every run need it?"""
+    """One check: its subject ``what``, its result in ``words``, and whether every run needs the part."""
 
     what: str
     state: State
@@ -58,33 +58,33 @@ class Examined:
 
 
 def examine() -> int:
-    """Print what was found; returns the exit code."""
-    found = [*_machine(), *_required(), *_optional(), *_clashes(), _self_check()]
-    wrong = [one for one in found if one.state is State.PROBLEM and one.needed]
-    document(checks=[asdict(one) for one in found], good=not wrong)
-    rows = [(one.state.value, one.what, one.words) for one in found]
+    """Check the installation and print the results; return the exit code."""
+    checks = [*_machine(), *_required(), *_optional(), *_clashes(), _self_check()]
+    problems = [check for check in checks if check.state is State.PROBLEM and check.needed]
+    document(checks=[asdict(check) for check in checks], good=not problems)
+    rows = [(check.state.value, check.what, check.words) for check in checks]
     result(*table(("state", "what", "found"), rows, columns_of(sys.stdout)))
-    return DIFFERS if wrong else AS_EXPECTED
+    return DIFFERS if problems else AS_EXPECTED
 
 
 def _machine() -> Iterator[Examined]:
-    """The machine, Python, and where machine code is kept."""
+    """Yield the checks of the machine, of Python, and of the folder for machine code."""
     yield Examined("machine", State.OK, f"{platform.platform()}, {os.cpu_count()} processors")
     python, wanted = platform.python_version(), metadata.metadata(DISTRIBUTION)["Requires-Python"] or ""
-    good = within(python, wanted)
-    words = python if good else f"{python}, which this package is not made for: {wanted}"
-    yield Examined("Python", State.OK if good else State.PROBLEM, words)
+    good = fits(python, wanted)
+    text = python if good else f"{python}, which this package is not made for: {wanted}"
+    yield Examined("Python", State.OK if good else State.PROBLEM, text)
     problem = cache_problem(cache_root())
     stack = PACKAGE / "cell" / "controller" / "stack.py"
     warm = installed_folder(stack).is_dir() or any(cache_folder(stack).rglob("*.nbc"))
-    words = "cold: the first run compiles, some 75 s on a quiet machine; safety-harness warm does it now"
-    words = f"{code_in_use()}{', read-only' if problem else ''}" if warm else problem or words
-    words = f"{cache_root()}, {megabytes(machine_code_bytes())}, {words}"
-    yield Examined("machine code", State.PROBLEM if problem and not warm else State.OK, words)
+    text = "cold: the first run compiles, some 75 s on a quiet machine; safety-harness warm does it now"
+    text = f"{code_in_use()}{', read-only' if problem else ''}" if warm else problem or text
+    text = f"{cache_root()}, {megabytes(machine_code_bytes())}, {text}"
+    yield Examined("machine code", State.PROBLEM if problem and not warm else State.OK, text)
 
 
 def _required() -> Iterator[Examined]:
-    """Every package that the installed metadata ask for: there, in its range, and can be imported."""
+    """Yield a check per required package: it exists, lies in its range, and can be imported."""
     modules: dict[str, list[str]] = {}
     for module, names in metadata.packages_distributions().items():
         for name in names:
@@ -99,9 +99,9 @@ def _required() -> Iterator[Examined]:
 
 
 def _installed(name: str, version: str, wanted: str, modules: list[str]) -> Examined:
-    if not within(version, wanted):
+    if not fits(version, wanted):
         return Examined(name, State.PROBLEM, f"{version}, which is not {wanted}")
-    module = name if name in modules else next((one for one in modules if not one.startswith("_")), None)
+    module = name if name in modules else next((item for item in modules if not item.startswith("_")), None)
     module = "safety_harness.cell.simulation.engine" if name == "pybullet" else module  # which is quiet
     try:
         if module is not None:
@@ -133,25 +133,25 @@ def _version(name: str) -> str:
 
 
 def _clashes() -> Iterator[Examined]:
-    """Packages that own one module, so that the installed versions do not say whose code runs."""
+    """Yield the packages that share one module: their versions then do not tell whose code runs."""
     if foreign := foreign_files():
         yield Examined("package safety_harness", State.PROBLEM, foreign)
     needed = required()
     for module, packages in shared_modules().items():
-        words = f"{' and '.join(packages)} own it; uninstall all of them, install one"
+        text = f"{' and '.join(packages)} own it; uninstall all of them, install one"
         base = any(package.split()[0] in needed for package in packages)
-        yield Examined(f"module {module}", State.PROBLEM, words, needed=base)
+        yield Examined(f"module {module}", State.PROBLEM, text, needed=base)
 
 
 def _self_check() -> Examined:
-    """A short kinematic run with a hand, without compiling, and the claim that is known to hold of it."""
+    """Run a short kinematic run with a hand, without compiling, and check a claim that must hold there."""
     try:
         evaluation = without_compiling(_short_run)
     except Exception as error:  # whatever is wrong with the installation is what is looked for
         return Examined("self-check", State.PROBLEM, f"{type(error).__name__}: {error}")
     good = evaluation.verdict is Verdict.HOLDS
-    words = f"a short kinematic run: {evaluation.sentence}: {evaluation.verdict.value}"
-    return Examined("self-check", State.OK if good else State.PROBLEM, words)
+    text = f"a short kinematic run: {evaluation.sentence}: {evaluation.verdict.value}"
+    return Examined("self-check", State.OK if good else State.PROBLEM, text)
 
 
 def _short_run() -> Evaluation:
@@ -161,25 +161,25 @@ def _short_run() -> Evaluation:
 
 
 def required() -> dict[str, str]:
-    """The packages that every installation needs with this Python, and the versions that are good."""
-    found: dict[str, str] = {}
+    """Return the packages that every installation needs with this Python, and their version ranges."""
+    ranges: dict[str, str] = {}
     for text in metadata.requires(DISTRIBUTION) or ():
         match = _REQUIREMENT.match(text)
         assert match is not None, text  # our own
         name, wanted, marker = match[1], match[2].strip(), match[3] or ""
         python = re.search(r"python_version\s*([<>=!]+)\s*['\"]([\d.]+)['\"]", marker)
-        if "extra" in marker or (python and not within(platform.python_version(), python[1] + python[2])):
+        if "extra" in marker or (python and not fits(platform.python_version(), python[1] + python[2])):
             continue
-        found[name] = wanted
-    return found
+        ranges[name] = wanted
+    return ranges
 
 
-def within(version: str, wanted: str) -> bool:
-    """Whether a version is one of a range such as ``>=2.0,<3``: numbers only, as ours are.
+def fits(version: str, wanted: str) -> bool:
+    """Return whether a version lies in a range such as ``>=2.0,<3``, with numbers only.
 
-    A shorter one means all that begin with it, so 2.4.6 is ``==2.4`` and not ``>2.4``.
+    A shorter limit covers all versions that begin with it: 2.4.6 is ``==2.4`` and not ``>2.4``.
     """
-    for part in filter(None, (one.strip() for one in wanted.split(","))):
+    for part in filter(None, (limit_text.strip() for limit_text in wanted.split(","))):
         match = re.fullmatch(r"(==|!=|>=|<=|>|<)\s*([\d.]+)(?:\.\*)?", part)
         if match is None:
             return False

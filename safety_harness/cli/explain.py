@@ -1,4 +1,4 @@
-"""``explain`` and ``claims``: what a key means and what can be claimed, as behind the documentation."""
+"""``explain`` and ``claims``: the meaning of keys and claims, as the documentation shows it."""
 
 from __future__ import annotations
 
@@ -22,60 +22,73 @@ if TYPE_CHECKING:
 WIDTH = 110
 
 
-def explain_key(words: Sequence[str]) -> int:
-    """Print what a key means, wherever it may stand, or which keys there are; returns the exit code."""
+def explain_key(typed: Sequence[str]) -> int:
+    """Print the meaning of a key in every mapping that has it, or list all keys; return the exit code.
+
+    Args:
+        typed: the words of the key; empty lists all keys.
+
+    Raises:
+        ScenarioError: no mapping has the key.
+
+    """
     added = (kind.tables() for kind in input_files().values() if kind.tables is not None)
     tables = (*every_table(), *(table for tables in added for table in tables))
-    asked = " ".join(" ".join(words).replace(":", " ").split())
-    if not asked:
+    query = " ".join(" ".join(typed).replace(":", " ").split())
+    if not query:
         result(*(f"{table.where}: {', '.join(table.names)}" for table in tables))
         document(tables=[{"where": table.where, "keys": table.names} for table in tables])
         return AS_EXPECTED
-    found = [(table, key) for table in tables for key in table.keys if asked in _names(table, key)]
+    matches = [(table, key) for table in tables for key in table.keys if query in _names(table, key)]
     known = (name for table in tables for name in table.names)
-    document(keys=[_key_data(*pair) for pair in found])
+    document(keys=[_key_data(*pair) for pair in matches])
     expected = "a key of a scenario file or of a plan; without one, all of them are listed"
-    return _explain("explain", asked, expected, known, [_key_lines(*pair) for pair in found])
+    return _explain("explain", query, expected, known, [_key_lines(*pair) for pair in matches])
 
 
-def explain_claims(words: Sequence[str]) -> int:
-    """Print every sentence, or all about those that contain the words; returns the exit code.
+def explain_claims(typed: Sequence[str]) -> int:
+    """Print every sentence of the catalogue, or details of the matching sentences; return the exit code.
 
-    The words may be a whole sentence with a limit of one's own: what understands it is explained.
+    Args:
+        typed: some words of a sentence, or a whole sentence with the user's own limit.  Empty lists all.
+
+    Raises:
+        ScenarioError: no sentence matches.
+
     """
     from safety_harness.claims.formulas.signals import SIGNALS
     from safety_harness.claims.properties.catalogue import CATALOGUE  # slow to import
 
-    asked = " ".join(" ".join(words).split())
+    query = " ".join(" ".join(typed).split())
     examples = [entry.example for entry in CATALOGUE]
-    if not asked:
+    if not query:
         result(*examples)
         document(claims=[{"claim": entry.example} | dict(_described(entry)) for entry in CATALOGUE])
         signals = ", ".join(signal.words for signal in SIGNALS)
         say(f"or a formula (safety-harness docs formulas) over: {signals}")
         return AS_EXPECTED
-    found = [entry for entry in CATALOGUE if entry.understands(asked)]
-    wanted = set(asked.lower().split())
-    found = found or [entry for entry in CATALOGUE if wanted <= set(entry.example.lower().split())]
-    document(claims=[{"claim": entry.example} | dict(_described(entry)) for entry in found])
+    matches = [entry for entry in CATALOGUE if entry.understands(query)]
+    wanted = set(query.lower().split())
+    matches = matches or [entry for entry in CATALOGUE if wanted <= set(entry.example.lower().split())]
+    document(claims=[{"claim": entry.example} | dict(_described(entry)) for entry in matches])
     expected = "words of a claim of the catalogue; without any, all claims are listed"
-    return _explain("claims", asked, expected, examples, [_claim_lines(one) for one in found])
+    return _explain("claims", query, expected, examples, [_claim_lines(match) for match in matches])
 
 
 def _explain(
-    field: str, asked: str, expected: str, known: Iterable[str], found: Sequence[Iterator[str]]
+    field: str, query: str, expected: str, known: Iterable[str], matches: Sequence[Iterator[str]]
 ) -> int:
-    """The lines on each that was found, apart; ScenarioError with what is near to it where nothing was."""
-    if not found:
-        hint = near_miss(asked, known, most=3)
-        raise ScenarioError(place=Place(field=field), expected=expected, got=asked, hint=hint)
-    for number, lines in enumerate(found):
+    """Print the lines of each match, separated by an empty line; ScenarioError with near names if empty."""
+    if not matches:
+        hint = near_miss(query, known, most=3)
+        raise ScenarioError(place=Place(field=field), expected=expected, got=query, hint=hint)
+    for number, lines in enumerate(matches):
         result(*([""] if number else []), *lines)
     return AS_EXPECTED
 
 
 def _described(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
-    """Yield (name, text) of all that an entry says for people, and of what packages add to it."""
+    """Yield (name, text) of everything that an entry or an added package states for people."""
     from safety_harness.claims.properties.entry import told
 
     yield from told(entry)
@@ -96,7 +109,7 @@ def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
 
 
 def _names(table: KeyTable, key: Key) -> tuple[str, ...]:
-    """What a user may call a key: its name, alone or below that of its mapping."""
+    """Return the names by which a user may call a key: alone, or below the name of its mapping."""
     above = {table.name, table.path, table.path.rpartition(".")[2]} - {""}
     return (key.name, *(f"{name}.{key.name}" for name in sorted(above)))
 
@@ -113,29 +126,29 @@ def _key_data(table: KeyTable, key: Key) -> dict[str, object]:
 
 
 def _key_lines(table: KeyTable, key: Key) -> Iterator[str]:
-    said = _key_data(table, key)
+    data = _key_data(table, key)
     yield f"{key.name}, of {table.where}"
-    yield f"  means    {said['means']}"
-    yield f"  takes    {said['takes']}"
-    yield f"  default  {said['default'] or 'none: it has to be given'}"
+    yield f"  means    {data['means']}"
+    yield f"  takes    {data['takes']}"
+    yield f"  default  {data['default'] or 'none: it has to be given'}"
     for number, line in enumerate(key.lines.splitlines()):
         yield f"  {'example' if number == 0 else '       '}  {line}"
 
 
 def _takes(key: Key) -> str:
-    """The value with its bounds and units, or the keys below."""
+    """Return the text of a key's value with bounds and units, or of the keys below it."""
     if isinstance(key.value, Below):
         names = [name for table in key.value.tables for name in table.names]
         return f"a mapping with the keys {', '.join(dict.fromkeys(names))}"
     if isinstance(key.value, Several) and isinstance(key.value.of, Below):
         firsts = dict.fromkeys(table.told_by for table in key.value.of.tables)
         return f"{key.value.words}, each a mapping with the key {' or '.join(firsts)}"
-    words = key.said if key.said and not _dimension(key.value) else key.value.words
+    text = key.said if key.said and not _dimension(key.value) else key.value.words
     dimension = _dimension(key.value)
     if dimension is None or not dimension.units:
-        return words
+        return text
     bare = " or none" if dimension.bare else ""
-    return f"{words} (units: {', '.join(dimension.units)}{bare})"
+    return f"{text} (units: {', '.join(dimension.units)}{bare})"
 
 
 def _dimension(value: Value) -> Dimension | None:
@@ -145,6 +158,6 @@ def _dimension(value: Value) -> Dimension | None:
 
 
 def _plain(text: str) -> str:
-    """A cell of the page's table without the page's marks."""
+    """Return a cell of the page's table without its markup."""
     text = re.sub(r" \(\[[^]]*\]\(#[^)]*\)\)", "", text.replace("`", ""))
     return re.sub(r"\[[^]]*\]\(([a-z-]+)\.md([^)]*)\)", r"safety-harness docs \1\2", text)

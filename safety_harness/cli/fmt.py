@@ -1,4 +1,4 @@
-"""``safety-harness fmt``: scenario files in the one layout."""
+"""``safety-harness fmt``: write scenario files in the standard layout."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TAKEN = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.PLAN)
 
 
 def format_files(paths: Sequence[Path], *, check: bool) -> int:
-    """Lay every file out, or say which ones would change; returns the exit code."""
+    """Lay out every file, or with ``check`` print the files that would change; return the exit code."""
     changed, failed = list[Path](), False
     for path in paths:
         try:
@@ -36,12 +36,12 @@ def format_files(paths: Sequence[Path], *, check: bool) -> int:
 
 
 def _format(file: Path, *, check: bool) -> bool:
-    """Whether the layout of ``file`` was, or would be, another one."""
+    """Lay out one file, and return whether its layout was, or would be, another."""
     refuse_other_kind(file, *TAKEN)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=ScenarioError)
-    before = decode(data, most=MAX_BYTES, file=file, error=ScenarioError)
-    tree_of(before, file)  # refuses what is not ours
-    text = laid_out(before, file)
+    old_text = decode(data, most=MAX_BYTES, file=file, error=ScenarioError)
+    tree_of(old_text, file)  # refuses what is not ours
+    text = laid_out(old_text, file)
     if text.encode() == data:
         return False
     if not check:

@@ -1,4 +1,4 @@
-"""Commands about this machine: compile ahead, and say what is wrong with the installation."""
+"""Commands about this machine: compile ahead, and check the installation."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ def warm(
         bool, Option("--forget", help="Remove what no process has used for 30 days, and compile nothing.")
     ] = False,
 ) -> int:
-    """Compile the control stack ahead, once for this machine and version: one to three minutes.
+    """Compile the control stack ahead: one to three minutes.
 
-    Short runs are simulated in each world whose engine is installed, and judged by every claim of the
-    catalogue.  Their results are thrown away; the machine code is kept for every later process.
-    It lies in the folder that SAFETY_HARNESS_CACHE names, else in the user's cache.
-    Exit code 0: the machine code is there; 1: it cannot be kept; 130: interrupted, what was compiled is kept.
+    You need this once per machine and version. The command simulates short runs in each world with an
+    installed engine, and judges them by every claim of the catalogue. It discards their results, and keeps
+    the machine code for every later process.
+    SAFETY_HARNESS_CACHE names the folder; the default is the user's cache.
+    Exit code 0: the machine code is there; 1: it cannot be kept; 130: interrupted, the compiled code is kept.
     """
     from safety_harness.cli.warm import forget_old, warm_up
 
@@ -31,10 +32,11 @@ def warm(
 
 @command(commands, interrupted="interrupted: the rest was not looked at")
 def doctor() -> int:
-    """Check machine, Python, caches and packages, and judge one short run whose verdict is known.
+    """Check machine, Python, caches and packages.
 
-    A line for each: ok, missing (a part that not everybody needs, and what for) or problem.
-    Exit code 0: nothing is wrong; 1: something that every run needs is; 130: interrupted.
+    The command also judges one short run with a known verdict. Each line states ok, missing (an optional
+    part, with its use) or problem.
+    Exit code 0: nothing is wrong; 1: a part that every run needs is wrong; 130: interrupted.
     """
     from safety_harness.cli.doctor import examine
 

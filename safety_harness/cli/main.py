@@ -1,4 +1,4 @@
-"""The commands of ``safety-harness``, together; each imports what it needs when it is called."""
+"""The commands of ``safety-harness`` together; each command imports its parts when it is called."""
 
 from __future__ import annotations
 
@@ -55,9 +55,10 @@ ELSEWHERE = {
 
 
 class _Commands(MutableMapping[str, Any]):
-    """The core's commands and those of packages by their names; a package's is loaded when it is asked for.
+    """The commands of the core and of packages by their names.
 
-    A name that cannot be loaded is listed and has no value.
+    The mapping loads a package's command at its first use.  It lists a name that fails to load, without a
+    value.
     """
 
     def __init__(self, core: MutableMapping[str, Any]) -> None:
@@ -96,7 +97,7 @@ class _Commands(MutableMapping[str, Any]):
         del self._made[name]
 
     def warn_of_hidden(self) -> None:
-        """Say which parts are left out since their names are taken."""
+        """Warn of the parts that are left out because their names are in use."""
         for part in self._hidden:
             warn(part, f"the command {part.name} is there already")
 
@@ -121,7 +122,7 @@ class _Group(TyperGroup):
         self.commands = self._lazy = _Commands(self.commands)
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of all commands, and warn of parts whose names are taken."""
+        """Return the names of all commands, and warn of parts whose names are in use."""
         self._lazy.warn_of_hidden()
         return [*self.commands]
 
@@ -134,7 +135,7 @@ def commands_of(group: typer.Typer) -> MutableMapping[str, Any]:
 
 
 def _absent(name: str, about: str, hint: str) -> Any:
-    """Return a command in place of one whose package is not installed, which says how to get it."""
+    """Return a command for a package that is not installed; it explains how to install it."""
     commands = typer.Typer()
     settings = {"ignore_unknown_options": True, "allow_extra_args": True}
 
@@ -178,7 +179,7 @@ def of_all(
 
 
 def main() -> None:
-    """Entry point: one of our own errors is explained, and never a traceback."""
+    """Run the command line; an error of the harness gets an explanation, never a traceback."""
     watchers.append(CompilationLine(sys.stderr))
     if foreign := foreign_files():
         say(f"warning: {foreign}")

@@ -1,4 +1,4 @@
-"""``safety-harness new``: a small file to start from, which runs as it is, and what to type next."""
+"""``safety-harness new``: a small runnable file to start from, and the next commands."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ AVOIDER, SUITE, RECORDING = "{}_avoider.py", "test_{}.py", "{}_recording.csv"
 
 @dataclass(frozen=True)
 class Template:
-    """What a template is of, and files beside its scenario: (name in ``FOLDER``, name with FILE's stem)."""
+    """A template: its subject, and the files beside its scenario.
+
+    Each file is a pair: its name in ``FOLDER``, and a pattern for the name with FILE's stem.
+    """
 
     about: str
     beside: tuple[tuple[str, str], ...] = ()
@@ -58,15 +61,15 @@ def new(
         bool, Option("--list", help="Say which templates there are, and write nothing.")
     ] = False,
 ) -> int:
-    """Write a scenario with comments to start from; it runs as it is.
+    """Write a scenario with comments to start from.
 
-    new plan SPACE drafts a plan of a space's claims, with the fewest runs that can show 2 %.
-    The template log brings a recording, policy an avoider in Python and a test of it, beside the scenario.
-    Nothing is overwritten.
+    The file runs as it is. new plan SPACE drafts a plan of a space's claims, with the fewest runs that can
+    show 2 %. The template log adds a recording beside the scenario; policy adds an avoider in Python and its
+    test. The command overwrites no file.
     Exit code 0; 2: no such template, such a file already, or it cannot be written; 130: interrupted.
     """
     if listed:
-        document(templates=[{"name": name, "about": one.about} for name, one in TEMPLATES.items()])
+        document(templates=[{"name": name, "about": entry.about} for name, entry in TEMPLATES.items()])
         result(*_listed())
         return AS_EXPECTED
     added = None if template in TEMPLATES else input_files().get(template or "")
@@ -75,7 +78,7 @@ def new(
     if plan is not None:
         raise InputError.of_option("new", "one file, but for a plan", str(plan))
     if template is None:
-        template, file = _asked()
+        template, file = _ask_at_terminal()
     chosen = _template(template)
     scenario = _scenario_file(template, file)
     written = _texts(template, chosen, scenario)
@@ -90,8 +93,8 @@ def _listed() -> list[str]:
     return [f"{name:<11} {template.about}" for name, template in TEMPLATES.items()]
 
 
-def _asked() -> tuple[str, Path]:
-    """Template and file from whoever sits at the terminal; without one an error that lists the templates."""
+def _ask_at_terminal() -> tuple[str, Path]:
+    """Ask at the terminal for the template and the file; without a terminal raise an error with a list."""
     if not sys.stdin.isatty():
         raise _unknown("none, and no terminal to ask at")
     say(*_listed())
@@ -116,7 +119,7 @@ def _unknown(got: str, hint: str = "") -> InputError:
 
 
 def _scenario_file(template: str, file: Path | None) -> Path:
-    """Where the scenario goes: a name that ends in .yaml, of characters that can be printed."""
+    """Return the path of the scenario: a printable name that ends in .yaml."""
     if file is None:
         return Path(f"{template}.yaml")
     if file.suffix not in SUFFIXES:
@@ -129,26 +132,26 @@ def _scenario_file(template: str, file: Path | None) -> Path:
 
 
 def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
-    """What is written where; names beside the scenario are such that Python can import them."""
+    """Return the text of each file by its path; names beside the scenario are importable in Python."""
     stem = re.sub(r"\W+", "_", scenario.stem)
     files = {f"{name}.yaml": scenario}
     files |= {source: scenario.with_name(named.format(stem)) for source, named in template.beside}
-    words = {
+    replacements = {
         "@FILE@": shlex.quote(scenario.name),
         "@SCENARIO@": repr(scenario.name),
         "@RECORDING@": RECORDING.format(stem),
         "@AVOIDER@": AVOIDER.format(stem),
         "@TEST@": SUITE.format(stem),
     }
-    pattern = re.compile("|".join(words))
+    pattern = re.compile("|".join(replacements))
     return {
-        path: pattern.sub(lambda found: words[found[0]], (FOLDER / source).read_text(encoding="utf-8"))
+        path: pattern.sub(lambda found: replacements[found[0]], (FOLDER / source).read_text(encoding="utf-8"))
         for source, path in files.items()
     }
 
 
 def _write(texts: dict[Path, str]) -> None:
-    """All of them or, if one is there already, none."""
+    """Write all files, or no file if any of them exists."""
     for path in texts:
         if path.exists() or path.is_symlink():
             raise OutputError.of_file(path, "a file that is not there yet", "one that is")
@@ -158,7 +161,7 @@ def _write(texts: dict[Path, str]) -> None:
 
 
 def _next(template: str, scenario: Path) -> list[str]:
-    """Commands to type next."""
+    """Return the commands to type next."""
     file, stem = shlex.quote(str(scenario)), re.sub(r"\W+", "_", scenario.stem)
     here = find_spec("pybullet") is not None
     run = f"safety-harness run {file}{'' if here else ' --world kinematic'}"

@@ -78,11 +78,11 @@ def run(
 
 @command(commands)
 def validate(files: Files, avoider: OfAvoider = None, controller: OfController = None) -> int:
-    """Read and check scenario files, spaces and plans without running them, and tell what is wrong.
+    """Check scenario files, spaces and plans without running them.
 
-    Nothing of theirs is executed: a Python file is parsed, of an ONNX file the metadata are read.
-    A line "ok FILE: ..." goes to standard output for each file that can be run; mistakes go to standard
-    error with file, line, what was expected and what came.
+    The command executes no file: it parses a Python file, and reads the metadata of an ONNX file.
+    A line "ok FILE: ..." goes to standard output for each runnable file. Mistakes go to standard error with
+    file, line, expected and got.
     Exit code 0: all of them can be run; 2: some cannot; 130: interrupted.
     """
     from safety_harness.admission.avoiders import one_of
@@ -96,10 +96,11 @@ def fmt(
     files: Files,
     check: Annotated[bool, Option("--check", help="Change nothing; only say what would change.")] = False,
 ) -> int:
-    """Lay scenario files out as the shipped ones are: order of keys, indentation, quotes.
+    """Lay scenario files out in the standard layout.
 
-    Comments stay, and so do the units that you wrote; the file means what it meant before.
-    Exit code 0; 1: with --check, a file would change; 2: a file cannot be read, others are laid out.
+    The layout sets the order of keys, indentation and quotes. Comments and your units stay, and so does the
+    meaning of the file.
+    Exit code 0; 1: with --check, a file would change; 2: a file cannot be read, the rest is laid out.
     """
     from safety_harness.cli.fmt import format_files
 
@@ -112,13 +113,13 @@ def explain(
         list[str] | None, Argument(help="A key, such as: critical distance; or a plan's file.")
     ] = None,
 ) -> int:
-    """Say what a key of scenario files means: its unit, bounds, default and an example.
+    """Explain a key of scenario files, or a plan.
 
-    Of a plan: how many bounds it shows, and for each target how many tested runs it takes and how many
-    violations the planned ones allow. Nothing is run.
-
-    A key that stands in several places is explained for each; "camera.rate" means one of them.
-    Without a key, all are listed.
+    For a key: its meaning, unit, bounds, default and an example. For a plan: the number of bounds that it
+    shows, and for each target the tested runs that it takes and the violations that the planned runs allow.
+    The command runs nothing.
+    A key in several places has an explanation for each; "camera.rate" selects one place.
+    Without a key, the command lists all keys.
     Exit code 0; 2: there is no such key.
     """
     from safety_harness.base.shipped.contents import located
@@ -137,9 +138,10 @@ def claims(
         list[str] | None, Argument(help="A claim, or words of it, such as: hand distance.")
     ] = None,
 ) -> int:
-    """Say what can be claimed of a run: why, margin, parameters, when it is put to the test.
+    """List the claims about a run, or explain some of them.
 
-    A whole claim is explained by the one that understands it. Without words, all are listed.
+    The explanation has the reason, margin, parameters, and the condition under which a run tests the claim.
+    A whole claim is explained by the entry that understands it. Without words, the command lists all claims.
     Exit code 0; 2: nothing in the catalogue has these words.
     """
     from safety_harness.cli.explain import explain_claims
@@ -151,9 +153,10 @@ def claims(
 def schema(
     plans: Annotated[bool, Option("--plan", help="Of plans, in place of scenario files.")] = False,
 ) -> int:
-    """Print the JSON Schema (draft 2020-12) of scenario files, for editors that check while you type.
+    """Print the JSON Schema (draft 2020-12) of scenario files.
 
-    The repository has both, in docs/schema. Exit code 0.
+    Editors check your files by it while you type. The repository has both schemas in docs/schema.
+    Exit code 0.
     """
     import json
 
@@ -176,10 +179,11 @@ def replay(
     avoider: OfAvoider = None,
     controller: OfController = None,
 ) -> int:
-    """Repeat a recorded run bit by bit: "identical", or the first step that differs.
+    """Repeat a recorded run bit by bit.
 
-    A trace that was made with a program of yours needs that program named by --avoider or --controller, as
-    repeating the run executes it; a controller with another hash is refused.
+    The answer is "identical", or the first step that differs.
+    If a program of yours made the trace, name that program by --avoider or --controller, because the replay
+    executes it. A controller with another hash is refused.
     Exit code 0: identical; 1: it differs; 2: not a trace that can be read; 130: interrupted.
     """
     from safety_harness.admission.avoiders import one_of
@@ -228,11 +232,12 @@ def view(
     out: Annotated[Path | None, Option(help="The page. Default: reports/view/NAME.html.")] = None,
     opens: Annotated[bool, Option("--open/--no-open", help="Open the page in the browser.")] = True,
 ) -> int:
-    """Show a stored run in 3-D, or two side by side in step: one page, which is opened.
+    """Show a stored run in 3-D, or two side by side in step.
 
-    Such as an avoider and its reference, a run with a shield and one without, a simulated and a recorded one.
-    Nothing is simulated or executed; claims are judged again. Of a log, what was not measured is left out,
-    and said.
+    The command writes one page and opens it. Useful pairs are an avoider and its reference, a run with a
+    shield and a run without, or a simulated and a recorded run.
+    The command simulates and executes nothing; it judges claims again. For a log, the page omits the parts
+    that were not measured, and names them.
     Exit code 0; 2: not a trace or log that can be read; 130: interrupted.
     """
     from safety_harness.cli.view import view as view_runs
@@ -249,8 +254,9 @@ def show(
     draws: Annotated[int, Option(help="Draws of a space in its picture.", min=1)] = 200,
     seed: Seed = 0,
 ) -> int:
-    """Draw what a file would try: hands, TCP start, regions, the camera's view; nothing is run.
+    """Draw the scenarios of a file without running them.
 
+    The picture has hands, TCP start, regions and the camera's view.
     Exit code 0; 2: bad input; 130: interrupted.
     """
     from safety_harness.cli.show import show as show_files
@@ -265,10 +271,11 @@ def sample(
     count: Annotated[int, Option(help="How many that can be tried.")] = 10,
     seed: Seed = 0,
 ) -> int:
-    """Draw scenarios from a space, independently, each as a file that run takes.
+    """Draw independent scenarios from a space, each as a file.
 
-    Draws that cannot be tried (a start out of reach, ...) are counted, drawn again, and said.
-    Exit code 0; 2: bad input, or a space of which next to nothing can be tried; 130: interrupted.
+    The command run takes these files. An inadmissible draw (a start out of reach, ...) is counted, reported
+    and drawn again.
+    Exit code 0; 2: bad input, or a space with next to no admissible draw; 130: interrupted.
     """
     from safety_harness.cli.show import sample as sample_space
 
@@ -286,13 +293,14 @@ def attribute(
     out: AttributionOut = None,
     confirm: Confirm = False,
 ) -> int:
-    """Say whose fault each violation is: the same run again with one ingredient changed, then two.
+    """Find the ingredient that caused each violation.
 
-    Changed are the avoider, its deadline, perception, drives and brakes, the servoing camera, prediction, the
-    gate, the fallback, the critical distance, and last the hand, which goes half as fast.  What no arm could
-    have kept is unavoidable.  Of a trace all that it violates is attributed, of a scenario file all that the
-    kinematic replay violates.  The program that a trace was made with has to be named again.
-    Of another controller than the visual servo those are left out that it does not have.
+    The command repeats the run with one ingredient changed, then two. It changes the avoider, its deadline,
+    perception, drives and brakes, the servoing camera, prediction, the gate, the fallback and the critical
+    distance. Last it halves the speed of the hand. A violation that no arm could have avoided is unavoidable.
+    For a trace the command attributes all its violations; for a scenario file, all that the kinematic replay
+    violates. Name the program that made a trace again.
+    For a controller other than the visual servo, the command omits the ingredients that it does not have.
     Exit code 0: every violation has an answer, or there is none; 1: one is not attributed, since the
     kinematic replay does not show it, or fails; 2: bad input, nothing was run; 130: interrupted.
     """

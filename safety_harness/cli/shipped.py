@@ -1,4 +1,4 @@
-"""``safety-harness list``, ``copy`` and ``docs``: what comes with the package, and how to get at it."""
+"""``safety-harness list``, ``copy`` and ``docs``: the files and documents of the package."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ REFERRING = ("arm", "avoider", "capsules", "extends", "recording", "robot", "sce
 
 @command(commands, "list")
 def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these.")] = None) -> int:
-    """List what comes with the package, scenarios, spaces, plans, examples, recordings, robots, one a line.
+    """List the scenarios, spaces and other files of the package.
 
-    Each has a name, shipped:NAME, that stands for its file wherever a file is asked for; shipped:scenarios
-    and so on for their folders.
+    The list also has plans, examples, recordings and robots, one a line. Each has a name, shipped:NAME, which
+    stands for its file wherever a command takes a file. shipped:scenarios and so on stand for their folders.
     Exit code 0.
     """
     found = [one for one in shipped_files() if kind in (None, one.kind)]
@@ -54,10 +54,10 @@ def copy(
     folder: Annotated[Path, Argument(help="Where to.")] = Path(),
     overwrite: Annotated[bool, Option("--overwrite", help="Also over files that are otherwise.")] = False,
 ) -> int:
-    """Copy something shipped, with the files that it refers to, to be edited.
+    """Copy a shipped file, with the files that it refers to.
 
-    The files keep their places among each other; the path of each copy goes to standard output, that of what
-    was asked for first.
+    You can then edit the copies. They keep their relative places. The path of each copy goes to standard
+    output, the requested file first.
     Exit code 0; 2: there is no such name, or another file is there already: then nothing is copied.
     """
     from safety_harness.base.whole_file import writing
@@ -78,7 +78,7 @@ def copy(
 
 
 def _with_references(source: Path) -> dict[Path, Path]:
-    """Relative places of the files of ``source``, and of all that they refer to, with the files."""
+    """Return the files of ``source`` and all files that they refer to, by their relative places."""
     import os
 
     waiting = sorted(source.rglob("*")) if source.is_dir() else [source]
@@ -95,7 +95,7 @@ def _with_references(source: Path) -> dict[Path, Path]:
 
 
 def _references(path: Path) -> Iterator[Path]:
-    """The files that a text in a YAML file names."""
+    """Yield the files that the texts of a YAML file name."""
     from safety_harness.scenario.nodes import parse_tree, references_in
     from safety_harness.scenario.references import file_and_name
 
@@ -113,7 +113,7 @@ def docs(
     ] = None,
     where: Annotated[bool, Option("--where", help="Only print where it is; open nothing.")] = False,
 ) -> int:
-    """Open the documents, which come with the package, in a browser.
+    """Open the package's documents in a browser.
 
     The path goes to standard output; without a terminal or a browser that is all.
     Exit code 0; 2: there is no such section, or the documents were not built (make docs).
@@ -133,7 +133,7 @@ def docs(
 
 
 def _open(uri: str) -> None:
-    """In a browser, if there is one."""
+    """Open a page in a browser, if there is a browser."""
     import webbrowser
 
     try:

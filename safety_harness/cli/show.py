@@ -1,4 +1,4 @@
-"""``show`` and ``sample``: what a file would try, as a picture, and draws of a space as files."""
+"""``show`` and ``sample``: a picture of the scenarios of a file, and draws of a space as files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,18 @@ PICTURE = ".svg"
 
 
 def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
-    """One picture a scenario, and one of ``draws`` admissible draws of each space; returns the exit code."""
+    """Draw one picture per scenario, and one per space with several draws; return the exit code.
+
+    Args:
+        files: scenario files, spaces, suites or folders.
+        out: a folder, or an SVG file for a single picture.
+        draws: the number of admissible draws per space.
+        seed: the seed of the draws.
+
+    Raises:
+        InputError: a file or an option is not valid.
+
+    """
     gathered = gather(files, spaces=True)
     if gathered.errors:
         raise gathered.errors[0]
@@ -50,7 +61,18 @@ def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
 
 
 def sample(file: Path, *, out: Path, count: int, seed: int) -> int:
-    """``count`` admissible draws of a space, each a scenario file in ``out``; returns the exit code."""
+    """Write admissible draws of a space as scenario files; return the exit code.
+
+    Args:
+        file: the space.
+        out: the folder of the files.
+        count: the number of draws, 1 to 100,000.
+        seed: the seed of the draws.
+
+    Raises:
+        ScenarioError: the count is out of range.
+
+    """
     if not 1 <= count <= 100_000:
         raise ScenarioError.of_option("--count", "a number from 1 to 100000", str(count))
     space = read_space(file)
@@ -58,8 +80,8 @@ def sample(file: Path, *, out: Path, count: int, seed: int) -> int:
     files = []
     for scenario in drawn.scenarios:
         path = out / f"{scenario.name.replace('#', '-')}.yaml"
-        one = replace(scenario, claims=each_to_hold(scenario.claims))
-        write_text(path, write_scenario(as_seen_from(out, one)))
+        stored = replace(scenario, claims=each_to_hold(scenario.claims))
+        write_text(path, write_scenario(as_seen_from(out, stored)))
         result(str(path))
         files.append(path)
     document(files=files, drawn=drawn.drawn, refused=drawn.refused)
@@ -77,8 +99,8 @@ def _draw(path: Path, scenarios: Sequence[Scenario], title: str, regions: Boxes 
 
 
 def regions_of(space: ScenarioSpace) -> list[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    """Name, low and high corner in the base frame of each box and region that a space has."""
-    found: dict[tuple[object, ...], tuple[str, NDArray[np.float64], NDArray[np.float64]]] = {}
+    """Return name, low corner and high corner [m, base frame] of each box and region of a space."""
+    corners: dict[tuple[object, ...], tuple[str, NDArray[np.float64], NDArray[np.float64]]] = {}
     desired = np.array(space.simplest.settings.cell.desired_tcp_position_in_base_m)
     for parameter in space.parameters:
         distribution = parameter.distribution
@@ -92,5 +114,5 @@ def regions_of(space: ScenarioSpace) -> list[tuple[str, NDArray[np.float64], NDA
         elif isinstance(distribution, InBox):
             boxes = [(parameter.name, distribution.low, distribution.high)]
         for name, low, high in boxes:
-            found[(name, *low, *high)] = (name, np.array(low) + shift, np.array(high) + shift)
-    return list(found.values())
+            corners[(name, *low, *high)] = (name, np.array(low) + shift, np.array(high) + shift)
+    return list(corners.values())

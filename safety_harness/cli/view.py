@@ -18,7 +18,7 @@ PAGE = ".html"
 
 
 def view(paths: Sequence[Path], out: Path | None, *, opens: bool) -> int:
-    """Write the page and open it; returns the exit code."""
+    """Write the page of one or two stored runs, and open it if ``opens``; return the exit code."""
     file = out or Path("reports/view") / f"{'-and-'.join(path.stem for path in paths)}{PAGE}"
     if file.suffix != PAGE:
         raise TraceError.of_option("--out", f"a file{PAGE}", str(file))

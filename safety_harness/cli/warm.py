@@ -1,4 +1,4 @@
-"""``safety-harness warm``: machine code for what runs and their judgement need, before it is needed."""
+"""``safety-harness warm``: compile the machine code of runs and judgements before its first use."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ hand sensor:
 
 
 def warm_up() -> int:
-    """Run, judge, and say where the machine code lies; returns the exit code."""
+    """Run and judge short scenarios in every installed world, and report the cache; return the exit code."""
     worlds = list(_installed_worlds())
     for text in (SHORT_RUN, SHORT_RUN + WITH_A_SENSOR):
         admitted = admit(parse_scenario(text))
@@ -54,11 +54,11 @@ def warm_up() -> int:
         list(run_many([admitted], world=KINEMATIC))
     for _, make in loaded(ExtensionPoint.WARMING, FunctionType):
         make()
-    return _told()
+    return _report_cache()
 
 
 def _installed_worlds() -> Iterator[WorldEntry]:
-    """The worlds whose engine is there; says which are not."""
+    """Yield the worlds with an installed engine, and report the missing engines."""
     for world in WORLDS:
         try:
             world.opener()
@@ -69,16 +69,16 @@ def _installed_worlds() -> Iterator[WorldEntry]:
 
 
 def forget_old() -> int:
-    """Remove old machine code, and say how much there was; returns the exit code."""
-    before = machine_code_bytes()
+    """Remove old machine code and report its size; return the exit code."""
+    size = machine_code_bytes()
     count = forget_old_machine_code()
-    freed = before - machine_code_bytes()
+    freed = size - machine_code_bytes()
     document(folder=cache_root(), removed_folders=count, removed_bytes=freed)
-    result(f"{count} folders removed, {megabytes(freed)}; {megabytes(before - freed)} left in {cache_root()}")
+    result(f"{count} folders removed, {megabytes(freed)}; {megabytes(size - freed)} left in {cache_root()}")
     return AS_EXPECTED
 
 
-def _told() -> int:
+def _report_cache() -> int:
     came, kept = compilation(), machine_code_bytes()
     document(
         folder=cache_root(),
@@ -96,10 +96,10 @@ def _told() -> int:
 
 
 def machine_code_bytes() -> int:
-    """How much room the machine code takes, that of other versions with it."""
+    """Return the size [byte] of the machine code, including the code of other versions."""
     return sum(file.stat().st_size for folder in machine_code() for file in folder.rglob("*.nb?"))
 
 
 def megabytes(size: int) -> str:
-    """As ``12.3 MB``."""
+    """Return a size [byte] as text such as ``12.3 MB``."""
     return f"{size / 1e6:.1f} MB"

@@ -1,4 +1,4 @@
-"""The meshes of an arm as few triangles, for pictures only: distances are measured to its capsules."""
+"""The meshes of an arm as few triangles, for pictures only; distances use the arm's capsules."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ Triangles = NDArray[np.float64]  # (n, 3, 3) corners [m]
 
 @lru_cache(maxsize=16)
 def arm_meshes(arm: ArmModel) -> dict[str, Any] | None:
-    """The triangles of all links whose meshes are binary STL or OBJ, packed; None if there are none.
+    """Return the packed triangles of all links with binary STL or OBJ meshes; None without any.
 
-    What cannot be read is left out: the viewer draws the capsules of such a link.
+    The result omits meshes that cannot be read; the viewer draws the capsules of such a link.
     """
     by_link: dict[int, Triangles] = {}
     for link in arm.links:
@@ -42,7 +42,7 @@ def arm_meshes(arm: ArmModel) -> dict[str, Any] | None:
 
 
 def packed_meshes(meshes: dict[int, tuple[NDArray[np.float64], NDArray[np.int64]]]) -> dict[str, Any] | None:
-    """Corners (v, 3) [m] and faces (n, 3) of each link as the viewer takes them; None without any."""
+    """Return corners (v, 3) [m] and faces (n, 3) per link as the viewer takes them; None without any."""
     columns: dict[str, NDArray[Any]] = {}
     for link, (corners, faces) in meshes.items():
         columns |= {f"corners {link}": corners, f"faces {link}": faces}
@@ -50,7 +50,13 @@ def packed_meshes(meshes: dict[int, tuple[NDArray[np.float64], NDArray[np.int64]
 
 
 def clustered(corners: Triangles, cell_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Corners (v, 3) and faces (n, 3), where corners within a cell of a grid are one, in their mean."""
+    """Merge the corners within each cell of a grid into their mean; return corners (v, 3) and faces (n, 3).
+
+    Args:
+        corners: the triangles (n, 3, 3) [m].
+        cell_m: the edge of a cell [m].
+
+    """
     points = corners.reshape(-1, 3)
     cells = np.floor((points - points.min(axis=0)) / cell_m)
     keys = cells @ (1.0 + cells.max()) ** np.arange(3.0)
@@ -66,7 +72,7 @@ def clustered(corners: Triangles, cell_m: float) -> tuple[NDArray[np.float64], N
 
 
 def _triangles(shape: Shape) -> Triangles:
-    """Of a mesh's file in its link's frame; none of another kind of file, or of a broken one."""
+    """Return a mesh's triangles in its link's frame; empty for another kind of file, or a broken one."""
     file = shape.file or Path()
     try:
         read = {".stl": _stl, ".obj": _obj}.get(file.suffix.lower())
@@ -78,18 +84,18 @@ def _triangles(shape: Shape) -> Triangles:
 
 
 def _stl(file: Path) -> Triangles:
-    found = np.frombuffer(file.read_bytes()[84:], STL)  # a text STL has no such length: ValueError
-    return found["corners"].astype(np.float64)
+    records = np.frombuffer(file.read_bytes()[84:], STL)  # a text STL has no such length: ValueError
+    return records["corners"].astype(np.float64)
 
 
 def _obj(file: Path) -> Triangles:
     points, faces = [], []
     for line in file.read_text(encoding="utf-8").splitlines():
-        kind, *words = line.split() or [""]
+        kind, *fields = line.split() or [""]
         if kind == "v":
-            points.append([float(word) for word in words[:3]])
+            points.append([float(text) for text in fields[:3]])
         elif kind == "f":
-            corners = [int(word.split("/")[0]) for word in words]
+            corners = [int(text.split("/")[0]) for text in fields]
             faces += [(corners[0], *pair) for pair in pairwise(corners[1:])]
     index = np.array(faces, np.int64).reshape(-1, 3)
     return np.array(points).reshape(-1, 3)[np.where(index > 0, index - 1, index)]

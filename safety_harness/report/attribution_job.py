@@ -47,19 +47,19 @@ def attribute(
     confirm: bool = False,
     output: Output = QUIET,
 ) -> AttributionResult:
-    """Run each violated run again with one ingredient changed, then two, and say which of them mend it.
+    """Repeat each violated run with one ingredient changed, then two, and report the changes that mend it.
+
+    Ctrl-C ends the work; the result keeps the attributions until then.
 
     Args:
-        runs: One or many of: the result of ``run``, a trace, its file, a scenario, its file, or a folder.
-        avoider: The program that a trace was made with, named again, since it is executed.
-        controller: Likewise.
-        confirm: Run each violation, and what is blamed changed, in PyBullet too.
-        output: What hears of the progress.
-
-    Ctrl-C ends it, and the result keeps what was attributed.
+        runs: One or many inputs: the result of ``run``, a trace, its file, a scenario, its file, or a folder.
+        avoider: The program that made a trace.  You name it again, since the harness executes it.
+        controller: The same for a controller.
+        confirm: Whether PyBullet repeats each violation, and each run with the blamed ingredients changed.
+        output: Receives the progress.
 
     Raises:
-        InputErrors: Inputs cannot be used; nothing was run.
+        InputErrors: Inputs cannot be used; nothing ran.
         InputError: An option cannot be used, or the world is not installed.
 
     """
@@ -72,20 +72,20 @@ def attribute(
         for error in all_refused:
             output.explain(error)
         raise InputErrors(all_refused, left=len(admitted))
-    found = attribute_all([(one, ()) for one in admitted], len(admitted), "runs", confirm, output)
-    if not found.attributions:
+    attributed = attribute_all([(ready, ()) for ready in admitted], len(admitted), "runs", confirm, output)
+    if not attributed.attributions:
         output.say(f"{len(admitted)} runs without a violation: nothing to attribute")
-    return found
+    return attributed
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AttributionResult:
-    """What the violations of runs are attributed to.
+    """The ingredients to which the violations of runs are attributed.
 
     Args:
         attributions: One for each violation.
-        failed: A run could not be run again.
-        interrupted: Ctrl-C ended it.
+        failed: Whether a run could not be repeated.
+        interrupted: Whether Ctrl-C ended the work.
 
     """
 
@@ -95,23 +95,23 @@ class AttributionResult:
 
     @property
     def tally(self) -> AttributionTally:
-        """The attributions in groups."""
+        """Return the attributions in groups."""
         return AttributionTally.of(self.attributions)
 
     @property
     def exit_code(self) -> int:
-        """The command's exit code."""
+        """Return the command's exit code."""
         if self.interrupted:
             return INTERRUPTED
-        missing = any(one.answer is AttributionAnswer.NOT_ATTRIBUTED for one in self.attributions)
+        missing = any(entry.answer is AttributionAnswer.NOT_ATTRIBUTED for entry in self.attributions)
         return DIFFERS if missing or self.failed else AS_EXPECTED
 
     def __repr__(self) -> str:
-        words = self.tally.words if self.attributions else "nothing to attribute"
-        return f"<violations in {KINEMATIC}, {words}>"
+        summary = self.tally.words if self.attributions else "nothing to attribute"
+        return f"<violations in {KINEMATIC}, {summary}>"
 
     def data(self) -> dict[str, object]:
-        """Return what attribution.json holds."""
+        """Return the content of attribution.json."""
         return self.tally.as_json()
 
     def write(self, folder: str | Path) -> AttributionResult:
@@ -125,8 +125,17 @@ class AttributionResult:
 def attribute_all(
     runs: Iterable[tuple[Admitted, Sequence[Claim]]], count: int, unit: str, confirm: bool, output: Output
 ) -> AttributionResult:
-    """Attribute and print the violations of runs until Ctrl-C: of these claims, or of all of a run's own."""
-    found: list[Attribution] = []
+    """Attribute and print the violations of runs until Ctrl-C.
+
+    Args:
+        runs: Each run with the claims to attribute; no claims mean all of the run's own.
+        count: The number of runs, for the progress.
+        unit: The name of a run in the progress.
+        confirm: Whether PyBullet repeats each attribution.
+        output: Receives the lines.
+
+    """
+    done: list[Attribution] = []
     failed = interrupted = False
     try:
         with output.counting(count, unit) as show:
@@ -140,41 +149,41 @@ def attribute_all(
                 else:
                     if shield is not None:
                         output.result(f"{admitted.scenario.name}: {shield.words}")
-                        output.result(*(f"    {one}" for one in slowings(shield.trace)))
-                    for one in attributions:
-                        found.append(one)
-                        for line in _lines(one, admitted if confirm else None):
+                        output.result(*(f"    {entry}" for entry in slowings(shield.trace)))
+                    for entry in attributions:
+                        done.append(entry)
+                        for line in _lines(entry, admitted if confirm else None):
                             output.result(line)
                 show(number)
     except KeyboardInterrupt:
         interrupted = True
-    return AttributionResult(tuple(found), failed, interrupted)
+    return AttributionResult(tuple(done), failed, interrupted)
 
 
-def _lines(one: Attribution, confirming: Admitted | None) -> Iterator[str]:
-    """Yield what is said of one violation, and what PyBullet says of the run ``confirming`` it."""
-    yield f"{one.scenario}: {one.claim.sentence}: {one.unit.margin_text(one.margin)}: {one.words}"
-    if confirming is not None and one.answer is not AttributionAnswer.NOT_ATTRIBUTED:
-        yield from (f"    {confirming_line(again, one)}" for again in confirmed(confirming, one))
+def _lines(cause: Attribution, confirming: Admitted | None) -> Iterator[str]:
+    """Yield the line of one violation, and the lines of PyBullet's runs if ``confirming`` has the run."""
+    yield f"{cause.scenario}: {cause.claim.sentence}: {cause.unit.margin_text(cause.margin)}: {cause.words}"
+    if confirming is not None and cause.answer is not AttributionAnswer.NOT_ATTRIBUTED:
+        yield from (f"    {confirming_line(again, cause)}" for again in confirmed(confirming, cause))
 
 
 def _scenarios(
     runs: Attributable | Iterable[Attributable], avoider: str | None
 ) -> tuple[list[Scenario], list[InputError]]:
-    """Return what is to be run again: of a trace its scenario, which claims what it violates."""
+    """Return the scenarios to repeat, with the errors; a trace's scenario claims only its violations."""
     given = list(runs) if isinstance(runs, Iterable) and not isinstance(runs, str) else [runs]
     kept: list[tuple[Trace, Path | None]] = []
-    asked: list[Scenario] = []
+    scenarios: list[Scenario] = []
     paths: list[Path] = []
-    for one in given:
-        if isinstance(one, RunResult):
-            kept += [(run.trace, run.trace_file) for run in one.runs]
-        elif isinstance(one, Trace):
-            kept.append((one, None))
-        elif isinstance(one, Scenario):
-            asked.append(one)
+    for item in given:
+        if isinstance(item, RunResult):
+            kept += [(run.trace, run.trace_file) for run in item.runs]
+        elif isinstance(item, Trace):
+            kept.append((item, None))
+        elif isinstance(item, Scenario):
+            scenarios.append(item)
         else:
-            paths.append(located(one) if isinstance(one, Path) else as_path(one, "attribute(runs)"))
+            paths.append(located(item) if isinstance(item, Path) else as_path(item, "attribute(runs)"))
     traces = [path for path in paths if path.suffix == TRACE]
     files = [path for path in paths if path.suffix != TRACE and not path.is_dir()]
     errors: list[InputError] = []
@@ -188,17 +197,17 @@ def _scenarios(
             got, hint = f"{kind.words} without any", command_for(folder, kind)
             errors.append(ScenarioError(place=Place(file=folder), expected=expected, got=got, hint=hint))
     gathered = gather(files) if files else None
-    named = [*(gathered.scenarios if gathered else ()), *asked]
-    chosen, refused = usable(named, lambda one: one if avoider is None else with_avoider(one, avoider))
+    named = [*(gathered.scenarios if gathered else ()), *scenarios]
+    chosen, refused = usable(named, lambda item: item if avoider is None else with_avoider(item, avoider))
     violated, unread = usable(traces, lambda path: _violated(load_trace(path), path, avoider))
-    more, unusable = usable(kept, lambda one: _violated(*one, avoider))
+    more, unusable = usable(kept, lambda item: _violated(*item, avoider))
     violated, unread = [*violated, *more], [*unread, *unusable]
     errors += [*(gathered.errors if gathered else ()), *refused, *unread]
-    return [*chosen, *(one for one in violated if one.claims)], errors
+    return [*chosen, *(item for item in violated if item.claims)], errors
 
 
 def _violated(trace: Trace, path: Path | None, avoider: str | None) -> Scenario:
-    """Return the scenario of a trace, with the claims that the trace violates alone."""
+    """Return the scenario of a trace with only the claims that the trace violates."""
     refuse_not_simulated(trace, path)
     scenario = with_program(trace.scenario, avoider, path, verb="attribute")
     evaluations = judge(trace, file=path)

@@ -1,8 +1,8 @@
-"""Plots as SVG in the page's colours: axes with round ticks; on them curves, bars, marks, text and a key.
+"""Plots as SVG in the page's colours: axes with round ticks, curves, bars, marks, text and a key.
 
-Nothing is placed before the picture is written, so that axes may grow until then.  Places are pixels of the
-picture, y downwards, with one decimal; what is not finite is a gap.  Curves end at the edges of their axes;
-marks and words whose place is outside are left out.
+Axes may grow until the picture is written, because the module places everything only then.  Places are
+pixels of the picture, y downwards, with one decimal.  A value that is not finite leaves a gap.  Curves end
+at the edges of their axes; marks and words outside the axes are omitted.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Share(float):
 
 @dataclass
 class Axis:
-    """One direction of axes; without ``ticks`` (value, label) at most ``steps`` round ones."""
+    """One direction of axes, with given ``ticks`` (value, label) or at most ``steps`` round ticks."""
 
     start_px: float
     length_px: float  # negative: upwards
@@ -69,24 +69,24 @@ class Axis:
     _shown: tuple[float, float] | None = None
 
     def see(self, values: ArrayLike) -> Floats:
-        """``values`` (n,), which are in view unless ``show`` says otherwise."""
-        found = np.asarray(values, dtype=np.float64)
-        finite = np.clip(found[np.isfinite(found)], -_LARGEST, _LARGEST)
+        """Return ``values`` (n,), and extend the view to them unless ``show`` sets the view."""
+        array = np.asarray(values, dtype=np.float64)
+        finite = np.clip(array[np.isfinite(array)], -_LARGEST, _LARGEST)
         low, high = self._seen
         self._seen = float(finite.min(initial=low)), float(finite.max(initial=high))
-        return found
+        return array
 
     def show(self, low: float, high: float) -> None:
-        """From where to where values are in view."""
+        """Set the view to the values from ``low`` to ``high``."""
         self._shown = low, high
 
     def hold(self, value: float) -> None:
-        """Let the view grow to ``value``, without a margin."""
+        """Extend the view to ``value``, without a margin."""
         low, high = self.view()
         self.show(min(low, value), max(high, value))
 
     def view(self) -> tuple[float, float]:
-        """From where to where values are in view, as things stand."""
+        """Return the lowest and the highest value in the current view."""
         if self._shown is not None:
             return self._shown
         low, high = self._seen
@@ -97,48 +97,48 @@ class Axis:
         return low - pad, high + pad
 
     def place(self, values: ArrayLike) -> Floats:
-        """Where values (n,) are [px]."""
-        found, ends = np.asarray(values, dtype=np.float64), np.array(self.view())
+        """Return the places [px] of values (n,)."""
+        array, ends = np.asarray(values, dtype=np.float64), np.array(self.view())
         if self.log:
-            found, ends = np.log10(np.where(found > 0.0, found, np.nan)), np.log10(ends)
-        places: Floats = self.start_px + self.length_px * (found - ends[0]) / (ends[1] - ends[0])
+            array, ends = np.log10(np.where(array > 0.0, array, np.nan)), np.log10(ends)
+        places: Floats = self.start_px + self.length_px * (array - ends[0]) / (ends[1] - ends[0])
         return places
 
     def at(self, value: float) -> float:
-        """Where one value, or a share of the axis, is [px]."""
+        """Return the place [px] of one value, or of a share of the axis."""
         if isinstance(value, Share):
             return self.start_px + self.length_px * value
         return float(self.place([value])[0])
 
     def ends_px(self) -> Floats:
-        """Where it starts and ends (2,)."""
+        """Return the places [px] of the axis's start and end, shape (2,)."""
         return np.array([self.start_px, self.start_px + self.length_px])
 
     def has(self, place_px: float) -> bool:
-        """Is a place on it, to a pixel?"""
+        """Return whether a place lies on the axis, to a pixel."""
         low, high = sorted(self.ends_px())
         return bool(low - 1.0 <= place_px <= high + 1.0)
 
     def labels(self) -> list[tuple[float, str]]:
-        """(place [px], words) of each tick in view."""
+        """Return (place [px], words) of each tick in view."""
         ticks = self.ticks
         if ticks is None:
-            found = round_values(min(self.view()), max(self.view()), self.steps)
-            ticks = [(value, with_minus(f"{value:g}")) for value in found]
-        return [(self.at(value), words) for value, words in ticks if self.has(self.at(value))]
+            rounded = round_values(min(self.view()), max(self.view()), self.steps)
+            ticks = [(value, with_minus(f"{value:g}")) for value in rounded]
+        return [(self.at(value), label) for value, label in ticks if self.has(self.at(value))]
 
 
 def round_values(low: float, high: float, steps: int) -> list[float]:
-    """The multiples of a round number from ``low`` to ``high``, at most ``steps`` of it apart."""
+    """Return the multiples of a round step from ``low`` to ``high``, with at most ``steps`` steps between."""
     least = max((high - low) / steps, 1e-300)
     power = 10.0 ** np.floor(np.log10(least))
-    step = next(power * one for one in _ROUND if power * one >= least * (1.0 - 1e-9))
+    step = next(power * factor for factor in _ROUND if power * factor >= least * (1.0 - 1e-9))
     first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
     return [float(f"{k * step:.12g}") + 0.0 for k in np.arange(first, last + 1.0)]
 
 
 def stairs(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
-    """The curve that keeps each of ``y`` (n,) until the next of ``x`` (n,)."""
+    """Return the curve that keeps each of ``y`` (n,) until the next of ``x`` (n,)."""
     return np.repeat(np.asarray(x, np.float64), 2)[1:], np.repeat(np.asarray(y, np.float64), 2)[:-1]
 
 
@@ -163,17 +163,17 @@ class Axes:
         opacity: float = 1.0,
         name: str | None = None,  # in the key
     ) -> None:
-        """A curve."""
-        across, up = self.x.see(x), self.y.see(y)
-        self._stroke(lambda: (self.x.place(across), self.y.place(up)), ink, width, dashes, opacity, name)
+        """Draw a curve."""
+        across, heights = self.x.see(x), self.y.see(y)
+        self._stroke(lambda: (self.x.place(across), self.y.place(heights)), ink, width, dashes, opacity, name)
 
     def hline(self, y: float, ink: Ink, *, width: float = 0.8, dashes: Sequence[float] = ()) -> None:
-        """A line all across."""
+        """Draw a line across the whole width."""
         self.y.see([y])
         self._stroke(lambda: (self.x.ends_px(), self.y.place([y, y])), ink, width, dashes)
 
     def vline(self, x: float, ink: Ink, *, width: float = 0.8, dashes: Sequence[float] = ()) -> None:
-        """A line all the way up."""
+        """Draw a line over the whole height."""
         self.x.see([x])
         self._stroke(lambda: (self.x.place([x, x]), self.y.ends_px()), ink, width, dashes)
 
@@ -188,7 +188,7 @@ class Axes:
     ) -> None:
         style = _style(None, ink, width, opacity)
         style |= (
-            {"stroke-dasharray": " ".join(f"{width * one:g}" for one in dashes)}
+            {"stroke-dasharray": " ".join(f"{width * dash:g}" for dash in dashes)}
             if dashes
             else {"stroke-linecap": "round"}
         )
@@ -206,12 +206,12 @@ class Axes:
         edge: Ink | None = None,
         width: float = 1.8,
     ) -> None:
-        """What an outline encloses."""
-        across, up = self.x.see(x), self.y.see(y)
+        """Fill the area within an outline."""
+        across, heights = self.x.see(x), self.y.see(y)
         style = _style(fill, edge, width, opacity)
 
         def draw(root: Element, clip: str) -> None:
-            drawn = _strokes(self.x.place(across), self.y.place(up), closed=True)
+            drawn = _strokes(self.x.place(across), self.y.place(heights), closed=True)
             _path(root, drawn, style | {"clip-path": clip})
 
         self._items.append(draw)
@@ -225,7 +225,7 @@ class Axes:
         opacity: float = 1.0,
         hatched: bool = False,
     ) -> None:
-        """Rectangles from x to x + length between two heights."""
+        """Draw rectangles from x to x + length between two heights."""
         corners = [([x, x + length, x + length, x], [y[0], y[0], y[1], y[1]]) for x, length in spans]
         self.y.see(y)
         style = _style(ink, None, 0.0, opacity)
@@ -255,12 +255,12 @@ class Axes:
         opacity: float = 1.0,
         name: str | None = None,  # in the key
     ) -> None:
-        """A mark at each place."""
-        across, up = self.x.see(x), self.y.see(y)
+        """Draw a mark at each place."""
+        across, heights = self.x.see(x), self.y.see(y)
         style = _style(fill, edge, width, opacity)
 
         def draw(root: Element, _: str) -> None:
-            places = zip(self.x.place(across).tolist(), self.y.place(up).tolist(), strict=True)
+            places = zip(self.x.place(across).tolist(), self.y.place(heights).tolist(), strict=True)
             shown = [place for place in places if self.x.has(place[0]) and self.y.has(place[1])]
             _path(root, "".join(_mark(shape, size, *place) for place in shown), style)
 
@@ -269,14 +269,14 @@ class Axes:
             self._keys.append((name, lambda root, x, y: _path(root, _mark(shape, size, x, y), style)))
 
     def key(self, name: str, ink: Ink) -> None:
-        """A line of the key for what has no name where it is drawn: a coloured box."""
+        """Add a line to the key: a coloured box for items without a name of their own."""
         self._keys.append(
             (name, lambda root, x, y: _path(root, f"M{x - 9:g} {y - 4:g}h18v8h-18z", _style(ink)))
         )
 
     def text(
         self,
-        words: str,
+        label: str,
         x: float,
         y: float,
         *,
@@ -285,29 +285,29 @@ class Axes:
         ink: Ink = Ink.TEXT,
         size: float = FONT_PX,
     ) -> None:
-        """Words at a place, each coordinate a value or a ``Share``."""
+        """Write words at a place; each coordinate is a value or a ``Share``."""
 
         def draw(root: Element, _: str) -> None:
             place = self.x.at(x), self.y.at(y)
             if self.x.has(place[0]) and self.y.has(place[1]):
                 at = place[0] + shift[0], place[1] + shift[1]
-                _text(root, words, *at, anchor=anchor, ink=ink, size=size)
+                _text(root, label, *at, anchor=anchor, ink=ink, size=size)
 
         self._items.append(draw)
 
     def title(
-        self, words: str, *, anchor: str = "start", up: float = 8.0, bold: bool = True, ink: Ink = Ink.TEXT
+        self, label: str, *, anchor: str = "start", lift: float = 8.0, bold: bool = True, ink: Ink = Ink.TEXT
     ) -> None:
-        """Words above the axes, which start or end with them."""
+        """Write words ``lift`` pixels above the axes, aligned with their start or their end."""
 
         def draw(root: Element, _: str) -> None:
-            x, y = self.x.ends_px()[int(anchor == "end")], self.y.ends_px()[1] - up
-            _text(root, words, x, y, anchor=anchor, ink=ink, bold=bold)
+            x, y = self.x.ends_px()[int(anchor == "end")], self.y.ends_px()[1] - lift
+            _text(root, label, x, y, anchor=anchor, ink=ink, bold=bold)
 
         self._above.append(draw)
 
     def legend(self, *, anchor: str = "end", inside: bool = False) -> None:
-        """What each name means: a row above that starts or ends with the axes, or a list in a corner."""
+        """Draw the key: a row above the axes at their start or end, or a list in a corner."""
 
         def draw(root: Element, _: str) -> None:
             widths = [44.0 + text_px(name) for name, _ in self._keys]
@@ -332,7 +332,7 @@ class Axes:
             axis.show(centre - size, centre + size)
 
     def draw(self, root: Element, clip: str) -> None:
-        """All of it; ``clip`` is the id that what is within its edges has."""
+        """Draw everything; ``clip`` is the id of the area within the edges."""
         (left, right), (bottom, top) = self.x.ends_px(), self.y.ends_px()
         edges = np.array([left - 1.0, right + 1.0, right + 1.0, left - 1.0])
         heights = np.array([bottom + 1.0, bottom + 1.0, top - 1.0, top - 1.0])
@@ -347,41 +347,45 @@ class Axes:
                 line += "".join(self._along(axis, at, 3.0, -3.0) for at, _ in axis.labels())
                 line += "".join(self._along(axis, axis.at(value), 2.0, -2.0) for value in axis.minor)
                 _path(root, line, _style(None, Ink.MUTED))
-        for at, words in self.x.labels() if self.x.labelled else ():
-            _text(root, words, at, bottom + 15.0, anchor="middle", ink=Ink.MUTED)
-        for at, words in self.y.labels() if self.y.labelled else ():
-            _text(root, words, left - 7.0, at + 4.0, anchor="end", ink=Ink.MUTED)
+        for at, label in self.x.labels() if self.x.labelled else ():
+            _text(root, label, at, bottom + 15.0, anchor="middle", ink=Ink.MUTED)
+        for at, label in self.y.labels() if self.y.labelled else ():
+            _text(root, label, left - 7.0, at + 4.0, anchor="end", ink=Ink.MUTED)
         _text(root, self.x.label, right, bottom + 32.0, anchor="end", ink=Ink.MUTED)
         middle = 0.5 * (bottom + top)
         _text(root, self.y.label, left - 58.0, middle, anchor="middle", ink=Ink.MUTED, turned=True)
         for item in (*self._items, *self._above):
             item(root, f"url(#{clip})")
 
-    def _along(self, axis: Axis, at_px: float, down: float, right: float) -> str:
-        """A short line from the edge of the axes at a tick of one of the two."""
+    def _along(self, axis: Axis, at_px: float, down_px: float, right_px: float) -> str:
+        """Return a short line from the edge of the axes at a tick of ``axis``."""
         if axis is self.x:
-            return f"M{_short(at_px)} {_short(self.y.start_px)}v{_short(down)}"
-        return f"M{_short(self.x.start_px)} {_short(at_px)}h{_short(right)}"
+            return f"M{_short(at_px)} {_short(self.y.start_px)}v{_short(down_px)}"
+        return f"M{_short(self.x.start_px)} {_short(at_px)}h{_short(right_px)}"
 
 
 class Picture:
-    """Axes on a page of some size, in pixels."""
+    """Axes on a page of some size [px]."""
 
     def __init__(self, width: float, height: float) -> None:
         self.size = width, height
         self._axes: list[Axes] = []
 
     def axes(self, left: float, top: float, width: float, height: float) -> Axes:
-        """New axes, drawn on top of the others."""
+        """Add axes, drawn on top of earlier axes."""
         self._axes.append(Axes(Axis(left, width), Axis(top + height, -height)))
         return self._axes[-1]
 
     def svg(self, *, prefix: str, title: str, description: str) -> str:
-        """An ``<svg>`` element for a page, or ``standalone``; every id starts with ``prefix``.
+        """Return an ``<svg>`` element for a page, or for ``standalone``.
 
-        ``title`` and ``description`` are what a screen reader says.
+        Args:
+            prefix: The start of every id.
+            title: The title for a screen reader.
+            description: The description for a screen reader.
+
         """
-        width, height = (f"{one:g}" for one in self.size)
+        width, height = (f"{length:g}" for length in self.size)
         size = {"width": width, "height": height, "viewBox": f"0 0 {width} {height}"}
         root = Element("svg", size | {"font-size": f"{FONT_PX:g}"})
         describe(root, prefix=prefix, title=title, description=description)
@@ -390,8 +394,8 @@ class Picture:
         return tostring(root, encoding="unicode")
 
 
-def text_px(words: str) -> float:
-    """About how wide words are at ``FONT_PX``; rather wider than they will be."""
+def text_px(text: str) -> float:
+    """Return the approximate width [px] of words at ``FONT_PX``, rather too wide than too narrow."""
     return FONT_PX * sum(
         1.0
         if unicodedata.east_asian_width(letter) in "WF"
@@ -400,22 +404,25 @@ def text_px(words: str) -> float:
         else 0.35
         if letter in "ijlt.,:;'|! "
         else 0.62
-        for letter in words
+        for letter in text
     )
 
 
 def _short(number: float) -> str:
-    """A place [px] with one decimal at most."""
+    """Return a place [px] with one decimal at most."""
     return f"{round(min(max(number, -_FAR_PX), _FAR_PX), 1) + 0.0:g}"
 
 
 def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
-    """The path through places (n,) [px], broken where one is not finite, without those along a level line."""
+    """Return the path through places (n,) [px], without inner points of a level line.
+
+    The path breaks where a place is not finite.
+    """
     places = np.round(np.column_stack([x, y]), 1)
     places = np.where(np.isfinite(places), np.clip(places, -_FAR_PX, _FAR_PX) + 0.0, np.nan)
     places = np.delete(places, 1 + np.flatnonzero((np.diff(places, axis=0) == 0.0).all(axis=1)), axis=0)
-    across, up = np.diff(places, axis=0).T
-    along = (up[1:] == 0.0) & (up[:-1] == 0.0) & (across[1:] * across[:-1] > 0.0)
+    across, rise = np.diff(places, axis=0).T
+    along = (rise[1:] == 0.0) & (rise[:-1] == 0.0) & (across[1:] * across[:-1] > 0.0)
     places = np.delete(places, 1 + np.flatnonzero(along), axis=0)
     good = np.isfinite(places.sum(axis=1))
     drawn = []
@@ -429,10 +436,10 @@ def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
 
 
 def _straightened(places: Floats) -> Floats:
-    """``places`` (n, 2) [px] without those that lie on the straight way between two others that are kept.
+    """Return ``places`` (n, 2) [px] without those on a straight way between two kept places.
 
-    Within as much as places are rounded to, and only where the way does not turn back.  From a place that is
-    kept all later ones are passed over as long as they lie within a cone (Reumann and Witkam, 1974).
+    The tolerance is the rounding of places, and the way must not turn back.  From a kept place the
+    function drops later places while they lie within a cone (Reumann and Witkam, 1974).
     """
     if len(places) <= _MOST_PLACES:
         return places
@@ -452,12 +459,12 @@ def _straightened(places: Floats) -> Floats:
             ahead = bearing if ahead != ahead else ahead
             spread = math.asin(_ROUNDED_PX / away)
             least, most = max(least, turned - spread), min(most, turned + spread)
-    found: Floats = places[[*kept, len(places) - 1]]
-    return found
+    corners: Floats = places[[*kept, len(places) - 1]]
+    return corners
 
 
 def _path_words(places: Floats) -> str:
-    """The path through ``places`` (n, 2) [px]; a long one by its steps, which have fewer digits."""
+    """Return the path through ``places`` (n, 2) [px]; a long path as steps, which have fewer digits."""
     if len(places) <= _MOST_PLACES:
         return "M" + " ".join([f"{a:g} {b:g}" for a, b in places.tolist()])
     steps = " ".join([f"{step:g}" for step in np.round(np.diff(places, axis=0), 1).ravel() + 0.0])
@@ -488,7 +495,7 @@ def _path(root: Element, drawn: str, style: dict[str, str]) -> None:
 
 def _text(
     root: Element,
-    words: str,
+    label: str,
     x: float,
     y: float,
     *,
@@ -498,10 +505,10 @@ def _text(
     bold: bool = False,
     turned: bool = False,
 ) -> None:
-    if not words:
+    if not label:
         return
     attributes = {"x": _short(x), "y": _short(y), "fill": f"var({ink.variable})", "text-anchor": anchor}
     attributes |= {"font-size": f"{size:g}"} if size != FONT_PX else {}
     attributes |= {"font-weight": "bold"} if bold else {}
     attributes |= {"transform": f"rotate(-90 {_short(x)} {_short(y)})"} if turned else {}
-    SubElement(root, "text", attributes).text = words
+    SubElement(root, "text", attributes).text = label

@@ -1,4 +1,4 @@
-"""What came out, for those who read a change: SARIF for the lines of its files, Markdown for its summary."""
+"""The verdicts for readers of a change: SARIF for the lines of its files, Markdown for its summary."""
 
 from __future__ import annotations
 
@@ -23,60 +23,63 @@ MOST_LINES = 50  # of a summary; a job's has a limit of its own
 
 
 def write_for_ci(folder: Path, runs: Sequence[JudgedRun]) -> None:
-    """Write ``summary.md`` and ``report.sarif`` into the folder.  Raises OSError."""
+    """Write ``summary.md`` and ``report.sarif`` into the folder; OSError if it cannot."""
     write_whole(folder / SUMMARY, markdown(runs))
     write_whole(folder / SARIF, json.dumps(sarif(runs), indent=1) + "\n")
 
 
-def _told(runs: Sequence[JudgedRun]) -> Iterator[tuple[JudgedRun, Claim, Evaluation, bool]]:
-    """What is not as expected, and then the violations that are; with whether it is as expected."""
+def _reported(runs: Sequence[JudgedRun]) -> Iterator[tuple[JudgedRun, Claim, Evaluation, bool]]:
+    """Yield the unexpected verdicts, then the expected violations, each with whether it is as expected."""
     for wanted in (False, True):
         for run in runs:
-            for (claim, found), expected in zip(run.judged_claims(), run.as_expected, strict=True):
-                if expected is wanted and (not expected or found.verdict is Verdict.VIOLATED):
-                    yield run, claim, found, expected
+            for (claim, evaluation), expected in zip(run.judged_claims(), run.as_expected, strict=True):
+                if expected is wanted and (not expected or evaluation.verdict is Verdict.VIOLATED):
+                    yield run, claim, evaluation, expected
 
 
 def markdown(runs: Sequence[JudgedRun]) -> str:
-    """The summary of a job: the answer, and a table of what is not as expected or violated."""
-    told_of = list(_told(runs))
+    """Return the summary of a job: the answer, and a table of unexpected verdicts and violations."""
+    rows = list(_reported(runs))
     lines = [f"### {answer(runs)}", ""]
-    if told_of:
+    if rows:
         lines += ["| scenario | claim | verdict | expected | margin | at |", "|---|---|---|---|---|---|"]
-    for run, claim, found, expected in told_of[:MOST_LINES]:
-        verdict = found.verdict.value if expected else f"**{found.verdict.value}**"
-        at = "" if found.worst_time_s is None else f"{found.worst_time_s:.3f} s"
+    for run, claim, evaluation, expected in rows[:MOST_LINES]:
+        verdict = evaluation.verdict.value if expected else f"**{evaluation.verdict.value}**"
+        at = "" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
         cells = (
             run.trace.scenario.name,
             claim.sentence,
             verdict,
             claim.expectation,
-            margin_words(found),
+            margin_words(evaluation),
             at,
         )
         lines.append(f"| {' | '.join(map(_cell, cells))} |")
-    if len(told_of) > MOST_LINES:
-        lines += ["", f"{len(told_of) - MOST_LINES} more are in report.html."]
+    if len(rows) > MOST_LINES:
+        lines += ["", f"{len(rows) - MOST_LINES} more are in report.html."]
     lines += ["", basis_of(runs)]
     return "\n".join(lines) + "\n"
 
 
 def _cell(text: str) -> str:
-    """Text that stays in its cell and is no markup of its own."""
-    words = text.replace("&", "&amp;").replace("<", "&lt;")
-    return " ".join(re.sub(r"[\\|`\[\]*!]", r"\\\g<0>", words).split())
+    """Return text that stays in its table cell and has no markup of its own."""
+    plain = text.replace("&", "&amp;").replace("<", "&lt;")
+    return " ".join(re.sub(r"[\\|`\[\]*!]", r"\\\g<0>", plain).split())
 
 
 def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
-    """SARIF 2.1.0: a result at the line of each claim that is not as expected (error) or violated (note)."""
-    told_of = list(_told(runs))
-    rules = dict.fromkeys(claim.sentence for _, claim, _, _ in told_of)
+    """Return SARIF 2.1.0: a result at the line of each claim with an unexpected verdict or a violation.
+
+    An unexpected verdict is an error, an expected violation a note.
+    """
+    rows = list(_reported(runs))
+    rules = dict.fromkeys(claim.sentence for _, claim, _, _ in rows)
     tool = {
         "name": "safety-harness",
         "version": installed_version(),
         "rules": [{"id": sentence, "shortDescription": {"text": sentence}} for sentence in rules],
     }
-    results = [_result(run, claim, found, expected) for run, claim, found, expected in told_of]
+    results = [_result(run, claim, evaluation, expected) for run, claim, evaluation, expected in rows]
     run = {"tool": {"driver": tool}, "columnKind": "unicodeCodePoints", "results": results}
     run["properties"] = {"basis": basis_of(runs)}
     return {
@@ -86,11 +89,11 @@ def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
     }
 
 
-def _result(run: JudgedRun, claim: Claim, found: Evaluation, expected: bool) -> dict[str, Any]:
-    at = "" if found.worst_time_s is None else f" at {found.worst_time_s:.3f} s"
+def _result(run: JudgedRun, claim: Claim, evaluation: Evaluation, expected: bool) -> dict[str, Any]:
+    at = "" if evaluation.worst_time_s is None else f" at {evaluation.worst_time_s:.3f} s"
     text = (
-        f"{run.trace.scenario.name}: {claim.sentence}: {found.verdict.value}, "
-        f"expected {claim.expectation}; margin {margin_words(found)}{at}; {found.reason}"
+        f"{run.trace.scenario.name}: {claim.sentence}: {evaluation.verdict.value}, "
+        f"expected {claim.expectation}; margin {margin_words(evaluation)}{at}; {evaluation.reason}"
     )
     result: dict[str, Any] = {
         "ruleId": claim.sentence,

@@ -1,7 +1,8 @@
-"""The coverage of a set of runs as a picture: a square for each of the 1,536 cells, the larger the more runs.
+"""The coverage of a set of runs as a picture: one square per cell, larger for more runs.
 
-Rows are directions by speeds, columns distances by what was seen by outcomes.  A cell with violations has
-another colour and a frame; nothing is told by colour alone.  A pure function of counts.
+The map has 1,536 cells.  Rows are directions by speeds; columns are distances by the data's coverage by
+outcomes.  A cell with violations has another colour and a frame, so that colour is never the only sign.
+The picture depends on the counts alone.
 """
 
 from __future__ import annotations
@@ -32,28 +33,28 @@ NOTHING: Mapping[CoverageCell, int] = {}
 
 
 def _columns() -> dict[tuple[str, str, str], int]:
-    """The left edge of each column [px]."""
-    found, left = {}, LEFT_PX
+    """Return the left edge of each column [px]."""
+    edges, left = {}, LEFT_PX
     for distance, seen in product(DISTANCES, SEEN):
         if seen != SEEN[0]:
             left += GAPS_PX["seen"]
         elif distance != DISTANCES[0]:
             left += GAPS_PX["distance"]
         for outcome in OUTCOMES:
-            found[distance, seen, outcome] = left
+            edges[distance, seen, outcome] = left
             left += CELL_PX
-    return found
+    return edges
 
 
 def _rows() -> dict[tuple[str, str], int]:
-    """The upper edge of each row [px]."""
-    found, top = {}, TOP_PX
+    """Return the upper edge of each row [px]."""
+    edges, top = {}, TOP_PX
     for direction in DIRECTIONS:
         top += GAPS_PX["direction"] if direction != DIRECTIONS[0] else 0
         for speed in SPEEDS:
-            found[direction, speed] = top
+            edges[direction, speed] = top
             top += CELL_PX
-    return found
+    return edges
 
 
 X_PX, Y_PX = _columns(), _rows()
@@ -61,14 +62,22 @@ WIDTH_PX, BOTTOM_PX = max(X_PX.values()) + CELL_PX + RIGHT_PX, max(Y_PX.values()
 
 
 def size_class(count: int) -> int:
-    """Which of CLASSES a number of runs (at least 1) is in."""
+    """Return the index into CLASSES for a number of runs (at least 1)."""
     return 0 if count == 1 else min(len(str(count)), len(CLASSES) - 1)
 
 
 def coverage_map(
     coverage: Coverage, violations: Mapping[CoverageCell, int] = NOTHING, *, prefix: str, title: str
 ) -> str:
-    """An ``<svg>`` element; every id starts with ``prefix``.  ``violations`` counts those runs again."""
+    """Return an ``<svg>`` element.
+
+    Args:
+        coverage: The number of runs per cell.
+        violations: The number of runs with a violation per cell, included in ``coverage``.
+        prefix: The start of every id.
+        title: The title for a screen reader.
+
+    """
     height = BOTTOM_PX + BELOW_PX
     size = {"viewBox": f"0 0 {WIDTH_PX} {height}", "width": str(WIDTH_PX), "height": str(height)}
     root = Element("svg", size)
@@ -86,12 +95,12 @@ def coverage_map(
 
 
 def _place(cell: CoverageCell) -> tuple[int, int]:
-    """Its upper left corner [px]."""
+    """Return the upper left corner [px] of a cell."""
     return X_PX[cell.distance, cell.seen, cell.outcome], Y_PX[cell.direction, cell.speed]
 
 
 def _draw_empty(root: Element, coverage: Coverage) -> None:
-    """A dot for every cell without a run, all in one path."""
+    """Draw a dot for every cell without a run, all in one path."""
     middle = CELL_PX // 2
     dots = [f"M{x + middle} {y + middle}h0" for x, y in map(_place, coverage.holes)]
     attributes = {"stroke": _colour(Ink.MISSING), "stroke-width": "2", "stroke-linecap": "round"}
@@ -100,13 +109,13 @@ def _draw_empty(root: Element, coverage: Coverage) -> None:
 
 def _draw_cell(parent: Element, cell: CoverageCell, count: int, violated: int) -> None:
     group = SubElement(parent, "g")
-    words = f"{cell}: {_runs(count)}" + (f", {violated:,} with a violation" if violated else "")
-    SubElement(group, "title").text = words
+    label = f"{cell}: {_runs(count)}" + (f", {violated:,} with a violation" if violated else "")
+    SubElement(group, "title").text = label
     _draw_square(group, SIZES_PX[size_class(count)], _place(cell), violated=bool(violated))
 
 
 def _draw_square(parent: Element, size_px: int, where: tuple[int, int], *, violated: bool) -> None:
-    """A square in the middle of a cell, with the cell's frame if something was violated there."""
+    """Draw a square in the middle of a cell, with the cell's frame if a run violated a claim there."""
     ink = _colour(Ink.LIMIT if violated else Ink.TCP)
     size_px = min(size_px, CELL_PX - 5) if violated else size_px
     inset = (CELL_PX - size_px) / 2
@@ -119,9 +128,9 @@ def _draw_square(parent: Element, size_px: int, where: tuple[int, int], *, viola
 
 
 def _name_axes(root: Element) -> None:
-    """Before the first column and above the first row."""
-    for y, words in ((14, "Least distance"), (34, "In the training data"), (TOP_PX - 60, "Gravest decision")):
-        _label(root, LEFT_PX - 8, y, words, text_anchor="end")
+    """Write the names of the axes before the first column and above the first row."""
+    for y, label in ((14, "Least distance"), (34, "In the training data"), (TOP_PX - 60, "Gravest decision")):
+        _label(root, LEFT_PX - 8, y, label, text_anchor="end")
     _label(root, 0, TOP_PX - 8, "Hand comes from")
     _label(root, LEFT_PX - 8, TOP_PX - 8, "Its speed", text_anchor="end")
 
@@ -146,8 +155,8 @@ def _name_columns(root: Element, coverage: Coverage) -> None:
         right = X_PX[distance, SEEN[-1], OUTCOMES[-1]] + CELL_PX
         _text(root, right, 14, _runs(runs), text_anchor="end", ink=Ink.MUTED)
         for seen in SEEN:
-            for line, word in enumerate(seen.split()):
-                _label(root, X_PX[distance, seen, OUTCOMES[0]], 34 + 12 * line, word)
+            for line, part in enumerate(seen.split()):
+                _label(root, X_PX[distance, seen, OUTCOMES[0]], 34 + 12 * line, part)
             for outcome in OUTCOMES:
                 _upright(root, X_PX[distance, seen, outcome], TOP_PX - 8, outcome)
     totals: Counter[tuple[str, str, str]] = Counter()
@@ -161,30 +170,30 @@ def _name_columns(root: Element, coverage: Coverage) -> None:
 def _draw_key(root: Element, top: int) -> None:
     _text(root, 0, top + 10, "Runs in a cell:", ink=Ink.MUTED)
     left = LEFT_PX
-    for size_px, words in zip(SIZES_PX, CLASSES, strict=True):
+    for size_px, label in zip(SIZES_PX, CLASSES, strict=True):
         _draw_square(root, size_px, (left, top), violated=False)
-        _text(root, left + 17, top + 10, words)
-        left += 36 + 7 * len(words)
+        _text(root, left + 17, top + 10, label)
+        left += 36 + 7 * len(label)
     _draw_square(root, 7, (left + 10, top), violated=True)
     _text(root, left + 27, top + 10, "violations among them")
 
 
 def _text(
-    parent: Element, x: float, y: float, words: str, ink: Ink = Ink.TEXT, size: float = 11, **others: str
+    parent: Element, x: float, y: float, label: str, ink: Ink = Ink.TEXT, size: float = 11, **others: str
 ) -> None:
-    """``others`` are attributes by their names, with ``_`` in place of a hyphen."""
+    """Write words; ``others`` are attributes by their names, with ``_`` in place of a hyphen."""
     attributes = {"x": f"{x:g}", "y": f"{y:g}", "fill": _colour(ink), "font-size": f"{size:g}"}
     attributes |= {name.replace("_", "-"): value for name, value in others.items()}
-    SubElement(parent, "text", attributes).text = words
+    SubElement(parent, "text", attributes).text = label
 
 
-def _label(parent: Element, x: float, y: float, words: str, **others: str) -> None:
-    _text(parent, x, y, words, Ink.MUTED, 10, **others)
+def _label(parent: Element, x: float, y: float, label: str, **others: str) -> None:
+    _text(parent, x, y, label, Ink.MUTED, 10, **others)
 
 
-def _upright(parent: Element, left: float, y: float, words: str, **others: str) -> None:
-    """In a column, read from below."""
-    _label(parent, left + 10, y, words, transform=f"rotate(-90 {left + 10:g} {y:g})", **others)
+def _upright(parent: Element, left: float, y: float, label: str, **others: str) -> None:
+    """Write words in a column, to read from below."""
+    _label(parent, left + 10, y, label, transform=f"rotate(-90 {left + 10:g} {y:g})", **others)
 
 
 def _runs(count: int) -> str:
@@ -196,10 +205,10 @@ def _colour(ink: Ink) -> str:
 
 
 def _description(coverage: Coverage, violations: Mapping[CoverageCell, int]) -> str:
-    """For those who cannot see it: totals by axis."""
+    """Return the totals by axis, for readers who cannot see the picture."""
     parts = [str(coverage).split("\n")[0]]
     for axis in AXES:
-        parts.append(f"{axis}: " + ", ".join(f"{word} {runs}" for word, runs in coverage.along(axis).items()))
+        parts.append(f"{axis}: " + ", ".join(f"{name} {runs}" for name, runs in coverage.along(axis).items()))
     if violations:
         parts.append(f"{len(violations)} cells have violations")
     return ". ".join(parts) + "."

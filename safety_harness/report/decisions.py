@@ -1,6 +1,6 @@
-"""The decisions of a run in words: what the avoider was asked, what came of it, and the computing time.
+"""The decisions of a run in words: the question, the outcome, and the computing time.
 
-That is what decisions cost in simulated time, and what they took on the machine of the run.
+The computing time is the cost of decisions in simulated time and their duration on the run's machine.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ class DecisionRow:
 
 @dataclass(frozen=True, kw_only=True)
 class DecisionTally:
-    """How many decisions were made, and what they led to; ``faults`` had no usable answer.
+    """The number of decisions and their outcomes.
 
-    For those among them that are ``unanswered`` no fault of the scenario accounts.  Traces whose decisions
-    were not measured count for nothing, as ``are_counted`` says.
+    ``faults`` counts the decisions without a usable answer.  ``unanswered`` counts the faults that no fault
+    of the scenario explains.  Traces without measured decisions do not count (see ``are_counted``).
     """
 
     made: int
@@ -70,7 +70,7 @@ class DecisionTally:
 
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> DecisionTally:
-        """Count the decisions of all ``traces``."""
+        """Count the decisions of all ``traces`` together."""
         counts: Counter[int] = Counter()
         faults = missing = 0
         for trace in filter(are_counted, traces):
@@ -88,58 +88,58 @@ class DecisionTally:
 
     @property
     def fallback(self) -> str:
-        """The words of a headline on how often the fallback replaced the avoider; empty if it never did."""
+        """Return how often the fallback replaced the avoider, for headlines; empty if it never did."""
         return fallback_words(self.unanswered, self.made)
 
     @property
     def fault_words(self) -> str:
-        """How often the avoider had no usable answer; empty if it always had one."""
+        """Return how often the avoider had no usable answer; empty if it always had an answer."""
         return count_words(self.faults, "fault", "faults") if self.faults else ""
 
     @property
     def departures(self) -> list[str]:
-        """What went otherwise than the avoider proposed, briefly; nothing if nothing did."""
+        """Return brief texts on the outcomes that differ from the avoider's proposals."""
         of_all = f"of {count_words(self.made, 'decision', 'decisions')}"
-        ways = (("fell back to the opposite pose", self.opposite), ("stopped the arm", self.stops))
-        return [f"{count} {of_all} {what}" for what, count in ways if count]
+        events = (("fell back to the opposite pose", self.opposite), ("stopped the arm", self.stops))
+        return [f"{count} {of_all} {event}" for event, count in events if count]
 
 
 def are_counted(trace: Trace) -> bool:
-    """Return whether a trace has the outcomes of its decisions."""
+    """Return whether the trace has measured the outcomes of its decisions."""
     return is_measured(trace) and decided(trace, "tick") and not trace.known.of("faults").limited
 
 
 def avoiders(traces: Iterable[Trace]) -> list[tuple[str, int]]:
-    """Return (name, runs) of each avoider or controller, in the order of their first runs."""
+    """Return (name, runs) of every avoider or controller, in the order of their first runs."""
     return list(Counter(trace.system.tested.name for trace in traces).items())
 
 
 def tested_words(traces: Iterable[Trace]) -> str:
-    """Return the heading for ``avoiders``: ``Avoider``, ``Controllers``, or both."""
+    """Return the heading for the names of ``avoiders``: ``Avoider``, ``Controllers``, or both."""
     names = {trace.system.tested.name: trace.system.avoider is not None for trace in traces}
     kinds = [w for w, asks in (("Avoider", True), ("Controller", False)) if asks in names.values()]
     return " and ".join(kinds).capitalize() + "s" * (len(names) > 1)
 
 
 def overruling_of_each(traces: Iterable[Trace]) -> dict[str, Overruling]:
-    """Return the overruling of each avoider with proposals, in the order of their first runs."""
-    found: dict[str, Overruling] = {}
+    """Return the overruling of every avoider with proposals, in the order of their first runs."""
+    sums: dict[str, Overruling] = {}
     for trace in traces:
         name = trace.system.tested.name
-        found[name] = found.get(name, Overruling()) + Overruling.of([trace])
-    return {name: one for name, one in found.items() if one.proposals}
+        sums[name] = sums.get(name, Overruling()) + Overruling.of([trace])
+    return {name: row for name, row in sums.items() if row.proposals}
 
 
 def overruling_lines(each: Mapping[str, Overruling]) -> list[str]:
-    """Return a line on all avoiders, and one on each if there are several."""
+    """Return a line for all avoiders together, then a line per avoider if there are several."""
     whole = sum(each.values(), Overruling()).words
-    return [whole, *(f"{name}: {one.words}" for name, one in each.items() if len(each) > 1)] if whole else []
+    return [whole, *(f"{name}: {row.words}" for name, row in each.items() if len(each) > 1)] if whole else []
 
 
 def decision_rows(trace: Trace) -> list[DecisionRow]:
-    """Return a row for each of the first ``MOST_DECISION_ROWS`` decisions, positions in mm.
+    """Return a row for each of the first ``MOST_DECISION_ROWS`` decisions, with positions in mm.
 
-    A dash stands for an unmeasured value.  Without measured times of decisions there are no rows.
+    A dash stands for a value that was not measured.  There are no rows without measured decision times.
     """
     if not decided(trace, "tick", "time_s"):
         return []
@@ -175,30 +175,30 @@ def decision_rows(trace: Trace) -> list[DecisionRow]:
 
 
 def failed_checks(trace: Trace) -> list[tuple[str, str]]:
-    """Return (name, meaning) of each check that a candidate of this run failed."""
+    """Return (name, meaning) of every check that a candidate of this run failed."""
     flags = trace.decisions["proposed_failed"] | trace.decisions["opposite_failed"]
     failed = int(np.bitwise_or.reduce(flags)) if len(flags) else 0
     return [(flag_words(check), CHECK_MEANINGS[check]) for check in Check if check and check & failed]
 
 
 def fault_notes(trace: Trace) -> list[str]:
-    """Return a sentence on each way in which the avoider gave no usable answer, in order of time."""
+    """Return a sentence for each kind of unusable answer, earliest first."""
     decisions = trace.decisions
     counts = Counter(str(fault) for fault in decisions["fault"] if fault)
-    found = []
+    sentences = []
     for fault, count in list(counts.items())[:MOST_FAULT_NOTES]:
         first = decisions["time_s"][int(np.argmax(decisions["fault"] == fault))]
         often = f"{count} of {len(decisions)} decisions, first at {first:.3f} s"
-        found.append(f"The avoider gave no usable answer ({often}): {fault}")
+        sentences.append(f"The avoider gave no usable answer ({often}): {fault}")
     if len(counts) > MOST_FAULT_NOTES:
-        found.append(f"and in {len(counts) - MOST_FAULT_NOTES} other ways; the trace has them all")
-    return found
+        sentences.append(f"and in {len(counts) - MOST_FAULT_NOTES} other ways; the trace has them all")
+    return sentences
 
 
 def latency_words(trace: Trace) -> str:
     """Return the median and the slowest decision on the wall clock; empty without measurements.
 
-    A replay does not ask again for an answer that came too late, and records no time for it.
+    A replay does not repeat a question whose answer was late, and records no time for it.
     """
     measured_s = trace.decision_latency_s[trace.decision_latency_s > 0.0]
     if len(measured_s) == 0:
@@ -211,7 +211,7 @@ def latency_words(trace: Trace) -> str:
 
 @dataclass(frozen=True)
 class ComputingTime:
-    """What one run says of it: what a decision costs, in ``words``, and the ``times`` that answers took."""
+    """The computing time of one run: the cost of a decision in ``words``, and the duration of its answers."""
 
     tested: str
     words: str
@@ -219,14 +219,14 @@ class ComputingTime:
 
     @classmethod
     def of(cls, trace: Trace) -> ComputingTime:
-        """From its record."""
+        """Return the computing time in the record of ``trace``."""
         cost = trace.scenario.settings.avoidance.decision_time
-        words = NOT_MODELLED if trace.scenario.driven else cost_words(cost, most_cost_s(trace))
-        return cls(trace.system.tested.name, words, AnswersTook.of(trace))
+        cost_text = NOT_MODELLED if trace.scenario.driven else cost_words(cost, most_cost_s(trace))
+        return cls(trace.system.tested.name, cost_text, AnswersTook.of(trace))
 
 
 def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
-    """Return the cost of a decision by the settings, or ``declared_s`` if they leave it to the avoider."""
+    """Return the cost of a decision by the settings, or ``declared_s`` [s] if the avoider declares it."""
     if cost is DecisionCost.WALL_CLOCK:
         return "what each answer took on the wall's clock: the run repeats from its record only"
     if not isinstance(cost, DecisionTimes):
@@ -244,7 +244,7 @@ def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
 
 
 def computing_times(traces: Iterable[Trace]) -> list[ComputingTime]:
-    """Return those of the runs in which something was decided, or a controller was timed."""
+    """Return the computing times of runs with decisions, or with a timed controller."""
     return [
         ComputingTime.of(trace)
         for trace in traces
@@ -254,26 +254,26 @@ def computing_times(traces: Iterable[Trace]) -> list[ComputingTime]:
 
 
 def computing_time_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return a line on each avoider and controller, one more where it was slower than its runs allow."""
+    """Return a line per avoider and controller, and another where it was slower than its runs allow."""
     return lines_of(computing_times(traces))
 
 
 def lines_of(runs: Iterable[ComputingTime]) -> list[str]:
-    """As ``computing_time_lines``."""
+    """Return the lines of ``computing_time_lines`` for computing times."""
     groups: dict[tuple[str, str], AnswersTook] = {}
     for run in runs:
         key = run.tested, run.words
         groups[key] = groups.get(key, AnswersTook()) + run.times
     return [
         f"{tested}: {line}"
-        for (tested, words), times in groups.items()
-        for line in (words, times.words)
+        for (tested, cost_text), times in groups.items()
+        for line in (cost_text, times.words)
         if line
     ]
 
 
 def refused_for_possible(trace: Trace) -> int:
-    """Count the proposals that failed TOWARDS_A_HAND though they lead away from each predicted hand."""
+    """Return how many proposals failed TOWARDS_A_HAND but lead away from every predicted hand."""
     count = 0
     for decision in trace.decisions:
         if decision["proposed_failed"] & Check.TOWARDS_A_HAND:
@@ -285,15 +285,15 @@ def refused_for_possible(trace: Trace) -> int:
 
 
 def asks_of_hands(trace: Trace) -> bool:
-    """Return whether the gate has a rule about where a hand may be."""
+    """Return whether the scenario's gate has a rule about possible hands."""
     return trace.scenario.gate is not None and trace.scenario.gate.hands_within is not None
 
 
 def possible_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return one line on all runs whose gate has such a rule; empty without such a run."""
+    """Return one line on all runs whose gate has a rule about possible hands; empty without such a run."""
     ruled = [trace for trace in traces if asks_of_hands(trace)]
     if not ruled:
         return []
     refused = sum(map(refused_for_possible, ruled))
-    asked = sum(len(trace.decisions) for trace in ruled)
-    return [f"{refused} of {asked} proposals refused only for where a hand may be"]
+    decided_count = sum(len(trace.decisions) for trace in ruled)
+    return [f"{refused} of {decided_count} proposals refused only for where a hand may be"]

@@ -81,11 +81,22 @@ def write_report(
     generated_at: datetime,
     **about: Unpack[AboutRuns],
 ) -> None:
-    """Write the report on ``runs`` to ``path``, whole or not at all; it asks nothing of the network.
+    """Write the report on ``runs`` to ``path``, whole or not at all; the page needs no network.
 
-    ``command`` is the command line that made the report; ``interrupted`` says that more runs were planned
-    than are here.  ``about`` are ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated``, each
-    of which may be left out, as ``AboutRuns`` has them.  Folders that are missing are made.  Raises OSError.
+    Args:
+        path: The file; missing folders are made.
+        runs: The judged runs.
+        title: The heading of the page.
+        command: The command line that made the report.
+        interrupted: Whether planned runs are missing.
+        generated_at: The time on the page.
+        about: ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated`` as in ``AboutRuns``; you
+            may omit each of them.
+
+    Raises:
+        InputError: The path or a run has the wrong type.
+        OSError: The file cannot be written.
+
     """
     path = as_path(path, "write_report(path)")
     for run in runs:

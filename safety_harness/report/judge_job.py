@@ -23,7 +23,7 @@ A_CLAIM = "a claim at least, there or as --claim SENTENCE: nothing is judged wit
 
 
 def claims_of(sentences: Sequence[str]) -> tuple[Claim, ...]:
-    """Return claims of sentences, each expected to hold; InadmissibleError for one that is none."""
+    """Return claims for sentences, each with the expectation "holds"; InadmissibleError for other text."""
     place = Place(field="--claim")
     for sentence in sentences:
         if not is_sentence(sentence):
@@ -32,7 +32,17 @@ def claims_of(sentences: Sequence[str]) -> tuple[Claim, ...]:
 
 
 def judged_run(path: Path, sentences: Sequence[str] = (), out: Path | None = None) -> JudgedRun:
-    """A stored trace, or the log of a cell, judged by its claims or by ``sentences``.  InputError."""
+    """Judge a stored trace or the log of a cell.
+
+    Args:
+        path: The trace or the log.
+        sentences: The claims to judge; empty for the file's own claims.
+        out: The folder for a log's trace; None writes no trace.
+
+    Raises:
+        InputError: The file or a claim cannot be used.
+
+    """
     if is_log(path):
         return _of_log(path, claims_of(sentences), out)
     trace = load_trace(path)
@@ -43,23 +53,23 @@ def judged_run(path: Path, sentences: Sequence[str] = (), out: Path | None = Non
 
 
 def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
-    found = recorded_run(path, claims)
-    if not found.trace.scenario.claims:
+    recorded = recorded_run(path, claims)
+    if not recorded.trace.scenario.claims:
         raise LogError(place=Place(file=path, field="claims"), expected=A_CLAIM, got="none")
-    file = None if out is None else saved(found.trace, out / TRACES, found.recordings)
+    file = None if out is None else saved(recorded.trace, out / TRACES, recorded.recordings)
     return JudgedRun(
-        trace=found.trace,
-        evaluations=judge(found.trace, file=path),
+        trace=recorded.trace,
+        evaluations=judge(recorded.trace, file=path),
         replay_command="",
         trace_file=file,
-        notes=found.notes,
+        notes=recorded.notes,
     )
 
 
 def write_judged(
     runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]
 ) -> None:
-    """Write the report of runs that were judged without simulating; OutputError."""
-    words = ["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))]
-    command, title = shlex.join(words), "Judged without simulating"
+    """Write the report of runs that the harness judged without simulating; OutputError if it cannot."""
+    arguments = ["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))]
+    command, title = shlex.join(arguments), "Judged without simulating"
     write_files(out, runs, title=title, command=command, interrupted=False, refused=refused)

@@ -1,4 +1,4 @@
-"""Return the sources and uncertainties of a trace's columns, as words and as data."""
+"""The measured quantities of a trace, with their sources and uncertainties, as words and as data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ALL_OF_DECISIONS = frozenset(name for name in COLUMNS_OF_A_TRACE if name.startsw
 
 @dataclass(frozen=True)
 class MeasuredRow:
-    """Columns with the same source, uncertainty and gaps."""
+    """Columns with the same knowledge: source, uncertainty and gaps."""
 
     columns: tuple[str, ...]
     source: str
@@ -26,20 +26,20 @@ class MeasuredRow:
 
     @property
     def words(self) -> str:
-        """One line, which may be long."""
+        """Return the row as one line, which may be long."""
         how = f"{self.source}, within {self.within}" if self.within else self.source
         gaps = f"; not measured {self.gaps}" if self.gaps else ""
         return f"{how}: {', '.join(self.columns)}{gaps}"
 
 
 def measured_rows(trace: Trace) -> list[MeasuredRow]:
-    """Return a row for each source, unmeasured columns last; empty if all is simulated truth."""
+    """Return a row per source of measurement, unmeasured columns last; empty if all is simulated truth."""
     if trace.known.simulated:
         return []
     groups: dict[tuple[bool, str, str, str], list[str]] = {}
     for name in COLUMNS_OF_A_TRACE:
-        one = trace.known.of(name)
-        key = (one.source is Source.NONE, one.source.value, _within(name, one), _gaps(trace, one.gaps))
+        fact = trace.known.of(name)
+        key = (fact.source is Source.NONE, fact.source.value, _accuracy(name, fact), _gaps(trace, fact.gaps))
         groups.setdefault(key, []).append(name)
     rest = (Source.SIMULATED.value, "", "")
     return [
@@ -57,50 +57,53 @@ def measured_lines(trace: Trace) -> list[str]:
 
 
 def known_data(trace: Trace) -> dict[str, Any]:
-    """Return source, uncertainty [SI] and gaps in ticks of each column that is not simulated truth."""
+    """Return JSON for each column that is not simulated truth: source, uncertainty [SI], gaps in ticks."""
     return {
         name: {
-            "source": one.source.value,
-            "uncertainty_si": one.uncertainty,
+            "source": fact.source.value,
+            "uncertainty_si": fact.uncertainty,
             "gaps": [
-                {"first_tick": gap.first, "after_tick": gap.after, "hand": gap.hand} for gap in one.gaps
+                {"first_tick": gap.first, "after_tick": gap.after, "hand": gap.hand} for gap in fact.gaps
             ],
         }
-        for name, one in trace.known.columns.items()
-        if one != Measurement()
+        for name, fact in trace.known.columns.items()
+        if fact != Measurement()
     }
 
 
 def unmeasured_words(evaluations: Iterable[Evaluation]) -> str:
-    """Count inconclusive claims without measurements and without exercise in words; empty for none."""
+    """Return how many evaluations lacked measurements, and how many were never exercised.
+
+    The text is empty if no evaluation lacks measurements.
+    """
     every = list(evaluations)
-    unmeasured = sum(bool(one.unmeasured) for one in every)
-    idle = sum(one.reason.startswith("never exercised") for one in every)
-    words = ((unmeasured, "not measured"), (idle, "never exercised"))
-    return ", ".join(f"{count} {what}" for count, what in words if count) if unmeasured else ""
+    unmeasured = sum(bool(item.unmeasured) for item in every)
+    idle = sum(item.reason.startswith("never exercised") for item in every)
+    counts = ((unmeasured, "not measured"), (idle, "never exercised"))
+    return ", ".join(f"{count} {reason}" for count, reason in counts if count) if unmeasured else ""
 
 
 def _short(names: list[str]) -> tuple[str, ...]:
-    """All that is of decisions in one word."""
+    """Return the column names, with all columns of decisions as one name."""
     if not ALL_OF_DECISIONS.issubset(names):
         return tuple(names)
     return (*(name for name in names if name not in ALL_OF_DECISIONS), "all of decisions")
 
 
-def _within(name: str, one: Measurement) -> str:
-    if one.uncertainty == 0.0:
+def _accuracy(name: str, fact: Measurement) -> str:
+    if fact.uncertainty == 0.0:
         return ""
-    return setting_words("position_m" if name.startswith("transform") else name, one.uncertainty)
+    return setting_words("position_m" if name.startswith("transform") else name, fact.uncertainty)
 
 
 def _gaps(trace: Trace, gaps: tuple[Gap, ...]) -> str:
-    """When, and of which hand."""
+    """Return the times of the gaps, with the hand where a gap concerns one hand."""
     hands, period_s = trace.scenario.hands, trace.scenario.settings.clock.control_period_s
-    found = []
+    times = []
     for gap in gaps[:MOST_GAPS]:
-        whose = "" if gap.hand is None else f" of hand {gap.hand + 1}"
+        owner = "" if gap.hand is None else f" of hand {gap.hand + 1}"
         if gap.hand is not None and gap.hand < len(hands):
-            whose = f" of {hands[gap.hand].name}"
-        after = min(gap.after, len(trace.ticks)) * period_s
-        found.append(f"from {gap.first * period_s:.3f} to {after:.3f} s{whose}")
-    return ", ".join(found) + (f" and in {len(gaps) - MOST_GAPS} other gaps" if len(gaps) > MOST_GAPS else "")
+            owner = f" of {hands[gap.hand].name}"
+        end_s = min(gap.after, len(trace.ticks)) * period_s
+        times.append(f"from {gap.first * period_s:.3f} to {end_s:.3f} s{owner}")
+    return ", ".join(times) + (f" and in {len(gaps) - MOST_GAPS} other gaps" if len(gaps) > MOST_GAPS else "")

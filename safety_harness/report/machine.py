@@ -1,4 +1,4 @@
-"""The same evidence as the page, for programs: one JSON file about one or many runs."""
+"""The evidence of the page for programs: one JSON file about one or many runs."""
 
 from __future__ import annotations
 
@@ -34,68 +34,83 @@ FORMAT = "safety-harness report 1"
 COUNTED = ("runs", "exercised", "occasions", "holds", "violated", "inconclusive", "unmeasured")
 
 
-def write_json(path: Path, found: dict[str, Any]) -> None:
-    """Write what ``report_data`` found to ``path``, whole or not at all.  Raises OSError."""
-    write_whole(path, json.dumps(found, indent=1, allow_nan=False) + "\n")
+def write_json(path: Path, data: dict[str, Any]) -> None:
+    """Write the result of ``report_data`` to ``path``, whole or not at all; OSError if it cannot."""
+    write_whole(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
 def report_data(
     runs: Sequence[JudgedRun], *, interrupted: bool, **about: Unpack[AboutRuns]
 ) -> dict[str, Any]:
-    """What came out of ``runs``, in types that JSON has.
+    """Return the results of ``runs`` in types that JSON has.
 
-    An object with ``format``, ``made_at`` (ISO 8601), ``interrupted`` (more was planned than is here),
-    ``basis`` (what the verdicts rest on, in a sentence), ``overruling`` (of each avoider: of its proposals
-    how many were overruled, why, and what came instead), ``runs``, ``coverage``, ``skipped``, ``refused``,
-    ``against`` and ``repeatability`` (what a second avoider answered to questions of the runs; null if none
-    was asked); each run says what was run, of which ``system`` (null for what it has not), whether its
-    ``avoider_answered`` (null if it has none), and
-    has its ``claims`` (a formula that "and" joins also each of its ``parts``), and coverage says of each
-    claim over all runs how often it was put to the test; ``known`` has those columns of the trace that are
-    not simulated truth, and ``unmeasured`` those for want of which a claim is inconclusive (``decisions`` and
-    ``overruling`` are null where they were not measured); ``coverage``, ``skipped``, ``refused`` and
-    ``against`` as for ``write_report``.  Margins are in SI units, in full precision, null where there is
-    none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no such number.
-    ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
+    The object has these fields:
+
+    - ``format``, ``made_at`` (ISO 8601), and ``interrupted`` (whether planned runs are missing);
+    - ``basis``: a sentence on the grounds of the verdicts;
+    - ``overruling``: the number of overruled proposals per avoider, the reasons and the replacements;
+    - ``runs``, as ``run_data`` describes them;
+    - ``coverage``: for each claim, how often the runs tested it;
+    - ``skipped``, ``refused`` and ``against``, as for ``write_report``;
+    - ``repeatability``: the answers of a second avoider to the questions of the runs; null without one.
+
+    Margins are in SI units, in full precision, and null where there is no margin.  A margin that is not
+    finite is the text "inf", "-inf" or "nan", since JSON has no such number.
+
+    Args:
+        runs: The judged runs.
+        interrupted: Whether planned runs are missing.
+        about: ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated``, as for ``write_report``.
+
+    Raises:
+        OSError: A trace file cannot be read.
+
     """
-    said = with_defaults(about)
-    coverage, against, repeated = said["coverage"], said["against"], said["repeated"]
-    skipped = said["skipped"]
+    given = with_defaults(about)
+    coverage, against, repeated = given["coverage"], given["against"], given["repeated"]
+    skipped = given["skipped"]
     return {
         "format": FORMAT,
         "made_at": datetime.now(UTC).isoformat(),
         "interrupted": interrupted,
         "basis": basis_of(runs, coverage),
         "overruling": {
-            name: one.named for name, one in overruling_of_each(run.trace for run in runs).items()
+            name: row.named for name, row in overruling_of_each(run.trace for run in runs).items()
         },
         "runs": [run_data(run) for run in runs],
         "coverage": [_coverage(tally) for tally in (tallies(runs) if coverage is None else coverage)],
         "skipped": [
-            {"scenario": one.scenario, "avoider": one.avoider, "reason": str(one.error)} for one in skipped
+            {"scenario": row.scenario, "avoider": row.avoider, "reason": str(row.error)} for row in skipped
         ],
-        "refused": refused_data(said["refused"]),
+        "refused": refused_data(given["refused"]),
         "against": None if against is None else against.as_json(),
         "repeatability": None if repeated is None else asdict(repeated),
     }
 
 
 def refused_data(refused: Sequence[InputError]) -> list[dict[str, Any]]:
-    """Where each input that cannot be used is wrong, and the reason."""
+    """Return place and reason for each input that cannot be used."""
     return [
         {
-            "file": None if one.place.file is None else str(told(one.place.file)),
-            "line": one.place.line,
-            "field": one.place.field,
-            "reason": f"expected {one.expected}; got {one.got}",
-            "hint": one.hint or None,
+            "file": None if error.place.file is None else str(told(error.place.file)),
+            "line": error.place.line,
+            "field": error.place.field,
+            "reason": f"expected {error.expected}; got {error.got}",
+            "hint": error.hint or None,
         }
-        for one in refused
+        for error in refused
     ]
 
 
 def run_data(run: JudgedRun) -> dict[str, Any]:
-    """One run, as ``report_data`` has it."""
+    """Return one run as JSON.
+
+    ``system`` states the parts of the tested system, with null for an absent part.  ``avoider_answered``
+    is null without an avoider.  Each claim has ``parts`` if its formula joins them by "and".
+    ``unmeasured`` names the columns whose lack makes a claim inconclusive.  ``known`` has the columns that
+    are not simulated truth.  ``decisions`` and ``overruling`` are null without their measurements.
+    ``trace_sha256`` is the hash of the trace file as it is now.
+    """
     trace, scenario, file = run.trace, run.trace.scenario, run.trace_file
     return {
         "scenario": scenario.name,

@@ -16,10 +16,10 @@ NAN, INF = -(2**31), 2**31 - 1  # what is farther than they are is as good as no
 
 
 def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Arrays (n, ...) as ``unpack`` of replay.js takes them: rows, width and scale of each, and all bytes.
+    """Return arrays (n, ...) as ``unpack`` of replay.js takes them: rows, width, scale, and all bytes.
 
-    Whole numbers stay exact, real ones are rounded to 10 um, 10 urad or 10 us; NaN and infinity stay.
-    Consecutive values of a component differ little, and so do their bytes of one significance.
+    Whole numbers stay exact.  Real numbers are rounded to 10 um, 10 urad or 10 us; NaN and infinity stay.
+    Consecutive values of a component differ little, so their bytes of equal significance compress well.
     """
     shapes, steps = {}, [np.zeros(0, np.int32)]
     for name, values in columns.items():
@@ -28,17 +28,17 @@ def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         there = np.isfinite(rows) & (np.abs(rows) < INF)
         whole = np.where(there, rows, np.where(np.isposinf(rows), INF, NAN)).round().astype(np.int64)
         shapes[name] = [len(values), len(whole), scale]
-        before = np.hstack([np.zeros((len(whole), 1), np.int64), whole[:, :-1]])
-        steps.append((whole - before).astype(np.int32).ravel())  # modulo 2^32, as the script adds them up
+        shifted = np.hstack([np.zeros((len(whole), 1), np.int64), whole[:, :-1]])
+        steps.append((whole - shifted).astype(np.int32).ravel())  # modulo 2^32, as the script adds them up
     planes = np.concatenate(steps).astype("<i4").view(np.uint8).reshape(-1, 4).T
     return {"columns": shapes, "packed": deflated(np.ascontiguousarray(planes).tobytes())}
 
 
 def deflated(plain: bytes) -> str:
-    """Bytes as text that ``inflate`` of replay.js takes."""
+    """Return bytes as text for ``inflate`` of replay.js."""
     return base64.b64encode(zlib.compress(plain, 9)).decode()
 
 
-def as_attribute(found: dict[str, Any]) -> str:
-    """JSON, deflated: letters, digits, +, / and = alone."""
-    return deflated(json.dumps(found, separators=(",", ":"), allow_nan=False).encode())
+def as_attribute(data: dict[str, Any]) -> str:
+    """Return deflated JSON, which has only letters, digits, +, / and =."""
+    return deflated(json.dumps(data, separators=(",", ":"), allow_nan=False).encode())

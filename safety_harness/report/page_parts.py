@@ -1,4 +1,4 @@
-"""What every page is made with: the templates, and the text of style and script."""
+"""The shared parts of every page: the templates, and the text of style and script."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ MOST_OPEN = 5  # parts of a page that need not be unfolded
 
 @dataclass(frozen=True, kw_only=True)
 class PageSection:
-    """A table that a package adds to a page, which escapes its texts.
+    """A table that a package adds to a page; the page escapes its texts.
 
     Args:
-        page: ``run``: one for each run that is drawn.  ``evidence``: one on the page of the evidence.
+        page: ``run`` adds the table to each drawn run, ``evidence`` to the page of the evidence.
         heading: The heading of the section, plain text.
-        caption: What the table shows.
+        caption: The caption of the table.
         heads: The heads of its columns.
-        rows: Return the rows of texts: of a run's ``JudgedRun``, or of the ``Evidence``.  With none, there is
-            no section.
+        rows: Return the rows of texts for a run's ``JudgedRun``, or for the ``Evidence``.  An empty result
+            omits the section.
 
     """
 
@@ -46,23 +46,23 @@ class PageSection:
 
 
 def added_sections(page: str, shown: object, prefix: str = "") -> list[dict[str, Any]]:
-    """Return what packages add to a page about ``shown``; what cannot be made is left out with a warning."""
-    found: list[dict[str, Any]] = []
-    for name, one in loaded(ExtensionPoint.PAGE_SECTIONS, PageSection):
-        if one.page == page:
+    """Return the sections that packages add to a page about ``shown``; a failure only gives a warning."""
+    added: list[dict[str, Any]] = []
+    for name, table in loaded(ExtensionPoint.PAGE_SECTIONS, PageSection):
+        if table.page == page:
             try:
-                rows = [tuple(map(str, row)) for row in one.rows(shown)]
+                rows = [tuple(map(str, row)) for row in table.rows(shown)]
             except Exception as error:  # of somebody else's module, which may raise anything
                 warn(RegisteredPart(ExtensionPoint.PAGE_SECTIONS, name, ""), described(error))
                 rows = []
-            found += [{"id": f"{prefix}added-{len(found)}", "part": one, "rows": rows}] if rows else []
-    return found
+            added += [{"id": f"{prefix}added-{len(added)}", "part": table, "rows": rows}] if rows else []
+    return added
 
 
 def templates(of: str = PACKAGE) -> Environment:
-    """The templates: what they are given is escaped, and a name that is not given is an error.
+    """Return the templates; they escape their values, and a missing name is an error.
 
-    ``of`` is a package with templates of its own beside ours.
+    ``of`` is a package with templates of its own beside the shared ones.
     """
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((of, PACKAGE))]),
@@ -77,13 +77,13 @@ def templates(of: str = PACKAGE) -> Environment:
 
 
 def _headings(page: str) -> list[tuple[str, Markup]]:
-    """The id and the words of each part of a page, for its table of contents; without those of articles."""
-    found = re.findall(r'<h2 id="([^"]+)"(?: tabindex="-1")?>(.*?)</h2>', page)
-    return [(name, Markup(words)) for name, words in found if not name.endswith("-heading")]
+    """Return id and words of each part of a page for its table of contents, without articles."""
+    parts = re.findall(r'<h2 id="([^"]+)"(?: tabindex="-1")?>(.*?)</h2>', page)
+    return [(name, Markup(text)) for name, text in parts if not name.endswith("-heading")]
 
 
 def asset(name: str, of: str = PACKAGE) -> str:
-    """The text of a style sheet or script beside the templates, of the package ``of`` if it has one."""
+    """Return the text of a style sheet or script beside the templates, from ``of`` if that package has it."""
     own = files(of) / "templates" / name
     return (own if own.is_file() else files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")
 
@@ -98,12 +98,18 @@ def render_page(
     replays: bool = False,
     **values: object,
 ) -> str:
-    """A page that asks nothing of the network: the template with the shared style sheet and script.
+    """Return a page that needs no network: the template with the shared style sheet and script.
 
-    ``style`` names a style sheet of its own that follows the shared one, ``scripts`` scripts likewise;
-    ``of`` is the package that the template lies in.  ``replays``: with the viewer of replays in 3-D, and
-    three.js as text that becomes a script, which the page's policy allows, when one is looked at.
-    ``basis`` says what the page's verdicts rest on; empty for a page without any.
+    Args:
+        template: The name of the template.
+        basis: The grounds of the page's verdicts; empty for a page without verdicts.
+        of: The package of the template.
+        style: A style sheet that follows the shared one.
+        scripts: Scripts that follow the shared one.
+        replays: Whether the page has the 3-D viewer of replays.  The page then carries three.js as text,
+            which becomes a script at the first replay; the page's policy allows that script.
+        values: The values of the template.
+
     """
     script = "".join(asset(name, of) for name in ("report.js", *scripts))
     sheets, also = [style] if style else [], ""
@@ -133,6 +139,6 @@ def _hash(script: str) -> str:
 
 
 def in_words(moment: datetime) -> str:
-    """A date and time for people."""
+    """Return a date and time for people."""
     zone = f" {moment.tzname()}" if moment.tzinfo else ""
     return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"

@@ -1,7 +1,7 @@
-"""The paths of one run seen from above (x-y) and from the side (x-z), each whole and close to the TCP.
+"""The paths of one run from above (x-y) and from the side (x-z), each whole and close to the TCP.
 
-What draws the cell, the arm, hands, the TCP or decisions draws base x to the right and base ``axis``
-(1: y, 2: z) upwards, in millimetres.
+The functions that draw the cell, the arm, hands, the TCP or decisions put base x to the right.  They put
+base ``axis`` (1: y, 2: z) upwards, in millimetres.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MM = 1e3
 
 @dataclass(frozen=True)
 class Moment:
-    """The instant at which hands, forearms and the arm are drawn in full."""
+    """The instant at which a view draws hands, forearms and the arm in full."""
 
     tick: int
     time_s: float
@@ -43,9 +43,9 @@ class Moment:
 
 
 def shown_moment(run: JudgedRun) -> Moment | None:
-    """Return the worst moment of ``run.shown_claim()``, else of the nearest hand; None without either.
+    """Return the worst moment of ``run.shown_claim()``, else the nearest hand; None without either.
 
-    Every picture, button and replay of a run takes its moment from here.
+    Every picture, button and replay of a run uses this moment.
     """
     ticks = run.trace.ticks
     if len(ticks) == 0:
@@ -64,7 +64,13 @@ def shown_moment(run: JudgedRun) -> Moment | None:
 
 
 def path_views(run: JudgedRun, *, prefix: str) -> tuple[Markup, ...]:
-    """Return the paths as SVG from above and from the side, then both close to the TCP; needs a tick."""
+    """Return the paths as SVG: from above, from the side, and both close to the TCP.
+
+    Args:
+        run: A run with at least one tick.
+        prefix: The start of every id.
+
+    """
     moment = shown_moment(run)
     return tuple(
         Markup(_view(run, moment, axis, close_up=close_up, prefix=prefix))
@@ -126,7 +132,7 @@ def _description(run: JudgedRun, moment: Moment | None, axis: int) -> str:
 
 
 def close_up_mm(trace: Trace) -> tuple[Floats, Floats]:
-    """Return two corners (3,) [mm] of the box that holds the TCP's path and each decision."""
+    """Return two corners (3,) [mm] of the box that holds all of the TCP's path and every decision."""
     points = np.vstack(
         [
             trace.ticks["transform_tcp_to_base"][:, :3, 3],
@@ -141,14 +147,14 @@ def close_up_mm(trace: Trace) -> tuple[Floats, Floats]:
 
 
 def name_table(axes: Axes, cell: Cell) -> None:
-    """Write the height of the table's surface below it."""
+    """Write the height of the table's surface below its line."""
     height_mm = cell.table_height_m * MM
-    words = with_minus(f"table, z = {height_mm:.0f}")
-    axes.text(words, Share(1.0), height_mm, shift=(0.0, 14.0), anchor="end", ink=Ink.MUTED)
+    label = with_minus(f"table, z = {height_mm:.0f}")
+    axes.text(label, Share(1.0), height_mm, shift=(0.0, 14.0), anchor="end", ink=Ink.MUTED)
 
 
 def draw_close_up_frame(axes: Axes, trace: Trace, axis: int) -> None:
-    """Draw the frame of the close-up in the whole view."""
+    """Draw the part of the whole view that the close-up shows."""
     x, y = rectangle(*close_up_mm(trace), axis)
     axes.line(x, y, Ink.MUTED, width=0.8)
 
@@ -207,7 +213,7 @@ def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
 
 
 def capsule_outline(start: Array3, end: Array3, radius: float) -> Floats:
-    """Return the outline (k, 2) of all points within ``radius`` of a segment; a disc without a length."""
+    """Return the outline (k, 2) of all points within ``radius`` of a segment; a disc for zero length."""
     along = end - start
     heading = float(np.arctan2(along[1], along[0]))
     turn = np.linspace(0.5 * np.pi, 1.5 * np.pi, 33) + heading
@@ -258,16 +264,16 @@ def _draw_ends(axes: Axes, path_mm: Floats, axis: int, ink: Ink) -> None:
 
 
 def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
-    """Draw lines from the TCP at each decision to the chosen repulsive position."""
+    """Draw a line from the TCP at each decision to the chosen repulsive position."""
     decisions = trace.decisions
-    asked = decisions["tcp_position_in_base_m"] * MM
+    starts = decisions["tcp_position_in_base_m"] * MM
     chosen = decisions["chosen_position_in_base_m"] * MM
-    ways = np.stack([asked, chosen, np.full_like(asked, np.nan)], axis=1).reshape(-1, 3)
-    axes.line(ways[:, 0], ways[:, axis], Ink.CHOSEN, width=1.0, dashes=(1, 2))
-    for points, shape, ink in ((chosen, "D", Ink.CHOSEN), (asked, "v", Ink.TEXT)):
+    lines = np.stack([starts, chosen, np.full_like(starts, np.nan)], axis=1).reshape(-1, 3)
+    axes.line(lines[:, 0], lines[:, axis], Ink.CHOSEN, width=1.0, dashes=(1, 2))
+    for points, shape, ink in ((chosen, "D", Ink.CHOSEN), (starts, "v", Ink.TEXT)):
         axes.marks(points[:, 0], points[:, axis], shape, 7, fill=ink, edge=Ink.PAPER)
     if len(decisions) > MOST_NUMBERS:
         return
-    for number, point in enumerate(asked, start=1):
+    for number, point in enumerate(starts, start=1):
         if np.all(np.isfinite(point)):
             axes.text(str(number), point[0], point[axis], shift=(5.0, -4.0))

@@ -1,8 +1,8 @@
-"""How sure the hand filter is of where it predicts a hand, computed again from its settings, for pictures.
+"""The hand filter's uncertainty about a predicted hand, computed from its settings for pictures.
 
-A trace has the predictions and not their covariance.  That of a linear filter depends on the times of its
-measurements only, so it is known where every image since the beginning of a track showed the hand; a missed
-image makes it larger than it is here.
+A trace has the predictions without their covariance.  The covariance of a linear filter depends on the
+times of its measurements only.  It is thus exact if every image since the beginning of a track showed the
+hand.  A missed image makes the true covariance larger than this result.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ UPPER = np.triu_indices(3)
 
 
 def prediction_spread_m(trace: Trace) -> Floats:
-    """(n, tracks, 6) the upper half of S, where S S is the covariance of a predicted hand's centre in base.
+    """Return the upper half (n, tracks, 6) [m] of S, where S S is a predicted hand centre's covariance.
 
-    NaN without a track, and in a trace whose predictions are not those of our filter.
+    The frame is base.  The result is NaN without a track, and if another filter made the predictions.
     """
     ticks = trace.ticks
     valid = ticks["track_valid"].astype(bool)
-    found = np.full((*valid.shape, 6), np.nan)
+    upper = np.full((*valid.shape, 6), np.nan)
     if trace.scenario.driven or trace.known.of("predicted_hand_in_base_m").source is not Source.SIMULATED:
-        return found
+        return upper
     settings = trace.scenario.settings
     sensor_in_base = np.broadcast_to(overhead_transform_sensor_to_base(settings), (len(ticks), 4, 4))
     if settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:
@@ -48,12 +48,12 @@ def prediction_spread_m(trace: Trace) -> Floats:
     sure = valid & np.isfinite(root).all(axis=(2, 3))
     values, axes = np.linalg.eigh(root[sure] @ np.swapaxes(root[sure], -1, -2))
     symmetric = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :] @ np.swapaxes(axes, -1, -2)
-    found[sure] = symmetric[:, UPPER[0], UPPER[1]]
-    return found
+    upper[sure] = symmetric[:, UPPER[0], UPPER[1]]
+    return upper
 
 
 def _variances(trace: Trace, valid: NDArray[np.bool_]) -> Floats:
-    """(n, tracks, 3) of u, v [px^2] and z [m^2] where a hand is predicted, at the time that it is for."""
+    """Return the variances (n, tracks, 3) of u, v [px^2] and z [m^2] at the time of a prediction."""
     settings = trace.scenario.settings
     sensor, horizon_s = settings.hand_sensor, settings.hand_filter.prediction_horizon_s
     parameters = filter_parameters(settings.hand_filter, sensor)[0]
@@ -63,27 +63,28 @@ def _variances(trace: Trace, valid: NDArray[np.bool_]) -> Floats:
     begins = valid & ~np.vstack([np.zeros_like(valid[:1]), valid[:-1]])
     first = np.maximum.accumulate(np.where(begins, frame[:, None], -np.inf), axis=0)
     age = np.where(valid, frame[:, None] - first, 0.0).astype(np.int64)  # frames since that of its beginning
-    after = _after_frames(parameters, 1.0 / rate_hz, int(age.max(initial=0)))
-    value, mixed, rate = np.moveaxis(after[np.minimum(age, len(after) - 1)], 2, 0)
+    by_age = _after_frames(parameters, 1.0 / rate_hz, int(age.max(initial=0)))
+    value, mixed, rate = np.moveaxis(by_age[np.minimum(age, len(by_age) - 1)], 2, 0)
     ahead_s = (trace.time_s + horizon_s - frame / rate_hz)[:, None, None]
-    found: Floats = value + ahead_s * (2.0 * mixed + ahead_s * rate) + 0.25 * ahead_s**4 * push
-    return found
+    total: Floats = value + ahead_s * (2.0 * mixed + ahead_s * rate) + 0.25 * ahead_s**4 * push
+    return total
 
 
 def _after_frames(parameters: np.void, dt_s: float, most: int) -> Floats:
-    """(at most ``most`` + 1, 3, 3) var(value), cov, var(rate) of u, v, z by frames; the last stays.
+    """Return var(value), cov, var(rate) of u, v, z after each number of frames; the last set stays.
 
-    As ``initialise``, ``wait`` and ``update`` of the filter have them.
+    The shape is (at most ``most`` + 1, 3, 3).  The recursion follows the filter's ``initialise``,
+    ``wait`` and ``update``.
     """
     noise, push = parameters["measurement_variance"][:3], parameters["acceleration_variance"]
-    found = [np.array([noise, np.zeros(3), parameters["initial_rate_variance"]])]
-    while len(found) <= most and (
-        len(found) == 1 or not np.allclose(found[-2], found[-1], rtol=1e-12, atol=0.0)
+    states = [np.array([noise, np.zeros(3), parameters["initial_rate_variance"]])]
+    while len(states) <= most and (
+        len(states) == 1 or not np.allclose(states[-2], states[-1], rtol=1e-12, atol=0.0)
     ):
-        value, mixed, rate = found[-1]
+        value, mixed, rate = states[-1]
         value = value + dt_s * (2.0 * mixed + dt_s * rate) + 0.25 * dt_s**4 * push
         mixed = mixed + dt_s * rate + 0.5 * dt_s**3 * push
         rate = rate + dt_s**2 * push
         gain = noise / (value + noise)
-        found.append(np.array([value * gain, mixed * gain, rate - mixed**2 / (value + noise)]))
-    return np.array(found)
+        states.append(np.array([value * gain, mixed * gain, rate - mixed**2 / (value + noise)]))
+    return np.array(states)

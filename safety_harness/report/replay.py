@@ -1,8 +1,8 @@
-"""What the 3-D replay of a run needs, as JSON: the arm's frames, capsules, meshes, and columns of the trace.
+"""The data of a run's 3-D replay as JSON: the arm's frames, capsules, meshes, and columns of the trace.
 
-The viewer turns the joints itself, so that arm, hands and distances are those of the trace.  Long runs are
-thinned evenly, with every worst moment and every decision kept; the viewer goes straight from one kept tick
-to the next.
+The viewer turns the joints itself, so that arm, hands and distances agree with the trace.  The data thin
+long runs evenly, but keep every worst moment and every decision.  The viewer moves straight from each kept
+tick to the next.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ ANY = 1_000_000  # no capsule: it is not known to which a hand is nearest
 
 
 class Replays:
-    """The replays of one page: no more than ``most``, and the meshes of an arm only with its first."""
+    """The replays of one page: at most ``most``, with the meshes of an arm only in its first replay."""
 
     def __init__(self, most: int = MOST_REPLAYS) -> None:
         self._left = most
@@ -57,9 +57,13 @@ class Replays:
         self._explained = ""  # the replay that says what is drawn
 
     def of(self, run: JudgedRun, name: str, **more: object) -> dict[str, object] | None:
-        """What the macro ``replay`` takes; None of a run without ticks, or if the page has enough.
+        """Return the arguments of the macro ``replay``; None for a run without ticks, or on a full page.
 
-        ``name`` is an id of the page, and the drawing over time has ids that begin with ``name-time-``.
+        Args:
+            run: The run to replay.
+            name: An id of the page; the drawing over time has ids that begin with ``name-time-``.
+            more: Further arguments of the macro.
+
         """
         if self._left == 0 or len(run.trace.ticks) == 0:
             return None
@@ -67,15 +71,15 @@ class Replays:
         self._explained = self._explained or f"{name}-replay"
         moment, arm = shown_moment(run), arm_model(run.trace.scenario.robot)
         time_s = run.trace.time_s
-        found = replay_data(run) | {"charts": f"{name}-time-"}
+        data = replay_data(run) | {"charts": f"{name}-time-"}
         if self._meshes.setdefault(arm, name) == name:
-            found["meshes"] = arm_meshes(arm)
+            data["meshes"] = arm_meshes(arm)
         else:
-            found["meshes_of"] = f"{self._meshes[arm]}-replay"
+            data["meshes_of"] = f"{self._meshes[arm]}-replay"
         return {
             "id": f"{name}-replay",
             "explained": self._explained,
-            "data": as_attribute(found),
+            "data": as_attribute(data),
             "first_s": float(time_s[0]),
             "last_s": float(time_s[-1]),
             "from_s": start_s(run),
@@ -87,7 +91,7 @@ class Replays:
 
 
 def replay_data(run: JudgedRun) -> dict[str, Any]:
-    """The replay of a run with at least one tick, all but the arm's meshes."""
+    """Return the replay of a run with at least one tick, except the arm's meshes."""
     trace = as_measured(run.trace)
     settings = trace.scenario.settings
     arm = arm_model(trace.scenario.robot)
@@ -119,7 +123,7 @@ def replay_data(run: JudgedRun) -> dict[str, Any]:
         "mode_inks": {str(int(mode)): ink.variable for mode, ink in MODE_INK.items()},
         "decisions": _decisions(trace),
         "worst": _worst(run),
-        "limits_m": sorted({one for e in run.evaluations if (one := claimed_hand_distance_m(e)) is not None}),
+        "limits_m": sorted({d_m for e in run.evaluations if (d_m := claimed_hand_distance_m(e)) is not None}),
         "chart": [LEFT_PX, PANEL_PX, WIDTH_PX, max(trace.scenario.duration_s, float(trace.time_s[-1]))],
         **packed(
             {
@@ -144,7 +148,7 @@ def replay_data(run: JudgedRun) -> dict[str, Any]:
 
 
 def arm_in_scene(arm: ArmModel, capsules: CapsuleSet) -> dict[str, Any]:
-    """Frames and capsules as the viewer takes them."""
+    """Return frames and capsules as the viewer takes them."""
     return {
         "joint_origins": [rounded(origin, 9) for origin in arm.joint_origins],
         "joint_axes": arm.joint_axes.tolist(),
@@ -163,53 +167,54 @@ def arm_in_scene(arm: ArmModel, capsules: CapsuleSet) -> dict[str, Any]:
 
 
 def rounded(values: NDArray[np.float64], digits: int = 5) -> list[float]:
-    """The numbers of an array of any shape, for people's eyes only.  ``values`` (...)."""
+    """Return the numbers of an array of any shape as a flat list, rounded for pictures."""
     return [round(float(value), digits) for value in values.ravel()]
 
 
 def kept_ticks(run: JudgedRun) -> NDArray[np.int64]:
-    """Which ticks the replay shows."""
+    """Return the indices of the ticks that the replay shows."""
     count = len(run.trace.ticks)
     step = -(-count // MOST_TICKS)
     worst = [e.worst_time_s for e in run.evaluations if e.worst_time_s is not None]
     at_worst = [int(np.argmin(np.abs(run.trace.time_s - time_s))) for time_s in worst if isfinite(time_s)]
-    asked = run.trace.decisions["tick"].tolist()[:MOST_TICKS] if decided(run.trace, "tick") else []
-    kept = {*range(0, count, step), count - 1, *at_worst, *asked}
+    decided_at = run.trace.decisions["tick"].tolist()[:MOST_TICKS] if decided(run.trace, "tick") else []
+    kept = {*range(0, count, step), count - 1, *at_worst, *decided_at}
     return np.array(sorted(kept), np.int64)
 
 
 def start_s(run: JudgedRun) -> float:
-    """Where the replay stands at first: at the moment that the drawings show."""
+    """Return the first time [s] of the replay: the moment that the drawings show."""
     moment = shown_moment(run)
     return float(run.trace.time_s[0]) if moment is None else moment.time_s
 
 
 def _separation_m(trace: Trace) -> NDArray[np.float64]:
-    """(n,) how far a reaching human has to be away by the trace's reaction and stop times; NaN if not known.
+    """Return the distance (n,) [m] that a reaching human needs by the trace's reaction and stop times.
 
-    The arm is taken to come nearer at the TCP's speed; claims take that of each link.
+    The result is NaN where the times are unknown.  It assumes that the arm approaches at the TCP's speed;
+    claims use the speed of each link.
     """
     speed_mps = trace.ticks["tcp_speed_mps"]
-    ticks = zip(speed_mps.tolist(), *(one.tolist() for one in times_left_s(trace)), strict=True)
+    ticks = zip(speed_mps.tolist(), *(column.tolist() for column in times_left_s(trace)), strict=True)
     needed = [sum(lengths(REACHING_MPS, speed, wait_s, stop_s, 0.0, 0.0)) for speed, wait_s, stop_s in ticks]
     return np.where(measured(trace, "tcp_speed_mps"), needed, np.nan)
 
 
 def _views(settings: Settings) -> list[dict[str, Any]]:
-    """What the servoing camera sees, from the flange, and an own camera for the hands from where it hangs.
+    """Return the view of the servoing camera from the flange, and of an own hand camera from its mount.
 
-    The corners of a view lie in the plane of the object as the arm sees it at its goal, or in the table's.
+    The corners of a view lie in a plane: of the object as the arm sees it at its goal, or of the table.
     """
     camera, sensor, cell = settings.camera, settings.hand_sensor, settings.cell
     mount = transform_camera_to_tcp(camera, calibrated=False)
     depth_m = cell.desired_tcp_position_in_base_m[2] - settings.object.position_in_base_m[2]
-    found = [(mount, camera, depth_m, True)]
+    cameras = [(mount, camera, depth_m, True)]
     if sensor.kind is HandSensorKind.OVERHEAD:
         hung = overhead_transform_sensor_to_base(settings)
-        found.append((hung, sensor, float(hung[2, 3]) - cell.table_height_m, False))  # type: ignore[arg-type]
+        cameras.append((hung, sensor, float(hung[2, 3]) - cell.table_height_m, False))  # type: ignore[arg-type]
     return [
         {"on_tool": on_tool, "transform": rounded(transform), "corners": _corners(optics, depth)}
-        for transform, optics, depth, on_tool in found
+        for transform, optics, depth, on_tool in cameras
     ]
 
 
@@ -219,22 +224,22 @@ def _corners(optics: Any, depth_m: float) -> list[list[float]]:  # a Camera or a
 
 
 def _faces(box: Obstacle) -> list[list[list[float]]]:
-    """The corners of its floor, its top and two walls, which have all edges."""
+    """Return the corners of a box's floor, top and two walls, which together have all edges."""
     corners = [rounded(corner) for corner in box.corners_in_base_m]
     return [[corners[k] for k in face] for face in ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (2, 3, 7, 6))]
 
 
 def _worst(run: JudgedRun) -> list[dict[str, Any]]:
-    """The worst moment of each claim that has one."""
+    """Return the worst moment of each claim that has one."""
     return [
-        {"time_s": one.worst_time_s, "violated": one.verdict is Verdict.VIOLATED}
-        for one in run.evaluations
-        if one.worst_time_s is not None and isfinite(one.worst_time_s)
+        {"time_s": judged.worst_time_s, "violated": judged.verdict is Verdict.VIOLATED}
+        for judged in run.evaluations
+        if judged.worst_time_s is not None and isfinite(judged.worst_time_s)
     ]
 
 
 def _decisions(trace: Trace) -> list[dict[str, Any]]:
-    """When each was made, from where, to where the way then led, and which ways were refused, as measured."""
+    """Return time, start, chosen and refused positions of each decision, as far as measured."""
     if not decided(trace, "time_s"):
         return []
     return [_decision(trace, decision) for decision in trace.decisions]
@@ -242,23 +247,23 @@ def _decisions(trace: Trace) -> list[dict[str, Any]]:
 
 def _decision(trace: Trace, decision: np.void) -> dict[str, Any]:
     def place(name: str) -> list[float] | None:
-        found = decision[f"{name}_position_in_base_m"]
-        return rounded(found) if np.isfinite(found).all() else None
+        position_m = decision[f"{name}_position_in_base_m"]
+        return rounded(position_m) if np.isfinite(position_m).all() else None
 
-    words, refused = [], []
+    texts, refused = [], []
     if decided(trace, "trigger"):
-        words.append(TRIGGER_WORDS[Trigger(decision["trigger"])])
+        texts.append(TRIGGER_WORDS[Trigger(decision["trigger"])])
     if decided(trace, "outcome"):
-        words.append(OUTCOME_WORDS[DecisionOutcome(decision["outcome"])])
+        texts.append(OUTCOME_WORDS[DecisionOutcome(decision["outcome"])])
     if decided(trace, "proposed_failed", "opposite_failed"):
         failed = Check(int(decision["proposed_failed"])), Check(int(decision["opposite_failed"]))
         names = zip(("proposed", "opposite"), failed, strict=True)
         refused = [at for name, check in names if check and (at := place(name)) is not None]
-        words += [f"refused: {failed_words(*failed)}"] if any(failed) else []
+        texts += [f"refused: {failed_words(*failed)}"] if any(failed) else []
     return {
         "time_s": float(decision["time_s"]),
         "from": place("tcp"),
         "chosen": place("chosen"),
         "refused": refused,
-        "says": ", ".join(words),
+        "says": ", ".join(texts),
     }

@@ -127,7 +127,7 @@ def run(
 
 
 def _reference(given: str | Path | None) -> str | None:
-    """Return what is tested as references are written; a ``Driver`` stays one."""
+    """Return the tested program as text; a ``Driver`` stays an object."""
     return str(given) if isinstance(given, Path) else given
 
 
@@ -154,10 +154,23 @@ def read_all(
     objects: Sequence[Scenario] = (),
     output: Output = QUIET,
 ) -> tuple[list[list[Admitted]], list[NotTaken], list[InputError]]:
-    """Read and admit everything, with another avoider if one is given, and with the reference as well.
+    """Read and admit all scenarios, with the given avoider and with the reference as well.
 
-    All mistakes, not only the first, and what the avoiders given here cannot take.  InstallationError if
-    there is something to run, and the world is not installed.
+    Args:
+        paths: Scenario files, suites or folders.
+        avoider: Replaces the avoider of every scenario; None keeps their own.
+        against: The reference; None without a comparison.
+        world: The world of the runs.
+        objects: Scenarios that are no files.
+        output: Receives the progress.
+
+    Returns:
+        The admitted scenarios (each with its reference), the scenarios that an avoider given here cannot
+        take, and all mistakes.
+
+    Raises:
+        InstallationError: There is a scenario to run, and the world is not installed.
+
     """
 
     def take(one: Scenario) -> list[Admitted] | NotTaken:
@@ -182,7 +195,7 @@ def read_all(
 
 @dataclass
 class RunsShown:
-    """Which of several scenarios is run, and how far it is."""
+    """The progress display of several scenarios: the current scenario and its ticks."""
 
     scenarios: Sequence[Scenario]
     show: Callable[..., None]
@@ -190,12 +203,12 @@ class RunsShown:
     _shown: int = 0
 
     def begin(self, number: int) -> None:
-        """Scenario ``number`` starts."""
+        """Show the start of scenario ``number``."""
         self._number = number
         self._show(0)
 
     def tick(self, done: int) -> None:
-        """``done`` ticks of the current scenario are over; shown every 50, and at its end."""
+        """Show that ``done`` ticks of the scenario are over, every 50 ticks and at its end."""
         if done - self._shown >= 50 or done > self.scenarios[self._number].ticks:
             self._show(done)
 
@@ -207,17 +220,17 @@ class RunsShown:
 
 @contextmanager
 def watching_runs(scenarios: Sequence[Scenario], output: Output) -> Iterator[RunsShown]:
-    """Yield what takes which scenario is run, and how many of its ticks are over."""
+    """Yield the display that receives the current scenario and its finished ticks."""
     with output.counting(sum(s.ticks + 1 for s in scenarios), "ticks") as show:
         yield RunsShown(scenarios, show)
 
 
 @dataclass
 class RunSession:
-    """The runs of one call while they are made; ``asked`` is the result with what is known of it before.
+    """The runs of one call during their execution.
 
-    ``out`` keeps the traces as they come; None keeps them in memory alone.  ``differences`` are those of the
-    runs from those with a reference, if there is one.
+    ``asked`` is the result with its initial contents.  ``out`` keeps each trace at once; None keeps traces in
+    memory only.  ``differences`` compares the runs with those of a reference, if there is one.
     """
 
     asked: RunResult
@@ -235,7 +248,13 @@ class RunSession:
     written: set[Path] = field(default_factory=set)  # whatever the disk says of when
 
     def run(self, admitted: Sequence[Sequence[Admitted]], jobs: int | None = 1) -> RunResult:
-        """Make all runs, put the traces of earlier runs aside, and ask a second avoider."""
+        """Make all runs, rename the traces of earlier runs, and question a second avoider.
+
+        Args:
+            admitted: Each scenario, with its reference if there is one.
+            jobs: The number of processes; None: one for each core, if there are many runs.
+
+        """
         self._run_all(admitted, jobs)
         self._rename_earlier()
         if self.unwritable is not None:
@@ -254,7 +273,7 @@ class RunSession:
         )
 
     def _run_all(self, admitted: Sequence[Sequence[Admitted]], jobs: int | None) -> None:
-        """In their order, each with the reference too, until Ctrl-C or a disk that takes no more."""
+        """Run all in order, each with its reference, until Ctrl-C or a full disk."""
         flat = [one for each in admitted for one in each]
         with (
             watching_runs([one.scenario for one in flat], self.output) as progress,
@@ -280,7 +299,7 @@ class RunSession:
                     return
 
     def _run_one(self, one: Admitted, apart: RunProcesses, folder: str, progress: RunsShown) -> JudgedRun:
-        """Simulate, here or in another process, save, judge."""
+        """Simulate a run here or in another process, save and judge it."""
         trace = apart.trace(one) or run_trial(one, world=apart.world, on_tick=progress.tick)
         file = None if self.out is None else saved(trace, self.out / folder)
         judged = JudgedRun(
@@ -299,7 +318,7 @@ class RunSession:
     def _take_finished(
         self, left: Sequence[Sequence[Admitted]], apart: RunProcesses, progress: RunsShown
     ) -> None:
-        """After Ctrl-C what has come to its end in other processes."""
+        """Take the runs that other processes finished before Ctrl-C."""
         for one, *_ in left if self.asked.against is None else ():
             if apart.is_done(one):
                 with suppress(Exception):
@@ -316,7 +335,7 @@ class RunSession:
         self.interrupted = not judged.trace.complete
 
     def _compare(self, reference: JudgedRun) -> None:
-        """The last run with that of the reference; only what the reference does not do is a result."""
+        """Compare the last run with that of the reference; only differences count as a result."""
         assert self.asked.against is not None
         mine, self.interrupted = self.runs[-1], not reference.trace.complete
         if not self.interrupted:
@@ -333,7 +352,7 @@ class RunSession:
             say("This is a defect of safety-harness, not of your file; the other scenarios are not affected.")
 
     def _rename_earlier(self) -> None:
-        """Traces of earlier runs stay, by names that no folder or pattern takes for evidence of this one."""
+        """Rename traces of earlier runs, so that no folder or pattern takes them for evidence of this run."""
         if self.out is None:
             return
         kinds = [f"{at}/{kind}" for at in (TRACES, OF_REFERENCE) for kind in KINDS]
@@ -349,7 +368,7 @@ class RunSession:
                 self.unwritable = self.unwritable or error
 
     def _ask_again(self) -> None:
-        """Does the avoider answer alike when it is asked again?  Not after an interruption."""
+        """Check whether the avoider repeats its answers, except after an interruption."""
         if self.runs and not self.interrupted and self.unwritable is None:
             self.repeated = self.repeatability.reported(self.output)
             self.interrupted = self.repeated is None

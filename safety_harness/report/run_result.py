@@ -34,21 +34,21 @@ GIVEN = "scenarios"  # of a folder that is written to: scenarios that were no fi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunResult:
-    """The judged runs of one call of ``run``, and what became of the other inputs.
+    """The judged runs of one call of ``run``, and the outcome of the other inputs.
 
     Args:
-        runs: The runs that came to an end, in order.
-        given: The scenarios as they were asked for.
+        runs: The runs that ended, in order.
+        given: The scenarios as the caller gave them.
         options: The options of the command that makes the same runs.
-        planned: How many scenarios were to be run.
+        planned: The number of scenarios to run.
         skipped: Scenarios that the avoider cannot take.
-        refused: Errors of inputs that kept no other from running.
-        failed: Scenarios that could not be simulated, and why.
-        against: The differences from the runs with the reference, if there is one.
-        repeated: What a second avoider answered to the questions of the runs; None if it was not asked.
-        interrupted: Ctrl-C ended the runs.
-        unwritable: Why no more was written.
-        mcap: Write each run as MCAP too.
+        refused: Errors of inputs; the other inputs still ran.
+        failed: Scenarios that could not be simulated, with the reasons.
+        against: The differences from the runs with the reference; None without a reference.
+        repeated: The answers of a second avoider to the questions of the runs; None without it.
+        interrupted: Whether Ctrl-C ended the runs.
+        unwritable: The error that ended the writing; None without it.
+        mcap: Whether to write each run as MCAP too.
 
     """
 
@@ -68,29 +68,29 @@ class RunResult:
 
     @property
     def verdict(self) -> Verdict:
-        """The worst verdict of all claims; inconclusive without any."""
+        """Return the worst verdict of all claims; inconclusive without any."""
         return worst_verdict(evaluation.verdict for run in self.runs for _, evaluation in run.judged_claims())
 
     @property
     def trace(self) -> Trace:
-        """The trace of the only run; InputError if there is not one alone."""
+        """Return the trace of the only run; InputError for any other number of runs."""
         if len(self.runs) != 1:
             raise InputError.of_option("RunResult.trace", "the result of one run", f"{len(self.runs)} runs")
         return self.runs[0].trace
 
     @property
     def coverage(self) -> tuple[ClaimTally, ...]:
-        """How often each claim was exercised."""
+        """Return how often the runs exercised each claim."""
         return tallies(self.runs)
 
     @property
     def basis(self) -> str:
-        """What the verdicts rest on: the world, the exercised runs, and what nothing watched."""
+        """Return the grounds of the verdicts: the world, the exercised runs, and the unmonitored parts."""
         return basis_of(self.runs)
 
     @property
     def exit_code(self) -> int:
-        """The command's exit code."""
+        """Return the command's exit code."""
         if self.unwritable is not None:
             return BAD_INPUT
         if self.interrupted:
@@ -98,34 +98,39 @@ class RunResult:
         if self.refused:
             return BAD_INPUT
         if self.against is None:
-            verdicts, others = as_expected(self.runs)
+            verdicts, rest = as_expected(self.runs)
             untested = untested_lines(self.coverage)
-            good = all(verdicts) and bool(verdicts or not others) and not (untested or self.skipped)
+            good = all(verdicts) and bool(verdicts or not rest) and not (untested or self.skipped)
         else:  # what cannot be compared differs in nothing
             good = len(self.against.runs) == self.planned and not self.against.worse
         good &= self.repeated is None or not self.repeated.problem
         return AS_EXPECTED if good and not self.failed else DIFFERS
 
     def __getitem__(self, sentence: str) -> Evaluation:
-        """Return the evaluation of a claim by its sentence, the worst of several runs; InputError."""
-        found = [e for one in self.runs for claim, e in one.judged_claims() if claim.sentence == sentence]
-        if not found:
-            claims = dict.fromkeys(claim.sentence for one in self.runs for claim, _ in one.judged_claims())
+        """Return the evaluation of a claim by its sentence, the worst of several runs.
+
+        Raises:
+            InputError: No run has the claim.
+
+        """
+        matches = [e for run in self.runs for claim, e in run.judged_claims() if claim.sentence == sentence]
+        if not matches:
+            claims = dict.fromkeys(claim.sentence for run in self.runs for claim, _ in run.judged_claims())
             raise InputError.of_option("RunResult[claim]", f"one of: {', '.join(claims)}", repr(sentence))
-        worst = worst_verdict(one.verdict for one in found)
+        worst = worst_verdict(run.verdict for run in matches)
         return min(
-            (e for e in found if e.verdict is worst), key=lambda e: (e.margin is None, e.margin or 0.0)
+            (e for e in matches if e.verdict is worst), key=lambda e: (e.margin is None, e.margin or 0.0)
         )
 
     def __repr__(self) -> str:
-        names = [one.trace.scenario.name for one in self.runs]
-        what = names[0] if len(names) == 1 else f"{len(names)} of {self.planned} scenarios"
-        kinds = [e.verdict for one in self.runs for _, e in one.judged_claims()]
+        names = [run.trace.scenario.name for run in self.runs]
+        label = names[0] if len(names) == 1 else f"{len(names)} of {self.planned} scenarios"
+        kinds = [e.verdict for run in self.runs for _, e in run.judged_claims()]
         counts = ", ".join(f"{kinds.count(kind)} {kind.value}" for kind in Verdict if kind in kinds)
-        return f"<{self.verdict.value}: {what}, claims: {counts or 'none'}. {self.basis}>"
+        return f"<{self.verdict.value}: {label}, claims: {counts or 'none'}. {self.basis}>"
 
     def data(self) -> dict[str, Any]:
-        """Return what report.json holds; the traces have to be written first to have a hash."""
+        """Return the content of report.json; write the traces first, since it holds their hashes."""
         from safety_harness.report.machine import report_data
 
         return report_data(self.runs, **self._of_all)
@@ -141,10 +146,17 @@ class RunResult:
         }
 
     def write(self, folder: str | Path, output: Output = QUIET) -> RunResult:
-        """Write report.html, report.json, report.sarif, summary.md, and each trace that is not there yet.
+        """Write report.html, report.json, report.sarif, summary.md, and the traces that the folder lacks.
 
-        Scenarios that were no files are written too, since the report names the command that runs them again.
-        The result that is returned names the traces of the folder.  A first Ctrl-C lets it end.
+        The method also writes scenarios that were no files, since the report's command needs their files.
+        A first Ctrl-C lets the writing end.
+
+        Args:
+            folder: The folder of the report.
+            output: Receives the progress.
+
+        Returns:
+            This result with the traces of the folder.
 
         Raises:
             OutputError: The folder cannot be written.
@@ -152,36 +164,45 @@ class RunResult:
         """
         out = Path(folder)
         remark = f"writing {out / REPORT}; Ctrl-C once more gives it up"
-        with one_more_ctrl_c(output.say, remark) as asked:
-            runs = tuple(self._kept(one, out) for one in self.runs)
+        with one_more_ctrl_c(output.say, remark) as stopped:
+            runs = tuple(self._kept(run, out) for run in self.runs)
             title = "Safety verification of a hand-avoiding robot arm"
             write_files(out, runs, title=title, command=self._command(out), **self._of_all)
-        return replace(self, runs=runs, interrupted=self.interrupted or asked())
+        return replace(self, runs=runs, interrupted=self.interrupted or stopped())
 
-    def _kept(self, one: JudgedRun, out: Path) -> JudgedRun:
+    def _kept(self, run: JudgedRun, out: Path) -> JudgedRun:
         """Return the run with its trace in the folder."""
-        if one.trace_file is not None and one.trace_file.parent == out / TRACES:
-            return one
-        file = saved(one.trace, out / TRACES)
+        if run.trace_file is not None and run.trace_file.parent == out / TRACES:
+            return run
+        file = saved(run.trace, out / TRACES)
         if self.mcap:
-            save_mcap(one, file)
-        return replace(one, trace_file=file, replay_command=replay_command(one.trace.scenario, file))
+            save_mcap(run, file)
+        return replace(run, trace_file=file, replay_command=replay_command(run.trace.scenario, file))
 
     def _command(self, out: Path) -> str:
-        """Return the command line that makes these runs again."""
-        words = ["safety-harness", "run"]
-        for one in self.given:
-            file = one if isinstance(one, Path) else out / GIVEN / f"{one.name}.yaml"
-            if isinstance(one, Scenario):
-                write_text(file, write_scenario(as_seen_from(file.parent, one)))
-            words.append(str(told(file)))
-        return shlex.join([*words, "--out", str(told(out)), *self.options])
+        """Return the command line that makes these runs again, and write scenarios that were no files."""
+        parts = ["safety-harness", "run"]
+        for item in self.given:
+            file = item if isinstance(item, Path) else out / GIVEN / f"{item.name}.yaml"
+            if isinstance(item, Scenario):
+                write_text(file, write_scenario(as_seen_from(file.parent, item)))
+            parts.append(str(told(file)))
+        return shlex.join([*parts, "--out", str(told(out)), *self.options])
 
 
 def write_files(out: Path, runs: Sequence[JudgedRun], *, title: str, command: str, **of_all: Any) -> None:
-    """Write the report of runs for a browser, for programs and for CI; OutputError.
+    """Write the report of runs for a browser, for programs and for CI.
 
-    ``of_all`` is what ``write_report`` and ``report_data`` take besides.
+    Args:
+        out: The folder.
+        runs: The judged runs.
+        title: The title of the page.
+        command: The command that the page shows.
+        of_all: Further arguments of ``write_report`` and ``report_data``.
+
+    Raises:
+        OutputError: The folder cannot be written.
+
     """
     from safety_harness.report.ci_formats import write_for_ci
     from safety_harness.report.html import write_report
@@ -195,7 +216,7 @@ def write_files(out: Path, runs: Sequence[JudgedRun], *, title: str, command: st
 
 
 def saved(trace: Trace, folder: Path, recordings: Mapping[str, bytes] | None = None) -> Path:
-    """Return the file of a folder to which a trace is written; OutputError."""
+    """Write a trace to a folder and return the file; OutputError if it cannot be written."""
     file = folder / f"{trace.scenario.name}.trace"
     with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -203,9 +224,9 @@ def saved(trace: Trace, folder: Path, recordings: Mapping[str, bytes] | None = N
     return file
 
 
-def save_mcap(one: JudgedRun, file: Path) -> Path:
-    """Return the folder beside a trace's file to which the run is written as MCAP."""
+def save_mcap(run: JudgedRun, file: Path) -> Path:
+    """Write a run as MCAP to a folder beside its trace's file, and return the folder."""
     write_mcap = part_named(ExtensionPoint.RUN_FORMATS, "mcap", FunctionType)
     folder = file.with_suffix("")
-    write_mcap(one.trace, one.evaluations, folder / "run.mcap")
+    write_mcap(run.trace, run.evaluations, folder / "run.mcap")
     return folder

@@ -1,4 +1,4 @@
-"""A picture of what a scenario, or many draws of a space, would try: above, side and camera views."""
+"""A picture of a scenario, or of many draws of a space: above, side and camera views."""
 
 from __future__ import annotations
 
@@ -22,13 +22,24 @@ SIDE_PX, RIGHT_PX, PANEL_PX, KEY_PX = 540.0, 400.0, 330.0, 170.0
 
 
 def draw_scene(path: Path, previews: Sequence[Preview], *, title: str, regions: Boxes = ()) -> None:
-    """Write the picture to ``path``, an SVG; needs at least one preview.  Raises OSError."""
+    """Write the picture as SVG.
+
+    Args:
+        path: The file.
+        previews: At least one preview.
+        title: The title above the views.
+        regions: Boxes to outline in the views.
+
+    Raises:
+        OSError: The file cannot be written.
+
+    """
     picture = Picture(WIDTH_PX, HEIGHT_PX)
     for top, axis in ((TOP_PX, 1), (LOWER_PX, 2)):
         axes = picture.axes(LEFT_PX, top, SIDE_PX, PANEL_PX)
         _draw_side(axes, previews, axis, regions)
         if axis == 1:
-            axes.title(plain(title, longest=100), up=34.0)
+            axes.title(plain(title, longest=100), lift=34.0)
     camera = previews[0].scenario.settings.camera
     height_px = min(PANEL_PX, RIGHT_PX * camera.height_px / camera.width_px)
     _draw_image(picture.axes(SECOND_PX, TOP_PX, RIGHT_PX, height_px), previews)
@@ -39,7 +50,7 @@ def draw_scene(path: Path, previews: Sequence[Preview], *, title: str, regions: 
 
 
 def _draw_side(axes: Axes, previews: Sequence[Preview], axis: int, regions: Boxes) -> None:
-    """Base x to the right, base ``axis`` (1: y, 2: z) upwards, in millimetres."""
+    """Draw base x to the right and base ``axis`` (1: y, 2: z) upwards, in millimetres."""
     first = previews[0]
     faint = _opacity(previews)
     arm = first.links_in_base_m * MM
@@ -67,12 +78,12 @@ def _draw_side(axes: Axes, previews: Sequence[Preview], axis: int, regions: Boxe
 
 
 def _opacity(previews: Sequence[Preview]) -> float:
-    """Of what is drawn for each of them."""
+    """Return the opacity of the drawing of each preview."""
     return 1.0 if len(previews) == 1 else max(0.06, min(0.5, 8.0 / len(previews)))
 
 
 def _draw_last_hands(axes: Axes, preview: Preview, axis: int) -> None:
-    """The hands at their true size where they come nearest to the TCP."""
+    """Draw the hands at their true size at their nearest places to the TCP."""
     radius = preview.scenario.settings.hand.radius_m * MM
     for ink, path in zip(HANDS, preview.hand_paths_in_base_m, strict=False):
         nearest = path[int(np.argmin(np.linalg.norm(path - preview.tcp_in_base_m, axis=1)))] * MM
@@ -81,7 +92,7 @@ def _draw_last_hands(axes: Axes, preview: Preview, axis: int) -> None:
 
 
 def _draw_image(axes: Axes, previews: Sequence[Preview]) -> None:
-    """What the camera sees of the object at each start, and should see at the desired pose."""
+    """Draw the camera's view of the object at each start, and at the desired pose."""
     camera = previews[0].scenario.settings.camera
     for preview in previews:
         u, v = preview.start_image_px.T
@@ -96,7 +107,7 @@ def _draw_image(axes: Axes, previews: Sequence[Preview]) -> None:
 
 
 def _write_key(axes: Axes, previews: Sequence[Preview], regions: Boxes) -> None:
-    """What the marks mean, and the hands by name."""
+    """Write the meaning of the marks, and the hands by name."""
     axes.x.line = axes.y.line = axes.x.labelled = axes.y.labelled = False
     many = len(previews) > 1
     axes.marks([], [], "o", 5, fill=Ink.TCP, name="TCP starts" if many else "TCP start")
@@ -109,5 +120,5 @@ def _write_key(axes: Axes, previews: Sequence[Preview], regions: Boxes) -> None:
         axes.line([], [], Ink.PREDICTED, width=1.2, dashes=(4, 2), name="region")
     axes.legend(anchor="start", inside=True)
     notes = ["Hands that head for the TCP are drawn as if it stayed where it starts."]
-    for line, words in enumerate([f"{len(previews)} draws."] * many + notes):
-        axes.text(words, Share(0.0), Share(1.0), shift=(0.0, 17.0 * line))
+    for line, note in enumerate([f"{len(previews)} draws."] * many + notes):
+        axes.text(note, Share(0.0), Share(1.0), shift=(0.0, 17.0 * line))

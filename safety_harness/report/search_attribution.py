@@ -39,9 +39,9 @@ def causes_of(counterexamples: int, causes: Mapping[str, Sequence[str]]) -> int:
 
 @dataclass(frozen=True, eq=False)
 class FaultsOfSearch:
-    """``tally`` is of the worst run of ``attributed`` of ``groups`` groups of violations, as they were found.
+    """The attribution of the worst run of each of ``attributed`` groups of violations, out of ``groups``.
 
-    ``interrupted``: Ctrl-C came before the others.
+    The groups are in the order of their discovery.  ``interrupted``: Ctrl-C came before the rest.
     """
 
     tally: AttributionTally
@@ -64,7 +64,7 @@ class FaultsOfSearch:
 
 @dataclass(eq=False)
 class SearchAttribution:
-    """Attributes a search's violations; what it says of counterexamples is kept by their names."""
+    """The attribution of a search's violations; it keeps the texts about counterexamples by their names."""
 
     found: dict[str, Attribution] = field(default_factory=dict)
     _admitter: Admitter = field(default_factory=Admitter)

@@ -126,13 +126,13 @@ def fuzz(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SearchResult:
-    """What a search found.
+    """The result of a search.
 
     Args:
         session: The search, with every finding.
-        evidence: What the page shows; None where the disk took no more.
-        interrupted: Ctrl-C ended it.
-        unwritable: Why no more was written.
+        evidence: The content of the page; None after a full disk.
+        interrupted: Whether Ctrl-C ended the search.
+        unwritable: The error that ended the writing; None without it.
 
     """
 
@@ -143,17 +143,17 @@ class SearchResult:
 
     @property
     def findings(self) -> Findings:
-        """Counts, groups of violations and the nearest margins."""
+        """Return counts, groups of violations and the nearest margins."""
         return self.session.findings
 
     @property
     def counterexamples(self) -> tuple[WrittenCounterexample, ...]:
-        """The counterexamples, each with its scenario and why it violates."""
+        """Return the counterexamples, each with its scenario and the reason of its violation."""
         return tuple(self.session.written)
 
     @property
     def exit_code(self) -> int:
-        """The command's exit code."""
+        """Return the command's exit code."""
         if self.unwritable is not None:
             return BAD_INPUT
         if self.interrupted:
@@ -170,16 +170,24 @@ class SearchResult:
         return f"<{self.session.trials.space.name}: {words} in {findings.tried} runs. {basis}>"
 
     def data(self) -> dict[str, object]:
-        """Return what findings.json holds; empty where the disk took no more."""
+        """Return the content of findings.json; empty after a full disk."""
         return {} if self.evidence is None else as_json(self.session.trials, self.evidence)
 
     def write(self, folder: str | Path, output: Output = QUIET) -> SearchResult:
-        """Write fuzz.html, findings.json, coverage.svg, and each finding that is not there yet as a file.
+        """Write fuzz.html, findings.json, coverage.svg, and a file for each finding that has none yet.
 
-        The result that is returned names the files of the folder.  A first Ctrl-C lets it end.
+        A first Ctrl-C lets the writing end.
+
+        Args:
+            folder: The folder of the files.
+            output: Receives the progress.
+
+        Returns:
+            This result with the files of the folder.
 
         Raises:
             OutputError: The folder cannot be written.
+            ScenarioError: A full disk ended the search, which has nothing to write.
 
         """
         out = Path(folder)

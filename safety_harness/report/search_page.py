@@ -46,14 +46,14 @@ INKS = (Ink.TCP, Ink.HAND_2)  # the search, the baseline
 
 @dataclass(frozen=True, kw_only=True)
 class SearchEvidence:
-    """Everything that the page shows.
+    """The content of the page.
 
-    ``fallback`` says how often the fallback stood in for the avoider, if it did, ``repeated`` what a second
-    avoider answered; None if it was not asked.  ``baseline`` is uniform
-    sampling with the same budget, if it was asked for; ``unconfirmed`` are findings
-    that PyBullet does not show, ``confirmed`` counts those that it does.  ``not_found`` are the claims that
-    the space expects to be violated and that no counterexample violates.  ``unconfirmable`` says why nothing
-    was confirmed, if PyBullet was not there.
+    ``fallback`` states how often the fallback replaced the avoider, if it did.  ``repeated`` has the answers
+    of a second avoider; None without it.  ``baseline`` is uniform sampling with the same budget, if the user
+    requested it.  ``unconfirmed`` are findings that PyBullet does not show; ``confirmed`` counts the findings
+    that it shows.  ``not_found`` are the claims that the space expects to be violated, without a
+    counterexample that violates them.  ``unconfirmable`` states why PyBullet confirmed nothing, if it was not
+    there.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""Return the effect of shields in words and as data: when, how much, for which part and which hand."""
+"""The actions of the shields of runs, in words and as data: time, amount, part of the arm, and hand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NOTHING_SEEN = "before the first frame"
 
 
 def slowed_by_part(trace: Trace) -> Counter[str]:
-    """Count the slowed ticks for each part of the arm, by its name; empty without a shield."""
+    """Return the number of slowed ticks per part of the arm, by its name; empty without a shield."""
     done, names = trace.interventions, capsules_of(trace).names
     slowed = done["capsule"][done["scale"] < 1.0].tolist()
     return Counter(names[k].replace("_", " ") if k >= 0 else NOTHING_SEEN for k in slowed)
@@ -30,7 +30,7 @@ def slowed_by_part(trace: Trace) -> Counter[str]:
 
 @dataclass(frozen=True)
 class Slowing:
-    """A stretch of ticks that a shield slowed, down to ``least_scale``, by what it did it for then."""
+    """A stretch of ticks that a shield slowed, down to ``least_scale``, and its cause at that tick."""
 
     from_s: float
     to_s: float
@@ -39,15 +39,15 @@ class Slowing:
     least_scale: float
 
     def __str__(self) -> str:
-        whose = f" from {self.hand}" if self.hand else ""
+        cause = f" from {self.hand}" if self.hand else ""
         return (
-            f"{self.from_s:.3f} to {self.to_s:.3f} s: {self.part}{whose}, "
+            f"{self.from_s:.3f} to {self.to_s:.3f} s: {self.part}{cause}, "
             f"down to {100.0 * self.least_scale:.0f} % of the speed"
         )
 
 
 def slowings(trace: Trace) -> list[Slowing]:
-    """Return the slowed stretches in order of time; empty without a shield."""
+    """Return each stretch, in order of time; empty without a shield."""
     slowed = np.concatenate([[False], trace.interventions["scale"] < 1.0, [False]])
     edges = np.flatnonzero(slowed[1:] != slowed[:-1]).reshape(-1, 2)
     return [_slowing(trace, int(begin), int(end)) for begin, end in edges]
@@ -69,7 +69,10 @@ def _slowing(trace: Trace, begin: int, end: int) -> Slowing:
 
 
 def shield_data(trace: Trace) -> dict[str, Any] | None:
-    """Return ``ticks``, ``slowed``, ``by_part`` and the ``least_scale``; None for a run without a shield."""
+    """Return ``ticks``, ``slowed``, ``by_part`` and ``least_scale``; None for a run without a shield.
+
+    The data also hold the stretches and the broken assumptions.
+    """
     if len(trace.interventions) == 0:
         return None
     by_part = slowed_by_part(trace)
@@ -78,22 +81,22 @@ def shield_data(trace: Trace) -> dict[str, Any] | None:
         "slowed": by_part.total(),
         "by_part": dict(by_part.most_common()),
         "least_scale": float(trace.interventions["scale"].min()),
-        "slowings": [asdict(one) for one in slowings(trace)],
-        "broken_assumptions": [one.text for one in broken_assumptions(trace)],
+        "slowings": [asdict(item) for item in slowings(trace)],
+        "broken_assumptions": [item.text for item in broken_assumptions(trace)],
     }
 
 
 def shield_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return lines on all runs with a shield; empty without such a run."""
+    """Return lines on all runs with a shield; empty without such runs."""
     shielded = [trace for trace in traces if len(trace.interventions)]
     if not shielded:
         return []
     by_part = sum(map(slowed_by_part, shielded), Counter[str]())
-    ticks, slowed = sum(len(one.interventions) for one in shielded), by_part.total()
+    ticks, slowed = sum(len(run.interventions) for run in shielded), by_part.total()
     parts = ", ".join(f"{part} {count}" for part, count in by_part.most_common())
     line = f"slowed {slowed} of {ticks} ticks ({slowed / ticks:.1%})".replace("%", " %")
     stands = counts_words(Counter(map(theorem_bits, shielded)).items())
     broken = [
-        f"{one.scenario.name}: {found[0].text}" for one in shielded if (found := broken_assumptions(one))
+        f"{run.scenario.name}: {items[0].text}" for run in shielded if (items := broken_assumptions(run))
     ]
     return [line + (f": {parts}" if parts else ""), stands, *broken[:10]]

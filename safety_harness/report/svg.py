@@ -1,8 +1,8 @@
-"""What every drawing on a page shares: colours, thinned curves, plain text, and how it becomes a file.
+"""The shared parts of every drawing: colours, thinned curves, plain text, and the drawing as a file.
 
-A page follows the reader's light or dark scheme, so colours are variables, ``var(--fig-...)``: the style
-sheet gives them their values (Okabe and Ito's colours, safe for colour-blind readers, darkened or
-lightened for contrast with the page).
+A page follows the reader's light or dark scheme, so colours are variables, ``var(--fig-...)``.  The style
+sheet gives them their values: Okabe and Ito's colours, safe for colour-blind readers, darkened or
+lightened for contrast with the page.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _UNPRINTABLE = re.compile(r"[^\S ]|[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]
 
 
 class Ink(Enum):
-    """One colour role each."""
+    """The colour roles."""
 
     PAPER = 1
     TEXT = 2
@@ -53,7 +53,7 @@ class Ink(Enum):
 
     @property
     def variable(self) -> str:
-        """The CSS variable's name."""
+        """Return the name of the CSS variable."""
         return "--fig-" + self.name.lower().replace("_", "-")
 
 
@@ -69,22 +69,28 @@ DASHES: tuple[tuple[float, ...], ...] = (  # in widths of the line
 
 
 def plain(text: str, *, longest: int = 28) -> str:
-    """``text`` as it may stand in a figure: printable, on one line, not too long."""
+    """Return ``text`` for a figure: printable, on one line, at most ``longest`` characters."""
     text = _UNPRINTABLE.sub("\ufffd", text)
     return text if len(text) <= longest else text[: longest - 1] + "\u2026"
 
 
 def ticks_per_column(count: int, columns: int) -> int:
-    """How many consecutive ticks share one of ``columns`` columns (1: every tick is drawn)."""
+    """Return how many consecutive ticks share one of ``columns`` columns (1: every tick is drawn)."""
     return 1 if count <= 2 * columns else -(-count // columns)
 
 
 def keep_extremes(time_s: Floats, values: Floats, columns: int) -> tuple[Floats, Floats]:
-    """The smallest and the largest value of every column, at their own times and in order.
+    """Return the smallest and the largest value of every column, at their own times and in order.
 
-    ``time_s`` and ``values`` are (n,); at most 2 ``columns`` points come back, and every tick when
-    there are no more than that.  What is not finite is a gap: a column without any finite value
-    becomes one NaN, so that the line breaks there.  The first and last finite samples are kept.
+    The result has at most 2 ``columns`` points, and the first and last finite samples.  It has every tick
+    if there are no more than 2 ``columns``.  A column without a finite value becomes one NaN, so that the
+    line breaks there.
+
+    Args:
+        time_s: The times (n,) [s].
+        values: The values (n,).
+        columns: The number of columns of the drawing.
+
     """
     values = np.where(np.isfinite(values), values, np.nan)
     count = len(values)
@@ -106,29 +112,34 @@ def keep_extremes(time_s: Floats, values: Floats, columns: int) -> tuple[Floats,
 
 
 def spans(time_s: Floats, mask: NDArray[np.bool_], end_s: float, columns: int) -> list[tuple[float, float]]:
-    """Stretches (start, length) [s] in which ``mask`` is true, each tick lasting to the next.
+    """Return stretches (start, length) [s] in which ``mask`` is true, each tick lasting to the next.
 
-    ``mask`` (n,) and ``time_s`` (n,) are of the ticks.
+    The function closes gaps shorter than a column, so that a flickering mode costs no more ink than
+    the eye resolves.  It omits no true tick.
 
-    Gaps shorter than one of ``columns`` columns are closed, so that a mode which flickers costs no
-    more ink than one can see; nothing that is true is ever left out.
+    Args:
+        time_s: The times (n,) [s] of the ticks.
+        mask: The ticks (n,) to show.
+        end_s: The end of the last tick [s].
+        columns: The number of columns of the drawing.
+
     """
     if not mask.any():
         return []
     ends = np.append(time_s[1:], max(end_s, time_s[-1]))
     shortest_s = (ends[-1] - time_s[0]) / columns
-    found: list[tuple[float, float]] = []
+    stretches: list[tuple[float, float]] = []
     for index in np.flatnonzero(mask):
         start, end = float(time_s[index]), float(ends[index])
-        if found and start - (found[-1][0] + found[-1][1]) < shortest_s:
-            found[-1] = (found[-1][0], end - found[-1][0])
+        if stretches and start - (stretches[-1][0] + stretches[-1][1]) < shortest_s:
+            stretches[-1] = (stretches[-1][0], end - stretches[-1][0])
         else:
-            found.append((start, end - start))
-    return found
+            stretches.append((start, end - start))
+    return stretches
 
 
 def describe(root: ElementTree.Element, *, prefix: str, title: str, description: str) -> None:
-    """What a screen reader says of an ``<svg>`` element; the ids start with ``prefix``."""
+    """Add the texts for a screen reader to an ``<svg>`` element; the ids start with ``prefix``."""
     root.set("role", "img")
     root.set("aria-labelledby", f"{prefix}title {prefix}desc")
     for name, text, place in (("title", title, 0), ("desc", description, 1)):
@@ -138,9 +149,9 @@ def describe(root: ElementTree.Element, *, prefix: str, title: str, description:
 
 
 def standalone(svg: str, *, style: str) -> str:
-    """An ``<svg>`` element of a page as a file of its own, light or dark like the page.
+    """Return an ``<svg>`` element of a page as a file of its own, light or dark like the page.
 
-    ``style`` is the page's style sheet, of which the figures' colours are taken.
+    ``style`` is the page's style sheet, which has the figures' colours.
     """
     root = ElementTree.fromstring(svg)
     root.set("xmlns", "http://www.w3.org/2000/svg")
@@ -156,6 +167,6 @@ def standalone(svg: str, *, style: str) -> str:
 
 
 def _schemes(style: str) -> tuple[str, str]:
-    """What a style sheet says for light paper, and for dark."""
+    """Return the parts of a style sheet for light paper and for dark paper."""
     light, _, rest = style.partition("@media screen and (prefers-color-scheme: dark)")
     return light, rest.partition("body {")[0]

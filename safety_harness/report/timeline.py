@@ -1,8 +1,8 @@
-"""What happened over time in one run: eight panels on one time axis, and what lies behind them all.
+"""One run over time: eight panels on one time axis, and the backdrop behind them all.
 
-Limits are drawn across the curves, with their names.  A limit stands only across what it limits: a claim's
-length across distances between surfaces, the critical distance across that of the predicted hand's centre
-from the TCP.
+Lines with names show limits across the curves.  A limit crosses only the quantity that it limits.  A
+claim's length crosses distances between surfaces.  The critical distance crosses the distance of the
+predicted hand's centre.
 """
 
 from __future__ import annotations
@@ -84,12 +84,18 @@ Line = tuple[str, Floats, Ink, tuple[float, ...]]  # name, (n,) values, colour, 
 
 
 def thinning(trace: Trace) -> int:
-    """How many consecutive ticks one drawn column stands for."""
+    """Return how many consecutive ticks one drawn column stands for."""
     return ticks_per_column(len(trace.ticks), COLUMNS)
 
 
 def timeline(run: JudgedRun, *, prefix: str) -> str:
-    """All panels as one SVG; needs at least one tick."""
+    """Return all panels as one SVG.
+
+    Args:
+        run: A run with at least one tick.
+        prefix: The start of every id.
+
+    """
     trace = run.trace
     height = TOP_PX + BOTTOM_PX + sum(HEIGHTS_PX) + GAP_PX * (len(HEIGHTS_PX) - 1)
     picture = Picture(WIDTH_PX, height)
@@ -127,12 +133,12 @@ def _description(run: JudgedRun) -> str:
     trace = run.trace
     modes = trace.ticks["mode"]
     shares = [
-        f"{words} {share_words(int(np.count_nonzero(modes == mode)), len(modes))}"
-        for mode, words in MODE_WORDS.items()
+        f"{label} {share_words(int(np.count_nonzero(modes == mode)), len(modes))}"
+        for mode, label in MODE_WORDS.items()
     ]
     outcomes = trace.decisions["outcome"]
     counts = [
-        f"{int(np.count_nonzero(outcomes == outcome))} {words}" for outcome, words in OUTCOME_WORDS.items()
+        f"{int(np.count_nonzero(outcomes == outcome))} {label}" for outcome, label in OUTCOME_WORDS.items()
     ]
     return (
         f"Panels from {trace.time_s[0]:.2f} to {trace.time_s[-1]:.2f} s: controller mode, distance of hands, "
@@ -144,11 +150,11 @@ def _description(run: JudgedRun) -> str:
 
 
 def _hatch_unmeasured(axes: Axes, trace: Trace, names: Sequence[str], end_s: float) -> None:
-    """Where something that a panel shows was not measured."""
+    """Hatch the times at which a quantity of the panel was not measured."""
     hands = len(trace.scenario.hands)
     there = np.ones(len(trace.ticks), np.bool_)
-    for one in (measured(trace, name) for name in names):
-        there &= one if one.ndim == 1 else one[:, :hands].all(axis=1)
+    for known in (measured(trace, name) for name in names):
+        there &= known if known.ndim == 1 else known[:, :hands].all(axis=1)
     if not there.all():
         low, high = axes.y.view()
         axes.y.show(low, high)
@@ -165,19 +171,19 @@ def _add_axes(picture: Picture, top: float, height: float, end_s: float) -> Axes
 
 
 def _shade(backdrop: Axes, trace: Trace, end_s: float) -> None:
-    """Every mode but servoing as a tint behind all panels, and the part that was never run."""
+    """Tint every mode except servoing behind all panels, and hatch the part that never ran."""
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
     known = measured(trace, "mode")
     for mode in (Mode.REPULSING, Mode.PROTECTIVE_STOP, Mode.OBJECT_LOST):
-        found = spans(trace.time_s, known & (trace.ticks["mode"] == mode), ticks_end_s, COLUMNS)
-        backdrop.bars(found, (0.0, 1.0), MODE_INK[mode], opacity=0.13)
+        stretches = spans(trace.time_s, known & (trace.ticks["mode"] == mode), ticks_end_s, COLUMNS)
+        backdrop.bars(stretches, (0.0, 1.0), MODE_INK[mode], opacity=0.13)
     if not trace.complete and ticks_end_s < end_s:
         backdrop.bars([(ticks_end_s, end_s - ticks_end_s)], (0.0, 1.0), Ink.MISSING, hatched=True)
         backdrop.vline(ticks_end_s, Ink.TEXT, width=1.2)
 
 
 def _mark_moments(backdrop: Axes, run: JudgedRun) -> None:
-    """Decisions as thin lines; each claim's worst moment, solid when it is violated."""
+    """Draw decisions as thin lines, and each claim's worst moment, solid for a violation."""
     asked_s = run.trace.decisions["time_s"]
     ups = np.tile([0.0, 1.0, np.nan], len(asked_s))
     backdrop.line(np.repeat(asked_s, 3), ups, Ink.TEXT, width=0.6, opacity=0.45)
@@ -191,21 +197,21 @@ def _mark_moments(backdrop: Axes, run: JudgedRun) -> None:
         labelled.setdefault(round(evaluation.worst_time_s, 2), []).append(str(number))
     end_px = -np.inf
     for time_s, numbers in sorted(labelled.items()):
-        words = ",".join(numbers)
-        place_px, half_px = backdrop.x.at(time_s), 0.5 * text_px(words)
+        label = ",".join(numbers)
+        place_px, half_px = backdrop.x.at(time_s), 0.5 * text_px(label)
         if place_px - half_px < end_px:
             continue  # no room for another number; the table above has every moment
-        backdrop.text(words, time_s, Share(1.0), shift=(0.0, -6.0), anchor="middle")
+        backdrop.text(label, time_s, Share(1.0), shift=(0.0, -6.0), anchor="middle")
         end_px = place_px + half_px
 
 
 def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
-    """One lane for each mode, above them a mark for each decision, and where the faults acted."""
+    """Draw a lane for each mode, above them a mark for each decision, and the times of faults."""
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
     known = measured(trace, "mode")
     for lane, mode in enumerate(Mode):
-        found = spans(trace.time_s, known & (trace.ticks["mode"] == mode), ticks_end_s, COLUMNS)
-        axes.bars(found, (lane - 0.28, lane + 0.28), MODE_INK[mode])
+        stretches = spans(trace.time_s, known & (trace.ticks["mode"] == mode), ticks_end_s, COLUMNS)
+        axes.bars(stretches, (lane - 0.28, lane + 0.28), MODE_INK[mode])
     _mark_decisions(axes, trace)
     lanes = [*MODE_WORDS.values(), "decisions"]
     if trace.scenario.faults:
@@ -220,7 +226,7 @@ def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
 
 
 def _mark_decisions(axes: Axes, trace: Trace) -> None:
-    """A mark for each decision whose shape is its outcome; a ring where the avoider had no usable answer."""
+    """Draw a mark per decision, shaped by its outcome, with a ring where the avoider had no usable answer."""
     decisions = trace.decisions
     if not decided(trace, "time_s", "outcome", "fault"):
         return
@@ -232,7 +238,7 @@ def _mark_decisions(axes: Axes, trace: Trace) -> None:
 
 
 def distance_panel(axes: Axes, run: JudgedRun) -> None:
-    """True hands to robot, surface to surface, with the limits that claims set to it."""
+    """Draw the distance between true hands and robot, surface to surface, with the limits of claims."""
     trace = run.trace
     lines: list[Line] = []
     for hand, ink in enumerate(HANDS[: trace.scenario.hand_slots]):
@@ -248,7 +254,7 @@ def distance_panel(axes: Axes, run: JudgedRun) -> None:
 
 
 def predicted_panel(axes: Axes, trace: Trace) -> None:
-    """The nearest predicted hand's centre to the TCP, with the distance at which the arm gives way."""
+    """Draw the nearest predicted hand's centre to the TCP, with the distance at which the arm gives way."""
     values = trace.ticks["predicted_distance_m"] * MM
     _panel(axes, trace, "Predicted hand to TCP, centre to centre, mm", [("", values, Ink.PREDICTED, ())])
     axes.y.hold(0.0)
@@ -264,13 +270,13 @@ OF_SHAPES = "Feature errors, \u03b3 and \u03b4 (no unit), \u03b1 (rad)"
 def error_panel(
     axes: Axes, trace: Trace, title: str, errors: Floats, names: Iterable[tuple[str, Ink]]
 ) -> None:
-    """Errors (n, 3) of features with these names, where the object was in view."""
+    """Draw the errors (n, 3) of features with these names, where the object was in view."""
     lines = [(name, errors[:, i], ink, DASHES[i]) for i, (name, ink) in enumerate(names)]
     _panel(axes, trace, title, lines, zero=True)
 
 
 def sse_panel(axes: Axes, trace: Trace) -> None:
-    """|f - f*|^2 (eq. 15) on a logarithmic axis, with the threshold of the gain switch."""
+    """Draw |f - f*|^2 (eq. 15) on a logarithmic axis, with the threshold of the gain switch."""
     sse = _seen(trace, "sse")
     positive = np.where(sse > 0.0, sse, np.nan)
     switch = trace.scenario.settings.servo.gain_switch_sse
@@ -282,20 +288,20 @@ def sse_panel(axes: Axes, trace: Trace) -> None:
 
 
 def _whole_decades(axes: Axes, least: float, most: float) -> None:
-    """A logarithmic axis from decade to decade, so that at least its two ends are labelled."""
+    """Set a logarithmic axis from decade to decade, with labels at least at its two ends."""
     low = int(np.floor(np.log10(least)))
     high = max(int(np.ceil(np.log10(most))), low + 1)
     step = -(-(high - low) // MOST_DECADES)
     axes.y.log = True
     axes.y.show(10.0**low, 10.0**high)
     labelled = range(high, low - 1, -step)
-    axes.y.ticks = [(10.0**one, "10" + str(one).translate(SUPERSCRIPT)) for one in labelled]
+    axes.y.ticks = [(10.0**power, "10" + str(power).translate(SUPERSCRIPT)) for power in labelled]
     if step == 1:
         axes.y.minor = [m * 10.0**exponent for exponent in range(low, high) for m in range(2, 10)]
 
 
 def speed_panel(axes: Axes, run: JudgedRun) -> None:
-    """The TCP's speed with its limits."""
+    """Draw the TCP's speed with its limits."""
     trace = run.trace
     speed = trace.ticks["tcp_speed_mps"] * MM
     _panel(axes, trace, "TCP speed, mm/s", [("TCP", speed, Ink.TCP, ())], zero=True)
@@ -304,13 +310,13 @@ def speed_panel(axes: Axes, run: JudgedRun) -> None:
 
 
 def _claimed(run: JudgedRun, limit_of: Callable[[Evaluation], float | None]) -> list[tuple[str, float]]:
-    """The limit (name, value [mm or mm/s]) of each claim that names one."""
-    limits = [(number, limit_of(one)) for number, one in enumerate(run.evaluations, start=1)]
+    """Return the limit (name, value [mm or mm/s]) of each claim that names one."""
+    limits = [(number, limit_of(judged)) for number, judged in enumerate(run.evaluations, start=1)]
     return [(f"claim {number}", limit * MM) for number, limit in limits if limit is not None]
 
 
 def joint_panel(axes: Axes, trace: Trace) -> None:
-    """The joint angles, of an own arm by number."""
+    """Draw the joint angles; a user's own arm has joint numbers for names."""
     angles = (trace.ticks["joint_position_rad"] * DEGREES).T
     ours = not isinstance(trace.scenario.robot, OwnRobot)
     names = UR_JOINTS if ours else [f"joint {number}" for number in range(1, len(angles) + 1)]
@@ -320,14 +326,14 @@ def joint_panel(axes: Axes, trace: Trace) -> None:
 
 
 def _seen(trace: Trace, name: str) -> Floats:
-    """A field of the image where the object was in view; NaN elsewhere."""
+    """Return a field of the image where the object was in view, and NaN for the other ticks."""
     visible = trace.ticks["object_visible"]
     values: Floats = trace.ticks[name]
     return np.where(visible.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
 
 
 def _panel(axes: Axes, trace: Trace, title: str, lines: list[Line], *, zero: bool = False) -> None:
-    """Title to the left, a key to the right, the curves below."""
+    """Draw the title to the left, a key to the right, and the curves below."""
     axes.x.grid = axes.y.grid = True
     if zero:
         axes.hline(0.0, Ink.MUTED)
@@ -339,9 +345,9 @@ def _panel(axes: Axes, trace: Trace, title: str, lines: list[Line], *, zero: boo
 
 
 def _limit_lines(axes: Axes, limits: list[tuple[str, float]]) -> None:
-    """Horizontal limits (name, value), named at their right ends; the view grows to hold them.
+    """Draw horizontal limits (name, value) with names at their right ends; the view grows to hold them.
 
-    Limits of one value share a line and a label; labels that would cover another stand further left.
+    Limits of one value share a line and a label.  A label that would cover another moves to the left.
     """
     named: dict[float, list[str]] = {}
     for name, value in limits:
@@ -353,8 +359,8 @@ def _limit_lines(axes: Axes, limits: list[tuple[str, float]]) -> None:
     for value, names in named.items():
         height = axes.y.at(value)
         right = 1.0
-        while any(abs(height - other) < LABEL_PX and right == place for other, place in used):
+        while any(abs(height - taken) < LABEL_PX and right == place for taken, place in used):
             right -= 0.25
         used.append((height, right))
-        words = f"{' and '.join(names)}: {value:g}"
-        axes.text(words, Share(right), value, shift=(-4.0, -4.0), anchor="end", size=10)
+        label = f"{' and '.join(names)}: {value:g}"
+        axes.text(label, Share(right), value, shift=(-4.0, -4.0), anchor="end", size=10)

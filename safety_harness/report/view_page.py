@@ -19,7 +19,7 @@ LANES = ("one", "two")
 
 
 def write_view(path: Path, runs: Sequence[tuple[str, JudgedRun]]) -> None:
-    """Write the page of one or two runs (name, run), each with at least one tick.  Raises OSError."""
+    """Write the page of one or two runs (name, run), each with at least one tick; OSError if it cannot."""
     replays = Replays()
     lanes = LANES if len(runs) == len(LANES) else ("",)
     sections = [

@@ -1,4 +1,4 @@
-"""Return numbers, settings and codes of a trace as words: millimetres, degrees, plain names."""
+"""Numbers, settings and codes of a trace as words for people: millimetres, degrees, plain names."""
 
 from __future__ import annotations
 
@@ -59,17 +59,20 @@ _PER_METRE = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
 def with_minus(text: str) -> str:
-    """Replace hyphens that begin a number by minus signs; those within a name stay."""
+    """Return ``text`` with minus signs for hyphens that begin a number, except within a name."""
     return re.sub(r"(?<!\w)-(?=[\d.])|(?<=\de)-(?=\d)", "\u2212", text)
 
 
-def count_words(count: int, one: str, many: str) -> str:
-    """Return a number and its noun, in the singular or the plural."""
-    return f"{count} {one if count == 1 else many}"
+def count_words(count: int, singular: str, plural: str) -> str:
+    """Return a number with its noun in the singular or the plural."""
+    return f"{count} {singular if count == 1 else plural}"
 
 
 def margin_words(evaluation: Evaluation) -> str:
-    """Return the margin with sign and unit, "at least" at the limit of the computation, or a dash."""
+    """Return the margin with sign and unit; a dash without a margin.
+
+    "at least" marks a margin beyond which the harness did not search.
+    """
     margin_m = evaluation.margin
     if evaluation.sentence in _REACHABLE and margin_m is not None and margin_m >= BEYOND_M - 1e-9:
         return f"at least {BEYOND_M * 1e3:.0f} mm"
@@ -78,15 +81,21 @@ def margin_words(evaluation: Evaluation) -> str:
 
 
 def milliseconds_words(time_s: float) -> str:
-    """Return a duration in ms with two significant digits, or all digits before the decimal point."""
+    """Return a duration in ms with two significant digits, more only before the decimal point."""
     shown = time_s * 1e3
     return f"{shown:.0f} ms" if shown >= 10.0 else f"{shown:.2g} ms"
 
 
 def spread_words(spread_m: Array3, threshold_m: float) -> str:
-    """Return the largest axis of a predictive spread [mm] and its threshold.
+    """Return the largest axis of a predictive spread [mm] and its limit.
 
-    Empty for an avoider that states neither.  It has enough digits to show which is larger.
+    The text is empty for an avoider without spread and threshold.  It has as many digits as show the
+    larger number.
+
+    Args:
+        spread_m: The spread (3,) [m].
+        threshold_m: The avoider's threshold [m]; not finite without one.
+
     """
     limited = bool(np.isfinite(threshold_m))
     if not limited and not (np.all(np.isfinite(spread_m)) and np.any(spread_m)):
@@ -112,13 +121,13 @@ def point_words(position_m: Array3) -> str:
 
 
 def flag_words(flags: IntFlag) -> str:
-    """Return the names of the set flags."""
+    """Return the names of the set flags, in words."""
     names = ((flag.name or str(flag.value)).lower().replace("_", " ") for flag in flags)
     return ", ".join(names).replace("tcp", "TCP")
 
 
 def failed_words(proposed: Check, opposite: Check, fault: str = "") -> str:
-    """Return the checks that the two candidates of a decision failed, and the avoider's fault if any."""
+    """Return the failed checks of a decision's two candidates, and the reason for an unusable answer."""
     parts = []
     for name, check in (("proposed", proposed), ("opposite", opposite)):
         if check:
@@ -129,7 +138,7 @@ def failed_words(proposed: Check, opposite: Check, fault: str = "") -> str:
 
 
 def setting_words(name: str, value: object) -> str:
-    """Return a setting's value in a common unit, by the suffix of its name."""
+    """Return a setting's value in a common unit; the suffix of its name gives the unit."""
     if isinstance(value, Enum):
         return str(value.value)
     if isinstance(value, bool) or not isinstance(value, int | float | tuple):
@@ -149,19 +158,19 @@ def _numbers(value: Any, factor: float) -> str:
 
 
 def changed_settings(settings: Settings) -> list[tuple[str, str, str]]:
-    """Return (name, default, this run) of each setting that differs from ``DEFAULTS``."""
+    """Return (name, default, this run) of every setting that differs from ``DEFAULTS``."""
     return list(_changes("", DEFAULTS, settings))
 
 
 def changes(scenario: Scenario) -> list[tuple[str, str, str]]:
-    """Return (setting, default, this run) where they differ, the robot and its drives first."""
+    """Return (setting, default, this run) for each difference, with the robot and its drives first."""
     robot = [("robot", Robot.UR10.value, scenario.robot.label)] if scenario.robot is not Robot.UR10 else []
     drives = drives_as_modelled(scenario.robot, scenario.settings.clock.control_period_s)
     return robot + drives + changed_settings(scenario.settings)
 
 
 def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
-    """Return the tested system: avoider or controller, shield, and each value that is not the default."""
+    """Return the subject of a verdict: avoider or controller, shield, gate, and each changed setting."""
     shield = [] if scenario.shield is None else [f"shield {scenario.shield.kind.value}"]
     gate = [] if scenario.gate is None else [f"gate {', '.join(scenario.gate.words)}"]
     changed = (f"{name} {value}" for name, _, value in changes(scenario))
@@ -169,7 +178,7 @@ def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
 
 
 def unknown_files(scenario: Scenario) -> str:
-    """Return a remark on the unknown files of a program under test; empty for any other system."""
+    """Return a warning that a started or listening program may open unknown files; empty for others."""
     if not names_a_program(scenario.under_test):
         return ""
     declared = ", but for those that it declares in HARNESS_FILES" * scenario.under_test.startswith(EXEC)
@@ -179,35 +188,35 @@ def unknown_files(scenario: Scenario) -> str:
 def _changes(prefix: str, default: Any, own: Any) -> Iterator[tuple[str, str, str]]:
     for item in fields(default):
         name = f"{prefix}{item.name}"
-        before, after = getattr(default, item.name), getattr(own, item.name)
-        if is_dataclass(before):
-            yield from _changes(f"{name}.", before, after)
-        elif before != after:
-            yield name, setting_words(item.name, before), setting_words(item.name, after)
+        default_value, value = getattr(default, item.name), getattr(own, item.name)
+        if is_dataclass(default_value):
+            yield from _changes(f"{name}.", default_value, value)
+        elif default_value != value:
+            yield name, setting_words(item.name, default_value), setting_words(item.name, value)
 
 
 def drives_as_modelled(robot: AnyRobot, period_s: float) -> list[tuple[str, str, str]]:
-    """Return (name, default, this run) of the drives of a user's arm, as modelled; empty by default."""
+    """Return (name, default, this run) for an own arm's drives, as rounded and limited; empty by default."""
     drives = robot.drives if isinstance(robot, OwnRobot) else None
     if drives is None:
         return []
     periods = delay_ticks(drives.dead_time_s, period_s)
-    found = [
+    rows = [
         ("robot.drives.dead_time", "0 s", f"{periods * period_s:.6g} s, {periods} whole control periods"),
         ("robot.drives.lag", "0 s", f"{drives.lag_s:.6g} s"),
     ]
     if drives.torque_limit is not None:
-        words = f"{100.0 * drives.torque_limit:.6g} % of the URDF's; all joints wait for the weakest"
-        found.append(("robot.drives.torque_limit", "none", words))
+        text = f"{100.0 * drives.torque_limit:.6g} % of the URDF's; all joints wait for the weakest"
+        rows.append(("robot.drives.torque_limit", "none", text))
     if drives.payload is not None:
         at = with_minus(_numbers(drives.payload.centre_m, 1e3))
-        words = f"{drives.payload.mass_kg:.6g} kg in one point, {at} mm from the link tcp"
-        found.append(("robot.drives.payload", "none", words))
-    return found
+        text = f"{drives.payload.mass_kg:.6g} kg in one point, {at} mm from the link tcp"
+        rows.append(("robot.drives.payload", "none", text))
+    return rows
 
 
 def claimed_hand_distance_m(evaluation: Evaluation) -> float | None:
-    """Return the only length [m] in a sentence about the hand distance; None without exactly one."""
+    """Return the only length [m] in a sentence about the hand distance; None if there is not just one."""
     sentence = evaluation.sentence.lower().replace("predicted hand distance", "")
     if evaluation.unit is not Unit.LENGTH or "hand distance" not in sentence:
         return None
@@ -215,15 +224,15 @@ def claimed_hand_distance_m(evaluation: Evaluation) -> float | None:
 
 
 def claimed_tcp_speed_mps(evaluation: Evaluation) -> float | None:
-    """Return the only speed [m/s] in a sentence about the TCP speed; None without exactly one."""
+    """Return the only speed [m/s] in a sentence about the TCP speed; None for any other number of speeds."""
     if evaluation.unit is not Unit.SPEED or "tcp speed" not in evaluation.sentence.lower():
         return None
     return _only_number(_SPEED_IN_SENTENCE, evaluation.sentence)
 
 
 def _only_number(pattern: re.Pattern[str], sentence: str) -> float | None:
-    found = pattern.findall(sentence)
-    if len(found) != 1:
+    matches = pattern.findall(sentence)
+    if len(matches) != 1:
         return None
-    number, unit = found[0]
+    number, unit = matches[0]
     return float(number) * _PER_METRE[unit]

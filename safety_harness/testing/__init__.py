@@ -1,4 +1,4 @@
-"""Scenarios to draw from, and claims that fail a test with a picture and a command.
+"""The interface for tests: scenarios to draw from, and claims that fail a test with a picture and a command.
 
     from hypothesis import given
     from safety_harness.testing import assert_holds, hand_distance, mm, scenarios
@@ -8,9 +8,9 @@
         assert_holds(hand_distance() > mm(50), simulate(scenario))
 
 A claim is a formula, a property of the catalogue or a sentence as in a scenario file.  ``simulate`` is a
-fixture of the pytest plug-in, which comes with the package.  The names below and those of
-``claims.formulas.language`` are public.  They are imported at their first use, because a physics engine takes
-long to load.
+fixture of the pytest plug-in, which comes with the package.  The names below and all names of
+``claims.formulas.language`` are public.  The module imports each name at its first use, so that a test
+without a simulation loads no physics engine.
 """
 
 # ruff: noqa: F403

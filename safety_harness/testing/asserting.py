@@ -1,4 +1,4 @@
-"""``assert_holds``: fail a test whose run violates a claim, with margin, moment, decision and command."""
+"""``assert_holds``: fail a test with a full explanation unless a claim holds in a run."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TRUTH = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", 
 
 
 class SafetyViolation(SafetyHarnessError, AssertionError):
-    """A claim has another verdict than the test requires; the text shows when and why."""
+    """The error of a claim with the wrong verdict; its text shows time, reason and a replay command."""
 
     __module__ = "safety_harness.testing"  # as one imports it, and as test summaries show it
 
@@ -52,7 +52,7 @@ class SafetyViolation(SafetyHarnessError, AssertionError):
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario of the test, before ``--avoider`` changes it."""
+        """Return the scenario as the test requested it, before ``--avoider`` replaced its avoider."""
         return original(self.trace)
 
     def __str__(self) -> str:
@@ -62,23 +62,26 @@ class SafetyViolation(SafetyHarnessError, AssertionError):
 
 
 class NotEstablished(SafetyHarnessError, AssertionError):
-    """A test drew scenarios, and none of them exercised its claims."""
+    """The error of a test that drew scenarios, and in which no run tested its claims."""
 
 
 def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
-    """Fail the test unless ``claim`` holds of ``trace``; returns the evaluation.
+    """Fail the test unless ``claim`` holds in ``trace``.
+
+    Under Hypothesis, one sound run that decides nothing (the hand never came near) fails no test.
+    Such a test fails at its end if no run decides anything.
 
     Args:
-        claim: A formula, a property, or a sentence as in a scenario file.
-        trace: The run.
+        claim: a formula, a property, or a sentence as in a scenario file.
+        trace: the run to judge, as ``simulate(scenario)`` returns it.
 
-    Where Hypothesis draws the scenarios, an inconclusive run fails nothing (the hand never came near), but a
-    test without any conclusive run fails.
+    Returns:
+        The evaluation of the claim: verdict, margin and reason.
 
     Raises:
-        SafetyViolation: The claim is violated, or the run is inconclusive.  Or the avoider gave no answer,
-            and the scenario does not claim that (``the avoider answered: violated``).
-        InputError: The sentence is neither a claim of the catalogue nor a formula.
+        SafetyViolation: the run violates the claim, or is no evidence either way.  Also if the avoider gave
+            no answer in the run, unless the scenario claims that (``the avoider answered: violated``).
+        InputError: the harness does not know the sentence, or an argument has the wrong type.
 
     """
     __tracebackhide__ = True
@@ -95,17 +98,20 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
 
 
 def judged_of(prop: Property, trace: Trace) -> Evaluation:
-    """Judge ``trace``; a property that does not name its columns is inconclusive unless all was measured."""
+    """Return the property's evaluation of ``trace``.
+
+    The verdict is inconclusive if measurements are missing and the property does not declare its columns.
+    """
     if trace.known.whole or columns_read_by(prop) is not None:
         return prop.evaluate(trace)
-    limited = tuple(name for name, one in trace.known.columns.items() if one.limited)
+    limited = tuple(name for name, column in trace.known.columns.items() if column.limited)
     why = f"the claim does not say what it reads, and not all was measured: {limited[0]}"
     why += f" and {len(limited) - 1} others" * (len(limited) > 1)
     return replace(inconclusive(prop, why), unmeasured=limited)
 
 
 def refuse_fallback(trace: Trace) -> None:
-    """Raise SafetyViolation if the avoider did not answer and the scenario does not expect that."""
+    """Raise SafetyViolation if the avoider gave no answer, and the scenario does not expect that."""
     __tracebackhide__ = True
     evaluation = by_default(trace)
     if evaluation is not None:
@@ -115,30 +121,38 @@ def refuse_fallback(trace: Trace) -> None:
 def require(
     evaluation: Evaluation, expected: Verdict, trace: Trace, judge: Callable[[Trace], Evaluation]
 ) -> None:
-    """Raise SafetyViolation if the running test has to fail for the evaluation that ``judge`` gives.
+    """Raise SafetyViolation if the running test has to fail for ``evaluation``.
 
-    A run that was not simulated is not compared with a reference, which cannot be run in its place.
+    A session with a reference (``--against``) judges the reference's run too.  A log has no such
+    comparison, because the reference cannot run in its place.
+
+    Args:
+        evaluation: the judgement of ``trace``.
+        expected: the verdict with which the test passes.
+        trace: the run.
+        judge: evaluates the same claim in the run of the reference.
+
     """
     __tracebackhide__ = True
     if trace.known.simulated:
         session().judged.add(run_key(trace))
-    found = against_reference(trace, evaluation, judge) if trace.known.simulated else None
-    if not settle(evaluation, run_of(trace), expected, trace) and not is_shared(found):
-        raise violation_of(evaluation, trace, expected, found)
+    difference = against_reference(trace, evaluation, judge) if trace.known.simulated else None
+    if not settle(evaluation, run_of(trace), expected, trace) and not is_shared(difference):
+        raise violation_of(evaluation, trace, expected, difference)
 
 
 def violation_of(
-    evaluation: Evaluation, trace: Trace, expected: Verdict, found: ClaimDifference | None
+    evaluation: Evaluation, trace: Trace, expected: Verdict, difference: ClaimDifference | None
 ) -> SafetyViolation:
-    """Return the violation, with a note on the reference's verdict if there is a reference."""
+    """Return the violation to raise, with a note on the reference's run if there is one."""
     violation = SafetyViolation(evaluation, trace, expected)
-    if found is not None:
-        violation.add_note(note_of(found))
+    if difference is not None:
+        violation.add_note(note_of(difference))
     return violation
 
 
 def run_of(trace: Trace) -> Run:
-    """Return the facts that outlive a run's trace."""
+    """Return the record that a session keeps of a run: names, seed, world and soundness."""
     return Run(
         name=trace.scenario.name,
         tested=trace.system.words,
@@ -154,7 +168,7 @@ def _is_measured(trace: Trace) -> bool:
 
 
 def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | None) -> bool:
-    """Count a judgement in the test that is running; False if the test has to fail for it."""
+    """Count a judgement in the running test, and return False if the test has to fail for it."""
     test = session().test
     # A sound run may simply be no test of the claim; of one cut short or not finite that is not said.
     undecided = evaluation.verdict is Verdict.INCONCLUSIVE and run.sound
@@ -170,7 +184,7 @@ def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | N
 
 
 def aim(evaluation: Evaluation, expected: Verdict) -> None:
-    """Tell Hypothesis how near the run was to a failure, so that it looks for nearer ones."""
+    """Tell Hypothesis how near the run was to a failure, so that it searches for nearer ones."""
     margin = evaluation.margin
     if margin is None or not isfinite(margin) or expected is Verdict.INCONCLUSIVE:
         return
@@ -199,7 +213,7 @@ def _property(claim: Formula | Property | str, scenario: Scenario) -> Property:
 
 
 def _caller() -> Place:
-    """Return the nearest line below that another file has."""
+    """Return the nearest line of the call stack outside this file."""
     frame = inspect.currentframe()
     while frame is not None and frame.f_code.co_filename == __file__:
         frame = frame.f_back
@@ -211,46 +225,55 @@ def _caller() -> Place:
 def against_reference(
     trace: Trace, mine: Evaluation, judge: Callable[[Trace], Evaluation]
 ) -> ClaimDifference | None:
-    """Judge the same claim with the reference and note it for the summary; None without a reference."""
+    """Judge the same claim in the reference's run of the scenario; None without a reference.
+
+    The running test keeps the difference for the summary.
+
+    Args:
+        trace: the run of the avoider under test.
+        mine: the evaluation of that run.
+        judge: evaluates the claim in the reference's run.
+
+    """
     if session().against is None:
         return None
-    other = simulate.with_reference(trace)
-    found = ClaimDifference(mine=mine, reference=judge(other))
+    reference = simulate.with_reference(trace)
+    difference = ClaimDifference(mine=mine, reference=judge(reference))
     test = session().test
     if test is not None and test.counts:
         new = RunDifference(
             run=trace.scenario.name,
             claims=(),
             mine=Overruling.of([trace]),
-            reference=Overruling.of([other]),
+            reference=Overruling.of([reference]),
         )
         run = test.differences.setdefault(digest_of(trace.scenario), new)
-        claims = (*run.claims, found)
+        claims = (*run.claims, difference)
         test.differences[digest_of(trace.scenario)] = replace(run, claims=claims)
-    return found
+    return difference
 
 
-def is_shared(found: ClaimDifference | None) -> bool:
-    """Return whether the reference does no better; the running test is then skipped and does not fail."""
+def is_shared(difference: ClaimDifference | None) -> bool:
+    """Return whether the reference does no better; the running test then ends as skipped, not as failed."""
     test = session().test
-    if found is None or test is None or found.change in _WORSE:
+    if difference is None or test is None or difference.change in _WORSE:
         return False
-    test.shared.append(f"{found.mine.sentence}: {_words(found)}")
+    test.shared.append(f"{difference.mine.sentence}: {_comparison(difference)}")
     return True
 
 
-def note_of(found: ClaimDifference) -> str:
-    """Return a note for a failure: the reference's verdict in the same scenario."""
-    return f"{found.change.value}: {found.words(_name())}"
+def note_of(difference: ClaimDifference) -> str:
+    """Return the line of a failure that compares it with the reference's run of the scenario."""
+    return f"{difference.change.value}: {difference.words(_name())}"
 
 
-def _words(found: ClaimDifference) -> str:
-    mine, other = found.mine, found.reference
-    if mine.verdict is other.verdict:
+def _comparison(difference: ClaimDifference) -> str:
+    mine, theirs = difference.mine, difference.reference
+    if mine.verdict is theirs.verdict:
         return (
-            f"{other.verdict.value} with {_name()} too ({mine.margin_text()} against {other.margin_text()})"
+            f"{theirs.verdict.value} with {_name()} too ({mine.margin_text()} against {theirs.margin_text()})"
         )
-    return f"{mine.verdict.value}, and {other.verdict.value} with {_name()}"
+    return f"{mine.verdict.value}, and {theirs.verdict.value} with {_name()}"
 
 
 def _name() -> str:

@@ -24,29 +24,32 @@ _MARK = "_safety_harness_scenarios"
 
 
 def scenarios(source: str | Path | ScenarioSpace) -> st.SearchStrategy[Scenario]:
-    """Return a strategy of scenarios for a test.
+    """Return a Hypothesis strategy for the scenarios of ``source``.
+
+    This call reads and checks the whole source.
 
     Args:
-        source: A scenario space (a file or an object), whose admissible draws the test gets.  Or a scenario
-            file, a matrix, a suite or a folder, whose scenarios it gets.  A relative path is sought from the
-            folder of the calling file, then from pytest's root; ``shipped:NAME`` is a shipped one.
+        source: a scenario space (a file or an object), whose admissible draws the strategy returns.  A
+            scenario file, a matrix, a suite or a folder yields one of its scenarios.  The harness seeks a
+            relative path from the folder of the calling file, then from pytest's root.
+            ``shipped:NAME`` names a scenario of the package.
 
     Raises:
-        InputError: A file cannot be used; a note names the calling line.  All files are read here.
+        InputError: the source is not valid.  The error states the place, and a note names the calling line.
 
     """
     frame = inspect.currentframe()
-    asked = frame.f_back if frame is not None else None
+    caller = frame.f_back if frame is not None else None
     try:
         if isinstance(source, ScenarioSpace):
             return drawn(source)
         expected = "a path or a scenario space"
         refuse_other_type("scenarios(source)", source, str, Path, expected=expected)
         path = as_path(source, "scenarios(source)", of_text="parse_space")
-        return _of_files(sought_from(path, asked))
+        return _of_files(sought_from(path, caller))
     except InputError as error:
-        if asked is not None:
-            error.add_note(f"asked for at {asked.f_code.co_filename}:{asked.f_lineno}")
+        if caller is not None:
+            error.add_note(f"asked for at {caller.f_code.co_filename}:{caller.f_lineno}")
         raise
 
 
@@ -65,10 +68,10 @@ def _of_files(path: Path) -> st.SearchStrategy[Scenario]:
 
 
 def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
-    """Draw admissible scenarios of a space, each with its own name.
+    """Return a strategy for the admissible draws of a space, each with its own name.
 
     Raises:
-        InputError: Hardly any draw of the space is admissible.
+        InputError: admission refuses nearly every draw of the space.
 
     """
     looker.look(as_asked(first_of(space)))
@@ -76,23 +79,23 @@ def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
 
 
 def first_of(space: ScenarioSpace) -> Scenario:
-    """Return an admissible draw, whatever its avoider; InputError if hardly any draw is admissible."""
+    """Return an admissible draw (a check without the avoider); InputError if admission refuses nearly all."""
     return draw_admissible(space, seed=0, count=1).scenarios[0]
 
 
 def gives_scenarios(strategy: object) -> bool:
-    """Return whether a strategy is one of ``scenarios``."""
+    """Return whether this module made the strategy."""
     return hasattr(strategy, _MARK)
 
 
 def one_system(space: ScenarioSpace) -> Scenario | None:
     """Return a scenario with the avoider or controller of all draws; None for a space that varies it."""
-    tested = [one for key, one in space.template.entries if key.text in ("avoider", "controller")]
-    return space.simplest if all(isinstance(one, Scalar) for one in tested) else None
+    tested = [value for key, value in space.template.entries if key.text in ("avoider", "controller")]
+    return space.simplest if all(isinstance(value, Scalar) for value in tested) else None
 
 
 def one_system_of(strategy: object) -> Scenario | None:
-    """Return the common system of a strategy; None if its scenarios come from several files."""
+    """Return the scenario of ``one_system`` for a strategy; None if its scenarios come from several files."""
     return getattr(strategy, _MARK, None)
 
 

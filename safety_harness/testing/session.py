@@ -120,7 +120,7 @@ class TestRun:
             self.show(judgement, trace)
 
     def show(self, judgement: Judgement, trace: Trace | None) -> None:
-        """Let ``judgement`` stand for its sentence in summaries and in the report."""
+        """Show ``judgement`` for its sentence in summaries and in the report."""
         sentence = judgement.evaluation.sentence
         self.worst[sentence] = judgement
         if self.keep_traces and trace is not None:

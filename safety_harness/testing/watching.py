@@ -1,8 +1,8 @@
 """A Hypothesis test under a safety profile: its settings, its kept failures first, every example watched.
 
-Failures are kept as scenario files, where a person finds them; the next session tries them first.
-Hypothesis's own database holds choices as bytes, which mean nothing once a space, a strategy or
-Hypothesis has changed.  A scenario file keeps its meaning.
+The harness keeps failures as scenario files in a folder for people, and tries them first next time.
+Hypothesis's own database holds choices as bytes.  Those bytes lose their meaning once a space, a strategy
+or Hypothesis changes; a scenario file keeps its meaning.
 """
 
 from __future__ import annotations
@@ -46,7 +46,13 @@ _LONGEST = 60  # characters of a part of a path
 
 
 def under_profile(own: settings | None = None, *, fixed: bool = False) -> settings:
-    """Return ``own`` (or the usual) settings under the profile; ``fixed`` ones have their own examples."""
+    """Return the settings of a test under the session's profile.
+
+    Args:
+        own: the settings of the test; None for Hypothesis's defaults.
+        fixed: whether the test sets its number of examples, which then stays.
+
+    """
     own = own or settings.default
     assert own is not None
     examples = own.max_examples if fixed else session().profile.examples
@@ -66,9 +72,9 @@ def under_profile(own: settings | None = None, *, fixed: bool = False) -> settin
 
 @contextmanager
 def watched(function: Any, test: TestRun) -> Iterator[None]:
-    """Run ``function``, a test with ``@given``, under the profile below; restore it afterwards."""
+    """Run ``function``, a test with ``@given``, as ``under_profile`` says; restore it afterwards."""
     handle = function.hypothesis
-    before = {
+    saved = {
         "_hypothesis_internal_use_settings": function._hypothesis_internal_use_settings,
         "_hypothesis_internal_use_seed": function._hypothesis_internal_use_seed,
         "hypothesis_explicit_examples": getattr(function, "hypothesis_explicit_examples", []),
@@ -79,20 +85,20 @@ def watched(function: Any, test: TestRun) -> Iterator[None]:
     applied = hasattr(function, "_hypothesis_internal_settings_applied")
     fixed = applied and own.max_examples != usual.max_examples
     function._hypothesis_internal_use_settings = under_profile(own, fixed=fixed)
-    if before["_hypothesis_internal_use_seed"] is None and not session().derandomize:
+    if saved["_hypothesis_internal_use_seed"] is None and not session().derandomize:
         function._hypothesis_internal_use_seed = session().seed
-    function.hypothesis_explicit_examples = [*before["hypothesis_explicit_examples"], *_kept(function, test)]
+    function.hypothesis_explicit_examples = [*saved["hypothesis_explicit_examples"], *_kept(function, test)]
     handle.inner_test = watching(inner, test)
     try:
         yield
     finally:
         handle.inner_test = inner
-        for name, value in before.items():
+        for name, value in saved.items():
             setattr(function, name, value)
 
 
 def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]:
-    """Return ``inner``, which runs one example, so that ``test`` hears of its failure."""
+    """Return ``inner``, which runs one example, as a function that reports its failure to ``test``."""
 
     @functools.wraps(inner)
     def watched_example(*args: Any, **kwargs: Any) -> None:
@@ -111,7 +117,7 @@ def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]
 
 
 def _kept(function: Any, test: TestRun) -> Iterator[Any]:
-    """Yield a test's kept failures as explicit examples; empty if it draws more than a scenario."""
+    """Yield the test's kept failures as explicit examples, if the test draws only a scenario."""
     names = list(function.hypothesis._given_kwargs)
     if len(names) != 1:
         return
@@ -120,13 +126,18 @@ def _kept(function: Any, test: TestRun) -> Iterator[Any]:
 
 
 def folder_of(test_id: str) -> Path:
-    """Return the folder of a test's kept failures."""
+    """Return the folder that keeps the failures of a test."""
     path, *names = test_id.split("::")
     return session().failures.joinpath(*path.split("/"), *map(_slug, names))
 
 
 def keep(test_id: str, violation: SafetyViolation) -> Path:
-    """Write the scenario of ``violation`` and return its file; OutputError if it cannot be written."""
+    """Write the scenario of ``violation`` to the test's folder and return the file.
+
+    Raises:
+        OutputError: the file cannot be written.
+
+    """
     folder = folder_of(test_id)
     scenario, evaluation = violation.scenario, violation.evaluation
     file = folder / f"{_slug(evaluation.sentence)}-{digest_of(scenario)[:6]}.yaml"
@@ -147,10 +158,18 @@ def keep(test_id: str, violation: SafetyViolation) -> Path:
 
 
 def kept_for(test: TestRun, like: Scenario | None) -> Iterator[Scenario]:
-    """Return a test's kept failures in the order of their names; InputError for a spoilt file.
+    """Yield the kept failures of a test in the order of their file names.
 
-    Hands and start come from the file, avoider or controller from ``like`` if there is any, since the test
-    may test another system today.
+    The file gives the hands and the start.  The avoider or controller comes from ``like``, because the
+    test may use another system today.
+
+    Args:
+        test: the test, which counts each file as replayed.
+        like: a scenario with the system of today's test; None keeps the system of the file.
+
+    Raises:
+        InputError: a file is not valid.
+
     """
     for file in sorted(folder_of(test.id).glob("*.yaml")):
         if file.is_file():
@@ -161,7 +180,7 @@ def kept_for(test: TestRun, like: Scenario | None) -> Iterator[Scenario]:
 
 
 def _is_known(claim: Claim, scenario: Scenario) -> bool:
-    """Return whether a sentence can be read back; that of a user's property need not be readable."""
+    """Return whether the harness can read the sentence back; a property of a user may have no sentence."""
     try:
         property_of(claim, scenario)
     except InputError:
@@ -180,11 +199,11 @@ _LARGEST = 2**64
 
 
 class Independent(HypothesisProvider):
-    """Hypothesis's drawing, with independent draws of numbers between two bounds.
+    """Hypothesis's way of drawing, with independent draws for numbers between two bounds.
 
-    Hypothesis likes to repeat itself: most of its examples are variations of earlier ones, which finds bugs
-    in parsers, and leaves half of fifty hands at the same place.  So half of the examples are drawn afresh,
-    every choice uniformly within its bounds; the other half is its own, led by the margins of the first.
+    Most examples of Hypothesis vary earlier examples.  That finds bugs in parsers, but leaves half of fifty
+    hands at the same place.  This provider therefore draws the first half of the examples afresh, every
+    choice uniformly within its bounds.  Hypothesis draws the second half, led by the margins of the first.
     """
 
     def draw_integer(
@@ -195,7 +214,7 @@ class Independent(HypothesisProvider):
         weights: dict[int, float] | None = None,
         shrink_towards: int = 0,
     ) -> int:
-        """Draw uniformly between two bounds without weights."""
+        """Draw uniformly between two bounds; Hypothesis draws where a bound is missing or weights apply."""
         self._stop_at_half()
         if min_value is None or max_value is None or weights or self._random is None:
             return super().draw_integer(min_value, max_value, weights=weights, shrink_towards=shrink_towards)
@@ -209,7 +228,7 @@ class Independent(HypothesisProvider):
         allow_nan: bool = True,
         smallest_nonzero_magnitude: float,
     ) -> float:
-        """Draw uniformly between two bounds, unless they are too far apart to mean anything."""
+        """Draw uniformly between two bounds; Hypothesis draws where a bound is 2**64 or larger in size."""
         self._stop_at_half()
         if not -_LARGEST < min_value <= max_value < _LARGEST or self._random is None:
             return super().draw_float(

@@ -17,7 +17,7 @@ from safety_harness.base.compiled import cache_root
 from safety_harness.base.extras import EXTRAS, Extra
 from safety_harness.cell.simulation.worlds import OpensWorld, WorldEntry
 from safety_harness.cli import doctor, warm
-from safety_harness.cli.doctor import State, required, within
+from safety_harness.cli.doctor import State, fits, required
 from safety_harness.cli.main import app
 from safety_harness.scenario.model import Verdict
 
@@ -75,7 +75,7 @@ def test_validate_compiles_nothing_and_loads_nothing_heavy(tmp_path: Path) -> No
     ],
 )
 def test_a_version_is_within_a_range_or_not(version: str, wanted: str, good: bool) -> None:
-    assert within(version, wanted) is good
+    assert fits(version, wanted) is good
 
 
 def test_what_is_required_is_what_every_installation_needs(monkeypatch: pytest.MonkeyPatch) -> None:

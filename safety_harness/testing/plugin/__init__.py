@@ -1,1 +1,1 @@
-"""The pytest plug-in: hooks, the collection of scenario files, what is said at the end."""
+"""The pytest plug-in: its hooks, the collection of scenario files, and the summary at the end."""

@@ -1,6 +1,6 @@
-"""Scenario files as tests: an item for each claim, one simulation for all the claims of a scenario.
+"""Scenario files as tests: an item for each claim, and one simulation for all claims of a scenario.
 
-The claims of a space see the same draws, and every draw is simulated once for all of them.
+The claims of a space judge the same draws, and the plug-in simulates every draw once for all of them.
 """
 
 from __future__ import annotations
@@ -51,14 +51,16 @@ class ScenarioFile(pytest.File):
     """A scenario file, a matrix, a space or a suite."""
 
     def collect(self) -> Nodes:
-        """An item a claim; where the file holds several scenarios, below a node for each.
+        """Yield an item for each claim; a file with several scenarios has a node for each scenario.
 
-        CollectError with the mistakes of the file, each with its place.
+        Raises:
+            CollectError: the mistakes of the file, each with its place.
+
         """
         scenarios, spaces, refused = self._read()
         several = len(scenarios) + len(spaces) + len(refused) > 1
-        for one, claims in refused:
-            yield from self._below(several, one.scenario, partial(_skipped_items, claims=claims, why=one))
+        for skip, claims in refused:
+            yield from self._below(several, skip.scenario, partial(_skipped_items, claims=claims, why=skip))
         for scenario in scenarios:
             yield from self._below(several, scenario.name, partial(_items, scenario=scenario))
         for runs in spaces:
@@ -74,9 +76,13 @@ class ScenarioFile(pytest.File):
         yield ScenarioNode.from_parent(self, name=plain, items=items)
 
     def _read(self) -> tuple[list[Scenario], list[SpaceRuns], list[tuple[NotTaken, Claims]]]:
-        """What the file holds, all of it looked at; CollectError with all that cannot be tried.
+        """Return the admissible scenarios, the spaces, and the scenarios that an avoider cannot take.
 
-        Last what an avoider of the command line cannot take, with its claims.
+        The third list holds a refusal by an avoider of the command line, and the claims of its scenario.
+
+        Raises:
+            CollectError: the mistakes of all inadmissible scenarios.
+
         """
         gathered = gather([self.path], spaces=True)
         errors, scenarios, spaces = list(gathered.errors), [], []
@@ -84,20 +90,20 @@ class ScenarioFile(pytest.File):
         equal = made_equal(gathered.scenarios, *avoiders_asked()[0])
         for scenario in gathered.scenarios:
             try:
-                found = equal.get(scenario.name) or taken(scenario, avoiders_asked(), looker.look)
+                outcome = equal.get(scenario.name) or taken(scenario, avoiders_asked(), looker.look)
             except InputError as error:
                 errors.append(error)
                 continue
-            if isinstance(found, NotTaken):
-                refused.append((found, scenario.claims))
+            if isinstance(outcome, NotTaken):
+                refused.append((outcome, scenario.claims))
             else:
                 scenarios.append(scenario)
         for variant, file in gathered.spaces:
             try:
                 space = space_of(variant.tree, file, name=variant.name)
-                found = taken(first_of(space), avoiders_asked(), looker.look)
-                if isinstance(found, NotTaken):
-                    refused.append((replace(found, scenario=space.name), space.simplest.claims))
+                outcome = taken(first_of(space), avoiders_asked(), looker.look)
+                if isinstance(outcome, NotTaken):
+                    refused.append((replace(outcome, scenario=space.name), space.simplest.claims))
                 else:
                     spaces.append(SpaceRuns(space))
             except InputError as error:
@@ -108,22 +114,22 @@ class ScenarioFile(pytest.File):
 
 
 class LogFile(pytest.File):
-    """The log of a cell, judged without simulating."""
+    """The log of a cell, which the harness judges without a simulation."""
 
     def collect(self) -> Nodes:
-        """An item a claim; CollectError for a log that cannot be used, or that claims nothing."""
+        """Yield an item for each claim; CollectError for an unusable log or a log without claims."""
         try:
-            found = recorded_run(self.path)
+            recorded = recorded_run(self.path)
         except InputError as error:
             raise self.CollectError(explained(error)) from None
-        session().recordings.update(found.recordings)
-        scenario = found.trace.scenario
+        session().recordings.update(recorded.recordings)
+        scenario = recorded.trace.scenario
         if not scenario.claims:
             raise self.CollectError(f'{self.path}: expected the key "claims"; got a log that claims nothing')
         for claim in scenario.claims:
-            check = partial(_judge_log, found.trace, claim)
+            check = partial(_judge_log, recorded.trace, claim)
             item = ClaimItem.from_parent(self, name=claim.sentence, claim=claim, check=check)
-            item.user_properties += [("note", note) for note in found.notes]
+            item.user_properties += [("note", note) for note in recorded.notes]
             yield item
 
 
@@ -135,32 +141,32 @@ class ScenarioNode(pytest.Collector):
         self._items = items
 
     def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
-        """Its claims."""
+        """Return the items of its claims."""
         return self._items(self)
 
 
 class FileItem(pytest.Item):
-    """One claim of a file, which ``check`` judges."""
+    """The item of one claim of a file; ``check`` judges it."""
 
     def __init__(self, *, claim: Claim, check: Callable[[TestRun], None], **others: Any) -> None:
         super().__init__(**others)
         self.claim, self._check = claim, check
 
     def runtest(self) -> None:
-        """Simulate, unless another claim has just done so, and judge."""
+        """Judge the claim; simulate first unless another claim has just done so."""
         self._check(self.stash[TEST])
 
     def reportinfo(self) -> tuple[Path, int, str]:
-        """The claim's own line."""
+        """Return the file, the line of the claim (from 0) and the name."""
         return self.path, (self.claim.place.line or 1) - 1, self.name
 
 
 class ClaimItem(FileItem):
-    """One claim of one scenario: passes if its verdict is the one that the file expects."""
+    """One claim of one scenario; it passes if its verdict is the verdict that the file expects."""
 
 
 class SpaceClaimItem(FileItem):
-    """One claim of a space: passes if no draw comes out otherwise than the file expects, and some decide."""
+    """One claim of a space; it passes if no draw contradicts the file and some draws decide."""
 
 
 def _items(parent: pytest.Collector, *, scenario: Scenario) -> Nodes:
@@ -196,15 +202,15 @@ def _judge(scenario: Scenario, claim: Claim, test: TestRun) -> None:
 
 
 def _note_of_another(claim: Claim, evaluation: Evaluation, scenario: Scenario, test: TestRun) -> None:
-    """Note a violation that the file expects of its own avoider, where ``--avoider`` stands in its place."""
+    """Note a violation that the file expects of its own avoider, if ``--avoider`` replaces that avoider."""
     if session().avoider is not None and claim.is_loosely(evaluation.verdict):
         test.of_another.append(f"{scenario.name.partition('#')[0]}: {claim.sentence}")
 
 
 def _skip_inapplicable(evaluations: Iterable[Evaluation]) -> None:
-    """Of a claim about what the controller under test does not have or say, there is nothing to test."""
+    """Skip the test if the controller under test lacks the quantity of the claim in every run."""
     every = list(evaluations)
-    if every and not any(one.applicable for one in every):
+    if every and not any(evaluation.applicable for evaluation in every):
         pytest.skip(f"not applicable to the controller: {every[0].reason}")
 
 
@@ -224,10 +230,14 @@ class _Judged:
 
 
 class SpaceRuns:
-    """A space and what came of its draws.
+    """A space and the judgements of its draws.
 
-    Each claim's test draws by the same seed and is led by the margins of all claims, so that they all see
-    the same scenarios until one of them fails.  InputError for a space that cannot be tried.
+    The test of each claim draws by the same seed, and the margins of all claims lead it.  All tests thus
+    see the same scenarios until one of them fails.
+
+    Raises:
+        InputError: admission refuses the space.
+
     """
 
     def __init__(self, space: ScenarioSpace) -> None:
@@ -238,7 +248,7 @@ class SpaceRuns:
         self._shown: dict[str, tuple[Judgement, Trace]] = {}
 
     def check(self, number: int, test: TestRun) -> None:
-        """Draw scenarios and judge claim ``number`` of them; SafetyViolation with the smallest that fails."""
+        """Draw scenarios and judge claim ``number``; SafetyViolation with the smallest failing scenario."""
         __tracebackhide__ = True
         for scenario in kept_for(test, one_system(self.space)):
             self._examine(scenario, number, test)
@@ -253,7 +263,7 @@ class SpaceRuns:
         drawing._hypothesis_internal_use_settings = under_profile()  # type: ignore[attr-defined]
         try:
             drawing()
-            _skip_inapplicable(one.evaluations[number] for one in self._judged.values())
+            _skip_inapplicable(judged.evaluations[number] for judged in self._judged.values())
         finally:
             shown = self._shown.get(self.claims[number].sentence)
             if shown is not None:
@@ -265,14 +275,14 @@ class SpaceRuns:
         for claim, evaluation in zip(self.claims, judged.evaluations, strict=True):
             aim(evaluation, claim.expected)
         evaluation, expected = judged.evaluations[number], self.claims[number].expected
-        found = judged.differences[number]
-        if not settle(evaluation, judged.run, expected, None) and not is_shared(found):
-            raise violation_of(evaluation, simulate(scenario), expected, found)
+        difference = judged.differences[number]
+        if not settle(evaluation, judged.run, expected, None) and not is_shared(difference):
+            raise violation_of(evaluation, simulate(scenario), expected, difference)
         _note_of_another(self.claims[number], evaluation, scenario, test)
-        found, fallback = judged.differences[-1], judged.fallback
-        if fallback is None or settle(fallback, judged.run, Verdict.HOLDS, None) or is_shared(found):
+        difference, fallback = judged.differences[-1], judged.fallback
+        if fallback is None or settle(fallback, judged.run, Verdict.HOLDS, None) or is_shared(difference):
             return
-        raise violation_of(fallback, simulate(scenario), Verdict.HOLDS, found)
+        raise violation_of(fallback, simulate(scenario), Verdict.HOLDS, difference)
 
     def _judge(self, scenario: Scenario) -> _Judged:
         digest = digest_of(scenario)
@@ -282,8 +292,8 @@ class SpaceRuns:
             properties = [property_of(claim, trace.scenario) for claim in self.claims]
             evaluations = tuple(prop.evaluate(trace) for prop in properties)
             fallback = by_default(trace)
-            judges = [(one, prop.evaluate) for one, prop in zip(evaluations, properties, strict=True)]
-            differences = [against_reference(trace, *one) for one in judges]
+            judges = [(judge, prop.evaluate) for judge, prop in zip(evaluations, properties, strict=True)]
+            differences = [against_reference(trace, *judge) for judge in judges]
             answered = AvoiderAnswered().evaluate
             differences.append(None if fallback is None else against_reference(trace, fallback, answered))
             self._judged[digest] = _Judged(run, evaluations, fallback, tuple(differences))
@@ -292,8 +302,8 @@ class SpaceRuns:
         return self._judged[digest]
 
     def _remember(self, run: Run, evaluations: tuple[Evaluation, ...], trace: Trace) -> None:
-        """The worst run of each claim, for the report."""
+        """Keep the worst run of each claim for the report."""
         for claim, evaluation in zip(self.claims, evaluations, strict=True):
-            judgement, before = Judgement(run, evaluation, claim.expected), self._shown.get(claim.sentence)
-            if before is None or judgement.severity < before[0].severity:
+            judgement, worst = Judgement(run, evaluation, claim.expected), self._shown.get(claim.sentence)
+            if worst is None or judgement.severity < worst[0].severity:
                 self._shown[claim.sentence] = judgement, trace

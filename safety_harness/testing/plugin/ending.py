@@ -1,4 +1,4 @@
-"""The end of a session: what was judged, how often it was really tested, what was kept, the report."""
+"""The end of a session: the judgements, how often runs tested each claim, the kept files, and the report."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Ending:
-    """Gathers what the reports of tests bring, from the workers of xdist too."""
+    """The collector of the results of all tests, including those from the workers of xdist."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -25,7 +25,7 @@ class Ending:
         self._unwritten = ""
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Take what a test judged."""
+        """Take the judgements of a test."""
         sent = vars(report).get("safety_harness")
         if sent is None:
             return
@@ -39,12 +39,12 @@ class Ending:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
-        """Take what a worker of xdist ignored."""
+        """Take the files that a worker of xdist ignored."""
         current().ignored += getattr(node, "workeroutput", {}).get("safety_ignored", [])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """A session in which a claim was never put to the test has failed; write the report."""
+        """Fail a session in which no run tested some claim, and write the report."""
         nothing = self._not_taken() and not self._judgements()
         if (self._untested() or self._unjudged() or nothing) and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
@@ -106,14 +106,14 @@ class Ending:
             say(line)
 
     def _overruled(self) -> str:
-        """How often the gate overruled the avoiders; each run counts once, whichever workers made it."""
+        """Return how often the gate overruled the avoiders; each run counts once, from whichever worker."""
         from safety_harness.trace.overruling import Overruling
 
         runs = {run: one for sent in self._sent for run, one in sent.run.overruled.items()}
         return sum(runs.values(), Overruling()).words
 
     def _against(self) -> list[str]:
-        """What the reference does not do; tested only if no test drew its scenarios."""
+        """Return the differences from the reference; they count as tested only if no test drew scenarios."""
         from safety_harness.admission.avoiders import told_avoider
         from safety_harness.claims.properties.against import Against
         from safety_harness.testing.plugin.payloads import differences
@@ -126,7 +126,7 @@ class Ending:
         return list(Against(mine=mine, reference=told_avoider(now.against), runs=runs, drawn=drawn).lines())
 
     def _not_taken(self) -> list[str]:
-        """How many tests were skipped since an avoider cannot take their scenario."""
+        """Return how many tests an avoider skipped because it cannot take their scenarios."""
         avoiders = [sent.run.not_taken for sent in self._sent if sent.run.not_taken]
         return [
             f"not run: {avoiders.count(name)} tests of scenarios that {name} cannot take"
@@ -134,7 +134,7 @@ class Ending:
         ]
 
     def _of_another(self) -> list[str]:
-        """Violations that files expect of their own avoider, and --avoider has too."""
+        """Return the violations that files expect of their own avoider, and that --avoider shows too."""
         found = dict.fromkeys(one for sent in self._sent for one in sent.run.of_another)
         return [f"expected of another than --avoider: it may be for another reason: {one}" for one in found]
 
@@ -145,7 +145,7 @@ class Ending:
         return [f"computing time: {line}" for line in lines_of(runs)]
 
     def _untried(self) -> list[str]:
-        """The moves and faults that no run of the session tried; each run counts once."""
+        """Return the moves and faults that no run of the session tried; each run counts once."""
         from safety_harness.claims.properties.tried import TriedParts
 
         tried = TriedParts()
@@ -201,7 +201,7 @@ class Ending:
         return words and f"{words} of {count_words(len(found), 'run', 'runs')}"
 
     def _unjudged(self) -> str:
-        """The simulated runs of which no test judged a claim, with the tests that made them."""
+        """Return the simulated runs without a judged claim, with the tests that made them."""
         from safety_harness.report.words import count_words
 
         judged = {run for sent in self._sent for run in sent.judged}
@@ -210,7 +210,10 @@ class Ending:
         return words * bool(runs) + ", ".join(dict.fromkeys(runs.values()))
 
     def _tested(self) -> list[str]:
-        """What the verdicts are about, where anything but the avoider or controller is not the default."""
+        """Return the subjects of verdicts that concern more than the avoider or controller by default.
+
+        That is a shield, a gate or a setting that is not the default.
+        """
         runs: dict[str, set[str]] = {}
         for run in (one.run for one in self._judgements()):
             runs.setdefault(run.beside, set()).add(run.name.partition("#")[0])
@@ -225,7 +228,7 @@ class Ending:
         return [one for sent in self._sent for one in sent.run.judgements]
 
     def _basis(self) -> str:
-        """What the verdicts of the session rest on."""
+        """Return the grounds of the session's verdicts."""
         from safety_harness.claims.properties.tally import basis_of_tallies
 
         return basis_of_tallies((j.run.world for j in self._judgements()), self._tallies())

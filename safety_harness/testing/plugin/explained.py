@@ -1,4 +1,4 @@
-"""What the files of the plug-in share: the test of an item, and a mistake in words."""
+"""Shared parts of the plug-in: the test record of an item, and the text of a mistake."""
 
 from __future__ import annotations
 
@@ -15,6 +15,6 @@ TEST: pytest.StashKey[TestRun] = pytest.StashKey()
 
 
 def explained(error: BaseException) -> str:
-    """Where, what was expected, what came, the hint; and the line of the test that asked."""
+    """Return the text of a mistake: place, expected, got, hint, and the line of the test that led to it."""
     lines = [explanation(error), *(f"  {note}" for note in getattr(error, "__notes__", []))]
     return "\n".join(lines).replace(f"{Path.cwd()}{os.sep}", "")

@@ -1,4 +1,4 @@
-"""What the end of a session needs of a test, as a worker can send it."""
+"""The record of a test that a worker process sends to the session."""
 
 from __future__ import annotations
 
@@ -18,11 +18,17 @@ from safety_harness.testing.session import Judgement, TestRun
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EndedTest:
-    """A test that has ended, as a worker sends it home: what was judged in it, and what became of it.
+    """A test that has ended: its judgements and its result, as a worker sends them.
 
-    ``run`` comes without its traces and errors.  ``simulated`` are runs of which somebody has to judge a
-    claim, ``judged`` those that it judged.  ``swallowed``: it passed although a claim failed in it.
-    ``traces`` are files for the report, each with the verdict that is expected of an evaluation.
+    Attributes:
+        run: the test's record, without its traces and errors.
+        failed: pytest reports a failure.
+        swallowed: the test passed although a claim failed in it.
+        simulated: keys of the runs that need a judgement.
+        judged: keys of the runs that the test judged.
+        traces: files for the report, each with an evaluation and its expected verdict.
+        executed: the avoider files that the process has executed.
+
     """
 
     run: TestRun
@@ -35,7 +41,7 @@ class EndedTest:
 
     @property
     def text(self) -> str:
-        """What ``of_text`` reads, of letters: reports of tests are plain values, also for other plug-ins."""
+        """Return the record as letters for ``of_text``; a test report may carry plain values only."""
         run = replace(self.run, worst={}, traces={}, fallback=None, failure=None, refused={})
         return b64encode(pickle.dumps(replace(self, run=run))).decode()
 
@@ -47,24 +53,27 @@ def of_text(text: str) -> EndedTest:
 
 
 def tallies_of(judged: Iterable[Judgement]) -> tuple[ClaimTally, ...]:
-    """How often each claim was put to the test."""
+    """Return how often the runs tested each claim."""
     return tally_claims(Judged(run=j.run.name, evaluation=j.evaluation, expected=j.expected) for j in judged)
 
 
 def differences(every: Iterable[EndedTest]) -> list[RunDifference]:
-    """Of several tests, each run once with all the claims that they made of it."""
+    """Merge the differences of several tests into one record per run, with all claims about that run."""
     runs: dict[str, RunDifference] = {}
     for ended in every:
-        for digest, found in ended.run.differences.items():
-            before = runs.get(digest, found)
-            claims = {one.mine.sentence: one for one in (*before.claims, *found.claims)}
-            runs[digest] = replace(before, claims=tuple(claims.values()))
+        for digest, difference in ended.run.differences.items():
+            merged = runs.get(digest, difference)
+            claims = {claim.mine.sentence: claim for claim in (*merged.claims, *difference.claims)}
+            runs[digest] = replace(merged, claims=tuple(claims.values()))
     return list(runs.values())
 
 
 def junit_properties(test: TestRun) -> list[tuple[str, object]]:
-    """For each claim its worst judgement; those of a second claim have names that end in 2, and so on."""
-    found: list[tuple[str, object]] = []
+    """Return name and value pairs for JUnit: the worst judgement of each claim.
+
+    The names of a second claim end in 2, those names of a third in 3, and so on.
+    """
+    properties: list[tuple[str, object]] = []
     by_sentence: dict[str, list[Judgement]] = {}
     for judgement in test.judgements:
         by_sentence.setdefault(judgement.evaluation.sentence, []).append(judgement)
@@ -90,6 +99,6 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
             values["tested"] = worst.run.beside
         if evaluation.unmeasured:
             values["not measured"] = ", ".join(evaluation.unmeasured)
-        found += [(name + end, value) for name, value in values.items()]
-    found += [("expected of another than --avoider", one) for one in dict.fromkeys(test.of_another)]
-    return found
+        properties += [(name + end, value) for name, value in values.items()]
+    properties += [("expected of another than --avoider", claim) for claim in dict.fromkeys(test.of_another)]
+    return properties

@@ -1,6 +1,7 @@
-"""The hooks.  Whatever is heavy is imported where it is first needed: most projects never need it.
+"""The hooks of the pytest plug-in, which import heavy modules only at their first use.
 
-A session without a scenario file and without a test that uses ``safety_harness.testing`` is left alone.
+Most projects never need those modules.  The plug-in ignores a session without a scenario file and without
+a test that uses ``safety_harness.testing``.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Begin a session; an avoider that cannot be used ends it at once."""
+    """Begin a session; an unusable avoider ends it at once."""
     config.addinivalue_line("markers", f"{JUDGES_ITSELF}: a test that looks at runs without assert_holds")
     name = config.getoption("safety_profile") or config.getini("safety_profile")
     profiles = {profile.name: profile for profile in PROFILES}
@@ -116,14 +117,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node: Any) -> None:
-    """Every worker of xdist draws by the same seed."""
+    """Give every worker of xdist the same seed."""
     node.workerinput["safety_seed"] = session().seed
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | ScenarioFile | None:
-    """Scenario files, spaces, suites, logs: those of ``safety_scenarios``, else those that are ours.
+    """Collect scenario files, spaces, suites and logs that match ``safety_scenarios``.
 
-    A file with a title of ours that somebody names is taken, so that its mistakes are told.
+    Without that setting, collect the files that the harness recognises.  A file that the user names and that
+    has a title of the harness counts too, so that its mistakes appear.
     """
     patterns = parent.config.getini("safety_scenarios")
     if patterns is None and file_path.suffix.lower() not in SUFFIXES:
@@ -148,7 +150,10 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtestloop(session: pytest.Session) -> None:
-    """Before the first test: an avoider of ``--avoider`` that cannot be made.  Collection executes none."""
+    """Refuse an avoider of ``--avoider`` that cannot be made, before the first test.
+
+    Collection executes no avoider.
+    """
     config = session.config
     elsewhere = config.pluginmanager.hasplugin("dsession")  # the workers of xdist have the tests
     if config.option.collectonly or _is_worker(config) or not (session.testscollected or elsewhere):
@@ -158,7 +163,7 @@ def pytest_runtestloop(session: pytest.Session) -> None:
 
 @pytest.fixture(scope="session")
 def simulate() -> Simulate:
-    """A function from a scenario to the trace of its run."""
+    """Return a function from a scenario to the trace of its run."""
     from safety_harness.testing.simulating import simulate as shared
 
     return shared
@@ -179,7 +184,7 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """What was judged travels with the report, to JUnit and from a worker of xdist to the session."""
+    """Add the judgements to the report, which carries them to JUnit and from a worker to the session."""
     report = yield
     test = item.stash.get(TEST, None)
     if test is not None and report.when == "call":
@@ -193,7 +198,7 @@ def pytest_runtest_makereport(
 def pytest_make_collect_report(
     collector: pytest.Collector,
 ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    """A mistake in a scenario file or in what a test asks for is told without our frames."""
+    """Report a mistake in a scenario file, or in a test's request, without frames of the harness."""
     report = yield
     call = getattr(report, "call", None)
     if report.failed and call is not None and isinstance(call.excinfo.value, SafetyHarnessError):
@@ -202,14 +207,14 @@ def pytest_make_collect_report(
 
 
 class _PastCapture(io.StringIO):
-    """Lines on the terminal, in the midst of a test whose output is captured, by itself or by pytest."""
+    """A stream to the terminal during a test whose output the test or pytest captures."""
 
     def __init__(self, config: pytest.Config) -> None:
         super().__init__()
         self._plugins = config.pluginmanager
 
     def write(self, text: str) -> int:
-        """A whole line."""
+        """Write a whole line."""
         capture, reporter = map(self._plugins.getplugin, ("capturemanager", "terminalreporter"))
         if capture and reporter:
             streams = sys.stdin, sys.stdout, sys.stderr  # of the test, perhaps
@@ -228,7 +233,7 @@ def _is_worker(config: pytest.Config) -> bool:
 
 
 def _seed(config: pytest.Config) -> int:
-    """That of ``--hypothesis-seed``, else one drawn now; a worker of xdist gets its session's."""
+    """Return the seed of ``--hypothesis-seed``, else a new one; a worker of xdist gets its session's seed."""
     if _is_worker(config):
         return int(config.workerinput["safety_seed"])  # type: ignore[attr-defined]
     asked = config.getoption("--hypothesis-seed", default=None)
@@ -238,7 +243,7 @@ def _seed(config: pytest.Config) -> int:
 
 
 def _refuse_idle_patterns(config: pytest.Config) -> None:
-    """UsageError for a pattern of ``safety_scenarios`` that matches no file where pytest looks for tests."""
+    """Raise UsageError for a pattern of ``safety_scenarios`` without a file where pytest looks for tests."""
     of_ini = config.args_source is pytest.Config.ArgsSource.TESTPATHS
     for pattern in config.getini("safety_scenarios") or ():
         literal = re.split(r"[*?[]", pattern)[0].rpartition("/")[0]
@@ -275,7 +280,7 @@ def _refuse_unknown_world(label: str) -> None:
 
 
 def refuse_unusable_avoider(reference: str, option: str, *, make: bool) -> None:
-    """UsageError for an avoider that there is not or that is none; only ``make`` executes a file."""
+    """Raise UsageError for a missing or invalid avoider; only ``make`` executes a file."""
     from safety_harness.admission.avoiders import refuse_unusable, resolve_avoider, scenario_of_avoider
 
     try:

@@ -1,7 +1,7 @@
-"""``--safety-report FILE``: the report of ``safety-harness run`` on the runs that tests judged.
+"""``--safety-report FILE``: the report of ``safety-harness run`` for the runs that tests judged.
 
-The process that made a run writes its trace to the folder FILE-traces; the session that gathers the
-results reads it there.  Of a test that draws its scenarios the worst run of each claim is shown.
+The process that simulates a run writes its trace to the folder FILE-traces.  The session that gathers
+the results reads it there.  For a test that draws scenarios the report shows the worst run per claim.
 """
 
 from __future__ import annotations
@@ -31,11 +31,13 @@ TITLE = "Safety properties of a hand-avoiding robot arm"
 
 
 def save_runs(test: TestRun, report: Path) -> tuple[tuple[Path, Verdict, Evaluation], ...]:
-    """Write the traces of ``test``: file, expected verdict and evaluation of each claim.
+    """Write the traces of ``test``; return file, expected verdict and evaluation of each claim.
 
-    Raises OSError.
+    Raises:
+        OSError: a trace cannot be written.
+
     """
-    found = []
+    saved = []
     folder = report.with_name(f"{report.stem}-traces")
     for sentence, trace in test.traces.items():
         scenario, worst = trace.scenario, test.worst[sentence]
@@ -47,14 +49,23 @@ def save_runs(test: TestRun, report: Path) -> tuple[tuple[Path, Verdict, Evaluat
             folder.mkdir(parents=True, exist_ok=True)
             save_trace(trace, file, recordings=session().recordings)
             session().saved.add(file)
-        found.append((file, worst.expected, worst.evaluation))
-    return tuple(found)
+        saved.append((file, worst.expected, worst.evaluation))
+    return tuple(saved)
 
 
 def write_reports(
     file: Path, sent: Sequence[EndedTest], coverage: Sequence[ClaimTally], *, command: str, whole: bool
 ) -> str:
-    """Write ``file`` and its JSON; why it cannot be done, or nothing.  ``whole``: no test is missing."""
+    """Write ``file`` and its JSON; return the reason for a failure, or an empty text.
+
+    Args:
+        file: the page; the JSON has the same stem.
+        sent: the tests that ended.
+        coverage: how often the runs tested each claim.
+        command: the command that the page shows.
+        whole: whether every test ended; the report marks an interrupted session.
+
+    """
     try:
         runs = list(_runs(sent))
         write_report(
@@ -75,20 +86,20 @@ def write_reports(
 
 
 def _runs(sent: Sequence[EndedTest]) -> Iterator[JudgedRun]:
-    """One judged run for each trace, with all the claims that were made of it."""
+    """Yield one judged run for each trace, with all the claims that tests made about it."""
     by_file: dict[Path, list[tuple[str, Verdict, Evaluation]]] = {}
-    for one in sent:
-        for file, expected, evaluation in one.traces:
-            by_file.setdefault(file, []).append((one.run.id, expected, evaluation))
-    for file, said in by_file.items():
+    for ended in sent:
+        for file, expected, evaluation in ended.traces:
+            by_file.setdefault(file, []).append((ended.run.id, expected, evaluation))
+    for file, judgements in by_file.items():
         trace = load_trace(file)
         first: dict[str, tuple[Claim, Evaluation]] = {}  # of what several tests said of one claim
-        for _, expected, evaluation in said:
+        for _, expected, evaluation in judgements:
             claim = Claim(sentence=evaluation.sentence, expected=expected)
             first.setdefault(evaluation.sentence, (claim, evaluation))
         claims = with_expectation(tuple(claim for claim, _ in first.values()), trace.scenario)
         more = [AvoiderAnswered().evaluate(trace) for _ in claims[len(first) :]]
-        tests = dict.fromkeys(test for test, _, _ in said)
+        tests = dict.fromkeys(test for test, _, _ in judgements)
         scenario = replace(trace.scenario, claims=claims)
         yield JudgedRun(
             trace=replace(trace, scenario=scenario),

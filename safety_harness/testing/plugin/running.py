@@ -1,6 +1,6 @@
-"""One test that judges runs: watched while it runs, and what came of it put into its report.
+"""One test that judges runs: watch it while it runs, and put its judgements into its report.
 
-There it is plain data: a report of xdist can carry nothing else.
+The report holds plain data, because a report of xdist can carry nothing else.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _OF_TARGETS = re.compile(r"Highest target|\s*\S+\s+\(label=|\s*$")  # of Hypothe
 
 @contextmanager
 def watch(item: pytest.Item) -> Iterator[None]:
-    """A TestRun for ``item`` while it is called; NotEstablished if nothing that it asserts was tested."""
+    """Keep a TestRun for ``item`` during its call; NotEstablished if the runs test none of its assertions."""
     function = _hypothesis_function(item)
     draws = function is not None or isinstance(item, SpaceClaimItem)
     test = TestRun(item.nodeid, draws=draws, keep_traces=session().report is not None)
@@ -72,7 +72,7 @@ def watch(item: pytest.Item) -> Iterator[None]:
 
 
 def _show(violation: SafetyViolation, test: TestRun) -> None:
-    """Put the failing run, made smaller by now, in the place of the one that was found; keep its scenario."""
+    """Show the failing run after its reduction in place of the first failure, and keep its scenario."""
     trace = violation.trace
     test.show(Judgement(run_of(trace), violation.evaluation, violation.expected), trace)
     if test.draws and trace.known.simulated and not in_store(violation.scenario):
@@ -80,7 +80,10 @@ def _show(violation: SafetyViolation, test: TestRun) -> None:
 
 
 def _leave_hypothesis_out(error: SafetyHarnessError, function: Any) -> None:
-    """Let the traceback go straight to the test; of its notes only what a test draws besides a scenario."""
+    """Shorten the traceback to the test itself.
+
+    A note of Hypothesis stays only if the test draws more than a scenario.
+    """
     draws_more = function is not None and len(function.hypothesis._given_kwargs) > 1
     notes = [note for note in getattr(error, "__notes__", []) if not _OF_TARGETS.match(note)]
     error.__notes__ = [note for note in notes if draws_more or not note.startswith("Failing ")]
@@ -89,16 +92,16 @@ def _leave_hypothesis_out(error: SafetyHarnessError, function: Any) -> None:
     while step is not None:
         frames.append(step)
         step = step.tb_next
-    files = [Path(one.tb_frame.f_code.co_filename) for one in frames]
-    within = [k for k, file in enumerate(files) if "hypothesis" in file.parts]
-    if within and within[-1] + 1 < len(frames):
+    files = [Path(frame.tb_frame.f_code.co_filename) for frame in frames]
+    positions = [k for k, file in enumerate(files) if "hypothesis" in file.parts]
+    if positions and positions[-1] + 1 < len(frames):
         # The frame before the first is the function that @given made, which looks like the test itself.
-        before = frames[max(within[0] - 2, 0)]
-        before.tb_next = frames[within[-1] + 1]
+        outer = frames[max(positions[0] - 2, 0)]
+        outer.tb_next = frames[positions[-1] + 1]
 
 
 def refuse_untested(test: TestRun) -> None:
-    """A test that draws its scenarios passes only if one of them decided something."""
+    """Raise NotEstablished if a test draws scenarios and every judgement is inconclusive."""
     if not test.draws or not test.judgements:
         return
     if all(j.evaluation.verdict is Verdict.INCONCLUSIVE is not j.expected for j in test.judgements):
@@ -114,7 +117,7 @@ def refuse_untested(test: TestRun) -> None:
 def complete(
     report: pytest.TestReport, item: pytest.Item, call: pytest.CallInfo[None], test: TestRun
 ) -> None:
-    """Add what was judged to the report, and leave our own frames out of it."""
+    """Add the judgements to the report, and remove the harness's frames from it."""
     error = call.excinfo.value if call.excinfo is not None else None
     plain = isinstance(error, NotEstablished | InputError | FlakyAvoiderError)
     if error is not None and (
@@ -144,17 +147,17 @@ def complete(
 
 
 def _asked_at(error: BaseException, item: pytest.Item) -> list[str]:
-    """The line of the test in which a mistake came out, unless the mistake names it already."""
+    """Return the line of the test that led to a mistake, unless the mistake already names that line."""
     lines = [
         step.lineno for step in traceback.extract_tb(error.__traceback__) if step.filename == str(item.path)
     ]
     named = isinstance(error, InputError) and error.place.file == item.path
-    near = os.path.relpath(item.path)
-    return [f"  asked for at {near}:{lines[-1]}"] if lines and not named else []
+    path = os.path.relpath(item.path)
+    return [f"  asked for at {path}:{lines[-1]}"] if lines and not named else []
 
 
 def _hypothesis_function(item: pytest.Item) -> Any:
-    """The function with ``@given``, below a bound method; None for any other item."""
+    """Return the function with ``@given`` below a bound method; None for any other item."""
     function = getattr(item, "obj", None)
     function = getattr(function, "__func__", function)
     return function if getattr(function, "is_hypothesis_test", False) else None
@@ -167,16 +170,16 @@ def _arguments(item: pytest.Item) -> tuple[str, ...]:
 
 
 def _is_about_scenarios(item: pytest.Item, function: Any) -> bool:
-    """Does a test with ``@given`` take scenarios of ours, or simulate?"""
+    """Return whether a test with ``@given`` takes scenarios of this package, or simulates."""
     given = function.hypothesis._given_kwargs.values()
     return "simulate" in getattr(item, "fixturenames", ()) or any(map(gives_scenarios, given))
 
 
 def _asserts(function: Any) -> bool:
-    """Does a test, or a function within it, name ``assert_holds``?"""
+    """Return whether a test, or a function within it, names ``assert_holds``."""
     codes = [getattr(inspect.unwrap(function), "__code__", None)]
     for code in codes:
         if code is not None and "assert_holds" in code.co_names:
             return True
-        codes += [one for one in getattr(code, "co_consts", ()) if isinstance(one, CodeType)]
+        codes += [constant for constant in getattr(code, "co_consts", ()) if isinstance(constant, CodeType)]
     return False
