@@ -56,7 +56,7 @@ def test_an_earlier_report_stands(
     assert verify(report(revision), runs=0) == AS_EXPECTED
     said = capsys.readouterr().out
     assert "DIFF" not in said
-    assert "since it was made: the source of this package changed" in said
+    assert "since the report: the source of this package changed" in said
 
 
 @pytest.mark.parametrize("revision", REVISIONS)
@@ -101,5 +101,6 @@ def test_one_that_cannot_be_read_says_what_to_do(report: Callable[[str], Path]) 
     with pytest.raises(InputError, match="overruling") as refused:
         read_evidence(folder / JSON)
     assert (
-        "verify it with that one, or certify anew the plan in the report's folder plan/" in refused.value.hint
+        "verify it with that version, or certify the plan in the report's folder plan/ anew"
+        in refused.value.hint
     )

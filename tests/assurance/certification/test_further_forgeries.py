@@ -254,7 +254,7 @@ ROWS: dict[str, tuple[Touch, str]] = {
         schema("results", "THEN ''violated''", "THEN ''holds''"),
         TABLES,
     ),
-    "a part of the identity twice": (twice, "a part is named twice"),
+    "a part of the identity twice": (twice, "a part occurs twice"),
     "a trace of another system": (
         traced(lambda trace: replace(trace, system=Trace.system)),
         "another system under test",
@@ -352,9 +352,9 @@ def test_a_trick_is_a_fault_by_the_version_that_made_the_page(report: Path, tric
 
 
 OTHERS: dict[str, tuple[Touch, str]] = {
-    "compiled files": (made_by(files=(("engine.so", "0" * 64),)), "1 stored traces are not those"),
-    "a platform": (made_by(platform="a robot cell"), "1 stored traces are not those"),
-    "libraries": (made_by(libraries=(("numpy", "99.0"),)), "1 stored traces are not those"),
+    "compiled files": (made_by(files=(("engine.so", "0" * 64),)), "1 stored traces differ from"),
+    "a platform": (made_by(platform="a robot cell"), "1 stored traces differ from"),
+    "libraries": (made_by(libraries=(("numpy", "99.0"),)), "1 stored traces differ from"),
     "a hidden file": (put(".certificate.html"), ".certificate.html: a hidden file"),
     "a page among the findings": (put(f"{SEARCHED}/well.html"), "well.html: a file that no report has"),
     "a page in capitals": (put("Evidence.html"), "Evidence.html: a file that no report has"),
@@ -370,14 +370,14 @@ OTHERS: dict[str, tuple[Touch, str]] = {
     "findings, by another source": (both(said(findings=[]), SOURCE), "findings: 0 of them in the report"),
     "exclusions, by another source": (both(said(exclusions=["none"]), SOURCE), "exclusions"),
     "a separation, by another source": (both(said(separation__0__distance_m=2.0), SOURCE), "separation[0]"),
-    "emptied findings": (searched(counterexamples=[], distinct=[]), "what it found, or did not"),
+    "emptied findings": (searched(counterexamples=[], distinct=[]), "its result is as its files say"),
     "what the avoider answered again": (
         in_ledger("UPDATE repeated SET questions = 100000, asked = 100000"),
-        "what asking the avoider again came to",
+        "the answers of the avoider to repeated questions",
     ),
     "an approval beside the ledger's facts": (
         in_ledger("INSERT INTO about VALUES ('approved', 'by a test house')"),
-        "no lodged seal was given",
+        "a lodged seal is missing",
     ),
 }  # fmt: skip
 
@@ -394,7 +394,7 @@ def test_a_trick_is_shown_whatever_made_the_page(report: Path, trick: str) -> No
     both(TRICKS[trick], SOURCE)(report)
     found = list(verify(report, runs=0, seed=1))
     said_of_it = "\n".join(one for check in found for one in (*check.faults, *check.unchecked))
-    assert BADGES in said_of_it or "was made by other software, and says otherwise" in said_of_it
+    assert BADGES in said_of_it or "comes from other software, and differs" in said_of_it
 
 
 @pytest.mark.parametrize("tried", [1_000_000, -7])
@@ -431,7 +431,7 @@ def test_a_declaration_that_was_never_lodged_is_open(report: Path) -> None:
     said(record__declaration_sha256=sha256)(report)
     found = {check.name: check for check in verify(report, runs=0, seed=1, seal=sha256)}
     assert "the seal of this report is" in found["lodged"].faults[0]
-    assert "nothing proves that plan, seed and targets came first" in found["lodged"].unchecked[0]
+    assert "it would prove that plan, seed and targets came first" in found["lodged"].unchecked[0]
 
 
 def test_the_forgeries_are_at_least_thirty() -> None:

@@ -149,7 +149,7 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
     "words for a number": (("UPDATE judgement SET margin = 'much' WHERE episode = 2",), "of another kind"),
     "an outcome that is none": (
         ("UPDATE judgement SET outcome = 9 WHERE episode = 2",),
-        "outcomes that are none",
+        "unknown outcomes",
     ),
     "another file of the plan": (
         (
@@ -160,7 +160,7 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
     ),
     "a Python that made no trace": (
         (f"UPDATE about SET value = replace(value, '\"{platform.python_version()}\"', '\"3.0.0\"')",),
-        "its trace was made by other software, or in another world",
+        "its trace comes from other software, or from another world",
     ),
     "another seed": (
         ("UPDATE about SET value = replace(value, '\"seed\": 7', '\"seed\": 8') WHERE key = 'plan'",),
@@ -191,7 +191,7 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
     ),
     "a trace that is gone": (
         ("DELETE FROM trace WHERE violation AND episode = (SELECT min(episode) FROM trace WHERE violation)",),
-        "its trace should have been kept, and is missing",
+        "the ledger lacks its trace, which the plan keeps",
     ),
     "a trace of another run": (
         (
@@ -239,7 +239,7 @@ def test_a_ledger_that_was_touched_does_not_stand(
 def test_a_report_made_anew_from_a_ledger_without_a_trace_does_not_stand(report: Path) -> None:
     change(report, "DELETE FROM trace WHERE violation")
     write(report)
-    assert "its trace should have been kept, and is missing" in faults(report)
+    assert "the ledger lacks its trace, which the plan keeps" in faults(report)
 
 
 def test_outcomes_of_runs_without_a_trace_are_noticed_by_making_them_again(report: Path) -> None:
@@ -276,8 +276,8 @@ def edited(report: Path, **parts: object) -> None:
         ({"interrupted": True}, "interrupted: True in the report"),
         ({"files": ()}, "lists others than the manifest"),
         ({"assumptions": ("none",)}, "assumptions: 1 of them"),
-        ({"provenance": "rm -rf ~"}, "a command to be copied that certify does not write"),
-        ({"provenance": "safety-harness verify x; rm -rf ~"}, "a command to be copied"),
+        ({"provenance": "rm -rf ~"}, "a command that certify does not write"),
+        ({"provenance": "safety-harness verify x; rm -rf ~"}, "has a command that certify does not write"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
@@ -358,7 +358,7 @@ FILES: dict[str, tuple[Callable[[Path], None], str]] = {
     "a file beside the plan": (beside_the_plan, "plan/more.yaml is no file of the ledger's plan"),
     "JUnit XML": (
         shown("junit.xml", "<failure", "<skipped"),
-        "junit.xml does not say what evidence.json says",
+        "junit.xml and evidence.json disagree",
     ),
     "the page": (
         shown("evidence.html", "It is no certificate", "It is a certificate"),

@@ -86,10 +86,10 @@ class StatedApproaches:
     confidence: float = key(
         "confidence",
         QuantityValue(FRACTION, least=0.5, most=0.999999999),
-        "how sure that is; half of what the plan's confidence leaves may be missing, shared by all rates",
+        "its confidence; all rates share half of the error that the plan's confidence allows",
         "99 %",
     )
-    source: str = key("source", _SOURCE, "who states it, and on what grounds", "the line's cycle time")
+    source: str = key("source", _SOURCE, "the author of the bound, and the grounds", "the line's cycle time")
 
     def most_an_hour(self, chance: float) -> float:
         """Return the stated bound; ``read_hazards`` checked its confidence against this chance."""
@@ -273,7 +273,7 @@ def read_hazards(given: Fields, confidence: float) -> PlannedHazards:
     for item in items:
         hazard: Hazard = HAZARD.read(item)
         if any(hazard.name == earlier.name for earlier in hazards):
-            raise item.fields(HAZARD.names).required("hazard").error("a name that no other hazard has")
+            raise item.fields(HAZARD.names).required("hazard").error("a name for one hazard only")
         hazards.append(hazard)
     rates = sum(hazard.approaches is not None for hazard in hazards)
     error = SharedError(confidence, max(rates, 1))
@@ -285,7 +285,7 @@ def read_hazards(given: Fields, confidence: float) -> PlannedHazards:
                 item.fields(HAZARD.names).required("approaches").fields(("at most", "confidence", "source"))
             )
             raise place.required("confidence").error(
-                f"{least:.10g} % at least: half of what the plan's confidence leaves, shared by all rates"
+                f"{least:.10g} % or more: all rates share half of the error that the plan's confidence allows"
             )
     if graph and not hazards:
         raise graph.error("hazards, for which it is walked", got="a risk graph alone")

@@ -55,7 +55,7 @@ class Identity:
         """Return the identity in a stored text; ValueError or TypeError for other text or a repeated part."""
         parts = tuple((str(name), str(value)) for name, value in json.loads(text))
         if len(dict(parts)) < len(parts):
-            raise ValueError("a part is named twice")
+            raise ValueError("a part occurs twice")
         return cls(parts)
 
     @property

@@ -141,9 +141,9 @@ def explained(path: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         text, code = str(error), getattr(error, "sqlite_errorcode", 0) & 0xFF
         if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
-            raise OutputError.of(path, OSError(f"{text}; what was committed before is kept")) from error
+            raise OutputError.of(path, OSError(f"{text}; the ledger keeps all committed episodes")) from error
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-            raise unusable(path, "a ledger that nobody else keeps locked", text) from error
+            raise unusable(path, "a ledger without the lock of another process", text) from error
         raise unusable(path, "a ledger, whole and readable", text) from error
     except UnicodeDecodeError as error:  # of a damaged schema, which SQLite's message quotes
         raise unusable(path, "a ledger, whole and readable", "text that is not UTF-8") from error
@@ -165,7 +165,7 @@ def only_runner(path: Path) -> Iterator[None]:
         except OSError as error:
             stream.seek(0)
             got = f"the process {stream.read().strip()}"
-            raise unusable(path, "a ledger that no other runner is at work on", got) from error
+            raise unusable(path, "a ledger without another runner", got) from error
         stream.truncate(0)
         stream.write(f"{os.getpid()}\n")
         stream.flush()
@@ -269,7 +269,10 @@ def added_columns() -> tuple[RegisteredPart, ...]:
     columns: dict[str, RegisteredPart] = {}
     for part in parts(ExtensionPoint.LEDGER_COLUMNS):
         if part.name in (*OWN_COLUMNS, *columns) or not _COLUMN.fullmatch(part.name):
-            warn(part, "its name is taken, or is no word of small letters, digits and underscores")
+            warn(
+                part,
+                "another column has its name, or it is no word of lower-case letters, digits and underscores",
+            )
         else:
             columns[part.name] = part
     return tuple(columns.values())

@@ -65,7 +65,7 @@ PLAN = KeyTable(
     keys=(
         Key("plan", _LINE, "its title", "mc-dropout beside a reaching hand", or_else=REQUIRED),
         Key("about", _TEXT, "why, intended use, assumptions", "an example", "nothing"),
-        Key("avoider", _LINE, "in place of what the spaces name", "mc-dropout", "what the spaces name"),
+        Key("avoider", _LINE, "in place of the spaces' avoider", "mc-dropout", "the spaces' avoider"),
         Key("controller", _LINE, "in place of an avoider", "stop when near", "the visual servo"),
         Key(
             "world",

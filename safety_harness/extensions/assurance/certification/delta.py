@@ -315,8 +315,8 @@ def _unasked(old: Evidence, new: Evidence) -> Iterator[tuple[tuple[str, str], st
         if now is not None:
             if now.standing is not ClaimStatus.SHOWN or spaces[0].get(key[1]) == spaces[1].get(key[1]):
                 continue
-            why = "its space is another"
-        yield key, f"{', '.join(key)}: {was.standing.value} before, not asked any more: {why}"
+            why = "its space changed"
+        yield key, f"{', '.join(key)}: {was.standing.value} before, and dropped since: {why}"
 
 
 def _loosened(old: Evidence, new: Evidence) -> Iterator[str]:
@@ -351,7 +351,7 @@ def _bounds(old: Evidence, new: Evidence, paired: Paired) -> Iterator[BoundChang
         if was == now:
             continue
         worse = better = False
-        how = "there is nothing to hold it against"
+        how = "a bound in one report only"
         if was and now and key in paired:
             low, high, confidence = paired[key]
             worse, better = low > 0.0, high < 0.0
@@ -361,7 +361,7 @@ def _bounds(old: Evidence, new: Evidence, paired: Paired) -> Iterator[BoundChang
             )
         elif was and now:
             worse, better = now.lower > was.upper, now.upper < was.lower
-            how = "other episodes: the two intervals are held against each other"
+            how = "other episodes: a comparison of the two intervals"
         yield BoundChange(*key, was, now, worse, better, how)
 
 
@@ -392,7 +392,7 @@ def _unrated(old: Evidence, new: Evidence) -> Iterator[str]:
     for name, was, now in both(earlier, later):
         if was and was.met and not (now and now.met and not new.plan.model_only):
             state = "not shown to be now" if now else "the hazard is not in the plan any more"
-            yield f"{name}: as rare as is asked before, {state}"
+            yield f"{name}: rare enough before, {state}"
 
 
 _QUOTED_OR_NUMBER = re.compile(r"('[^']*'|\"[^\"]*\")|(?<![\w.-])\d[\d,.]*(?![\w-])")

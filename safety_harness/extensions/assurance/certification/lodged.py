@@ -177,7 +177,7 @@ def declared_sha256(plan: Plan, file: Path | None) -> str:
             place=Place(file=path),
             expected="the plan, seed, avoider, targets and software that it declares",
             got="; ".join(changes),
-            hint="put them back, or move it away: the report says then that nothing was declared",
+            hint="restore them, or move it away: the report then states that it has no declaration",
         )
     return now.sha256
 
