@@ -123,7 +123,7 @@ APPROACHES = "approaches: {counted: 37, hours: 12, source: two shifts}"
         ),
         ("[crushed hand]", "[]", "claims[0].hazards", "a list of the plan's hazards"),
         (HAZARDS, HAZARDS + HAZARDS.removeprefix("hazards:\n"), "hazards[1].hazard", "no other hazard has"),
-        (HAZARDS, "", "risk graph", "hazards, for which it is walked"),
+        (HAZARDS, "", "risk graph", "hazards for the risk graph"),
         ("hours: 12", "hours: 0", "hazards[0].approaches.hours", "at least"),
         ("counted: 37", "counted: 3.5", "hazards[0].approaches.counted", "a whole number"),
         ("counted: 37, hours: 12", "hours: 12", "hazards[0].approaches", "counted"),

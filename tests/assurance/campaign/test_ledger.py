@@ -191,7 +191,7 @@ def test_a_change_since_is_named(tmp_path: Path, plan: Plan) -> None:
 
 def test_a_ledger_is_not_overwritten(tmp_path: Path, plan: Plan) -> None:
     path = filled(tmp_path, plan)
-    with pytest.raises(LedgerError, match="no file there yet"):
+    with pytest.raises(LedgerError, match="a path without a file"):
         Ledger.create(path, plan)
 
 

@@ -272,7 +272,7 @@ def test_nothing_at_all_can_be_altered_after_a_seal_was_lodged(report: Path, tou
     touch(report)
     assert f"the seal of this report is {write_anew(report)}" in faults(report, seal=lodged)
     where = report.with_name("report.seal.json")
-    assert "is another than was sealed" in faults(report, seal=str(where))
+    assert "changed after the seal" in faults(report, seal=str(where))
 
 
 def write_anew(report: Path) -> str:

@@ -273,7 +273,7 @@ FILES: dict[str, tuple[Touch, str]] = {
         "counterexample",
     ),
     "a pipe in the folder": (piped, "certificate is a link or a device"),
-    "a log beside the ledger": (put(f"{LEDGER}-wal"), "changes of the ledger that are not in it"),
+    "a log beside the ledger": (put(f"{LEDGER}-wal"), "changes that the ledger lacks"),
     "a plan in capitals": (put("plan/PLAN.yaml", b"plan: x"), "is no file of the ledger's plan"),
     "a field of the evidence that none has": (
         text_of("evidence.json", lambda text: text.replace("{", '{\n "approved": "by a test house",', 1)),

@@ -183,7 +183,7 @@ class Ledger:
     def refuse_other(
         self,
         identity: Identity,
-        hint: str = "put them back as they were, or begin another ledger (--out FOLDER)",
+        hint: str = "restore them, or begin another ledger (--out FOLDER)",
     ) -> None:
         """Refuse a plan that has changed since the ledger began.
 
@@ -211,7 +211,7 @@ class Ledger:
         there = {name: sha256 for name, sha256 in self.opened.items() if sha256}
         now = {name: sha256_of(plan.file.resolve().parent / name) for name in there}
         Identity(tuple(there.items())).refuse_other(
-            Identity(tuple(now.items())), self.path, hint="put it back as it was, or begin another ledger"
+            Identity(tuple(now.items())), self.path, hint="restore it, or begin another ledger"
         )
 
     @property

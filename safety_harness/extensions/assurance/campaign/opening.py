@@ -38,9 +38,9 @@ def refuse_no_ledger(path: Path) -> None:
     except OSError as error:
         raise unusable(path, "a ledger that can be read", error.strerror or str(error)) from error
     if len(header) < 100 or not header.startswith(_MAGIC):
-        raise unusable(path, "a ledger (an SQLite database)", "another file, or a part of one")
+        raise unusable(path, "a ledger (an SQLite database)", "another file, or a part of a ledger")
     if int.from_bytes(header[68:72], "big") != APPLICATION_ID and not _unfinished(path):
-        raise unusable(path, "a ledger", "an SQLite database of something else")
+        raise unusable(path, "a ledger", "another SQLite database")
     page = int.from_bytes(header[16:18], "big")
     page = 65536 if page == 1 else page
     pages = int.from_bytes(header[28:32], "big")
@@ -101,7 +101,7 @@ def _open(path: Path, mode: str) -> sqlite3.Connection:
 
 def _refuse_other_version(connection: sqlite3.Connection, path: Path) -> None:
     if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
-        raise unusable(path, "a ledger", "an SQLite database of something else")
+        raise unusable(path, "a ledger", "another SQLite database")
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version != VERSION:
         program = "a newer" if version > VERSION else "an older"
@@ -175,7 +175,7 @@ def only_runner(path: Path) -> Iterator[None]:
 def refuse_any_file(path: Path) -> None:
     """Raise LedgerError if there is a file at the path of a new ledger."""
     if path.exists():
-        raise unusable(path, "no file there yet", "one")
+        raise unusable(path, "a path without a file", "a file")
 
 
 COUNTS = (*OVERRULED_BY, "run", "theorem")  # of an episode, 0 if an older program did not note it

@@ -180,7 +180,7 @@ def _stored_references(plan: Plan) -> set[str]:
     return {portable(text, at) for text, at in references if Path(text).suffix}
 
 
-_PACKABLE = "references that a report can carry with it: relative paths"
+_PACKABLE = "references that a report can contain: relative paths"
 
 
 def read_plan(path: str | Path, edition: int = EDITION) -> Plan:

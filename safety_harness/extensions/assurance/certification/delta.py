@@ -152,7 +152,7 @@ class EarlierReport:
         hashes = read_manifest(folder)
         if faults := check_files(folder, hashes).faults:
             expected = "the folder of a report as certify wrote it"
-            hint = f"safety-harness verify {folder} looks at all of it"
+            hint = f"safety-harness verify {folder} checks all of it"
             raise InputError(place=Place(file=folder), expected=expected, got="; ".join(faults), hint=hint)
         evidence = read_evidence(folder / JSON)
         if evidence.interrupted:
@@ -445,7 +445,7 @@ def _carried(old: Evidence, new: Evidence, was: Identity, now: Identity) -> Iter
     """Yield whether the runs of each stratum, the proofs and the self-test carry over."""
     earlier = {item.name: item for item in old.strata}
     everywhere = [
-        f"the {name.replace('_', ' ')} is another"
+        f"the {name.replace('_', ' ')} changed"
         for name in ("seed", "world", "stop_early")
         if getattr(old.plan, name) != getattr(new.plan, name)
     ]
@@ -462,11 +462,11 @@ def _carried(old: Evidence, new: Evidence, was: Identity, now: Identity) -> Iter
         why += everywhere
         if (there := earlier[stratum.name].made) < stratum.planned:
             why.append(f"{there} runs are there")
-        same = "its space, the system, the software and the claims that were judged are the same"
+        same = "its space, the system, the software and the judged claims are the same"
         yield CarriedPart(part, not why, "; ".join(why) or same)
     if old.proven is not None:
         known = any(value == old.proven.network_sha256 for _, value in now.parts)
-        reason = "it is the same network, by its hash" if known else "the network is another"
+        reason = "it is the same network, by its hash" if known else "the network changed"
         yield CarriedPart("what was proven of the network", known, reason)
     if old.selftest is not None:
         known = old.selftest.present and old.provenance.source_hash == new.provenance.source_hash

@@ -207,7 +207,7 @@ class Seal(Lodged):
         """Yield each difference of ``now`` from this seal, in words."""
         for name, then in asdict(self).items():
             if then != getattr(now, name):
-                yield f"the {name} is another than was sealed"
+                yield f"the {name} changed after the seal"
 
 
 def seal_of(folder: Path, ledger: Ledger) -> Seal:

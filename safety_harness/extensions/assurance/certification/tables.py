@@ -54,8 +54,7 @@ def standards(evidence: Evidence) -> CellTable:
         )
 
     return table_of(
-        f"Status as last looked up in {STANDARDS.checked}. Terms, so that an assessor finds the way; no "
-        "statement of conformity.",
+        f"Status in {STANDARDS.checked}. The terms guide an assessor; they are no statement of conformity.",
         STANDARDS.standards,
         {
             "Document": lambda row: text_cell(row.name, note=row.about),
@@ -283,7 +282,7 @@ def rerun(known: Rerun) -> CellTable:
 def oracles(known: Credibility) -> CellTable:
     """Return the table of the parts that were checked against independent software, from ``known``."""
     return table_of(
-        "Parts checked against software that is not ours, with the largest disagreement seen "
+        "Parts checked against independent software, with the largest disagreement seen "
         f"({known.oracles_measured_with}).",
         known.oracles,
         {

@@ -90,7 +90,7 @@ def check_files(folder: Path, hashes: dict[str, str]) -> Examination:
     unseen = [path.relative_to(folder) for path in paths if path.name.startswith(".") and path.is_file()]
     log = folder / LOG
     if log.exists() and (not log.is_file() or log.stat().st_size > 0):
-        faults.append(f"{LOG}: changes of the ledger that are not in it")
+        faults.append(f"{LOG}: changes that the ledger lacks")
     mark = sha256_of(folder / MANIFEST)[:16]  # two people compare it to know that they have the same report
     text = f"{len(hashes)} files and their hashes, {MANIFEST} {mark}"
     hidden = [f"{name}: a hidden file, which verify does not read" for name in unseen]
@@ -119,7 +119,7 @@ def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:
     of_programs = {f"{OPENED}/{sha256}" for sha256 in ledger.opened.values()}
     opened = {name for name in names_in(folder) if name.startswith(f"{OPENED}/")}
     faults += [f"{name} was opened by no program" for name in sorted(opened - of_programs)]
-    faults += [f"{key}: the ledger says otherwise than its plan" for key in _contradictions(known, ledger)]
+    faults += [f"{key}: the ledger and its plan disagree" for key in _contradictions(known, ledger)]
     faults += _wrongly_stopped(known, ledger)
     notes = tuple(f"since the report: {change}" for change in changes if change not in own)
     if (edition := edition_of(ledger.declared.identity)) < EDITION:

@@ -419,12 +419,12 @@ def _files(report: ReportFolder) -> Iterator[str]:
     listed = {item.path: item.sha256 for item in recorded.files}
     sizes = {name: (folder / name).stat().st_size for name in listed if (folder / name).is_file()}
     if any(item.bytes != sizes.get(item.path) for item in recorded.files):
-        yield f"files: {JSON} lists other sizes than there are"
+        yield f"files: {JSON} lists wrong sizes"
     if listed != {name: digest for name, digest in report.hashes.items() if name not in MADE}:
-        yield f"files: {JSON} lists others than the manifest"
+        yield f"files: {JSON} and the manifest list different files"
     there = bytes_of(folder / JSON)
     if there != written(as_text(recorded) if report.same_words else rewritten(there)):
-        yield f"{JSON} has been edited: the same content is written otherwise"
+        yield f"{JSON} was edited: certify writes the same content in another form"
 
 
 def _origin_faults(origin: EvidenceProvenance) -> Iterator[str]:

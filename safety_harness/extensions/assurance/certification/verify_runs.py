@@ -86,8 +86,8 @@ class Drawing:
             return few(lines), ()
         needed = _needed(there, turns, self.miss)
         return few(lines), (
-            f"altered rows that turn a verdict are missed with a chance of up to {percent(missed)}; for "
-            f"{percent(self.miss)} it takes --runs {needed}, some {_span(needed * each_s)}",
+            f"altered rows that turn a verdict stay unseen with a chance of up to {percent(missed)}; for "
+            f"{percent(self.miss)} it needs --runs {needed}, some {_span(needed * each_s)}",
         )
 
 
@@ -176,7 +176,7 @@ class Compared:
             self.otherwise += 1
             if self.same:
                 part = "draws, decisions, cell or mishap" if counts != ours else "occasions or worst moment"
-                self.faults.append(f"{where}: its {part} come out otherwise")
+                self.faults.append(f"{where}: its {part} differ")
         pairs = [
             (claim.sentence, then[k].margin, now.margin)
             for k, (claim, now) in enumerate(zip(self.plan.claims, row.judgements, strict=True))
@@ -340,7 +340,7 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
             continue
         trace, count = example.run.trace, count + 1
         if is_executed(trace.scenario.under_test) and not programs:
-            unchecked.append(f"{example.shown.trace_file} is of a program, which is not executed")
+            unchecked.append(f"{example.shown.trace_file} is from a program, which verify does not execute")
             continue
         try:
             world = world_of_trace(trace.provenance.world)

@@ -160,9 +160,7 @@ def pilot_runs(
     result(*(f"WARN a run failed: {item}" for item in trial.failures))
     result(*(f"WARN {item}" for item in trial.remarks), *trial.slow_answers)
     result(basis([str(read.world)], ((item.tested, item.tried) for item in trial.forecasts)))
-    result(
-        f"{read.runs} runs: about {time_words(seconds)} with {cores} processes on this machine, alone on it"
-    )
+    result(f"{read.runs} runs: about {time_words(seconds)} with {cores} processes here, without other load")
     return AS_EXPECTED if trial.enough else DIFFERS
 
 
@@ -330,8 +328,8 @@ def query(
     sql: Annotated[
         str | None, Argument(help="A query in SQL on the views results and episodes.", metavar="SQL")
     ] = None,
-    claim: Annotated[str | None, Option(help="Only this claim; words of its sentence suffice.")] = None,
-    stratum: Annotated[str | None, Option(help="Only this stratum; words of its name suffice.")] = None,
+    claim: Annotated[str | None, Option(help="Only this claim; unique words of it suffice.")] = None,
+    stratum: Annotated[str | None, Option(help="Only this stratum; unique words of it suffice.")] = None,
     outcome: Annotated[str | None, Option(help="holds, violated, untested, inconclusive or failed.")] = None,
     below: Annotated[
         str | None, Option(help="Only margins below this, with its unit, such as '10 mm'.")
@@ -470,8 +468,7 @@ def compare(
         refuse_itself(old, new)
         refuse_incomparable(old, new)
         undecided = [
-            f"not comparable: {ledger.path} has no run of which it is known whether it violates {claim}, "
-            f"in {stratum}"
+            f"not comparable: {ledger.path} has no decided run of {claim}, in {stratum}"
             for ledger in (old, new)
             for stratum, claim in without_a_decided_run(ledger)
         ]

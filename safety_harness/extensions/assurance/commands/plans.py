@@ -40,7 +40,7 @@ def explain_plan(path: Path) -> int:
         needed = None if aim is None else runs_needed(aim)
         target = "no target: estimated only"
         if claim.target is not None:
-            target = f"violated in at most {percent(claim.target)}: takes {needed} tested runs of a stratum"
+            target = f"violated in at most {percent(claim.target)}: needs {needed} tested runs in a stratum"
         result(f"{claim.sentence}: {target}")
         for stratum in plan.strata:
             allowed = None if aim is None else allowed_violations(aim, stratum.runs)
@@ -110,7 +110,7 @@ def draft_plan(space: Path | None, file: Path | None) -> int:
     for item in claims:
         lines += [
             f"  - claim: {_scalar(item.sentence)}",
-            f"    violated in at most: {100 * TARGET:g} %  # yours, from the risk of the task",
+            f"    violated in at most: {100 * TARGET:g} %  # your target, from the risk of the task",
         ]
     with writing(path), path.open("x", encoding="utf-8") as stream:
         stream.write("\n".join(lines) + "\n")
