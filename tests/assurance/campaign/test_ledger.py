@@ -228,7 +228,7 @@ def test_what_is_no_ledger_is_refused(tmp_path: Path, plan: Plan) -> None:
         with closing(sqlite3.connect(path)) as connection:
             connection.execute(f"PRAGMA user_version = {version}")
     for path, words in (
-        (other, "something else"),
+        (other, "another SQLite database"),
         (text, "another file"),
         (tmp_path / "none", "no such file"),
         (tmp_path, "a folder"),

@@ -159,8 +159,8 @@ def both(first: Touch, part: str) -> Touch:
 
 SOURCE, NUMPY = "the source of this package", "the library numpy"
 SWAPPED = "UPDATE judgement SET {0} = {0} + 9", "UPDATE judgement SET {0} = 10 - {0}"
-PAGES = "evidence.html does not say"
-BADGES = "its verdicts are not those that follow"
+PAGES = "evidence.html and evidence.json disagree"
+BADGES = "its verdicts do not follow"
 TABLES = "expected a ledger's own tables"
 
 ROWS: dict[str, tuple[Touch, str]] = {
@@ -189,7 +189,7 @@ ROWS: dict[str, tuple[Touch, str]] = {
         ),
         "nearer, run 1: hand distance never below 150 mm",
     ),
-    "every cell of the coverage": (in_ledger("UPDATE episode SET cell = 6"), "cell or mishap come out"),
+    "every cell of the coverage": (in_ledger("UPDATE episode SET cell = 6"), "cell or mishap differ"),
     "an infinite margin": (judgement("margin = 9e999"), "a margin of +inf"),
     "a margin of minus infinity": (judgement("margin = -9e999"), "then, +105.3"),
     "no margin": (judgement("margin = NULL"), "then, +105.3"),
@@ -199,7 +199,7 @@ ROWS: dict[str, tuple[Touch, str]] = {
     "more decisions than there can be": (episode("decisions = 9223372036854775807"), "integer overflow"),
     "a proposal that was never overruled": (
         episode("overruled_replaced = overruled_replaced + 1, proposals = proposals + 1, opposite = 1"),
-        "cell or mishap come out",
+        "cell or mishap differ",
     ),
     "another reason of the gate": (episode("overruled_table = 1 - overruled_table"), "cell or mishap"),
     "a violation that was no run": (
@@ -210,7 +210,7 @@ ROWS: dict[str, tuple[Touch, str]] = {
         "failed then, violated now",
     ),
     "a violation that was no test": (judgement("outcome = 2", claim=0), "untested then, violated now"),
-    "a failure beside a verdict": (episode("failure = 'the engine broke'"), "cell or mishap come out"),
+    "a failure beside a verdict": (episode("failure = 'the engine broke'"), "cell or mishap differ"),
     "an end before the last violations": (
         in_ledger(
             "UPDATE stratum SET stopped_after = 4 WHERE id = 1",
@@ -286,11 +286,11 @@ FILES: dict[str, tuple[Touch, str]] = {
     "a negative count": (said(claims__0__outcomes__0__violated=-4), "outcomes[0].violated"),
     "a failure in an XML comment": (
         written("junit.xml", "(?s)<failure(.*?)/>", r"<!--<failure\1/>-->"),
-        "junit.xml does not say",
+        "junit.xml and evidence.json disagree",
     ),
     "a suite twice": (
         written("junit.xml", "</testsuites>", '<testsuite name="near" tests="99"/></testsuites>'),
-        "junit.xml does not say",
+        "junit.xml and evidence.json disagree",
     ),
     "another argument": (written("argument.gsn.yaml", r"\A", "# reviewed\n"), "argument.gsn.yaml does not"),
     "a claim as if declared": (said(record__declaration_sha256="f" * 64), "declaration_sha256"),

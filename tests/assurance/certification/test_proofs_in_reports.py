@@ -157,7 +157,7 @@ def test_it_stands_until_its_certificate_says_something_false(report: Path) -> N
 def test_nor_is_it_gone(report: Path) -> None:
     shutil.rmtree(report / FOLDER)
     write_manifest(report, stored_files(report))
-    assert any("says otherwise of what is proven" in line for line in faults(report))
+    assert any("disagree about the proven claims" in line for line in faults(report))
 
 
 def test_one_of_another_network_or_not_confirmed_is_refused(tmp_path: Path) -> None:

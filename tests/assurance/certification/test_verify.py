@@ -365,7 +365,7 @@ FILES: dict[str, tuple[Callable[[Path], None], str]] = {
     ),
     "the page": (
         shown("evidence.html", "It is no certificate", "It is a certificate"),
-        "evidence.html does not",
+        "evidence.html and evidence.json disagree",
     ),
 }
 

@@ -229,7 +229,7 @@ def _run_episodes(
         except SafetyHarnessError:
             raise
         except Exception as error:  # the runs count although the page failed
-            say(f"error: cannot write the page ({described(error)}); the ledger has all runs")
+            say(f"error: the page cannot be written ({described(error)}); the ledger has all runs")
             drawn = False
         tally, targets = state.tally, {claim.sentence: claim.target for claim in plan.claims}
         targeted = [(item, target) for item in state.bounds if (target := targets[item.claim]) is not None]
@@ -302,7 +302,7 @@ def status(
             with copied_plan_of(opened) as plan:
                 result(*tested_lines(plan))
         except InputError as error:
-            say(f"the tested system is unknown: {error}")
+            say(f"the tested system cannot be determined: {error}")
         _say_ledger(opened, html)
     return AS_EXPECTED
 
