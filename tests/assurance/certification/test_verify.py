@@ -115,10 +115,10 @@ def test_more_runs_than_some_minutes_take_are_made_only_when_asked_for() -> None
     turns = [Turn("a claim", "all", ClaimStatus.NOT_SHOWN, 1)]
     drawing = Drawing(runs=None, miss=0.01, seed=1)
     assert drawing.number(12_000, turns) == MOST_AGAIN
-    _, (left_open,) = drawing.told(12_000, MOST_AGAIN, turns, each_s=0.25)
+    _, (left_open,) = drawing.miss_chances(12_000, MOST_AGAIN, turns, each_s=0.25)
     assert "up to 91.7 %; for 1 % it needs --runs 11880, some 50 min" in left_open
     assert replace(drawing, runs=11_880).number(12_000, turns) == 11_880
-    assert drawing.told(12_000, 11_880, turns, each_s=0.25)[1] == ()
+    assert drawing.miss_chances(12_000, 11_880, turns, each_s=0.25)[1] == ()
 
 
 def test_altered_rows_are_drawn_as_often_as_it_says() -> None:
