@@ -29,7 +29,7 @@ def _check(path: Path, inspect: Callable[[Scenario], object]) -> CheckedFile:
     try:
         refuse_hopeless(plan)
     except StatisticsError as error:
-        say(f"warning: {error.place}: certify refuses it: {error.expected}, and not {error.got}")
+        say(f"warning: certify refuses {error.place}: expected {error.expected}, got {error.got}")
     for stratum in plan.strata:
         draw_admissible(stratum.space, seed=0, count=1)
         inspect(plan.with_avoider(stratum.space.simplest))

@@ -132,7 +132,7 @@ def test_a_sample_is_the_whole_stream_or_none(tmp_path: Path, plan: Plan) -> Non
         assert (sample.trials, sample.violations) == (30, 1)
         assert sample.declaration.plan_sha256 == plan.identity.sha256
         assert sample.declaration.model_only
-        with pytest.raises(KeyError, match="is none of"):
+        with pytest.raises(KeyError, match="is not in"):
             ledger.sample("far", plan.claims[0].sentence)
 
 
@@ -191,7 +191,7 @@ def test_a_change_since_is_named(tmp_path: Path, plan: Plan) -> None:
 
 def test_a_ledger_is_not_overwritten(tmp_path: Path, plan: Plan) -> None:
     path = filled(tmp_path, plan)
-    with pytest.raises(LedgerError, match="no file there yet"):
+    with pytest.raises(LedgerError, match="a path without a file"):
         Ledger.create(path, plan)
 
 
@@ -228,7 +228,7 @@ def test_what_is_no_ledger_is_refused(tmp_path: Path, plan: Plan) -> None:
         with closing(sqlite3.connect(path)) as connection:
             connection.execute(f"PRAGMA user_version = {version}")
     for path, words in (
-        (other, "something else"),
+        (other, "another SQLite database"),
         (text, "another file"),
         (tmp_path / "none", "no such file"),
         (tmp_path, "a folder"),
@@ -322,7 +322,7 @@ def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path: Path, plan: P
 def test_no_part_of_an_identity_is_named_twice() -> None:
     """Of two the later one would count, and whoever reads the text might look at the other."""
     twice = json.dumps([["Python", "3.11"], ["Python", "3.10"]])
-    with pytest.raises(ValueError, match="named twice"):
+    with pytest.raises(ValueError, match="occurs twice"):
         Identity.from_json(twice)
 
 

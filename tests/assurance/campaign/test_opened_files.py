@@ -138,7 +138,7 @@ def test_nothing_was_run_is_said_first_and_recorded_questions_are_asked_again(
         ledger.connection.execute("UPDATE session SET began = '2026-05-12T08:00:00+00:00'")
     before, said = path.read_bytes(), list[str]()
     assert run_missing(plan, path, processes(1), say=said.append)
-    assert said[0] == "nothing was run: all 4 episodes are of 12 May 2026"
+    assert said[0] == "no new runs: all 4 episodes are of 12 May 2026"
     assert "asked again of a second avoider" in said[1]
     assert "the same answers" in said[1]
     assert path.read_bytes() == before

@@ -75,7 +75,7 @@ def outcome(
         untested=untested,
         bound=None if none else bound(0.3 * violated / 3000, upper),
         standing=standing,
-        why="none of 3000 runs put it to the test" if none else f"{violated} of 2960 runs violated it",
+        why="not one of 3000 runs put it to the test" if none else f"{violated} of 2960 runs violated it",
         least_margin_si=None if none else -0.041 if violated else 0.012,
         margins_si=() if none else tuple(0.001 * (k * k / 20 - (40 if violated else -12)) for k in range(60)),
         shares=() if none else tuple((k + 1) ** 2 / 3600 for k in range(60)),

@@ -56,7 +56,7 @@ def test_an_earlier_report_stands(
     assert verify(report(revision), runs=0) == AS_EXPECTED
     said = capsys.readouterr().out
     assert "DIFF" not in said
-    assert "since it was made: the source of this package changed" in said
+    assert "since the report: the source of this package changed" in said
 
 
 @pytest.mark.parametrize("revision", REVISIONS)
@@ -90,7 +90,7 @@ def test_an_earlier_evidence_that_was_edited_does_not_stand(
     folder = report(REVISIONS[0])
     rewrite(folder, lambda text: text.replace('"violated": 0', '"violated":  0', 1))
     assert verify(folder, runs=0) == DIFFERS
-    assert "the same content is written otherwise" in capsys.readouterr().out
+    assert "certify writes the same content in another form" in capsys.readouterr().out
     rewrite(folder, lambda text: text.replace('"violated":  0', '"violated": 1', 1))
     assert verify(folder, runs=0) == DIFFERS
 
@@ -101,5 +101,6 @@ def test_one_that_cannot_be_read_says_what_to_do(report: Callable[[str], Path]) 
     with pytest.raises(InputError, match="overruling") as refused:
         read_evidence(folder / JSON)
     assert (
-        "verify it with that one, or certify anew the plan in the report's folder plan/" in refused.value.hint
+        "verify it with that version, or certify the plan in the report's folder plan/ anew"
+        in refused.value.hint
     )

@@ -159,8 +159,8 @@ def both(first: Touch, part: str) -> Touch:
 
 SOURCE, NUMPY = "the source of this package", "the library numpy"
 SWAPPED = "UPDATE judgement SET {0} = {0} + 9", "UPDATE judgement SET {0} = 10 - {0}"
-PAGES = "evidence.html does not say"
-BADGES = "its verdicts are not those that follow"
+PAGES = "evidence.html and evidence.json disagree"
+BADGES = "its verdicts do not follow"
 TABLES = "expected a ledger's own tables"
 
 ROWS: dict[str, tuple[Touch, str]] = {
@@ -189,7 +189,7 @@ ROWS: dict[str, tuple[Touch, str]] = {
         ),
         "nearer, run 1: hand distance never below 150 mm",
     ),
-    "every cell of the coverage": (in_ledger("UPDATE episode SET cell = 6"), "cell or mishap come out"),
+    "every cell of the coverage": (in_ledger("UPDATE episode SET cell = 6"), "cell or mishap differ"),
     "an infinite margin": (judgement("margin = 9e999"), "a margin of +inf"),
     "a margin of minus infinity": (judgement("margin = -9e999"), "then, +105.3"),
     "no margin": (judgement("margin = NULL"), "then, +105.3"),
@@ -199,7 +199,7 @@ ROWS: dict[str, tuple[Touch, str]] = {
     "more decisions than there can be": (episode("decisions = 9223372036854775807"), "integer overflow"),
     "a proposal that was never overruled": (
         episode("overruled_replaced = overruled_replaced + 1, proposals = proposals + 1, opposite = 1"),
-        "cell or mishap come out",
+        "cell or mishap differ",
     ),
     "another reason of the gate": (episode("overruled_table = 1 - overruled_table"), "cell or mishap"),
     "a violation that was no run": (
@@ -210,7 +210,7 @@ ROWS: dict[str, tuple[Touch, str]] = {
         "failed then, violated now",
     ),
     "a violation that was no test": (judgement("outcome = 2", claim=0), "untested then, violated now"),
-    "a failure beside a verdict": (episode("failure = 'the engine broke'"), "cell or mishap come out"),
+    "a failure beside a verdict": (episode("failure = 'the engine broke'"), "cell or mishap differ"),
     "an end before the last violations": (
         in_ledger(
             "UPDATE stratum SET stopped_after = 4 WHERE id = 1",
@@ -254,7 +254,7 @@ ROWS: dict[str, tuple[Touch, str]] = {
         schema("results", "THEN ''violated''", "THEN ''holds''"),
         TABLES,
     ),
-    "a part of the identity twice": (twice, "a part is named twice"),
+    "a part of the identity twice": (twice, "a part occurs twice"),
     "a trace of another system": (
         traced(lambda trace: replace(trace, system=Trace.system)),
         "another system under test",
@@ -273,7 +273,7 @@ FILES: dict[str, tuple[Touch, str]] = {
         "counterexample",
     ),
     "a pipe in the folder": (piped, "certificate is a link or a device"),
-    "a log beside the ledger": (put(f"{LEDGER}-wal"), "changes of the ledger that are not in it"),
+    "a log beside the ledger": (put(f"{LEDGER}-wal"), "changes that the ledger lacks"),
     "a plan in capitals": (put("plan/PLAN.yaml", b"plan: x"), "is no file of the ledger's plan"),
     "a field of the evidence that none has": (
         text_of("evidence.json", lambda text: text.replace("{", '{\n "approved": "by a test house",', 1)),
@@ -286,11 +286,11 @@ FILES: dict[str, tuple[Touch, str]] = {
     "a negative count": (said(claims__0__outcomes__0__violated=-4), "outcomes[0].violated"),
     "a failure in an XML comment": (
         written("junit.xml", "(?s)<failure(.*?)/>", r"<!--<failure\1/>-->"),
-        "junit.xml does not say",
+        "junit.xml and evidence.json disagree",
     ),
     "a suite twice": (
         written("junit.xml", "</testsuites>", '<testsuite name="near" tests="99"/></testsuites>'),
-        "junit.xml does not say",
+        "junit.xml and evidence.json disagree",
     ),
     "another argument": (written("argument.gsn.yaml", r"\A", "# reviewed\n"), "argument.gsn.yaml does not"),
     "a claim as if declared": (said(record__declaration_sha256="f" * 64), "declaration_sha256"),
@@ -352,9 +352,9 @@ def test_a_trick_is_a_fault_by_the_version_that_made_the_page(report: Path, tric
 
 
 OTHERS: dict[str, tuple[Touch, str]] = {
-    "compiled files": (made_by(files=(("engine.so", "0" * 64),)), "1 stored traces are not those"),
-    "a platform": (made_by(platform="a robot cell"), "1 stored traces are not those"),
-    "libraries": (made_by(libraries=(("numpy", "99.0"),)), "1 stored traces are not those"),
+    "compiled files": (made_by(files=(("engine.so", "0" * 64),)), "1 stored traces differ from"),
+    "a platform": (made_by(platform="a robot cell"), "1 stored traces differ from"),
+    "libraries": (made_by(libraries=(("numpy", "99.0"),)), "1 stored traces differ from"),
     "a hidden file": (put(".certificate.html"), ".certificate.html: a hidden file"),
     "a page among the findings": (put(f"{SEARCHED}/well.html"), "well.html: a file that no report has"),
     "a page in capitals": (put("Evidence.html"), "Evidence.html: a file that no report has"),
@@ -370,14 +370,14 @@ OTHERS: dict[str, tuple[Touch, str]] = {
     "findings, by another source": (both(said(findings=[]), SOURCE), "findings: 0 of them in the report"),
     "exclusions, by another source": (both(said(exclusions=["none"]), SOURCE), "exclusions"),
     "a separation, by another source": (both(said(separation__0__distance_m=2.0), SOURCE), "separation[0]"),
-    "emptied findings": (searched(counterexamples=[], distinct=[]), "what it found, or did not"),
+    "emptied findings": (searched(counterexamples=[], distinct=[]), "its result is as its files say"),
     "what the avoider answered again": (
         in_ledger("UPDATE repeated SET questions = 100000, asked = 100000"),
-        "what asking the avoider again came to",
+        "the answers of the avoider to repeated questions",
     ),
     "an approval beside the ledger's facts": (
         in_ledger("INSERT INTO about VALUES ('approved', 'by a test house')"),
-        "no lodged seal was given",
+        "a lodged seal is missing",
     ),
 }  # fmt: skip
 
@@ -394,7 +394,7 @@ def test_a_trick_is_shown_whatever_made_the_page(report: Path, trick: str) -> No
     both(TRICKS[trick], SOURCE)(report)
     found = list(verify(report, runs=0, seed=1))
     said_of_it = "\n".join(one for check in found for one in (*check.faults, *check.unchecked))
-    assert BADGES in said_of_it or "was made by other software, and says otherwise" in said_of_it
+    assert BADGES in said_of_it or "comes from other software, and differs" in said_of_it
 
 
 @pytest.mark.parametrize("tried", [1_000_000, -7])
@@ -431,7 +431,7 @@ def test_a_declaration_that_was_never_lodged_is_open(report: Path) -> None:
     said(record__declaration_sha256=sha256)(report)
     found = {check.name: check for check in verify(report, runs=0, seed=1, seal=sha256)}
     assert "the seal of this report is" in found["lodged"].faults[0]
-    assert "nothing proves that plan, seed and targets came first" in found["lodged"].unchecked[0]
+    assert "it would prove that plan, seed and targets came first" in found["lodged"].unchecked[0]
 
 
 def test_the_forgeries_are_at_least_thirty() -> None:

@@ -182,7 +182,8 @@ def test_why_names_the_kept_run_whose_hand_came_nearest_and_what_it_lacked(
     said = claims_of(plan, ledger, runs)[1].why
     ledger.close()
     assert (
-        "none of 20 runs put it to the test; in run 5, of 2 kept the one with the nearest hand, never" in said
+        "not one of 20 runs put it to the test; in run 5, which of 2 kept runs has the nearest hand, never"
+        in said
     )
     assert "exercised: the nearest predicted hand came to" in said
     assert "within 400 mm exercises it" in said

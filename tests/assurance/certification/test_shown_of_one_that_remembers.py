@@ -46,7 +46,7 @@ def reported(plan: Plan, report: Path) -> str:
 @pytest.mark.parametrize(
     ("program", "avoider", "forgery", "said"),
     [
-        (MINE, "Counts", "UPDATE repeated SET differing = 0, words = ''", "the ledger says nothing of that"),
+        (MINE, "Counts", "UPDATE repeated SET differing = 0, words = ''", "the ledger does not say so"),
         (
             RAISES,
             "Raises",

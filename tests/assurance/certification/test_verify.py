@@ -108,17 +108,17 @@ def test_it_says_how_few_rows_turn_a_verdict_and_repeats_as_many_as_its_chance_a
     assert "a chance of 6.25 %" in whole.notes[0]
     assert not whole.unchecked
     assert few.looked_at.startswith("2 of 16 runs made again")
-    assert "missed with a chance of up to 87.5 %; for 1 % it takes --runs 16" in few.unchecked[0]
+    assert "stay unseen with a chance of up to 87.5 %; for 1 % it needs --runs 16" in few.unchecked[0]
 
 
 def test_more_runs_than_some_minutes_take_are_made_only_when_asked_for() -> None:
     turns = [Turn("a claim", "all", ClaimStatus.NOT_SHOWN, 1)]
     drawing = Drawing(runs=None, miss=0.01, seed=1)
     assert drawing.number(12_000, turns) == MOST_AGAIN
-    _, (left_open,) = drawing.told(12_000, MOST_AGAIN, turns, each_s=0.25)
-    assert "up to 91.7 %; for 1 % it takes --runs 11880, some 50 min" in left_open
+    _, (left_open,) = drawing.miss_chances(12_000, MOST_AGAIN, turns, each_s=0.25)
+    assert "up to 91.7 %; for 1 % it needs --runs 11880, some 50 min" in left_open
     assert replace(drawing, runs=11_880).number(12_000, turns) == 11_880
-    assert drawing.told(12_000, 11_880, turns, each_s=0.25)[1] == ()
+    assert drawing.miss_chances(12_000, 11_880, turns, each_s=0.25)[1] == ()
 
 
 def test_altered_rows_are_drawn_as_often_as_it_says() -> None:
@@ -149,7 +149,7 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
     "words for a number": (("UPDATE judgement SET margin = 'much' WHERE episode = 2",), "of another kind"),
     "an outcome that is none": (
         ("UPDATE judgement SET outcome = 9 WHERE episode = 2",),
-        "outcomes that are none",
+        "unknown outcomes",
     ),
     "another file of the plan": (
         (
@@ -160,11 +160,11 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
     ),
     "a Python that made no trace": (
         (f"UPDATE about SET value = replace(value, '\"{platform.python_version()}\"', '\"3.0.0\"')",),
-        "its trace was made by other software, or in another world",
+        "its trace comes from other software, or from another world",
     ),
     "another seed": (
         ("UPDATE about SET value = replace(value, '\"seed\": 7', '\"seed\": 8') WHERE key = 'plan'",),
-        "seed: the ledger says otherwise than its plan",
+        "seed: the ledger and its plan disagree",
     ),
     "a plan that may stop early": (
         (
@@ -173,7 +173,7 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
             "DELETE FROM episode WHERE episode > 6",
             "DELETE FROM trace WHERE episode > 6",
         ),
-        "stop early: the ledger says otherwise than its plan",
+        "stop early: the ledger and its plan disagree",
     ),
     "a stratum that was stopped": (
         (
@@ -184,14 +184,17 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
         ),
         "near: stopped after 4 runs, which do not decide it",
     ),
-    "another target": (("UPDATE claim SET target = 0.4 WHERE id = 0",), "targets: the ledger says otherwise"),
+    "another target": (
+        ("UPDATE claim SET target = 0.4 WHERE id = 0",),
+        "targets: the ledger and its plan disagree",
+    ),
     "a view for a table": (
         ("ALTER TABLE session RENAME TO s", "CREATE VIEW session AS SELECT * FROM s"),
         "expected a ledger's own tables",
     ),
     "a trace that is gone": (
         ("DELETE FROM trace WHERE violation AND episode = (SELECT min(episode) FROM trace WHERE violation)",),
-        "its trace should have been kept, and is missing",
+        "the ledger lacks its trace, which the plan keeps",
     ),
     "a trace of another run": (
         (
@@ -214,7 +217,7 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
     "other seeds": (("UPDATE episode SET seed = seed + 1",), "its seed is not the plan's"),
     "other reasons of the gate": (
         ("UPDATE episode SET overruled_uncertain = overruled_uncertain + 1",),
-        "its draws, decisions, cell or mishap come out otherwise",
+        "its draws, decisions, cell or mishap differ",
     ),
     "proposals that were never made": (
         ("UPDATE episode SET proposals = proposals + 1",),
@@ -222,7 +225,7 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
     ),
     "fewer stops": (
         ("UPDATE episode SET opposite = opposite + 1, decisions = decisions + 1",),
-        "its draws, decisions, cell or mishap come out otherwise",
+        "its draws, decisions, cell or mishap differ",
     ),
 }
 
@@ -239,14 +242,14 @@ def test_a_ledger_that_was_touched_does_not_stand(
 def test_a_report_made_anew_from_a_ledger_without_a_trace_does_not_stand(report: Path) -> None:
     change(report, "DELETE FROM trace WHERE violation")
     write(report)
-    assert "its trace should have been kept, and is missing" in faults(report)
+    assert "the ledger lacks its trace, which the plan keeps" in faults(report)
 
 
 def test_outcomes_of_runs_without_a_trace_are_noticed_by_making_them_again(report: Path) -> None:
     kept = "SELECT 1 FROM trace t WHERE t.stratum = e.stratum AND t.episode = e.episode"
     change(report, f"UPDATE episode AS e SET cell = NULL WHERE NOT EXISTS ({kept})")
     write(report)
-    assert "its draws, decisions, cell or mishap come out otherwise" in faults(report, runs=16)
+    assert "its draws, decisions, cell or mishap differ" in faults(report, runs=16)
 
 
 def test_a_damaged_ledger_is_a_report_that_does_not_stand(report: Path) -> None:
@@ -274,10 +277,10 @@ def edited(report: Path, **parts: object) -> None:
         ({"strata": ()}, "strata: 0 of them"),
         ({"overruling": ()}, "overruling: 0 of them"),
         ({"interrupted": True}, "interrupted: True in the report"),
-        ({"files": ()}, "lists others than the manifest"),
+        ({"files": ()}, "and the manifest list different files"),
         ({"assumptions": ("none",)}, "assumptions: 1 of them"),
-        ({"provenance": "rm -rf ~"}, "a command to be copied that certify does not write"),
-        ({"provenance": "safety-harness verify x; rm -rf ~"}, "a command to be copied"),
+        ({"provenance": "rm -rf ~"}, "a command that certify does not write"),
+        ({"provenance": "safety-harness verify x; rm -rf ~"}, "has a command that certify does not write"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
@@ -350,7 +353,7 @@ FILES: dict[str, tuple[Callable[[Path], None], str]] = {
     "an empty manifest": (lambda report: with_manifest(report, {}), "evidence.html is not in the manifest"),
     "a file too many": (put("more.txt"), "more.txt is not in the manifest"),
     "a file too few": (lambda report: (report / "junit.xml").unlink(), "junit.xml is missing"),
-    "a log of changes": (put("ledger.sqlite-wal"), "changes of the ledger that are not in it"),
+    "a log of changes": (put("ledger.sqlite-wal"), "changes that the ledger lacks"),
     "another plan in the folder": (
         shown("plan/plan.yaml", "50 %", "1 %"),
         "plan/plan.yaml is not the ledger's",
@@ -358,11 +361,11 @@ FILES: dict[str, tuple[Callable[[Path], None], str]] = {
     "a file beside the plan": (beside_the_plan, "plan/more.yaml is no file of the ledger's plan"),
     "JUnit XML": (
         shown("junit.xml", "<failure", "<skipped"),
-        "junit.xml does not say what evidence.json says",
+        "junit.xml and evidence.json disagree",
     ),
     "the page": (
         shown("evidence.html", "It is no certificate", "It is a certificate"),
-        "evidence.html does not",
+        "evidence.html and evidence.json disagree",
     ),
 }
 

@@ -122,8 +122,8 @@ def test_why_episodes_failed_is_said_the_most_frequent_reason_first(
     tested, *lines = capsys.readouterr().out.splitlines()
     assert tested == "tested in near, nearer: avoider opposite pose"
     assert "near 10/10, 1 FAILED TO RUN; nearer 6/6, 6 FAILED TO RUN" in lines[1]
-    assert lines[2] == "  6 times: an error of the harness itself: ?[2J (first: nearer, episode 0)"
-    assert lines[3] == "  1 times: the avoider is gone (first: near, episode 0)"
+    assert lines[2] == "  6 times: an error of the harness itself: ?[2J (first in nearer, episode 0)"
+    assert lines[3] == "  1 times: the avoider is gone (first in near, episode 0)"
     assert resume(ledger.path) == DIFFERS
 
 
@@ -250,7 +250,7 @@ def test_margins_lost_and_violations_of_one_campaign_alone_are_counted_by_hand(
             )
     compare(*(tmp_path / name / "ledger.sqlite" for name in ("before", "after")))
     out = capsys.readouterr().out
-    lost = "margin lost by more than 10.0 mm: hand distance never below 150 mm: in 10 episodes"
+    lost = "margin lost by more than 10.0 mm, hand distance never below 150 mm: 10 episodes"
     assert f"{lost}, the most +200.0 mm -> +100.0 mm in near, episode 2" in out
     assert "keeps in 10 of 50 runs; the other way round in 10 (p = 1)" in out
 
@@ -412,7 +412,7 @@ def test_ctrl_c_keeps_every_finished_episode(folder: Path, tmp_path: Path, undis
     with Ledger.open(path) as ledger:
         complete = tally_of(ledger).complete
     assert process.returncode == (AS_EXPECTED if complete else INTERRUPTED)
-    assert "what is under way is finished" in err
+    assert "running episodes finish" in err
     assert "Traceback" not in err
     assert resume(path, workers=2) == AS_EXPECTED
     with Ledger.open(path) as ledger:

@@ -254,7 +254,7 @@ def test_what_is_declared_and_sealed_is_found_again_and_nothing_else(
     sealed = capsys.readouterr().out.strip()
     assert verify(out, runs=1, seed=1, execute_programs=False, seal=sealed, declared=declared) == AS_EXPECTED
     said = words(capsys)
-    assert "nothing in the report was altered since it was sealed" in said
+    assert "the report is unaltered since its seal" in said
     assert "plan, seed, avoider, targets and software are the declared ones" in said
     assert verify(out, runs=0, seed=1, execute_programs=False, seal=declared) == DIFFERS
     assert verify(out, runs=0, seed=1, execute_programs=False, declared=sealed) == DIFFERS

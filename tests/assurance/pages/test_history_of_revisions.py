@@ -43,7 +43,7 @@ def test_the_first_revision_that_turned_a_verdict_is_named_and_numbers_are_in_th
     assert [one.name for one in found.revisions] == ["r1", "r2", "r9", "r10"]
     (course,) = found.unlike
     assert course.turns == [("r9", "holds", "violated")]
-    assert found.sentence == "Of 1 claim over 4 revisions 1 turned, 1 to what is not expected."
+    assert found.sentence == "Result of 1 claim over 4 revisions: 1 turned, 1 to an unexpected verdict."
 
 
 def test_the_order_is_that_in_which_reports_were_made_and_not_that_of_names(tmp_path: Path) -> None:

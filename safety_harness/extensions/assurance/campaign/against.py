@@ -85,7 +85,7 @@ def against_lines(first: Ledger, second: Ledger) -> Iterator[str]:
             if count:
                 worst = f"{unit.margin_text(was)} -> {unit.margin_text(now)} in {stratum}, episode {episode}"
                 limit = unit.margin_text(tolerance).removeprefix("+")
-                yield f"margin lost by more than {limit}: {sentence}: in {count} episodes, the most {worst}"
+                yield f"margin lost by more than {limit}, {sentence}: {count} episodes, the worst {worst}"
         pairs = list(second.all(f"SELECT {_ONLY_ONE} {PAIRS} GROUP BY a.stratum, a.episode"))
     both = sum(a and b for a, b in pairs)
     alone = sum(a for a, _ in pairs) - both, sum(b for _, b in pairs) - both

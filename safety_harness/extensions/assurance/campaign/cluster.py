@@ -204,9 +204,7 @@ class DaskCrew:
         return Lost(task.chunk, why, times=0)
 
     def _gone(self) -> CampaignError:
-        return CampaignError(
-            f"the scheduler {self.address} is gone; what came from it before is in the ledger"
-        )
+        return CampaignError(f"the scheduler {self.address} is gone; the ledger has its earlier results")
 
     def _look_around(self, events: list[Event]) -> None:
         """Count the workers and look for hung tasks, every ``_LOOK_S`` seconds."""
@@ -276,7 +274,7 @@ def _address_in(file: Path) -> str:
     except FileNotFoundError:
         raise FileNotFoundError("no such file") from None
     except (KeyError, TypeError, UnicodeDecodeError, json.JSONDecodeError):
-        raise ValueError("a file that no scheduler has written") from None
+        raise ValueError("a file of another program") from None
     return str(address)
 
 

@@ -132,7 +132,7 @@ def question_of(
         named = zip(declared.claims, declared.units, strict=True)
         units = {unit for name, unit in named if claim is None or claim in name}
         if len(units) != 1:
-            expected = "--claim beside it, whose unit it has"
+            expected = "--claim too, for its unit"
             raise ScenarioError.of_option("--below", expected, "several claims")
         dimension = _DIMENSIONS.get(units.pop().name.lower().replace("_", " "), NUMBER)
         filters.append(("margin < ?", parse_quantity(below, dimension, Place(field="--below"))))

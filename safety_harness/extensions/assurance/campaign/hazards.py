@@ -51,7 +51,7 @@ def _one_of(*words: str) -> Text:
     return Text(words=listed, reads=lambda field: field.one_of({choice: choice for choice in words}))
 
 
-_SOURCE = _line("where the number is from")
+_SOURCE = _line("the source of the number")
 
 
 @declared
@@ -64,7 +64,7 @@ class CountedApproaches:
         "approaches that were counted",
         "37",
     )
-    hours: float = key("hours", QuantityValue(NUMBER, least=1e-3, most=1e6), "in so many hours", "12")
+    hours: float = key("hours", QuantityValue(NUMBER, least=1e-3, most=1e6), "in the observed hours", "12")
     source: str = key("source", _SOURCE, "who counted, where and when", "two shifts at the packing table")
     file: Path | None = None
 
@@ -86,10 +86,10 @@ class StatedApproaches:
     confidence: float = key(
         "confidence",
         QuantityValue(FRACTION, least=0.5, most=0.999999999),
-        "how sure that is; half of what the plan's confidence leaves may be missing, shared by all rates",
+        "its confidence; all rates share half of the error that the plan's confidence allows",
         "99 %",
     )
-    source: str = key("source", _SOURCE, "who states it, and on what grounds", "the line's cycle time")
+    source: str = key("source", _SOURCE, "the author of the bound, and the grounds", "the line's cycle time")
 
     def most_an_hour(self, chance: float) -> float:
         """Return the stated bound; ``read_hazards`` checked its confidence against this chance."""
@@ -106,11 +106,11 @@ Approaches = CountedApproaches | StatedApproaches
 
 def _fitted(field: Field) -> CountedApproaches:
     """Return the approaches of recorded hands: count and hours from the output of ``hands fit --json``."""
-    name = field.sentence("the JSON that hands fit --json printed")
+    name = field.sentence("the JSON output of hands fit --json")
     file = resolved((field.file.parent if field.file else Path()) / name)
     if not file.is_file():
         raise field.error(
-            "the JSON that hands fit --json printed, relative to the plan", got=f"no such file: {file}"
+            "the JSON output of hands fit --json, relative to the plan", got=f"no such file: {file}"
         )
     document: Any = read_json(file, "the JSON of hands fit --json")
     try:
@@ -118,11 +118,11 @@ def _fitted(field: Field) -> CountedApproaches:
         count, hours = fit["approaches"], fit["hours"]
         files = len(fit["recordings"])
     except (KeyError, TypeError):
-        raise field.error("the JSON that hands fit --json printed", got=f"{name}, which has no fit") from None
+        raise field.error("the JSON output of hands fit --json", got=f"{name}, which has no fit") from None
     whole = isinstance(count, int) and not isinstance(count, bool) and count >= 0
     if not whole or not isinstance(hours, int | float) or isinstance(hours, bool) or not hours > 0.0:
         got = f"{name}: {str(count)[:40]} in {str(hours)[:40]} h"
-        raise field.error("a number of approaches, in more than no hours", got=got)
+        raise field.error("a number of approaches, in more than 0 hours", got=got)
     source = f"hands fit of {files} file{'s' if files != 1 else ''}, {name}"
     return CountedApproaches(count=count, hours=float(hours), source=source, file=file)
 
@@ -132,7 +132,7 @@ class _FittedApproaches:
     approaches: CountedApproaches = key(
         "fitted",
         Text(words="file, relative to the plan", reads=_fitted),
-        "what `safety-harness hands fit --json` printed: its approaches and hours",
+        "the output of `safety-harness hands fit --json`: its approaches and hours",
         "hands.json",
     )
 
@@ -163,10 +163,12 @@ class Hazard:
     ``severity``, ``exposure`` and ``avoidance`` may be UNKNOWN.
     """
 
-    name: str = key("hazard", _line("a name"), "its name, by which claims call it", "crushed hand")
+    name: str = key("hazard", _line("a name"), "its name in claims", "crushed hand")
     task: str = key("task", _line("what people do there"), "what people do", "parts are taken from the table")
     zone: str = key("zone", _line("where"), "where", "above the table, within reach of the arm")
-    body_region: str = key("body region", _line("what of the body"), "what may be hurt", "hand and forearm")
+    body_region: str = key(
+        "body region", _line("a part of the body"), "the part that may be hurt", "hand and forearm"
+    )
     event: str = key(
         "initiating event",
         _line("what begins it"),
@@ -185,7 +187,7 @@ class Hazard:
     probability: str = key(
         "event probability",
         _one_of(NOT_LOW, LOW),
-        "of the hazardous event; where it is low, one level less is required",
+        "of the hazardous event; if it is low, the required level is one lower",
         "low",
         default=NOT_LOW,
     )
@@ -196,7 +198,7 @@ class Hazard:
     approaches: Approaches | None = key(
         "approaches",
         APPROACHES,
-        "how many approaches an hour there are; without it there is no bound an hour",
+        "approaches an hour; without them there is no hourly bound",
         "{counted: 37, hours: 12, source: two shifts at the packing table}",
         "unknown",
         default=None,
@@ -256,7 +258,7 @@ class PlannedHazards:
                         else "its severity, exposure and avoidance"
                     )
                     raise field.error(
-                        "a fraction, or derived from hazards that say all it takes",
+                        "a fraction, or derived from hazards with all needed keys",
                         got=f"{hazard.name!r} without {lacking}",
                     )
                 shares.append(rate / hazard.approaches.most_an_hour(self.error.of_each_rate))
@@ -273,7 +275,7 @@ def read_hazards(given: Fields, confidence: float) -> PlannedHazards:
     for item in items:
         hazard: Hazard = HAZARD.read(item)
         if any(hazard.name == earlier.name for earlier in hazards):
-            raise item.fields(HAZARD.names).required("hazard").error("a name that no other hazard has")
+            raise item.fields(HAZARD.names).required("hazard").error("a name for one hazard only")
         hazards.append(hazard)
     rates = sum(hazard.approaches is not None for hazard in hazards)
     error = SharedError(confidence, max(rates, 1))
@@ -285,8 +287,8 @@ def read_hazards(given: Fields, confidence: float) -> PlannedHazards:
                 item.fields(HAZARD.names).required("approaches").fields(("at most", "confidence", "source"))
             )
             raise place.required("confidence").error(
-                f"{least:.10g} % at least: half of what the plan's confidence leaves, shared by all rates"
+                f"{least:.10g} % or more: all rates share half of the error that the plan's confidence allows"
             )
     if graph and not hazards:
-        raise graph.error("hazards, for which it is walked", got="a risk graph alone")
+        raise graph.error("hazards for the risk graph", got="a risk graph alone")
     return PlannedHazards(tuple(hazards), read_graph(graph), error)

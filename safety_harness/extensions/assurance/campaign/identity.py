@@ -55,7 +55,7 @@ class Identity:
         """Return the identity in a stored text; ValueError or TypeError for other text or a repeated part."""
         parts = tuple((str(name), str(value)) for name, value in json.loads(text))
         if len(dict(parts)) < len(parts):
-            raise ValueError("a part is named twice")
+            raise ValueError("a part occurs twice")
         return cls(parts)
 
     @property
@@ -77,7 +77,7 @@ class Identity:
     def refuse_other(self, now: Identity, file: Path, *, where: str = "", hint: str = "") -> None:
         """Raise LedgerError, with the changes of ``file``, unless ``now`` is this identity."""
         if changes := self.changes(now):
-            expected = f"the plan, files and versions that it was begun with{where}"
+            expected = f"the plan, files and versions of its first run{where}"
             raise LedgerError(place=Place(file=file), expected=expected, got="; ".join(changes), hint=hint)
 
 

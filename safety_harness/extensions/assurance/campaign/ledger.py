@@ -189,7 +189,7 @@ class Ledger:
     def refuse_other(
         self,
         identity: Identity,
-        hint: str = "put them back as they were, or begin another ledger (--out FOLDER)",
+        hint: str = "restore them, or begin another ledger (--out FOLDER)",
     ) -> None:
         """Refuse a plan that has changed since the ledger began.
 
@@ -217,7 +217,7 @@ class Ledger:
         there = {name: sha256 for name, sha256 in self.opened.items() if sha256}
         now = {name: sha256_of(plan.file.resolve().parent / name) for name in there}
         Identity(tuple(there.items())).refuse_other(
-            Identity(tuple(now.items())), self.path, hint="put it back as it was, or begin another ledger"
+            Identity(tuple(now.items())), self.path, hint="restore it, or begin another ledger"
         )
 
     @property
@@ -258,12 +258,12 @@ class Ledger:
         for name, sha256 in sorted(files, key=itemgetter(1)):  # first the files that the module writes
             known = self.opened.get(name)
             if sha256 and known is None and self._is_newer(name):
-                raise unusable(self.path, f"{name} as it was when runs began", "one that is newer")
+                raise unusable(self.path, f"{name} as it was when runs began", "a newer file")
             if not sha256 or known is None:
                 self.connection.execute("INSERT OR REPLACE INTO opened VALUES (?, ?)", (name, sha256))
             elif known not in ("", sha256):
                 expected = f"{name} as earlier runs opened it"
-                raise unusable(self.path, expected, "other bytes: it was written while runs were made")
+                raise unusable(self.path, expected, "other bytes: it changed during the runs")
 
     def _is_newer(self, name: str) -> bool:
         """Return whether a file changed between the first session with runs and this session."""
@@ -600,7 +600,7 @@ class Ledger:
 
 def _place(names: tuple[str, ...], name: str) -> int:
     if name not in names:
-        raise KeyError(f"{name!r} is none of {', '.join(names)}")
+        raise KeyError(f"{name!r} is not in {', '.join(names)}")
     return names.index(name)
 
 
@@ -647,4 +647,4 @@ def _declared(connection: sqlite3.Connection, path: Path) -> Declared:
             targets=tuple(target for *_, target in claims),
         )
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise unusable(path, "a ledger with its plan", f"none that can be read ({error!r})") from error
+        raise unusable(path, "a ledger with its plan", f"an unreadable plan ({error!r})") from error

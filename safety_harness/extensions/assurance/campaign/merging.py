@@ -131,7 +131,7 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
     strata = [name for name in first.declared.strata if name in second.declared.strata]
     claims = [claim for claim in first.declared.claims if claim in second.declared.claims]
     if not strata or not claims:
-        raise unusable(second.path, "a stratum and a claim of the other ledger", "none")
+        raise unusable(second.path, "a stratum and a claim that both ledgers have", "none")
     pairs = [(stratum, claim) for stratum in strata for claim in claims]
     confidence = 1.0 - (1.0 - first.declared.confidence) / len(pairs)
     return tuple(compare(second.sample(*pair), first.sample(*pair), confidence) for pair in pairs)

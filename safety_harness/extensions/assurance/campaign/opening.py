@@ -38,9 +38,9 @@ def refuse_no_ledger(path: Path) -> None:
     except OSError as error:
         raise unusable(path, "a ledger that can be read", error.strerror or str(error)) from error
     if len(header) < 100 or not header.startswith(_MAGIC):
-        raise unusable(path, "a ledger (an SQLite database)", "another file, or a part of one")
+        raise unusable(path, "a ledger (an SQLite database)", "another file, or a part of a ledger")
     if int.from_bytes(header[68:72], "big") != APPLICATION_ID and not _unfinished(path):
-        raise unusable(path, "a ledger", "an SQLite database of something else")
+        raise unusable(path, "a ledger", "another SQLite database")
     page = int.from_bytes(header[16:18], "big")
     page = 65536 if page == 1 else page
     pages = int.from_bytes(header[28:32], "big")
@@ -101,7 +101,7 @@ def _open(path: Path, mode: str) -> sqlite3.Connection:
 
 def _refuse_other_version(connection: sqlite3.Connection, path: Path) -> None:
     if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
-        raise unusable(path, "a ledger", "an SQLite database of something else")
+        raise unusable(path, "a ledger", "another SQLite database")
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version != VERSION:
         program = "a newer" if version > VERSION else "an older"
@@ -141,9 +141,9 @@ def explained(path: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         text, code = str(error), getattr(error, "sqlite_errorcode", 0) & 0xFF
         if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
-            raise OutputError.of(path, OSError(f"{text}; what was committed before is kept")) from error
+            raise OutputError.of(path, OSError(f"{text}; the ledger keeps all committed episodes")) from error
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-            raise unusable(path, "a ledger that nobody else keeps locked", text) from error
+            raise unusable(path, "a ledger without the lock of another process", text) from error
         raise unusable(path, "a ledger, whole and readable", text) from error
     except UnicodeDecodeError as error:  # of a damaged schema, which SQLite's message quotes
         raise unusable(path, "a ledger, whole and readable", "text that is not UTF-8") from error
@@ -168,7 +168,7 @@ def only_runner(path: Path) -> Iterator[None]:
         except OSError as error:
             stream.seek(0)
             got = f"the process {stream.read().strip()}"
-            raise unusable(path, "a ledger that no other runner is at work on", got) from error
+            raise unusable(path, "a ledger without another runner", got) from error
         stream.truncate(0)
         stream.write(f"{os.getpid()}\n")
         stream.flush()
@@ -188,7 +188,7 @@ def remove_empty_log(path: Path) -> None:
 def refuse_any_file(path: Path) -> None:
     """Raise LedgerError if there is a file at the path of a new ledger."""
     if path.exists():
-        raise unusable(path, "no file there yet", "one")
+        raise unusable(path, "a path without a file", "a file")
 
 
 COUNTS = (*OVERRULED_BY, "run", "theorem")  # of an episode, 0 if an older program did not note it
@@ -282,7 +282,10 @@ def added_columns() -> tuple[RegisteredPart, ...]:
     columns: dict[str, RegisteredPart] = {}
     for part in parts(ExtensionPoint.LEDGER_COLUMNS):
         if part.name in (*OWN_COLUMNS, *columns) or not _COLUMN.fullmatch(part.name):
-            warn(part, "its name is taken, or is no word of small letters, digits and underscores")
+            warn(
+                part,
+                "another column has its name, or it is no word of lower-case letters, digits and underscores",
+            )
         else:
             columns[part.name] = part
     return tuple(columns.values())

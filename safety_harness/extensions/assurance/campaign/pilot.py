@@ -116,7 +116,7 @@ def forecast(plan: Plan, stratum: int, claim: int, *, tried: int, tested: int, b
     if not tested:
         most = upper_bound(0, tried, ALONE)
         least = runs_for_tested(needed, share=most, wanted=WANTED)
-        why = f"none of {tried} tests it: {least} runs at least, if {100 * most:.3g} % of them do"
+        why = f"untested in {tried} runs: it needs {least} runs or more, if {100 * most:.3g} % test it"
         return replace(unknown, needed=needed, why=why)
     runs = runs_for_tested(needed, share=tested / tried, wanted=WANTED)
     return replace(unknown, needed=needed, runs_needed=runs)

@@ -180,7 +180,7 @@ def _stored_references(plan: Plan) -> set[str]:
     return {portable(text, at) for text, at in references if Path(text).suffix}
 
 
-_PACKABLE = "references that a report can carry with it: relative paths"
+_PACKABLE = "references that a report can contain: relative paths"
 
 
 def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
@@ -313,7 +313,7 @@ def _strata(listed: Field, folder: Path, library: Library) -> tuple[Stratum, ...
         given = item.fields(STRATUM.names)
         name = given.required("stratum").sentence("a name")
         if any(stratum_number(name) == earlier.number for earlier in strata):
-            raise given.required("stratum").error("a name that no other stratum has")
+            raise given.required("stratum").error("a name for one stratum only")
         runs = given.required("runs").integer(least=1, most=MOST_RUNS)
         space = given.required("space")
         expected = "the file of a scenario space, relative to the plan"

@@ -28,7 +28,7 @@ STRATUM = _table(
     Key(
         "space", _LINE, "a scenario space, relative to the plan", "shipped:unseen-both.yaml", or_else=REQUIRED
     ),
-    Key("runs", _count(1), "independent draws of it that are run", "3000", or_else=REQUIRED),
+    Key("runs", _count(1), "number of independent runs in it", "3000", or_else=REQUIRED),
 )
 CLAIM = _table(
     "a claim",
@@ -36,7 +36,7 @@ CLAIM = _table(
     Key(
         "violated in at most",
         QuantityValue(FRACTION, least=LEAST_TARGET, or_word="derived"),
-        "the share of runs that test it and may violate it; derived: by the plan's hazards",
+        "the largest share of tested runs that may violate it; derived: from the plan's hazards",
         "1 %",
         or_else="only estimated",
     ),
@@ -65,7 +65,7 @@ PLAN = KeyTable(
     keys=(
         Key("plan", _LINE, "its title", "mc-dropout beside a reaching hand", or_else=REQUIRED),
         Key("about", _TEXT, "why, intended use, assumptions", "an example", "nothing"),
-        Key("avoider", _LINE, "in place of what the spaces name", "mc-dropout", "what the spaces name"),
+        Key("avoider", _LINE, "in place of the spaces' avoider", "mc-dropout", "the spaces' avoider"),
         Key("controller", _LINE, "in place of an avoider", "stop when near", "the visual servo"),
         Key(
             "world",
@@ -99,7 +99,7 @@ PLAN = KeyTable(
         Key(
             "stop early",
             Word(members=("yes", "no")),
-            "strata end once all of their claims are decided",
+            "a stratum ends when all its claims are decided",
             "yes",
             "no",
         ),

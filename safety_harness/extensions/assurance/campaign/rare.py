@@ -154,7 +154,7 @@ class _Draws:
 
     def _margin(self, run: Trace | Exception) -> float:
         if isinstance(run, Exception):
-            raise refusal("runs", "runs that are carried on to their end", described(run))
+            raise refusal("runs", "runs that reach their end", described(run))
         if broken := why_broken(run):
             raise refusal("runs", "whole runs", broken)
         self._watch.add(run)

@@ -109,7 +109,7 @@ OWN_GRAPH = KeyTable(
                 words=f"mapping of {', '.join(WAYS)}",
                 expected="the level of each of " + ", ".join(WAYS),
             ),
-            "which level each way leads to",
+            "the level of each path",
             "levels: {S1 F1 P1: low, S1 F1 P2: low, S1 F2 P1: low, S1 F2 P2: high, S2 F1 P1: high, "
             "S2 F1 P2: high, S2 F2 P1: high, S2 F2 P2: high}",
         ),
@@ -120,7 +120,7 @@ OWN_GRAPH = KeyTable(
                 words="mapping of levels to numbers",
                 expected="the violations an hour of each level",
             ),
-            "what each level asks: violations an hour, at most",
+            "the largest number of violations an hour for each level",
             "an hour: {low: 0.1, high: 0.001}",
         ),
     ),
@@ -142,7 +142,7 @@ def read_graph(field: Field | None) -> RiskGraph:
             raise value.error(f"one of {', '.join(WAYS)}", got=path, hint=near_miss(path, WAYS))
         levels[path] = value.sentence("a level")
         if levels[path] not in rates:
-            raise value.error(f'a level of which "an hour" says the rate: {", ".join(rates) or "none"}')
+            raise value.error(f'a level with a rate in "an hour": {", ".join(rates) or "none"}')
     if missing := [path for path in WAYS if path not in levels]:
         raise listed.error(f"a level for each of {', '.join(WAYS)}", got=f"none for {', '.join(missing)}")
     name = given.required("graph").sentence("the graph's name and edition")

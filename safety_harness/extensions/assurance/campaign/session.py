@@ -110,7 +110,7 @@ def _ask_again(plan: Plan, ledger: Ledger, say: Callable[[str], None]) -> None:
         "SELECT (SELECT count(*) FROM episode), min(began), max(began) FROM session"
     )
     days = dict.fromkeys(f"{datetime.fromisoformat(began):%-d %B %Y}" for began in ends if began)
-    say(f"nothing was run: all {count} episodes are of {' to '.join(days) or 'an unknown day'}")
+    say(f"no new runs: all {count} episodes are of {' to '.join(days) or 'an unknown day'}")
 
     def check() -> RepeatabilityResult:
         repeatability = Repeatability()

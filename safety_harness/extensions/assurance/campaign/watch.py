@@ -53,4 +53,4 @@ class AvoiderWatch:
             yield fallback
         again = self.repeatability.check()
         if again.problem:
-            yield f"{again.line}: none of these numbers holds"
+            yield f"{again.line}: all numbers here are invalid"

@@ -91,9 +91,9 @@ class Element:
 
 
 UNDEVELOPED = {
-    ElementKind.GOAL: "undeveloped: nothing supports it",
-    ElementKind.STRATEGY: "undeveloped: nothing supports it",
-    ElementKind.DEFEATER: "nothing was done about it",
+    ElementKind.GOAL: "undeveloped: without support",
+    ElementKind.STRATEGY: "undeveloped: without support",
+    ElementKind.DEFEATER: "without an answer",
 }
 
 
@@ -104,7 +104,7 @@ def argument_of(evidence: Evidence) -> Element:
     sure = f"{percent(plan.confidence)} for all {plan.bounds} bounds together, {plan.world}"
     by_hazard = Element(
         ElementKind.STRATEGY,
-        "By hazard, claim and stratum, with exact bounds from independent runs",
+        "Argument by hazard, claim and stratum, with exact bounds from independent runs",
         "results",
         beside=(Element(ElementKind.CONTEXT, sure, "plan"),),
         below=tuple(_hazards(evidence)),
@@ -114,7 +114,7 @@ def argument_of(evidence: Evidence) -> Element:
     stages = tuple(_stages(evidence)) if system.card or evidence.proven or (known and known.networks) else ()
     by_stage = Element(
         ElementKind.STRATEGY,
-        "By the stages of AMLAS, for the learned part",
+        "Argument by the stages of AMLAS, for the learned part",
         "system",
         below=stages,
         name="AMLAS",
@@ -123,7 +123,7 @@ def argument_of(evidence: Evidence) -> Element:
         by_stage = Element(ElementKind.GOAL, NOT_SUPERVISED, "learned", OPEN, name="AMLAS")
     top = Element(
         ElementKind.GOAL,
-        f"{system.tested} keeps the plan's claims in the declared domain, as often as it asks"
+        f"{system.tested} keeps the plan's claims in the declared domain, as often as it requires"
         + (f"; {evidence.fallback}" if evidence.fallback else ""),
         "claims",
         STATE[evidence.standing],
@@ -236,14 +236,14 @@ def _stratum(row: ClaimResult, place: str) -> Element:
     """Return the solution for a claim in one stratum."""
     bound = "" if row.bound is None else f", at most {at_most(row.bound.upper)}"
     text = (
-        f"{row.stratum}: {row.violated} of {row.tested} tested runs violate it{bound}: {row.standing.value}"
+        f"{row.stratum}: {row.violated} of {row.tested} tested runs violate it{bound}, {row.standing.value}"
     )
     return Element(ElementKind.SOLUTION, text, place, STATE[row.standing])
 
 
 NOT_SUPERVISED = (
-    "Not applicable, and open: AMLAS covers offline supervised learning. A policy that was learned by "
-    "reinforcement is argued by AMLAS-RL (arXiv 2507.08848), which this report does not do"
+    "Not applicable, and open: AMLAS covers offline supervised learning. AMLAS-RL (arXiv 2507.08848) covers "
+    "policies learned by reinforcement; this report does not apply it"
 )
 
 
@@ -262,22 +262,25 @@ def _stages(evidence: Evidence) -> Iterator[Element]:
         return [(f"{name}: {text}", "system", OPEN) for name, text in card.items() if name.startswith(begin)]
 
     stages: tuple[tuple[str, Solutions], ...] = (
-        ("scoping: where the learned part answers is stated", [("The strata of the plan", "strata", OPEN)]),
         (
-            "safety requirements: what is asked of it follows from the system's risk",
+            "scoping: the plan states where the learned part answers",
+            [("The strata of the plan", "strata", OPEN)],
+        ),
+        (
+            "safety requirements: they follow from the system's risk",
             [(risks, "rates", OPEN)] if evidence.hazards else [],
         ),
-        ("data: what it learned from is known", carded(DATA, "Seen hands") + stated),
-        ("learning: how it was made can be repeated", carded(LEARNING)),
+        ("data: the training data are known", carded(DATA, "Seen hands") + stated),
+        ("learning: the training can be repeated", carded(LEARNING)),
         (
-            "verification: it does what is asked",
+            "verification: the learned part meets its requirements",
             [
                 (runs, "results", STATE[evidence.standing]),
                 *([(f"{len(proven.claims)} claims about every question", "proven", OPEN)] if proven else []),
             ],
         ),
         (
-            "deployment: what was verified answers in the cell, and its service is watched",
+            "deployment: the verified part answers in the cell, under a monitor",
             list(_deployment(evidence)) if evidence.learned else [],
         ),
     )
@@ -291,21 +294,21 @@ def _stages(evidence: Evidence) -> Iterator[Element]:
 
 
 IN_THE_CELL = (
-    "Not covered here: the cell's controller loads this very file, somebody reads the monitor and acts, and "
-    "nobody trains it on"
+    "Not covered here: the cell's controller loads this very file, a person reads the monitor and acts, and "
+    "training has ended"
 )
 
 
 def _deployment(evidence: Evidence) -> Answers:
     """Yield how a changed network is noticed, and the outcome of each recorded cell."""
-    yield "Frozen and known by its hash: another network takes another report", "learned", OPEN
+    yield "Frozen and known by its hash: another network needs another report", "learned", OPEN
     for part in evidence.system.under_test:
         if part.gate is not None and "question" in part.gate.name:
             yield f"The gate takes no answer to other questions: {part.gate.name}", "system", OPEN
     cells = [
         (f"Came back: {fact[0]}", *fact[1:]) for fact in _credibility(evidence) if fact[1] == "recorded-cells"
     ]
-    yield from cells or [("No log of a cell came back: judge, monitor, certify --cell", "learned", DOUBT)]
+    yield from cells or [("The log of a cell is missing: judge, monitor, certify --cell", "learned", DOUBT)]
 
 
 Solutions = list[tuple[str, str, str]]  # text, place, state
@@ -381,7 +384,7 @@ def _altered(evidence: Evidence) -> Answers:
 DEFEATERS: tuple[tuple[str, str, str, Callable[[Evidence], Answers]], ...] = (
     ("simulator", "The simulator is not the cell", "credibility", _credibility),
     ("domain", "The cell leaves the strata", "coverage", _domain),
-    ("unmet", "Violations are left that no run met", "counterexamples", _hunt),
+    ("unmet", "Violations remain that no run met", "counterexamples", _hunt),
     ("judges", "The judges overlook a fault", "tools", _tools),
     ("certain", "The avoider is sure where it is wrong", "calibration", _calibration),
     ("fitted", "The plan was chosen after its runs", "plan", _declared),

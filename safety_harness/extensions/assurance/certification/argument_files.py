@@ -27,8 +27,8 @@ from safety_harness.scenario.nodes import parse_tree
 GSN, NOTES = "argument.gsn.yaml", "argument.yaml"
 MOST_LETTERS, MOST_BYTES = 2000, 2**20  # letters of a note, bytes of the file
 _ABOUT = """\
-# Yours to write: a note on any element of the argument. certify keeps it and shows it as a justification of
-# yours; it changes no verdict. Run certify again when you have written, for the report has this file's hash.
+# Write a note on any element of the argument here. certify keeps it and shows it as your justification; it
+# changes no verdict. Run certify again after each change, because the report has this file's hash.
 """
 _AGAINST = (ElementKind.DEFEATER, ElementKind.ANSWER)
 _BESIDE = (ElementKind.CONTEXT, ElementKind.ASSUMPTION, ElementKind.JUSTIFICATION)

@@ -129,7 +129,7 @@ class Certification:
             The evidence, and True if all declared runs and searches have finished.
 
         """
-        remark = "what is under way is finished and kept; Ctrl-C again drops it"
+        remark = "running episodes finish and count; Ctrl-C again drops them"
         with one_more_ctrl_c(output.say, remark) as interrupted, watch(self.plan, output) as show:
             path, crew = self.folder / LEDGER, processes(workers)
             complete = run_missing(
@@ -176,7 +176,7 @@ class Certification:
                 part = f"the search of {searched.stratum}"
                 made = guard.run(part, partial(self._searched, stratum.space.file, searched, output), None)
             except KeyboardInterrupt:
-                output.say("interrupted before anything was tried")
+                output.say("interrupted before the first run")
                 return False
             if made is None:
                 output.say(f"error: {guard.findings[-1].text}")
@@ -206,5 +206,5 @@ def refuse_shared_modules() -> None:
     """
     for module, packages in shared_modules().items():
         expected = "one installed package that owns it"
-        hint = "uninstall all of them, then install the one that is needed: they overwrite each other"
+        hint = "their files collide: uninstall all, then install the package that you need"
         raise InstallationError.of_option(f"the module {module}", expected, " and ".join(packages), hint)

@@ -128,9 +128,9 @@ def _circumstances(run: JudgedRun) -> tuple[str, ...]:
     try:
         lines = circumstances(run.trace)
     except InputError:
-        return ("where it lies relative to the training data is not known: its network is not there",)
+        return ("its place relative to the training data is unknown: its network is missing",)
     except Exception as error:  # a missing line is no reason to lose the report
-        return (f"where it lies relative to the training data is not known: {described(error)}",)
+        return (f"its place relative to the training data is unknown: {described(error)}",)
     more = len(lines) - MOST_LINES
     return tuple(lines[:MOST_LINES]) + ((f"and {more} more decisions",) if more > 0 else ())
 

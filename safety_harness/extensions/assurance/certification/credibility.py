@@ -46,13 +46,13 @@ def credibility_of(
         agreement = agreement_of()
     except OSError:
         agreement = None
-        absent.append("No measured agreement of the two worlds comes with this version.")
+        absent.append("This version lacks a measured agreement of the two worlds.")
     missing = (item for item in WORLDS if not item.is_installed)
-    absent += [f"{item} is not installed: no run was made again in it." for item in missing]
+    absent += [f"{item} is not installed: this report repeats no run in it." for item in missing]
     if not trials.oracles:
         absent.append(
-            "Disagreements with other software (kinematics, distances, filter, networks, formulas): no part "
-            "of this report: the package's own tests measure them."
+            "This report has no disagreements with other software (kinematics, distances, filter, networks, "
+            "formulas): the package's own tests measure them."
         )
     return Credibility(
         agreement=agreement,
@@ -87,9 +87,11 @@ def agreement_of() -> WorldAgreement:
 def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
     """Return the reason why no run is repeated here; an empty list if there is no such reason."""
     if not chosen:
-        return ["No declared random run was stored, so none was made again with other step sizes."]
+        return [
+            "The ledger stores no declared random run, so this report repeats no run with other step sizes."
+        ]
     if any(is_a_program(trace.scenario.under_test) for trace in chosen):
-        return ["Runs of a program of the user's are not made again here: verify does, when told to."]
+        return ["This report repeats no run of a user's program: verify --execute-programs does."]
     return []
 
 

@@ -152,7 +152,7 @@ class EarlierReport:
         hashes = read_manifest(folder)
         if faults := check_files(folder, hashes).faults:
             expected = "the folder of a report as certify wrote it"
-            hint = f"safety-harness verify {folder} looks at all of it"
+            hint = f"safety-harness verify {folder} checks all of it"
             raise InputError(place=Place(file=folder), expected=expected, got="; ".join(faults), hint=hint)
         evidence = read_evidence(folder / JSON)
         if evidence.interrupted:
@@ -315,8 +315,8 @@ def _unasked(old: Evidence, new: Evidence) -> Iterator[tuple[tuple[str, str], st
         if now is not None:
             if now.standing is not ClaimStatus.SHOWN or spaces[0].get(key[1]) == spaces[1].get(key[1]):
                 continue
-            why = "its space is another"
-        yield key, f"{', '.join(key)}: {was.standing.value} before, not asked any more: {why}"
+            why = "its space changed"
+        yield key, f"{', '.join(key)}: {was.standing.value} before, and dropped since: {why}"
 
 
 def _loosened(old: Evidence, new: Evidence) -> Iterator[str]:
@@ -351,7 +351,7 @@ def _bounds(old: Evidence, new: Evidence, paired: Paired) -> Iterator[BoundChang
         if was == now:
             continue
         worse = better = False
-        how = "there is nothing to hold it against"
+        how = "a bound in one report only"
         if was and now and key in paired:
             low, high, confidence = paired[key]
             worse, better = low > 0.0, high < 0.0
@@ -361,7 +361,7 @@ def _bounds(old: Evidence, new: Evidence, paired: Paired) -> Iterator[BoundChang
             )
         elif was and now:
             worse, better = now.lower > was.upper, now.upper < was.lower
-            how = "other episodes: the two intervals are held against each other"
+            how = "other episodes: a comparison of the two intervals"
         yield BoundChange(*key, was, now, worse, better, how)
 
 
@@ -392,7 +392,7 @@ def _unrated(old: Evidence, new: Evidence) -> Iterator[str]:
     for name, was, now in both(earlier, later):
         if was and was.met and not (now and now.met and not new.plan.model_only):
             state = "not shown to be now" if now else "the hazard is not in the plan any more"
-            yield f"{name}: as rare as is asked before, {state}"
+            yield f"{name}: rare enough before, {state}"
 
 
 _QUOTED_OR_NUMBER = re.compile(r"('[^']*'|\"[^\"]*\")|(?<![\w.-])\d[\d,.]*(?![\w-])")
@@ -445,7 +445,7 @@ def _carried(old: Evidence, new: Evidence, was: Identity, now: Identity) -> Iter
     """Yield whether the runs of each stratum, the proofs and the self-test carry over."""
     earlier = {item.name: item for item in old.strata}
     everywhere = [
-        f"the {name.replace('_', ' ')} is another"
+        f"the {name.replace('_', ' ')} changed"
         for name in ("seed", "world", "stop_early")
         if getattr(old.plan, name) != getattr(new.plan, name)
     ]
@@ -462,11 +462,11 @@ def _carried(old: Evidence, new: Evidence, was: Identity, now: Identity) -> Iter
         why += everywhere
         if (there := earlier[stratum.name].made) < stratum.planned:
             why.append(f"{there} runs are there")
-        same = "its space, the system, the software and the claims that were judged are the same"
+        same = "its space, the system, the software and the judged claims are the same"
         yield CarriedPart(part, not why, "; ".join(why) or same)
     if old.proven is not None:
         known = any(value == old.proven.network_sha256 for _, value in now.parts)
-        reason = "it is the same network, by its hash" if known else "the network is another"
+        reason = "it is the same network, by its hash" if known else "the network changed"
         yield CarriedPart("what was proven of the network", known, reason)
     if old.selftest is not None:
         known = old.selftest.present and old.provenance.source_hash == new.provenance.source_hash

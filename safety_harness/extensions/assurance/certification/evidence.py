@@ -606,8 +606,8 @@ def _as_now(document: dict[str, Any]) -> dict[str, Any]:
 
 
 OLDER = (
-    "if another version of this package wrote it: verify it with that one, or certify anew the plan in the "
-    "report's folder plan/"
+    "if another version of this package wrote it, verify it with that version, or certify the plan in the "
+    "report's folder plan/ anew"
 )
 _NOTED_THEN = {"avoider", "avoider_sha256", "robot", "robot_sha256"}
 

@@ -155,7 +155,7 @@ def separation_figure(cases: tuple[SeparationCase, ...]) -> str:
         axes.x.see([0.0, start])
     axes.x.show(0.0, axes.x.view()[1])
     axes.x.steps = 8
-    axes.x.label = "mm; the upright line is the distance that there was"
+    axes.x.label = "mm; the upright line is the actual distance"
     for symbol in dict.fromkeys(term.symbol for case in cases for term in case.terms if term.length_m > 0.0):
         axes.key(symbol.replace("_", ""), _term_ink(symbol))
     axes.legend()

@@ -123,7 +123,7 @@ def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> Non
             expected = f"{name} with the SHA-256 {sha256}, which its program opened"
             hint = f"put it at {places[1]}"
             raise InputError(
-                place=Place(file=report), expected=expected, got="another file or none", hint=hint
+                place=Place(file=report), expected=expected, got="no file, or another file", hint=hint
             )
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(packed, target)

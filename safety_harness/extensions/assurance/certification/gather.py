@@ -72,14 +72,18 @@ from safety_harness.trace.provenance import provenance
 
 NO_SYSTEM = SystemDescription(under_test=(), card=(), limits=(), gate=(), settings=(), changed=())
 NO_COVERAGE = CoverageOfRuns(runs=0, without_hand=0, cells=(), about="")
-NOT_BLAMED = WhoseFault(about="whose fault the violations are cannot be told", groups=(), would_help=())
+NOT_BLAMED = WhoseFault(about="the attribution of the violations failed", groups=(), would_help=())
 NOT_BELIEVED = Credibility(
-    agreement=None, reruns=(), oracles=(), oracles_measured_with="", absent=("it could not be told",)
+    agreement=None,
+    reruns=(),
+    oracles=(),
+    oracles_measured_with="",
+    absent=("the account of credibility failed",),
 )
 Explains = Callable[[Plan, Sequence[Example | str]], Iterable[Example | str]]
 NO_SELFTEST = (
-    "The harness was not put on trial for this report: no table of seeded faults was given (safety-harness "
-    "selftest writes one, certify --selftest FILE takes it in)."
+    "This report has no trial of the harness, which is a table of seeded faults (safety-harness selftest "
+    "writes it, certify --selftest FILE adds it)."
 )
 
 

@@ -177,7 +177,7 @@ def declared_sha256(plan: Plan, file: Path | None) -> str:
             place=Place(file=path),
             expected="the plan, seed, avoider, targets and software that it declares",
             got="; ".join(changes),
-            hint="put them back, or move it away: the report says then that nothing was declared",
+            hint="restore them, or move it away: the report then states that it has no declaration",
         )
     return now.sha256
 
@@ -207,7 +207,7 @@ class Seal(Lodged):
         """Yield each difference of ``now`` from this seal, in words."""
         for name, then in asdict(self).items():
             if then != getattr(now, name):
-                yield f"the {name} is another than was sealed"
+                yield f"the {name} changed after the seal"
 
 
 def seal_of(folder: Path, ledger: Ledger) -> Seal:

@@ -53,8 +53,8 @@ def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
 def verdicts(evidence: Evidence) -> CellTable:
     """Return the table of the first page: every claim with verdict, bound, number of tests, and hazard."""
     return table_of(
-        "The gravest claim first, over all strata of the plan: the largest upper bound, and the counts of "
-        "all strata together; each number leads to its rows. Performance level: none claimed.",
+        "All claims over all strata of the plan, the gravest first: the largest upper bound, and the counts "
+        "of all strata together. Each number leads to its rows. The report claims no performance level.",
         by_gravity(evidence.claims),
         {
             "Claim": lambda row: text_cell(
@@ -97,7 +97,7 @@ def _tested(claim: ClaimEvidence) -> TableCell:
 def hazards(evidence: Evidence) -> CellTable:
     """Return the table of the plan's hazards, with the risk graph's steps to the required rates."""
     return table_of(
-        "The plan's hazards in its author's words, and the steps from them to what is asked.",
+        "The plan's hazards in its author's words, and the steps from them to the required rates.",
         evidence.hazards,
         {
             "Hazard": lambda row: text_cell(row.name, note=row.event),
@@ -118,7 +118,7 @@ def rates(evidence: Evidence) -> CellTable:
     def verdict(row: tuple[HazardEvidence, HourlyBound]) -> TableCell:
         limit = row[0].asked_an_hour
         if limit is None:
-            return text_cell("nothing is asked")
+            return text_cell("no limit")
         if row[1].an_hour > limit:
             return TableCell(text="not shown", state="inconclusive")
         alone = ", in the model alone" if evidence.plan.model_only else ""
@@ -141,8 +141,8 @@ def rates(evidence: Evidence) -> CellTable:
             "Known from": lambda row: text_cell(row[0].approaches),
             "In a run": lambda row: text_cell(at_most(row[1].per_run), note=row[1].stratum),
             "An hour": lambda row: number(hourly(row[1].an_hour), row[1].an_hour),
-            "Asked": lambda row: asked_cell(row[0]),
-            "Against what is asked": verdict,
+            "Limit": lambda row: asked_cell(row[0]),
+            "Against the limit": verdict,
             "Beside PFH_D": lambda row: text_cell(band_of(row[1].an_hour)),
         },
     )
@@ -153,8 +153,8 @@ def results(evidence: Evidence) -> CellTable:
     known = confidence_alone(evidence)
     rows = [(row, k, part) for row in by_gravity(evidence.claims) for k, part in enumerate(row.outcomes)]
     return table_of(
-        "Trials are the runs that put the claim to the test. The upper bound counts runs without a "
-        "verdict and runs that could not be carried on as violations, the lower bound counts none of them."
+        "Trials are the runs that put the claim to the test. Runs without a verdict and runs that could not "
+        "be carried on count as violations in the upper bound only."
         + (f" Each interval holds with {known} confidence alone." if known else ""),
         rows,
         {
@@ -205,8 +205,8 @@ def quantiles(claim: ClaimEvidence) -> CellTable:
 def strata(evidence: Evidence) -> CellTable:
     """Return the table of the operational domain, part by part."""
     return table_of(
-        "Each run draws from its space with a seed of its own; draws that cannot be tried (a start "
-        "out of reach, ...) are drawn again and counted."
+        "Each run draws from its space with its own seed. A new draw replaces a draw that cannot run (such "
+        "as a start out of reach), and the table counts it."
         + "".join(f" {row[0].upper()}{row[1:]}." for row in evidence.shields),
         evidence.strata,
         {
@@ -229,10 +229,10 @@ def strata(evidence: Evidence) -> CellTable:
 def overruling(evidence: Evidence) -> CellTable:
     """Return the table of how often the gate overruled the avoider."""
     return table_of(
-        "What the gate overruled: of all proposals, and of the runs with a proposal those in which at least "
-        "one was overruled. A proposal may be overruled for several reasons. Each interval holds with 95 % "
-        "confidence alone, and is none of the bounds that hold together; its upper end counts runs that "
-        "could not be carried on as overruled, its lower end counts none of them.",
+        "Proposals that the gate overruled, and runs with at least one such proposal among the runs with a "
+        "proposal. The gate may have several reasons for a proposal. Each interval holds alone with 95 % "
+        "confidence, apart from the bounds that hold together. Runs that could not be carried on count as "
+        "overruled in its upper end only.",
         evidence.overruling,
         {
             "Stratum": lambda row: text_cell(row.stratum),

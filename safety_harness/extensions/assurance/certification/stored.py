@@ -77,10 +77,12 @@ def came_nearest(plan: Plan, stored: Sequence[Stored], stratum: int, claim: int)
     """
     mine = [run for run in stored if run.stratum == stratum]
     if not mine:
-        return "no run's trace was kept that says how near they came"
+        return "the ledger keeps no trace that shows how near the hands came"
     nearest = min(mine, key=lambda run: (np.nanmin(nearest_hand_m(run.trace), initial=np.inf), run.episode))
     evaluation = property_of(plan.claims[claim].claim, nearest.trace.scenario).evaluate(nearest.trace)
-    return f"in run {nearest.episode}, of {len(mine)} kept the one with the nearest hand, {evaluation.reason}"
+    return (
+        f"in run {nearest.episode}, which of {len(mine)} kept runs has the nearest hand, {evaluation.reason}"
+    )
 
 
 def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
@@ -177,9 +179,9 @@ def coverage_of(ledger: Ledger) -> CoverageOfRuns:
         runs=runs,
         without_hand=int(every) - runs,
         cells=cells,
-        about=f"All declared runs: {runs} of {every} had a hand and fall into {len(cells)} of 1,536 cells, "
-        "by the direction of the approach, the hand's speed, the least distance, whether hand and TCP were "
-        "where the training data are, and the outcome of the gravest decision. "
+        about=f"All declared runs: {runs} of {every} had a hand and fall into {len(cells)} of 1,536 cells. "
+        "The axes are direction of the approach, speed of the hand, least distance, outcome of the gravest "
+        "decision, and hand and TCP inside or outside of the training data. "
         "Many cells cannot be reached by any run.",
     )
 

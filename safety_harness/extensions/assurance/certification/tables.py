@@ -54,8 +54,7 @@ def standards(evidence: Evidence) -> CellTable:
         )
 
     return table_of(
-        f"Status as last looked up in {STANDARDS.checked}. Terms, so that an assessor finds the way; no "
-        "statement of conformity.",
+        f"Status in {STANDARDS.checked}. The terms guide an assessor; they are no statement of conformity.",
         STANDARDS.standards,
         {
             "Document": lambda row: text_cell(row.name, note=row.about),
@@ -74,12 +73,12 @@ def missing(_: Evidence) -> CellTable:
     rows = [(name, row) for name, row in _REQUIREMENTS if not row.here]
     return table_of(
         f"{len(rows)} of {len(_REQUIREMENTS)} points are not covered here. "
-        "The list has what could be sourced, no more.",
+        "The list has only points with a source.",
         rows,
         {
             "Document": lambda row: text_cell(row[0]),
             "Asks": lambda row: text_cell(row[1].asks),
-            "What would cover it": lambda row: text_cell(row[1].means),
+            "Needed to cover it": lambda row: text_cell(row[1].means),
         },
     )
 
@@ -107,7 +106,7 @@ def questions(_: Evidence) -> CellTable:
             "Question": lambda row: text_cell(row.asks),
             "Drawn from": lambda row: text_cell(STANDARDS[row.of].name),
             "Answered in": lambda row: text_cell(row.here or "not covered here", href=row.here),
-            "By what, or what would": lambda row: text_cell(row.means),
+            "Means, present or needed": lambda row: text_cell(row.means),
         },
     )
 
@@ -115,9 +114,9 @@ def questions(_: Evidence) -> CellTable:
 def training(evidence: Evidence) -> CellTable:
     """Return the table of the strata's distances from the network's training data."""
     return table_of(
-        "All runs with a hand, by whether hand and TCP were where the training data are at the gravest "
-        "decision; and of the hands in the decisions of the stored random runs how many were outside of the "
-        "box of hands seen in training, and how far.",
+        "All runs with a hand, by the place of hand and TCP at the gravest decision: in the training data or "
+        "outside. Then the decisions of the stored random runs: the share of hands outside of the box of "
+        "hands seen in training, and their distance from it.",
         () if evidence.learned is None else evidence.learned.strata,
         {"Stratum": lambda row: text_cell(row.stratum)}
         | {
@@ -164,9 +163,9 @@ def separation(evidence: Evidence) -> CellTable:
 def calibration(evidence: Evidence) -> CellTable:
     """Return the table of the verdicts on the avoider's intervals, by stratum."""
     return table_of(
-        "The first answered decision of each declared random run whose trace is stored; a verdict "
-        "takes a hundred of them. Each interval holds with 95 % confidence alone, and is none of the "
-        "bounds that hold together.",
+        "The first answered decision in every declared random run with a stored trace; a verdict needs "
+        "a hundred decisions. Each interval holds alone with 95 % confidence, apart from the bounds "
+        "that hold together.",
         evidence.calibration,
         {
             "Stratum": lambda row: text_cell(row.stratum),
@@ -187,11 +186,11 @@ def domain(evidence: Evidence) -> CellTable:
         (text_cell(group), text_cell(name), text_cell(where + ("tried" if runs else "untested")), count(runs))
         for group, name, runs, where in rows
     ]
-    never = text_cell("what no run simulates", href="not-shown")
+    never = text_cell("limits of the simulation", href="not-shown")
     return CellTable(
-        "In are the plan's strata. Below them is where their runs came to, by the axes of the map; to some "
-        "of what is untested no run can come. Out is what no run simulates.",
-        ("Of", "What", "Standing", "Runs"),
+        "The plan's strata are in. The rows below them count their runs by the axes of the map; no run can "
+        "reach some untested values. The last row is out, because no run simulates it.",
+        ("Group", "Part", "Standing", "Runs"),
         (*inside, (text_cell("simulation"), never, text_cell("out"), number(DASH))),
     )
 
@@ -199,7 +198,7 @@ def domain(evidence: Evidence) -> CellTable:
 def whose_fault(evidence: Evidence) -> CellTable:
     """Return the table of the single changes, each with the number of violations that it would avoid."""
     return table_of(
-        "What would have helped, changed alone",
+        "Single changes that would have helped",
         evidence.whose_fault.would_help,
         {"Change": lambda row: text_cell(row[0]), "Violations avoided": lambda row: count(row[1])},
     )
@@ -208,8 +207,8 @@ def whose_fault(evidence: Evidence) -> CellTable:
 def counterexamples(evidence: Evidence) -> CellTable:
     """Return the table of all counterexamples with their origin."""
     return table_of(
-        "Those of the declared runs are part of the bounds; those of the search are not, for it "
-        "looks where violations are.",
+        "The bounds include the counterexamples of the declared runs. They exclude the counterexamples of "
+        "the search, because it looks where violations are.",
         evidence.counterexamples,
         {
             "No.": lambda row: text_cell(str(row.number), href=f"counterexample-{row.number}"),
@@ -283,7 +282,7 @@ def rerun(known: Rerun) -> CellTable:
 def oracles(known: Credibility) -> CellTable:
     """Return the table of the parts that were checked against independent software, from ``known``."""
     return table_of(
-        "Parts checked against software that is not ours, with the largest disagreement seen "
+        "Parts checked against independent software, with the largest disagreement seen "
         f"({known.oracles_measured_with}).",
         known.oracles,
         {
@@ -299,7 +298,7 @@ def kills(test: SelfTest) -> CellTable:
     survived = TableCell(text="survived", state="violated")
     return table_of(
         f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "
-        f"caught{'' if test.whole else '; not every fault of the catalogue was tried'}.",
+        f"caught{'' if test.whole else '; the trial skipped some faults of the catalogue'}.",
         sorted(test.faults, key=lambda row: bool(row.caught_by)),
         {
             "Fault": lambda row: text_cell(row.name),

@@ -296,7 +296,7 @@ def _caught(fault: _Fault) -> CaughtFault:
         name=fault.fault or "",
         part=fault.part or "",
         hazard=fault.hazard or "",
-        caught_by=(fault.caught_by or "a claim that is not named") if caught else "",
+        caught_by=(fault.caught_by or "an unnamed claim") if caught else "",
         smallest=fault.slightest_caught or "",
         known_limit=fault.limit or "",
     )

@@ -65,10 +65,10 @@ def standing_of(
     if dependent:
         return ClaimStatus.NOT_SHOWN, dependent
     if runs < planned and not may_stop_early:
-        made = f"{runs} of {planned} declared runs were made"
+        made = f"{runs} of {planned} declared runs exist"
         return ClaimStatus.INCOMPLETE, f"{made}, so there is no bound yet"
     if tested == 0:
-        return ClaimStatus.UNTESTED, f"none of {runs} runs put it to the test"
+        return ClaimStatus.UNTESTED, f"not one of {runs} runs put it to the test"
     if bound is None:
         return ClaimStatus.INCOMPLETE, f"there is no bound: {problem}"
     counted = f"{violated} of {tested} tested runs violate it"

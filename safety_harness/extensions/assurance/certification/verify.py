@@ -51,13 +51,13 @@ from safety_harness.extensions.assurance.certification.verify_runs import (
 )
 
 NO_SEAL = (
-    "no lodged seal was given (--seal): a careful forger who makes all hashes anew may have altered rows, of "
-    "which only stored traces and runs made again tell, and what nothing but the report says: its times, "
-    "machine and command, what the search did, what asking the avoider "
-    "again came to, tables that were handed in"
+    "a lodged seal is missing (--seal): a careful forger may have altered rows and renewed all hashes, which "
+    "only stored traces and repeated runs reveal. Only the report states its times, machine and command. "
+    "It alone has the work of the search, the answers of the avoider to repeated questions, and the tables "
+    "of other commands"
 )
 NOT_DECLARED = (
-    "no lodged declaration was given (--declared): nothing proves that plan, seed and targets came first"
+    "a lodged declaration is missing (--declared): it would prove that plan, seed and targets came first"
 )
 _HASH = re.compile(r"[0-9a-f]{64}")
 
@@ -94,7 +94,7 @@ def check_lodged(
         unchecked.append(NO_SEAL)
     else:
         faults += _differs(seal, seal_of(report.folder, report.ledger), read_seal, "seal")
-        notes.append("nothing in the report was altered since it was sealed")
+        notes.append("the report is unaltered since its seal")
     if declared is None:
         unchecked.append(NOT_DECLARED)
     else:
@@ -102,10 +102,10 @@ def check_lodged(
         faults += _differs(declared, now, read_declaration, "declaration")
         notes.append(
             "plan, seed, avoider, targets and software are the declared ones; its runs began on "
-            f"{report.recorded.provenance.began_at}: the declaration has to have been lodged before"
+            f"{report.recorded.provenance.began_at}: the declaration must have been lodged before"
         )
     root = report.recorded.record.rows_sha256
-    text = f"the root over all rows, {root[:16]}, and what was lodged elsewhere"
+    text = f"the root over all rows, {root[:16]}, and the hashes that were lodged elsewhere"
     return Examination("lodged", text, few(faults), () if faults else tuple(notes), tuple(unchecked))
 
 
@@ -113,7 +113,7 @@ def _differs(lodged: str | Path, now: L, read: Callable[[Path], L], kind: str) -
     """Return the differences from a lodged hash or file, in words; only a file shows which part differs."""
     if isinstance(lodged, Path):
         return list(read(lodged).changes(now))
-    return [] if lodged == now.sha256 else [f"the {kind} of this report is {now.sha256}, not what was lodged"]
+    return [] if lodged == now.sha256 else [f"the {kind} of this report is {now.sha256}, not the lodged hash"]
 
 
 MISS = 0.01  # the default of --miss
@@ -182,7 +182,7 @@ def verify(
         own = check_plan(folder, plan, ledger)
         yield own
         if not own.stands:
-            yield Examination("rest", "nothing that follows from the plan", unchecked=(_REST,))
+            yield Examination("rest", "no content that follows from the plan", unchecked=(_REST,))
             return
         report = ReportFolder(folder, hashes, recorded, plan, ledger)
         drawing = Drawing(runs=runs, miss=miss, seed=seed, programs=execute_programs, on_progress=on_progress)
@@ -230,7 +230,7 @@ def _refuse_to_execute(plan: Plan, runs: int | None, execute_programs: bool) -> 
     if programs and runs != 0 and not execute_programs:
         raise InputError(
             place=Place(file=plan.file, field="avoider"),
-            expected="--execute-programs, since making runs again executes the program in the report",
+            expected="--execute-programs, since repeated runs execute the program in the report",
             got=programs[0],
-            hint="or --runs 0, which makes none again",
+            hint="or --runs 0, which repeats no run",
         )

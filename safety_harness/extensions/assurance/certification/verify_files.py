@@ -90,10 +90,10 @@ def check_files(folder: Path, hashes: dict[str, str]) -> Examination:
     unseen = [path.relative_to(folder) for path in paths if path.name.startswith(".") and path.is_file()]
     log = folder / LOG
     if log.exists() and (not log.is_file() or log.stat().st_size > 0):
-        faults.append(f"{LOG}: changes of the ledger that are not in it")
+        faults.append(f"{LOG}: changes that the ledger lacks")
     mark = sha256_of(folder / MANIFEST)[:16]  # two people compare it to know that they have the same report
     text = f"{len(hashes)} files and their hashes, {MANIFEST} {mark}"
-    hidden = [f"{name}: a hidden file, which nothing here has looked into" for name in unseen]
+    hidden = [f"{name}: a hidden file, which verify does not read" for name in unseen]
     return Examination("files", text, few(faults), unchecked=few(hidden))
 
 
@@ -119,12 +119,12 @@ def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:
     of_programs = {f"{OPENED}/{sha256}" for sha256 in ledger.opened.values()}
     opened = {name for name in names_in(folder) if name.startswith(f"{OPENED}/")}
     faults += [f"{name} was opened by no program" for name in sorted(opened - of_programs)]
-    faults += [f"{key}: the ledger says otherwise than its plan" for key in _contradictions(known, ledger)]
+    faults += [f"{key}: the ledger and its plan disagree" for key in _contradictions(known, ledger)]
     faults += _wrongly_stopped(known, ledger)
-    notes = tuple(f"since it was made: {change}" for change in changes if change not in own)
+    notes = tuple(f"since the report: {change}" for change in changes if change not in own)
     if (edition := edition_of(ledger.declared.identity)) < EDITION:
         note = (
-            f"its claims are read in edition {edition}: hands come at {WALKING_MPS:g} m/s where none is named"
+            f"its claims have edition {edition}: a hand without a stated speed comes at {WALKING_MPS:g} m/s"
         )
         notes += (note,)
         if not any(change.startswith("the source of this package") for change in changes):
@@ -290,7 +290,7 @@ _ODD = {
     "OR seconds NOT BETWEEN 0 AND 1e12",
     "traces of runs that were never drawn": "SELECT count(*) FROM trace t JOIN episode e "
     "ON e.stratum = t.stratum AND e.episode = t.episode WHERE e.draws < 1",
-    "outcomes that are none": "SELECT count(*) FROM judgement WHERE outcome NOT BETWEEN 0 AND "
+    "unknown outcomes": "SELECT count(*) FROM judgement WHERE outcome NOT BETWEEN 0 AND "
     f"{int(max(EpisodeOutcome))}",
     "failures without a reason": "SELECT count(*) FROM judgement j JOIN episode e ON e.stratum = j.stratum "
     f"AND e.episode = j.episode WHERE j.outcome = {int(EpisodeOutcome.FAILED)} AND e.failure IS NULL",
@@ -313,7 +313,7 @@ def kept(known: Plan, ledger: Ledger) -> Iterator[str]:
         random = random_episodes(known, place) & made.keys()
         for episode in sorted({*first, *(item for item in random if (place, item) not in failed)}):
             if (place, episode) not in traces:
-                yield f"{stratum.name}, run {episode}: its trace should have been kept, and is missing"
+                yield f"{stratum.name}, run {episode}: the ledger lacks its trace, which the plan keeps"
         for episode, seed in made.items():
             if seed != root_seed(known, place, episode):
                 yield f"{stratum.name}, run {episode}: its seed is not the plan's"

@@ -104,20 +104,20 @@ def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination
     junit, own = bytes_of(folder / JUNIT), written(junit_xml(recorded))
     if junit != own:  # a rule derives the passing claims from the evidence in every version
         same = not report.same_words and passed_in(junit) == passed_in(own)
-        (unchecked if same else faults).append(f"{JUNIT} does not say what {JSON} says")
+        (unchecked if same else faults).append(f"{JUNIT} and {JSON} disagree")
     for name, text in argument_texts(recorded).items():
         file = folder / name
         absent = not file.is_file() and not report.same_words  # earlier versions did not write it
         if not absent and not (file.is_file() and bytes_of(file) == written(text)):
-            (faults if report.same_words else unchecked).append(f"{name} does not say what {JSON} says")
+            (faults if report.same_words else unchecked).append(f"{name} and {JSON} disagree")
     there, made = bytes_of(folder / PAGE), written(render(recorded, gathered.runs))
     differs = differences(there, made)
     if verdicts_in(there) != verdicts_in(made):
-        faults.append(f"{PAGE}: its verdicts are not those that follow from {JSON}")
+        faults.append(f"{PAGE}: its verdicts do not follow from {JSON}")
     if differs and report.same_words:
-        faults += [f"{PAGE} does not say what {JSON} says: {line}" for line in differs]
+        faults += [f"{PAGE} and {JSON} disagree: {line}" for line in differs]
     elif differs:
-        unchecked += [f"{PAGE} was made by other software, and says otherwise: {line}" for line in differs]
+        unchecked += [f"{PAGE} comes from other software, and differs: {line}" for line in differs]
     elif there != made:
         notes.append(f"{PAGE}: lines of its plots are up to {TOLERANCE_PX} px from where they are drawn here")
     if (folder / PDF).exists():
@@ -206,7 +206,7 @@ def _without_style(there: bytes, made: bytes) -> tuple[tuple[str, ...], bytes]:
     theirs, ours = _styled(there), _styled(made)
     if theirs is None or ours is None or theirs[0] != ours[0] or theirs[1] == ours[1]:
         return (), there
-    remark = "its style sheet is another, and so is what it hides or adds: not compared"
+    remark = "its style sheet differs, and may hide or add text: not compared"
     return (remark,), theirs[0] + ours[1] + theirs[2]
 
 
@@ -312,21 +312,17 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         (doubts if minor else faults).append(f"{place}: {_short(was)} in the report, {_short(new)} comes out")
     faults += _files(report)
     faults += _origin_faults(recorded.provenance)
-    text = (
-        f"{len(recorded.claims)} claims, with counts, bounds and verdicts, and all that is shown beside them"
-    )
+    text = f"{len(recorded.claims)} claims, with counts, bounds and verdicts, and the tables beside them"
     unchecked = (
-        []
-        if again
-        else ["the runs by which the simulator is doubted, or a fault is attributed, were not made again"]
+        [] if again else ["verify did not repeat the runs that test the simulator or attribute a fault"]
     )
     if not report.same_words:
         unchecked.append("the agreement of the worlds is as the report says: another version measured it")
     if recorded.plan.search_runs:
-        unchecked.append("the search was not made again: what it found, or did not, is what its files say")
+        unchecked.append("verify did not repeat the search: its result is as its files say")
     if recorded.selftest or then.oracles or then.cells:
         unchecked.append(
-            "the trial of the harness, the table of oracles and recorded cells are as their files said"
+            "the trial of the harness, the table of oracles and recorded cells are as their files say"
         )
     unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, report.hashes)]
     unchecked += few([f"{line}: other software, or it was altered" for line in doubts])
@@ -356,13 +352,13 @@ def check_proof(report: ReportFolder) -> Examination | None:
     if recorded is None and now is None and not faults:
         return None
     if not faults and plain(recorded) != plain(now):
-        faults.append(f"{JSON} says otherwise of what is proven than the certificate")
+        faults.append(f"{JSON} and the certificate disagree about the proven claims")
     if now is not None:
         own = {sha256(data).hexdigest() for data in networks_of(report.plan)}
         if now.network_sha256 not in own:
-            fault = "the network of the certificate is not that of the plan's avoider"
+            fault = "the network of the certificate is not the network of the plan's avoider"
             (faults if report.same else unchecked).append(fault)
-    text = "the certificate about the network, bounded anew with code that shares none with the prover"
+    text = "the certificate about the network, bounded anew by code that is independent of the prover"
     return Examination("proof", text, few(faults), unchecked=tuple(unchecked))
 
 
@@ -423,25 +419,25 @@ def _files(report: ReportFolder) -> Iterator[str]:
     listed = {item.path: item.sha256 for item in recorded.files}
     sizes = {name: (folder / name).stat().st_size for name in listed if (folder / name).is_file()}
     if any(item.bytes != sizes.get(item.path) for item in recorded.files):
-        yield f"files: {JSON} lists other sizes than there are"
+        yield f"files: {JSON} lists wrong sizes"
     if listed != {name: digest for name, digest in report.hashes.items() if name not in MADE}:
-        yield f"files: {JSON} lists others than the manifest"
+        yield f"files: {JSON} and the manifest list different files"
     there = bytes_of(folder / JSON)
     if there != written(as_text(recorded) if report.same_words else rewritten(there)):
-        yield f"{JSON} has been edited: the same content is written otherwise"
+        yield f"{JSON} was edited: certify writes the same content in another form"
 
 
 def _origin_faults(origin: EvidenceProvenance) -> Iterator[str]:
     """Yield faults in the statements that only the maker knows: they must at least have certify's form."""
     for command in (origin.command, *origin.commands):
         if not _is_ours(command):
-            yield f"provenance: a command to be copied that certify does not write: {command[:80]}"
+            yield f"provenance has a command that certify does not write: {command[:80]}"
             return
     again, *rest = [shlex.split(command)[1:] for command in origin.commands] or [[]]
     name = rest[0][-1] if rest else ""
     expected = [["verify", name], ["campaign", "status", f"{name}/{LEDGER}"]]
     if origin.commands[:1] != (origin.command,) or again[:1] != ["certify"] or rest != expected:
-        yield f"provenance: commands that certify does not write: {'; '.join(origin.commands)[:200]}"
+        yield f"provenance has commands that certify does not write: {'; '.join(origin.commands)[:200]}"
     try:
         ended = datetime.strptime(origin.ended_at, "%d %B %Y, %H:%M UTC")
         early = origin.began_at and ended < datetime.strptime(origin.began_at, "%d %B %Y, %H:%M UTC")

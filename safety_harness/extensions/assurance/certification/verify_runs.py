@@ -86,8 +86,8 @@ class Drawing:
             return few(lines), ()
         needed = _needed(there, turns, self.miss)
         return few(lines), (
-            f"altered rows that turn a verdict are missed with a chance of up to {percent(missed)}; for "
-            f"{percent(self.miss)} it takes --runs {needed}, some {_span(needed * each_s)}",
+            f"altered rows that turn a verdict stay unseen with a chance of up to {percent(missed)}; for "
+            f"{percent(self.miss)} it needs --runs {needed}, some {_span(needed * each_s)}",
         )
 
 
@@ -176,7 +176,7 @@ class Compared:
             self.otherwise += 1
             if self.same:
                 part = "draws, decisions, cell or mishap" if counts != ours else "occasions or worst moment"
-                self.faults.append(f"{where}: its {part} come out otherwise")
+                self.faults.append(f"{where}: its {part} differ")
         pairs = [
             (claim.sentence, then[k].margin, now.margin)
             for k, (claim, now) in enumerate(zip(self.plan.claims, row.judgements, strict=True))
@@ -194,7 +194,7 @@ class Compared:
             difference = difference or "another system under test, or another end"
         self.other_traces += difference is not None or stored.provenance != again.provenance
         if difference is not None and self.same:
-            self.faults.append(f"{self.where(row.stratum, row.episode)}: its stored trace: {difference}")
+            self.faults.append(f"{self.where(row.stratum, row.episode)}, its stored trace: {difference}")
 
     def where(self, stratum: int, episode: int) -> str:
         """Return the name of a run: its stratum and ``episode``."""
@@ -217,7 +217,7 @@ class Compared:
         lines = [f"{count} runs with other {kind} than the ledger's: {why}" for count, kind in pairs if count]
         if self.other_traces:
             why = "another machine, other software, or they were altered"
-            lines.append(f"{self.other_traces} stored traces are not those of the runs made again: {why}")
+            lines.append(f"{self.other_traces} stored traces differ from the repeated runs: {why}")
         return tuple(lines)
 
     def _hidden_copies(self, row: Row) -> Iterator[str]:
@@ -238,10 +238,10 @@ class Compared:
             then = recorded.get(number)
             if then is None or then.outcome is not now.outcome:
                 was = "nothing" if then is None else then.outcome.name.lower()
-                yield f"{where}: {claim.sentence}: {was} then, {now.outcome.name.lower()} now"
+                yield f"{where}, {claim.sentence}: {was} then, {now.outcome.name.lower()} now"
             elif not self.program and not _is_close(claim.sentence, then.margin, now.margin):
                 was, new = (claim.unit.margin_text(judgement.margin) for judgement in (then, now))
-                yield f"{where}: {claim.sentence}: a margin of {was} then, {new} now"
+                yield f"{where}, {claim.sentence}: a margin of {was} then, {new} now"
 
 
 _JUDGEMENTS = (
@@ -302,17 +302,17 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
             count += 1
             compared.add(bench.row_of(stratum, episode, draws, trace))
         except InputError as error:
-            faults.append(f"{where}: {error.place.field or 'its trace'}: got {error.got}")
+            faults.append(f"{where}, {error.place.field or 'its trace'}: got {error.got}")
             continue
         except Exception as error:  # a stranger's trace may make a claim raise anything
-            faults.append(f"{where}: its trace cannot be judged: {described(error)}")
+            faults.append(f"{where}, its trace cannot be judged: {described(error)}")
             continue
         foreign += differs
         if differs and same:
             faults.append(f"{where}: its trace is of another scenario than the plan draws for it")
         made = trace.provenance
         if (made.source_hash, made.python, made.world) != (source, python, plan.world.name):
-            faults.append(f"{where}: its trace was made by other software, or in another world")
+            faults.append(f"{where}: its trace comes from other software, or from another world")
     notes = compared.notes
     if foreign and not same:
         notes += (f"{foreign} traces are of scenarios that the present software draws or writes otherwise",)
@@ -340,14 +340,14 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
             continue
         trace, count = example.run.trace, count + 1
         if is_executed(trace.scenario.under_test) and not programs:
-            unchecked.append(f"{example.shown.trace_file} is of a program, which is not executed")
+            unchecked.append(f"{example.shown.trace_file} is from a program, which verify does not execute")
             continue
         try:
             world = world_of_trace(trace.provenance.world)
             again = run_trial(admit(trace.scenario), world=world, recorded=trace)
             difference = first_difference(trace, again)
         except SafetyHarnessError as error:
-            unchecked.append(f"{example.shown.trace_file} cannot be made again: {described(error)}")
+            unchecked.append(f"{example.shown.trace_file} cannot be repeated: {described(error)}")
             continue
         if difference is not None:
             (faults if same else notes).append(f"{example.shown.trace_file}: {difference}")
@@ -376,7 +376,7 @@ def check_runs(
     if count < 1 or not plan.world.is_installed:
         why = "" if plan.world.is_installed else f": {plan.world} is not installed"
         return Examination(
-            "runs", "no run was made again", unchecked=(f"whether runs give their outcomes again{why}",)
+            "runs", "no repeated run", unchecked=(f"whether repeated runs give their outcomes{why}",)
         )
     stored = {(stratum, episode) for stratum, episode, _ in ledger.traces()}
     chosen = sorted({*(made[k] for k in drawn(len(made), count, drawing.seed)), *(stored & set(made))})
@@ -410,9 +410,9 @@ def check_runs(
     notes, unchecked = drawing.miss_chances(len(made), count, turns, each_s)
     text = f"{count} of {len(made)} runs made again, drawn with seed {drawing.seed}"
     if stored:
-        text += f", and those of the {len(stored)} stored traces"
+        text += f", and the runs of the {len(stored)} stored traces"
     again = watch.repeatability.check() if program else None
     if again is not None and again.remembers and not ledger.dependent:
-        compared.faults.append(f"{again.remembers}, and the ledger says nothing of that")
+        compared.faults.append(f"{again.remembers}, and the ledger does not say so")
     notes = (*compared.notes, *notes, *([again.line] if again is not None else []))
     return Examination("runs", text, few(compared.faults), notes, (*compared.unchecked, *unchecked))

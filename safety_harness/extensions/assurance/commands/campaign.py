@@ -48,7 +48,7 @@ _Cluster = Annotated[
     Option(help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file.", metavar="ADDRESS|FILE"),
 ]
 _Part = Annotated[str, Option(help="Only the K-th of N parts, for 'merge'.", metavar="K/N")]
-_ABOUT = "Run a declared plan, hundreds or millions of episodes, into a ledger that loses nothing."
+_ABOUT = "Run a declared plan of up to millions of episodes into a ledger that survives crashes."
 
 
 class RareWay(StrEnum):
@@ -60,7 +60,7 @@ class RareWay(StrEnum):
 
 commands = Typer(name="campaign", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 _command = partial(
-    command, commands, interrupted="interrupted; what was committed is in the ledger", failed=DIFFERS
+    command, commands, interrupted="interrupted; the ledger has all committed episodes", failed=DIFFERS
 )
 
 _unwritten = partial(command, commands, interrupted="interrupted; nothing is written", failed=DIFFERS)
@@ -72,7 +72,9 @@ def run(
     ledger: Annotated[
         Path | None,
         Option(
-            "--out", "--ledger", help="Folder of the ledger, or the ledger itself (.sqlite): reports/PLAN."
+            "--out",
+            "--ledger",
+            help="Folder of the ledger, or the ledger itself (.sqlite) (default: reports/PLAN).",
         ),
     ] = None,
     workers: Workers = None,
@@ -80,7 +82,7 @@ def run(
     part: _Part = "1/1",
     controller: OfController = None,
     require_shown: Annotated[
-        bool, Option("--require-shown", help="Fail unless every target of the plan is shown.")
+        bool, Option("--require-shown", help="Fail unless the runs show every target of the plan.")
     ] = False,
 ) -> int:
     """Run the remaining episodes of a plan in many processes.
@@ -116,7 +118,7 @@ def run(
 @_unwritten("pilot")
 def pilot_runs(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
-    runs: Annotated[int, Option(help="Of each stratum; with another seed than the plan's.", min=1)] = 30,
+    runs: Annotated[int, Option(help="Runs of each stratum, with another seed than the plan's.", min=1)] = 30,
     workers: Workers = None,
     controller: OfController = None,
 ) -> int:
@@ -158,9 +160,7 @@ def pilot_runs(
     result(*(f"WARN a run failed: {item}" for item in trial.failures))
     result(*(f"WARN {item}" for item in trial.remarks), *trial.slow_answers)
     result(basis([str(read.world)], ((item.tested, item.tried) for item in trial.forecasts)))
-    result(
-        f"{read.runs} runs: about {time_words(seconds)} with {cores} processes on this machine, alone on it"
-    )
+    result(f"{read.runs} runs: about {time_words(seconds)} with {cores} processes here, without other load")
     return AS_EXPECTED if trial.enough else DIFFERS
 
 
@@ -215,7 +215,7 @@ def _run_episodes(
         make_crew = partial(DaskCrew, address=cluster)
     numbers = _numbers(part, plan)
     say_shared_modules()
-    remark = "what is under way is finished and kept; Ctrl-C again drops it"
+    remark = "running episodes finish and count; Ctrl-C again drops them"
     with one_more_ctrl_c(say, remark) as interrupted, watching_campaign(plan, TERMINAL) as show:
         run_missing(plan, path, make_crew, on_progress=show, enough=interrupted, part=numbers, say=say)
         stopped = interrupted()
@@ -229,7 +229,7 @@ def _run_episodes(
         except SafetyHarnessError:
             raise
         except Exception as error:  # the runs count although the page failed
-            say(f"error: the page cannot be made: {described(error)}; the ledger has all runs")
+            say(f"error: the page cannot be written ({described(error)}); the ledger has all runs")
             drawn = False
         tally, targets = state.tally, {claim.sentence: claim.target for claim in plan.claims}
         targeted = [(item, target) for item in state.bounds if (target := targets[item.claim]) is not None]
@@ -240,7 +240,7 @@ def _run_episodes(
         say(f"interrupted; go on: safety-harness campaign resume {path}")
         return INTERRUPTED
     if unshown:
-        say("not every target of the plan is shown, as --require-shown asks")
+        say("a target of the plan remains open, so --require-shown fails")
     claims = [tally.of_claim(number).counts for number in range(len(plan.claims))]
     unknown = any(item[EpisodeOutcome.UNTESTED] == sum(item.values()) for item in claims)
     failed = tally.failed or not drawn
@@ -284,7 +284,7 @@ def _numbers(part: str, plan: Plan) -> tuple[int, int]:
 @_command()
 def status(
     ledger: _LedgerFile,
-    html: Annotated[Path | None, Option(help="Also as a page, in this file.", metavar="FILE")] = None,
+    html: Annotated[Path | None, Option(help="Also write a page to this file.", metavar="FILE")] = None,
 ) -> int:
     """Print the state of a campaign, also while it runs.
 
@@ -302,7 +302,7 @@ def status(
             with copied_plan_of(opened) as plan:
                 result(*tested_lines(plan))
         except InputError as error:
-            say(f"what was tested cannot be said: {error}")
+            say(f"the tested system cannot be determined: {error}")
         _say_ledger(opened, html)
     return AS_EXPECTED
 
@@ -326,10 +326,10 @@ def _write_page(ledger: Ledger, state: LedgerState, path: Path) -> None:
 def query(
     ledger: _LedgerFile,
     sql: Annotated[
-        str | None, Argument(help="A question in SQL, of the views results and episodes.", metavar="SQL")
+        str | None, Argument(help="A query in SQL on the views results and episodes.", metavar="SQL")
     ] = None,
-    claim: Annotated[str | None, Option(help="Only of this claim, or of the one with these words.")] = None,
-    stratum: Annotated[str | None, Option(help="Only of this stratum.")] = None,
+    claim: Annotated[str | None, Option(help="Only this claim; unique words of it suffice.")] = None,
+    stratum: Annotated[str | None, Option(help="Only this stratum; unique words of it suffice.")] = None,
     outcome: Annotated[str | None, Option(help="holds, violated, untested, inconclusive or failed.")] = None,
     below: Annotated[
         str | None, Option(help="Only margins below this, with its unit, such as '10 mm'.")
@@ -373,7 +373,7 @@ def export(
     ledger: _LedgerFile,
     out: Annotated[Path | None, Argument(help="A .csv or .parquet file.", metavar="OUT")] = None,
     traces: Annotated[
-        Path | None, Option(help="Also the stored traces, as files that replay takes, to this folder.")
+        Path | None, Option(help="Also write the stored traces to this folder, as files for replay.")
     ] = None,
 ) -> int:
     """Write a line for each episode and claim (.csv or .parquet).
@@ -403,7 +403,9 @@ def export(
 
 @_command()
 def compare(
-    first: Annotated[Path, Argument(help="The ledger before; with --against, that after.", metavar="A")],
+    first: Annotated[
+        Path, Argument(help="The ledger before; with --against, the ledger after.", metavar="A")
+    ],
     second: Annotated[Path | None, Argument(help="The ledger after.", metavar="[B]")] = None,
     against: OfReference = None,
     controller: OfController = None,
@@ -452,7 +454,7 @@ def compare(
         with Ledger.open(first) as mine:
             plan = plan_against(mine, reference)
             if plan.identity.systems == mine.declared.identity.systems:
-                got = f"{reference}, which {first} is of by its hash: a comparison with itself finds nothing"
+                got = f"{reference}, the system of {first} by its hash: a comparison with itself"
                 raise ScenarioError.of_option(option_of(reference), "another system", got)
         first, second = plan.file.parent / LEDGER, first
         code = _run_episodes(plan, first, workers, None, "1/1")
@@ -466,8 +468,7 @@ def compare(
         refuse_itself(old, new)
         refuse_incomparable(old, new)
         undecided = [
-            f"not comparable: {ledger.path} has no run of which it is known whether it violates {claim}, "
-            f"in {stratum}"
+            f"not comparable: {ledger.path} has no decided run of {claim}, in {stratum}"
             for ledger in (old, new)
             for stratum, claim in without_a_decided_run(ledger)
         ]
@@ -507,7 +508,7 @@ def compare(
 @_command()
 def attribute(
     ledger: _LedgerFile,
-    most: Annotated[int, Option(help="Violations of each claim: the first so many.", min=1)] = 100,
+    most: Annotated[int, Option(help="Number of violations per claim, from the first on.", min=1)] = 100,
     out: AttributionOut = None,
     confirm: Confirm = False,
     execute_programs: Executes = False,
@@ -531,15 +532,21 @@ def attribute(
 @_unwritten("rare")
 def rare_violations(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
-    by: Annotated[RareWay, Option(help="Draws from where violations are, or the way there in steps.")] = (
-        RareWay.IMPORTANCE
-    ),
+    by: Annotated[
+        RareWay, Option(help="importance draws near violations, splitting moves there in steps.")
+    ] = (RareWay.IMPORTANCE),
     pilot: Annotated[
-        int | None, Option(help="Of importance: draws of each step to where violations are: 500.", min=10)
+        int | None, Option(help="For importance: draws per step of the pilot (default 500).", min=10)
     ] = None,
-    runs: Annotated[int | None, Option(help="Of importance: draws after the pilot: 5000.", min=100)] = None,
-    particles: Annotated[int | None, Option(help="Of splitting: runs on each level: 200.", min=10)] = None,
-    steps: Annotated[int | None, Option(help="Of splitting: moves of each on a level: 5.", min=1)] = None,
+    runs: Annotated[
+        int | None, Option(help="For importance: draws after the pilot (default 5000).", min=100)
+    ] = None,
+    particles: Annotated[
+        int | None, Option(help="For splitting: runs per level (default 200).", min=10)
+    ] = None,
+    steps: Annotated[
+        int | None, Option(help="For splitting: moves of a run per level (default 5).", min=1)
+    ] = None,
     replications: Annotated[int, Option(help="Independent repetitions.", min=3)] = 20,
 ) -> int:
     """Estimate the probability of rare violations.

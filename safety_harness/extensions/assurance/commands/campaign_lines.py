@@ -146,7 +146,7 @@ def _failure_lines(ledger: Ledger) -> list[str]:
     )
     reasons = list(ledger.all(question))
     lines = [
-        f"  {count} times: {why} (first: {stratum}, episode {episode})"
+        f"  {count} times: {why} (first in {stratum}, episode {episode})"
         for count, why, stratum, episode in reasons[:_MOST_REASONS]
     ]
     more = sum(count for count, *_ in reasons[_MOST_REASONS:])
@@ -191,9 +191,7 @@ def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[st
         failed = f", {row.failed} could not be run" if row.failed else ""  # each may be a violation
         runs = f"{row.trials - row.failed} runs tested it{failed}{goal}{model}"
         known = f"{rounded_down(row.low)} to {rounded_up(row.high)} ({runs})"
-        lines.append(
-            f"  {row.stratum}: {row.claim}: " + (known if row.trials else "nothing known, never tested")
-        )
+        lines.append(f"  {row.stratum}: {row.claim}: " + (known if row.trials else "unknown, never tested"))
     return lines
 
 

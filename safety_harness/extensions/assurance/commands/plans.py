@@ -40,7 +40,7 @@ def explain_plan(path: Path) -> int:
         needed = None if aim is None else runs_needed(aim)
         target = "no target: estimated only"
         if claim.target is not None:
-            target = f"violated in at most {percent(claim.target)}: takes {needed} tested runs of a stratum"
+            target = f"violated in at most {percent(claim.target)}: needs {needed} tested runs in a stratum"
         result(f"{claim.sentence}: {target}")
         for stratum in plan.strata:
             allowed = None if aim is None else allowed_violations(aim, stratum.runs)
@@ -61,7 +61,7 @@ def explain_plan(path: Path) -> int:
                 }
             )
     document(plan=plan.title, runs=plan.runs, bounds=family, claims=claims)
-    say(f"next: safety-harness campaign pilot {shlex.quote(str(path))} says how many of them will test each")
+    say(f"next: safety-harness campaign pilot {shlex.quote(str(path))} forecasts tested runs of each claim")
     return AS_EXPECTED
 
 
@@ -90,7 +90,7 @@ def draft_plan(space: Path | None, file: Path | None) -> int:
         raise InputError(place=Place(file=space), expected=expected, got="none")
     path = file or Path(f"{read.name}-plan.yaml")
     if path.exists() or path.is_symlink():
-        raise OutputError.of_file(path, "a file that is not there yet", "one that is")
+        raise OutputError.of_file(path, "a path without a file", "an existing file")
     named = str(space)
     if not named.startswith("shipped:"):
         named = os.path.relpath(space, path.parent)
@@ -98,19 +98,19 @@ def draft_plan(space: Path | None, file: Path | None) -> int:
     lines = [
         f"plan: {_scalar(read.title)}",
         "about: >",
-        "  Say here why, for what use, and what is taken for granted.",
+        "  State here the reason, the intended use and the assumptions.",
         "confidence: 95 %",
-        "seed: 1  # better one that the assessor names",
+        "seed: 1  # better a seed from the assessor",
         "strata:",
         f"  - stratum: {_scalar(read.name.replace('-', ' '))}",
         f"    space: {_scalar(named)}",
-        f"    runs: {runs}  # the fewest, if all test each claim and none violates it; see campaign pilot",
+        f"    runs: {runs}  # the fewest, if all test each claim without a violation; see campaign pilot",
         "claims:",
     ]
     for item in claims:
         lines += [
             f"  - claim: {_scalar(item.sentence)}",
-            f"    violated in at most: {100 * TARGET:g} %  # yours, from the risk of the task",
+            f"    violated in at most: {100 * TARGET:g} %  # your target, from the risk of the task",
         ]
     with writing(path), path.open("x", encoding="utf-8") as stream:
         stream.write("\n".join(lines) + "\n")

@@ -32,7 +32,7 @@ def watching_campaign(plan: Plan, output: Output) -> Iterator[Callable[[Campaign
         for forecast in too_few(plan, progress.tally):
             if (name := f"{forecast.stratum}: {forecast.sentence}") not in warned:
                 warned.add(name)
-                output.say(f"warning: after {forecast.tried} runs: {forecast.line}")
+                output.say(f"warning after {forecast.tried} runs: {forecast.line}")
 
     with output.block() as show:
         yield show_progress

@@ -86,7 +86,7 @@ class History:
         """The result in a sentence."""
         turned = [course for course in self.courses if course.turns]
         size = f"{count_words(len(self.courses), 'claim', 'claims')} over {len(self.revisions)} revisions"
-        text = f"Of {size} {len(turned)} turned, {len(self.unlike)} to what is not expected"
+        text = f"Result of {size}: {len(turned)} turned, {len(self.unlike)} to an unexpected verdict"
         return text + (f"; overruling grows for {', '.join(self.growing)}." if self.growing else ".")
 
 

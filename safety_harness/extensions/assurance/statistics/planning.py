@@ -44,7 +44,7 @@ class Aim:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.target < 1.0:
-            hint = "no number of runs shows that nothing can ever happen" if self.target == 0.0 else ""
+            hint = "no number of runs can show a share of zero" if self.target == 0.0 else ""
             raise refusal(_TARGET, "a share between 0 and 1", f"{self.target:g}", hint)
         chance_of_each(self.confidence, self.family)
 
@@ -202,7 +202,7 @@ def refuse_if_impossible(aim: Aim, planned: int, *, tested: float = 1.0, place: 
         expected += f" if {tested:.3g} of them test the claim"
     if aim.family > 1:
         expected += f" ({aim.family} bounds together)"
-    hint = "that many without any violation; each one takes more"
+    hint = "this number holds without a violation; each violation needs more runs"
     raise StatisticsError(place=place or Place(field="runs"), expected=expected, got=str(planned), hint=hint)
 
 

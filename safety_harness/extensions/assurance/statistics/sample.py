@@ -97,9 +97,7 @@ class IndependentSample:
 
     def __post_init__(self, _made_by: object) -> None:
         if _made_by is not _OF_STREAM:
-            raise TypeError(
-                "an IndependentSample is made by IndependentSample.of_stream, and by nothing else"
-            )
+            raise TypeError("only IndependentSample.of_stream makes an IndependentSample")
 
     @classmethod
     def of_stream(
@@ -182,7 +180,7 @@ def independent(sample: object) -> IndependentSample:
     """
     if not isinstance(sample, IndependentSample):
         raise TypeError(
-            f"estimates are made of an IndependentSample, a declared stream of independent episodes; "
+            f"an estimate needs an IndependentSample, a declared stream of independent episodes; "
             f"got {type(sample).__name__}"
         )
     return sample
@@ -268,7 +266,7 @@ def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> N
         raise refusal("episodes", f"every episode {where} once", f"{twice} more than once")
     if distinct[0] != 0 or distinct[-1] != n - 1:
         wanted, got = f"episodes 0 to {n - 1} {where}", f"{n} episodes from {distinct[0]} to {distinct[-1]}"
-        raise refusal("episodes", wanted, got, "some are missing: a choice was made")
+        raise refusal("episodes", wanted, got, "some are missing, so the sample is a selection")
     if n < planned and not declaration.stop_early:
         raise refusal("episodes", wanted, f"{n}: incomplete", "run the rest")
 
@@ -295,7 +293,7 @@ def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> N
     infinite = np.isinf(margins)
     if infinite.any():
         k = _first(infinite)
-        expected = f"finite margins, NaN where there is none, {where}"
+        expected = f"finite margins, or NaN for a missing margin, {where}"
         raise refusal("margins", expected, f"{margins[k]} for episode {k[0]}")
     without = np.isin(codes, JUDGED) & np.isnan(margins)
     if without.any():
