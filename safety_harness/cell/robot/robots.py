@@ -177,7 +177,7 @@ def refuse_unenclosed(robot: AnyRobot) -> None:
     elif beyond_mm > most_mm:
         expected = f"a TCP within {most_mm:g} mm of a capsule of the arm, its tool or its part"
         got, accepts = f"one {beyond_mm:.1f} mm away", f"tcp beyond capsules: {np.ceil(beyond_mm):.0f} mm"
-        hint = f"capsules of the whole tool; {accepts} where nothing solid reaches the TCP"
+        hint = f"add capsules for the whole tool, or state {accepts} if no solid part reaches the TCP"
     else:
         return
     raise ArmFileError(place=place, expected=expected, got=got, hint=hint)

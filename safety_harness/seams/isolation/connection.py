@@ -45,7 +45,7 @@ class Socket:
             if family == socket.AF_INET:
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
-            raise GoneError(f"nobody answers there: {error.strerror or error}") from error
+            raise GoneError(f"no program answers there: {error.strerror or error}") from error
         fd = line.fileno()
         self.channel = Channel(
             fd, fd, NO_OUTPUT, lambda heard: None, lambda: GoneError("it closed the connection")

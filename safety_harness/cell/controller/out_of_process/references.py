@@ -157,7 +157,7 @@ def _command(reference: str, place: Place) -> tuple[list[str], Path]:
     if executable is None:
         there = os.path.exists(command[0])
         got = f"{command[0]}, which may not be executed" if there else f"no such program: {command[0]}"
-        hint = f"chmod +x {command[0]}" if there else "a program in this folder is named ./NAME"
+        hint = f"chmod +x {command[0]}" if there else "write ./NAME for a program in this folder"
         expected = "a program that can be executed"
         raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
     return command, Path(executable).absolute()

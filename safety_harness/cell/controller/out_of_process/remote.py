@@ -135,7 +135,7 @@ class RemoteController:
             if isinstance(answer, kind):
                 expected, tick = getattr(sent, "tick", None), getattr(answer, "tick", None)
                 if tick != expected:
-                    raise NonsenseError(f"it answered tick {tick} when it was asked for tick {expected}")
+                    raise NonsenseError(f"it answered tick {tick} instead of tick {expected}")
                 return read(answer)
             if not isinstance(answer, Failed):
                 raise NonsenseError(f"{sent.wants}; it said {answer.__struct_config__.tag}")

@@ -91,7 +91,7 @@ def align(log: CellLog, body: Body) -> Offset:
         hint = "a motion that does not repeat itself, or the part that has one: log: {from: ..., to: ...}"
         raise _refused(
             body,
-            "a motion that one offset alone explains",
+            "a motion that only a single offset explains",
             f"ahead by {them} ms, which explain it alike",
             hint,
         )

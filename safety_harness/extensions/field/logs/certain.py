@@ -346,7 +346,8 @@ def _scenario(log: CellLog, paths: list[_Path], recordings: dict[str, bytes]) ->
         own = scenario.settings.hand
         if not path.body.forearm and own.forearm_radius_m > own.radius_m:
             raise log.said.error(
-                "a forearm no thicker than the hand, where hands have none", got=f"{own.forearm_radius_m:g} m"
+                "a forearm no thicker than the hand, since the log's hands have no forearm",
+                got=f"{own.forearm_radius_m:g} m",
             )
     return scenario
 
@@ -388,7 +389,7 @@ def settings_with(period_s: float, given: Field | None, lead: float | None = Non
     if own is not None and lead is not None:
         for key, item in own.entries("settings of the filter"):
             if key == _HORIZON and item.quantity(TIME) != lead:
-                raise item.error(f"{format_quantity(lead, TIME)}, as far as detections are ahead, or nothing")
+                raise item.error(f"{format_quantity(lead, TIME)}, the lead of the detections, or no such key")
     entries = tuple((Scalar(key, item.line), item.node) for key, item in groups.items())
     if lead is not None:
         horizon = Scalar(_HORIZON, 1), _scalar(format_quantity(lead, TIME))
@@ -478,11 +479,11 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
         yield f"left out, as the file says: {', '.join(log.left_out)}"
     if log.unused:
         more = f" and {len(log.unused) - UNUSED_NAMED} more" * (len(log.unused) > UNUSED_NAMED)
-        yield f"columns, topics and joints that nothing reads: {', '.join(log.unused[:UNUSED_NAMED])}{more}"
+        yield f"unread columns, topics and joints: {', '.join(log.unused[:UNUSED_NAMED])}{more}"
     for path in paths:
         if path.elbow is None:
             how = (
-                "its forearm was not measured" if path.body.forearm else "it has no forearm, by what is said"
+                "its forearm was not measured" if path.body.forearm else "it has no forearm, as the file says"
             )
             yield f"{path.body.name}: {how}"
     yield unconfirmed_note(log)

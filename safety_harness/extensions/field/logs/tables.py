@@ -103,8 +103,8 @@ def time_column(
         if name not in names:
             raise _error(
                 source,
-                f'the column "{name}", which is said to have the time',
-                "none of that name",
+                f'the column "{name}", which the file states as the time',
+                "no such column",
                 near_miss(name, names),
                 line=1,
             )
@@ -159,7 +159,7 @@ def required_column(
     if column is None:
         wanted = [f"{stem}_{ending}" for ending in units]
         hint = near_miss(wanted[0], names) or f"the columns: {shown(', '.join(names))}"
-        raise _error(source, f"a column {' or '.join(wanted)}", "none of that name", hint, line=1)
+        raise _error(source, f"a column {' or '.join(wanted)}", "no such column", hint, line=1)
     return column
 
 
@@ -301,7 +301,7 @@ def _cell(cell: Any, col: TableColumn, source: LogSource, at: int) -> float:
     except (TypeError, ValueError):
         value = math.inf
     if math.isinf(value) or (isinstance(text, str) and "_" in text):
-        expected = "a number, or an empty cell where nothing was measured"
+        expected = "a number, or an empty cell for a missing measurement"
         raise _error(source, expected, shown(str(cell)), field=col.name, line=at)
     return value * col.si
 

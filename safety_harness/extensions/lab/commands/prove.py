@@ -26,11 +26,9 @@ def prove(
             metavar="PLAN|CERTIFICATE|TRACE",
         ),
     ],
-    check: Annotated[
-        bool, Option("--check", help="Check a certificate, with code that shares none.")
-    ] = False,
+    check: Annotated[bool, Option("--check", help="Check a certificate with independent code.")] = False,
     model: Annotated[
-        Path | None, Option(help="The network of a certificate, if it is none that ships.", metavar="FILE")
+        Path | None, Option(help="The certificate's network, if it is not a shipped network.", metavar="FILE")
     ] = None,
     out: Annotated[Path, Option(help="Folder for the certificate and wrong answers.")] = Path(
         "reports/prove"
@@ -41,7 +39,7 @@ def prove(
     decisions: Annotated[
         str | None,
         Option(
-            help="Of a trace: is each decision the same for every hand so near by axis? Adds it to a copy.",
+            help="Add to a copy of a trace: is each decision the same for all hands so near by axis?",
             metavar="LENGTH",
         ),
     ] = None,
@@ -51,12 +49,13 @@ def prove(
 
     The bounds hold for the network's own arithmetic.  A region is halved until
     its boxes are proven, or refuted as a whole; the rest is undecided.  A
-    question that the network itself answers wrongly refutes a claim.  It becomes
-    a scenario if a run can ask it.
+    question that the network itself answers wrongly refutes a claim.  It
+    becomes a scenario if a run can ask it.
 
-    Exit code 0: all proven, or all decisions of a trace the same; 1: not so, or a
-    certificate that is not confirmed; 2: bad input; 130: interrupted, with a
-    certificate of the results so far.
+    Exit code 0: all proven, or all decisions of a trace the same.
+    Exit code 1: not so, or a certificate that is not confirmed.
+    Exit code 2: bad input.
+    Exit code 130: interrupted, with a certificate of the results so far.
     """
     if check:
         return _check(file, model)

@@ -31,7 +31,7 @@ REASONS = {
     "hang": "act: it gave no answer within 0.3 s of wall time",
     "flood of errors": "act: it gave no answer within 0.3 s of wall time",
     "memory": "act: its process ended with exit status 1",
-    "another tick": "it answered tick 2 when it was asked for tick 3",
+    "another tick": "it answered tick 2 instead of tick 3",
     "a mode that is none": "mode must be one of: servoing",
     "failed": "act failed: no way",
     "hello again": "it has to say how to move; it said hello",
