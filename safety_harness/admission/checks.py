@@ -172,8 +172,8 @@ def refuse_late_drives(scenario: Scenario) -> None:
     if given_s < needed_s - 1e-9:
         raise InadmissibleError(
             place=scenario.place("shield.reaction time", "shield"),
-            expected=f"a reaction time of at least {needed_s * 1e3:.0f} ms, in which the robot's drives have "
-            "carried a command out",
+            expected=f"a reaction time of at least {needed_s * 1e3:.0f} ms, which the robot's drives need "
+            "for a command",
             got=f"{scenario.shield.reaction_time_s * 1e3:g} ms",
             hint="that is their dead time in whole control periods, seven times their lag, and one control "
             "period where they lag or have a torque limit",
@@ -183,7 +183,7 @@ def refuse_late_drives(scenario: Scenario) -> None:
 def _refuse_shield(scenario: Scenario, kind: HandSensorKind) -> None:
     """Refuse a shield with a hand sensor that does not see the whole cell."""
     if scenario.shield is not None and kind not in (HandSensorKind.IDEAL, HandSensorKind.SURROUND):
-        expected = "a hand sensor that sees the whole cell, by which a shield sees"
+        expected = "a hand sensor that sees the whole cell, since a shield uses it"
         hint = "hand sensor: {kind: surround}"
         raise scenario.inadmissible(expected, f"{kind.value}, blind outside its view", "shield", hint=hint)
 

@@ -361,7 +361,7 @@ def reports_of(controller: UserController) -> tuple[str, ...]:
         )
     reports = _words_of(controller, "reports", getattr(controller, "reports", ()), REPORTS)
     if DOUBT in reports and DECISIONS not in reports:
-        raise ControllerError('reports: "doubt" is of decisions, and "decisions" are not among them')
+        raise ControllerError('reports: "doubt" needs "decisions", which they lack')
     return reports
 
 

@@ -228,9 +228,7 @@ def _notes(watched: Watched, quantities: Sequence[FittedQuantity]) -> list[str]:
         notes.append(f"{more} more counted: reaches that turned back without a stand, or came in a gap")
     hard = sum(item.acceleration_mps2 > HARD * item.speed_mps / WINDOW_S for item in watched.approaches)
     if hard:
-        notes.append(
-            f"{hard} accelerations are too small, as a speed is over {WINDOW_S:g} s: hands sped up harder"
-        )
+        notes.append(f"{hard} accelerations are too small, since a speed is a mean over {WINDOW_S:g} s")
     for item in quantities:
         if item.chosen is None:
             notes.append(f"{item.name}: no family fits, so that the recorded values stand for themselves")

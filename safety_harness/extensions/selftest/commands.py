@@ -22,7 +22,7 @@ def selftest(
     avoider: OfAvoider = None,
     controller: OfController = None,
     scenarios: Annotated[
-        Path, Option(help="Folder of scenario files, and of spaces/ in it, to try faults on.")
+        Path, Option(help="Folder with scenario files and spaces/, to try faults on.")
     ] = Path("shipped:scenarios"),
     fault: Annotated[str | None, Option(help="Only faults with these words in their name.")] = None,
     out: Annotated[Path, Option(help="Folder for selftest.html and selftest.json.")] = Path(

@@ -145,7 +145,7 @@ def _late(system: ChangedSystem, cycles: float) -> ChangedSystem:
     return system.with_pilot(lambda pilot: LateRefusal(pilot, cycles))
 
 
-@of_gate("wrong pose handed over", "one position is checked and another one is gone to")
+@of_gate("wrong pose handed over", "the gate checks one position, and the arm goes to another")
 @seeded(ruled, (np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi)
 def _wrong_pose(angle_rad: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
     """Turn the chosen position about the TCP; the ruling reports the turned position."""

@@ -86,7 +86,7 @@ def _stopped_and_told(magnitude: float, command: Records) -> None:
         command[0]["joint_velocity_radps"] = 1.0
 
 
-@declared(harmless="boxes are paired with tracks by where they are")
+@declared(harmless="the controller pairs boxes with tracks by their places")
 @of_perception("boxes in another order", "the hands change places in the frame")
 @seeded(seen)
 def _other_order(admitted: Admitted, magnitude: float, observation: Records) -> None:
@@ -94,7 +94,7 @@ def _other_order(admitted: Admitted, magnitude: float, observation: Records) -> 
     o["boxes"][: o["box_count"]] = o["boxes"][: o["box_count"]][::-1].copy()
 
 
-@declared(harmless="only as many boxes are read as are counted")
+@declared(harmless="the controller reads only the counted boxes")
 @of_perception("rubbish behind the last box", "memory that was not cleared")
 @seeded(seen)
 def _rubbish_behind(admitted: Admitted, magnitude: float, observation: Records) -> None:
@@ -102,7 +102,7 @@ def _rubbish_behind(admitted: Admitted, magnitude: float, observation: Records) 
     o["boxes"][o["box_count"] :] = np.nan
 
 
-@declared(harmless="boxes are read when a frame is new")
+@declared(harmless="the controller reads boxes only of a new frame")
 @of_perception("rubbish between frames", "no new frame, and rubbish overwrites the old frame")
 @seeded(seen)
 def _stale_boxes(admitted: Admitted, magnitude: float, observation: Records) -> None:
@@ -111,7 +111,7 @@ def _stale_boxes(admitted: Admitted, magnitude: float, observation: Records) -> 
         o["boxes"], o["box_count"] = np.nan, 0
 
 
-@declared(harmless="what is not finite is passed over")
+@declared(harmless="the controller skips boxes that are not finite")
 @of_perception("a box that is no measurement", "a detector that returns no number beside the hands")
 @seeded(seen)
 def _no_measurement(admitted: Admitted, magnitude: float, observation: Records) -> None:
@@ -121,7 +121,7 @@ def _no_measurement(admitted: Admitted, magnitude: float, observation: Records) 
         o["box_count"] += 1
 
 
-@declared(harmless="less than any limit of a claim can tell")
+@declared(harmless="too small for the limit of any claim")
 @of_perception("extrinsics off by a tenth of a micrometre", "rounding in a calibration file")
 @seeded(known)
 def _tiny(records: ControllerRecords, magnitude: float) -> None:

@@ -55,7 +55,7 @@ def _missed(pause_s: float, admitted: Admitted) -> Change:
     return obey
 
 
-@of_timing("late encoders", "the controller takes the arm to be where it was")
+@of_timing("late encoders", "the controller uses outdated joint angles")
 @seeded(seeing, (0.4, 0.2, 0.1, 0.04), "ms", 1e3)
 def _late_joints(delay_s: float, admitted: Admitted) -> Change:
     cycles = round(delay_s / admitted.scenario.settings.clock.control_period_s)

@@ -163,7 +163,7 @@ class Connection:
         try:
             return self._wire.next(self._channel, limit_s)
         except (ValueError, RecursionError, msgspec.MsgspecError) as error:
-            raise NonsenseError(f"what it said is no message: {printable(str(error))}") from None
+            raise NonsenseError(f"it sent no valid message: {printable(str(error))}") from None
 
     def end(self) -> None:
         """End the process, and with it all objects in it."""

@@ -177,6 +177,6 @@ def _address(reference: str, place: Place) -> tuple[str, int] | str:
             place=place,
             expected=f"{TCP}HOST:PORT, HOST one of: {', '.join(LOOPBACK)}",
             got=repr(reference),
-            hint="a program of another machine is reached through a tunnel, as of ssh -L",
+            hint="for a program on another machine use a tunnel, such as ssh -L",
         )
     return host, int(port)

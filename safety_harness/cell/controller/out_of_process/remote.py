@@ -129,7 +129,7 @@ class RemoteController:
             if isinstance(sent, Reset) and not self._connection.quiet:
                 self._connection.end()
                 if self._begun() != self._said:
-                    raise NonsenseError("begun once more it says other things of itself than at first")
+                    raise NonsenseError("after a restart it describes itself differently")
             self._connection.say(sent, limit_s)
             answer = self._connection.hear(limit_s)
             if isinstance(answer, kind):

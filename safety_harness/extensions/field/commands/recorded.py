@@ -71,11 +71,11 @@ def scenario_from(
     scenario: OfCell = None,
     around: Annotated[
         str | None,
-        Option(help="How far hands are elsewhere in the space, along each axis: 100 mm.", metavar="LENGTH"),
+        Option(help="Largest shift of hands in the space, along each axis: 100 mm.", metavar="LENGTH"),
     ] = None,
     speed: Annotated[
         str | None,
-        Option(help="How many times as fast they are in the space: 0.8..1.25.", metavar="LOW..HIGH"),
+        Option(help="Factors of the hands' speed in the space: 0.8..1.25.", metavar="LOW..HIGH"),
     ] = None,
     from_: From = None,
     to: To = None,
@@ -128,7 +128,7 @@ def scenario_from(
     neighbourhood = Around(shift_m=_length(around), speeds=_speeds(speed))
     folder = out or Path(f"from-{log.stem}")
     if scenario is not None and desired_tcp is not None:
-        raise LogError.of_option("--desired-tcp", "what --scenario says, which has it too", desired_tcp)
+        raise LogError.of_option("--desired-tcp", "only --scenario, which has a desired TCP too", desired_tcp)
     given = None if scenario is None else _cell(scenario)
     cell_log, desired_m = _part(log, from_, to), _point(desired_tcp, "--desired-tcp")
     if given is None:
@@ -174,7 +174,7 @@ def _cell(scenario: str | None) -> Any:
 
     if scenario is None:
         expected = "a scenario of the cell: where the task ends, its object, camera, hand sensor, avoider"
-        hint = "no log says these; of ours, say, --scenario shipped:servoing-alone"
+        hint = "logs lack these; for example, --scenario shipped:servoing-alone"
         raise LogError.of_option("--scenario", expected, "none", hint)
     return read_scenario(scenario)
 

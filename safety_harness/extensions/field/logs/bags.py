@@ -151,7 +151,7 @@ def _opened(source: LogSource) -> Iterator[Bag]:
         expected, error, hint = "a package that decodes these messages", missing, "pip install protobuf"
     except Exception as damage:  # of the storage, its compression, a message: whatever damage provokes
         expected, error = "a bag, whole", damage
-        hint = "of a recording that was cut off: mcap recover FILE.mcap, or ros2 bag reindex FOLDER"
+        hint = "for a cut-off recording: mcap recover FILE.mcap, or ros2 bag reindex FOLDER"
     got = " ".join(f"{type(error).__name__}: {error}".split())
     raise LogError(place=place, expected=expected, got=got, hint=hint) from error
 

@@ -463,8 +463,8 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
         yield f"the last {tail_s * 1e3:.3g} ms of the joints are less than a period, and not judged"
     if log.joint_facts.accelerate_at_most_radps2 is None:
         yield (
-            "how hard the joints accelerate is not said, so they may turn at their greatest speed between "
-            "samples: joints: {accelerate at most: ...} says closer where they were"
+            "no limit of the joints' acceleration is stated, so they may turn at greatest speed between "
+            "samples; joints: {accelerate at most: ...} bounds their angles more closely"
         )
     bodies = [part for body in log.hands for part in (body.hand, body.elbow) if part is not None]
     for samples in (log.joints, *bodies, *(() if log.tcp is None else (log.tcp.samples,))):
@@ -472,8 +472,8 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
     yield from _beyond_joints(log)[1]
     if log.unmapped:
         yield (
-            f"neither mapped nor left out: {', '.join(log.unmapped)}, so that any of them may be a hand, and "
-            "a claim on any hand is open: log: {hands: ...} maps it, hands: {left out: [...]} leaves it out"
+            f"neither mapped nor left out: {', '.join(log.unmapped)}, so any of them may be a hand, and "
+            "claims on any hand are open; log: {hands: ...} maps it, hands: {left out: [...]} leaves it out"
         )
     if log.left_out:
         yield f"left out, as the file says: {', '.join(log.left_out)}"

@@ -165,7 +165,7 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
             f"{names[int(np.argmax(turned[index]))]} to speed up or brake at "
             f"{facts.accelerate_at_most_radps2:.4g} rad/s2 at most, as the file says",
             f"{hard[index]:.4g} rad/s2 at least, by three samples known to {facts.known_to_rad:.4g} rad",
-            "joints: {accelerate at most: ..., known to: ...}, which has to hold what their stamps are off",
+            "joints: {accelerate at most: ..., known to: ...}, which must include the error of their stamps",
         )
 
 

@@ -461,7 +461,7 @@ def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
         return arm.joint_names
     keys = field.fields(arm.joint_names)
     names = tuple(
-        keys.required(name).sentence("what the log calls the joint") if name in keys else name
+        keys.required(name).sentence("the log's name for the joint") if name in keys else name
         for name in arm.joint_names
     )
     for at, name in enumerate(names):

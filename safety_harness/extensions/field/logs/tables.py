@@ -34,7 +34,9 @@ RTDE_JOINTS, RTDE_TIME = ("actual_q_", "actual_qd_"), "timestamp in s"
 RTDE_TCP, RTDE_BASE = "actual_TCP_pose", np.diag([-1.0, -1.0, 1.0, 1.0])  # UR's base frame, in base_link's
 SPEED_UNITS = {f"{unit}ps": si for unit, si in LENGTH_UNITS.items()}
 RATE_UNITS = {"radps": 1.0, "degps": math.pi / 180.0}
-_TIME_HINT = 'another one by the key "time", such as: stamp in ns; none by hands: {rate: 120 Hz}'
+_TIME_HINT = (
+    'the key "time" states another column, such as: stamp in ns; without times, hands: {rate: 120 Hz}'
+)
 _EXACT_BELOW = 1e6  # in a unit of time, up to which a float has enough digits for a nanosecond
 
 

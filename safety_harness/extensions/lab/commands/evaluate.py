@@ -52,7 +52,9 @@ def evaluate(
     ] = None,
     search: Annotated[
         int,
-        Option(help="Questions to search with for the worst ones; 0: no search.", min=0, metavar="BUDGET"),
+        Option(
+            help="Number of questions in the search for the worst; 0: no search.", min=0, metavar="BUDGET"
+        ),
     ] = 4_000,
     seed: Seed = 0,
     out: Annotated[Path, Option(help="Folder for the page, the figures and the worst questions.")] = Path(
@@ -122,7 +124,7 @@ def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
 
     cards = (one.card, *one.yardsticks)
     yield from titled(
-        f"{one.reference}: {one.card.name}; below it the yardsticks, which are no duty",
+        f"{one.reference}: {one.card.name}; below it the yardsticks, for comparison",
         ("region", "avoider", *COLUMNS),
         [(row.region, row.avoider, *row.cells) for row in rows_of(cards, figures)],
     )

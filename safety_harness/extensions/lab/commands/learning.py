@@ -26,7 +26,7 @@ Cell = Annotated[
     str | None,
     Option(
         "--robot",
-        help="A scenario with the cell, arm and settings: a file, or shipped:NAME; else the UR10's.",
+        help="A scenario with the cell, arm and settings: a file, or shipped:NAME; default: the UR10's.",
         metavar="SCENARIO",
     ),
 ]
@@ -38,7 +38,7 @@ def dataset(
     out: Annotated[Path, Argument(help="Folder for arrays.npz and manifest.json.", metavar="FOLDER")],
     space: Annotated[str, Option(help="'seen', 'unseen hand', 'unseen tcp' or 'unseen both'.")] = "seen",
     tcps: Annotated[int, Option(help="TCP positions.")] = 10_000,
-    candidates: Annotated[int, Option(help="Repulsive candidates of each TCP.")] = 100,
+    candidates: Annotated[int, Option(help="Repulsive candidates for each TCP.")] = 100,
     hands: Annotated[int, Option(help="Hand positions, joined with every TCP.")] = 500,
     robot: Cell = None,
     seed: Seed = 0,
@@ -131,7 +131,7 @@ def train(
     from safety_harness.extensions.lab.learning.trained_model import calibrate, model_of, split_for
 
     if robot and data:
-        raise InadmissibleError.of_option("--robot", "no --data, whose data are of a cell already", robot)
+        raise InadmissibleError.of_option("--robot", "no --data, since its data already have a cell", robot)
     again = ["safety-harness", "train", recipe, "--seed", str(seed), "--out", str(out)]
     again += ["--robot", robot] if robot else []
     again += ["--data", str(data)] if data else []
@@ -312,11 +312,11 @@ def export(
     model: Annotated[
         str,
         Argument(
-            help="A model file (*.safetensors), or a shipped model's name; of a run its trace.",
+            help="A model file (*.safetensors), a shipped model's name, or a run's trace.",
             metavar="MODEL|TRACE",
         ),
     ],
-    out: Annotated[Path, Option(help="The file to write; of a trace FILE.mcap.")],
+    out: Annotated[Path, Option(help="The file to write; for a trace FILE.mcap.")],
     seed: Seed = 0,
 ) -> int:
     """Write a model as ONNX and compare them, or a run as MCAP.

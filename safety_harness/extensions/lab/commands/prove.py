@@ -33,8 +33,8 @@ def prove(
     out: Annotated[Path, Option(help="Folder for the certificate and wrong answers.")] = Path(
         "reports/prove"
     ),
-    minutes: Annotated[float, Option(help="For all claims together.", min=0.0)] = 5.0,
-    halvings: Annotated[int, Option(help="How often a box is halved at most.", min=1, max=60)] = 40,
+    minutes: Annotated[float, Option(help="Minutes for all claims together.", min=0.0)] = 5.0,
+    halvings: Annotated[int, Option(help="Most halvings of a box.", min=1, max=60)] = 40,
     jobs: Annotated[int, Option(help="Processes.", min=1)] = 1,
     decisions: Annotated[
         str | None,
@@ -95,7 +95,7 @@ def _print_shares(proved: ProofResult) -> None:
         cells = outward(proof.least_shares)
         rows.append((proof.planned.claim.sentence, proof.planned.region.name, proof.verdict, *cells))
     columns = ("claim", "region", "verdict", "proven", "refuted", "undecided")
-    result(f"{proved.plan.avoider}: shares of each region, proven at least and undecided at most", "")
+    result(f"{proved.plan.avoider}: by region the least proven and the most undecided share", "")
     result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(3, 6)))
 
 
@@ -111,7 +111,7 @@ def _print_bounds(proved: ProofResult) -> None:
         for proof, bound in zip(proved.proofs, proved.bounds, strict=True)
     ]
     columns = ("claim", "region", "wrong at most", "at least", "undecided", "of it asked", "wrong")
-    heading = f"chance that a question as the plan draws them is answered wrongly; all hold with {confidence}"
+    heading = f"chance of a wrong answer to a question that the plan draws; all hold with {confidence}"
     result("", heading, "")
     result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(2, 7)))
 
@@ -173,7 +173,7 @@ def _check(file: Path, model: Path | None) -> int:
     name = content.get("avoider")
     if model is None and name not in SHIPPED:
         raise InputError.of_option(
-            "--model", "the file of the network, which does not ship", "nothing", str(name)
+            "--model", "the network's file, since it is not shipped", "nothing", str(name)
         )
     network = model if model is not None else shipped_model(str(name))
     certificate, weights = (

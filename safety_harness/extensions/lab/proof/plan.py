@@ -161,7 +161,7 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
     avoider = given.required("avoider")
     name = avoider.sentence("a network")
     if name not in SHIPPED and not name.endswith((MODEL_SUFFIX, ONNX_SUFFIX)):
-        raise avoider.error(f"a network: one that ships, FILE{MODEL_SUFFIX} or FILE{ONNX_SUFFIX}")
+        raise avoider.error(f"a network: a shipped one, FILE{MODEL_SUFFIX} or FILE{ONNX_SUFFIX}")
     file = shipped_model(name) if name in SHIPPED else located(path.parent / Path(name).expanduser())
     network, function, seen = _network(avoider, name, file)
     regions = {} if seen is None else {SEEN: seen_region(seen)}
