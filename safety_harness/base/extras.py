@@ -82,7 +82,7 @@ PYBULLET = Extra(
     "pybullet",
     ("pybullet",),
     "the reference world and rendered images; without it runs are kinematic",
-    instead="the kinematic world works without it (--world, pytest's --safety-world, a plan's world)",
+    instead="or use the kinematic world: --world kinematic (pytest's --safety-world, a plan's world)",
     newest_wheel=(3, 11),
 )
 IMAGES = Extra(

@@ -86,7 +86,7 @@ def test_mutated_frames_cost_their_episode_or_are_answers(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("spoils", "why"),
     [
-        (('"name": "upwards"', '"name": 3'), "no message"),
+        (('"name": "upwards"', '"name": 3'), "no valid message"),
         (("controller 1", "controller 7"), "'safety-harness controller 7'"),
         (('["joints"]', '["walls"]'), "walls"),
         (("for line in sys.stdin:", "for line in []:"), "ended with exit status 0"),
