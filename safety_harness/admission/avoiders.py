@@ -230,7 +230,7 @@ def refuse_itself(tested: str | None, reference: str | None, option: str = "--ag
         for file, name in [file_and_name(system or "")]
     }
     if tested is not None and len(whole) == 1:
-        got = f"{reference} itself: such a comparison finds nothing"
+        got = f"{reference} itself; a comparison with itself has no findings"
         raise InadmissibleError.of_option(option, f"another reference than {tested}", got)
 
 
@@ -316,7 +316,7 @@ def scenario_of_avoider(reference: str) -> Scenario:
     """Return a scenario with only an avoider, for a caller without a scenario's file."""
     return Scenario(
         name="avoider",
-        title="an avoider that is to be made",
+        title="a scenario with only an avoider",
         about="",
         duration_s=1.0,
         seed=0,
@@ -391,7 +391,7 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
         return _driven_by(scenario, reference, place or Place(field="--controller"))
     place = place or Place(field="--avoider")
     if scenario.driven:
-        expected = f"no avoider for a scenario that is driven by {scenario.controller}, which asks none"
+        expected = f"no avoider, since the scenario's controller {scenario.controller} does not ask any"
         raise InadmissibleError(place=place, expected=expected, got=repr(reference))
     return replace(scenario, **_placed(scenario, "avoider", "an avoider", reference, place))
 

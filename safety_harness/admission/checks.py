@@ -64,7 +64,7 @@ def _check_object(scenario: Scenario) -> None:
         raise scenario.inadmissible(expected, got, "object.position", "settings.cell.table height")
     corners = np.column_stack([np.array(shape.polygon_m), np.zeros(len(shape.polygon_m))])
     if scenario.settings.servo.object_kind is ObjectKind.DENSE and _crosses_itself(corners):
-        expected = "an outline that neither crosses nor touches itself"
+        expected = "an outline that does not cross or touch itself"
         raise scenario.inadmissible(expected, "one that does", "object.polygon")
     edges = np.roll(corners, -1, axis=0) - corners
     turns = np.cross(edges, np.roll(edges, -1, axis=0))[:, 2]
@@ -81,8 +81,8 @@ def _check_view(scenario: Scenario, view: DesiredView) -> None:
             expected="an object whose interaction matrix at the desired pose has a condition number of at "
             f"most {MOST_CONDITION:g}",
             got=f"{view.condition_number:.0f}",
-            hint="it is too near to a mirror symmetry (that of an isosceles triangle, say), which leaves one "
-            "motion unseen; a triangle near 3:4:5 is best",
+            hint="the object is almost mirror-symmetric, like an isosceles triangle, so that its image hides "
+            "one motion; a triangle near 3:4:5 is best",
         )
 
 
@@ -129,7 +129,7 @@ def check_cameras(scenario: Scenario) -> None:
     most_hz = 1.0 / settings.clock.control_period_s
     for name, rate_hz in (("camera", settings.camera.rate_hz), ("hand sensor", settings.hand_sensor.rate_hz)):
         if rate_hz is not None and rate_hz > most_hz * (1.0 + 1e-9):
-            expected = f'a rate of at most {most_hz:g} Hz, that of the control ticks, or "every tick"'
+            expected = f'a rate of at most {most_hz:g} Hz, the rate of the control ticks, or "every tick"'
             got = f"{rate_hz:g} Hz"
             raise scenario.inadmissible(expected, got, f"{name}.rate", "settings.clock.control period")
     hangs_m, table_m = settings.hand_sensor.overhead_position_in_base_m[2], settings.cell.table_height_m
@@ -172,8 +172,8 @@ def refuse_late_drives(scenario: Scenario) -> None:
     if given_s < needed_s - 1e-9:
         raise InadmissibleError(
             place=scenario.place("shield.reaction time", "shield"),
-            expected=f"a reaction time of at least {needed_s * 1e3:.0f} ms, in which the robot's drives have "
-            "carried a command out",
+            expected=f"a reaction time of at least {needed_s * 1e3:.0f} ms, which the robot's drives need "
+            "for a command",
             got=f"{scenario.shield.reaction_time_s * 1e3:g} ms",
             hint="that is their dead time in whole control periods, seven times their lag, and one control "
             "period where they lag or have a torque limit",
@@ -183,7 +183,7 @@ def refuse_late_drives(scenario: Scenario) -> None:
 def _refuse_shield(scenario: Scenario, kind: HandSensorKind) -> None:
     """Refuse a shield with a hand sensor that does not see the whole cell."""
     if scenario.shield is not None and kind not in (HandSensorKind.IDEAL, HandSensorKind.SURROUND):
-        expected = "a hand sensor that sees the whole cell, by which a shield sees"
+        expected = "a hand sensor that sees the whole cell, since a shield uses it"
         hint = "hand sensor: {kind: surround}"
         raise scenario.inadmissible(expected, f"{kind.value}, blind outside its view", "shield", hint=hint)
 

@@ -70,7 +70,7 @@ def _refuse_more_than_a_step(claim: Property, scenario: Scenario, place: Place) 
         return
     for name, most_m in (("tolerance_m", step_m), ("within_m", 2 * step_m), ("allowance_m", 2 * step_m)):
         if getattr(claim, name, 0.0) >= most_m:
-            expected = f"less than {most_m * 1e3:g} mm, as far as a step of {step_m * 1e3:g} mm can be off"
+            expected = f"less than {most_m * 1e3:g} mm, the largest error of a step of {step_m * 1e3:g} mm"
             raise InadmissibleError(place=place, expected=expected, got=claim.sentence)
 
 

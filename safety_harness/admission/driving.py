@@ -163,4 +163,4 @@ def refuse_faults_of_avoider(scenario: Scenario) -> None:
     for number, fault in enumerate(scenario.faults):
         if isinstance(fault, AvoiderLate | AvoiderNaN | AvoiderSilent):
             expected = f"faults of cameras, joints and brakes: {scenario.controller} asks no avoider"
-            raise scenario.inadmissible(expected, "one of the avoider", f"faults[{number}]", "faults")
+            raise scenario.inadmissible(expected, "a fault of the avoider", f"faults[{number}]", "faults")

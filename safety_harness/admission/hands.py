@@ -32,7 +32,7 @@ def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -
             where = "apart" if isinstance(hand, JoinedHand) else field
             too_high = height_m + above_m > ceiling_m
             if height_m + above_m < table_m or too_high:
-                below = f"below the hand sensor, which a shield sees it by (z = {ceiling_m * 1e3:.0f} mm)"
+                below = f"below the hand sensor, which a shield uses (z = {ceiling_m * 1e3:.0f} mm)"
                 above = f"above the table (z = {table_m * 1e3:.0f} mm)"
                 expected = f"a hand {below if too_high else above}"
                 hint = "hand sensor: {overhead position: [...]} hangs it higher" if too_high else ""

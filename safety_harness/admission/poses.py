@@ -89,7 +89,7 @@ def check_posture(scenario: Scenario, arm: ArmModel) -> None:
     if isinstance(scenario.robot, OwnRobot) and given == DEFAULTS.cell.preferred_joint_position_rad:
         ends = np.clip([arm.position_lower_rad, arm.position_upper_rad], -np.pi, np.pi)
         middle = ", ".join(f"{angle:.0f} deg" for angle in np.degrees(ends.mean(axis=0)))
-        expected = "the joint angles near which an own arm works"
+        expected = "the joint angles near which your arm works"
         hint = f"settings: {{cell: {{preferred joint position: [...]}}}}; the middle is [{middle}]"
         raise scenario.inadmissible(expected, "none", POSTURE, "robot", hint=hint)
     _refuse_other_count(scenario, arm, len(given), POSTURE)
@@ -109,7 +109,7 @@ def check_obstacles(scenario: Scenario, arm: ArmModel, joint_position_rad: Array
         capsules = cell_capsules(arm_capsules(scenario.robot), scenario.settings)
         distance_m = distance_from(box_records((obstacle,)), arm, capsules, joint_position_rad)
         if not distance_m > 0.0:
-            expected = "an obstacle that the arm is clear of where it starts"
+            expected = "an obstacle apart from the arm at its start"
             got = f"one {1e3 * distance_m:.0f} mm away"
             raise scenario.inadmissible(expected, got, f"obstacles[{number}]", "obstacles")
 

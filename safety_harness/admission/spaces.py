@@ -40,7 +40,7 @@ class AdmittedDraws:
         return len(self.scenarios) / self.drawn
 
     def __str__(self) -> str:
-        summary = f"{len(self.scenarios)} of {self.drawn} draws can be tried ({self.acceptance_rate:.0%})"
+        summary = f"{len(self.scenarios)} of {self.drawn} draws can run ({self.acceptance_rate:.0%})"
         return "; ".join([summary, *(f"{count} refused: {reason}" for reason, count in self.refused.items())])
 
 
@@ -92,7 +92,7 @@ def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[
     """Return the error for a space with too few admissible draws."""
     reason, count = refused.most_common(1)[0]
     simplest = space.simplest
-    expected = f"a space of which at least one draw in {MAX_REJECTION_RATIO} can be tried"
+    expected = f"a space in which at least one draw in {MAX_REJECTION_RATIO} can run"
     hint = f"{count} times it was {reason}"
     got = f"{admitted} of {drawn} draws"
     return simplest.inadmissible(expected, got, reason.partition(":")[0], hint=hint)

@@ -30,7 +30,7 @@ class NotTaken:
 
     def __str__(self) -> str:
         e = self.error
-        return f"{self.scenario} cannot be taken by {self.avoider}: expected {e.expected}, got {e.got}"
+        return f"{self.scenario} is unsuitable for {self.avoider}: expected {e.expected}, got {e.got}"
 
 
 def taken(
@@ -92,5 +92,5 @@ def not_taken_words(skipped: Sequence[NotTaken]) -> str:
     """Return how many scenarios each avoider cannot take, in words; empty for no scenario."""
     names = dict.fromkeys(case.avoider for case in skipped)
     return ", ".join(
-        f"{sum(case.avoider == name for case in skipped)} cannot be taken by {name}" for name in names
+        f"{sum(case.avoider == name for case in skipped)} unsuitable for {name}" for name in names
     )

@@ -181,7 +181,7 @@ def slower_because(avoider: Avoider) -> str:
     """Return why ``run_many`` cannot ask an avoider for all decisions at once; empty if it can."""
     if avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider):
         return ""
-    return f"{avoider.name} is asked for one decision after another: it has no propose_many"
+    return f"{avoider.name} gets one question after another: it has no propose_many"
 
 
 def judge(trace: Trace, *, file: Path | None = None) -> Evaluations:

@@ -156,8 +156,8 @@ def cache_problem(root: Path) -> str:
 def _cannot_keep(root: Path, error: OSError) -> str:
     """Return the warning for a folder that cannot keep machine code."""
     return (
-        f"machine code cannot be kept in {root} ({error.strerror or error}), and what is missing there is "
-        "made again by every process, which takes minutes; SAFETY_HARNESS_CACHE names another folder"
+        f"cannot write machine code to {root} ({error.strerror or error}), so every process compiles missing "
+        "code again, which takes minutes; set SAFETY_HARNESS_CACHE to another folder"
     )
 
 

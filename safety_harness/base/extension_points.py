@@ -168,7 +168,7 @@ def is_absent(part: RegisteredPart, error: Exception) -> bool:
 def warn(part: RegisteredPart, why: str) -> None:
     """Warn once on standard error that the harness skips a part, and ``why``."""
     if sys.stderr is not None:
-        sys.stderr.write(f"warning: left out, {part}: {why}\n")
+        sys.stderr.write(f"warning: skipped {part}: {why}\n")
 
 
 def loaded(
@@ -185,7 +185,7 @@ def loaded(
     names = {*reserved}
     for part in parts(point):
         if part.name in names:
-            warn(part, "the name is taken")
+            warn(part, "another part has its name")
         elif (usable := load(part, kind)) is not None:
             names.add(part.name)
             yield part.name, usable
@@ -215,7 +215,7 @@ def part_named(point: ExtensionPoint, name: str, kind: type[_Part]) -> _Part:
             return usable
     expected = f"a package that adds the entry point {name} to {point}"
     hint = f"pip install --force-reinstall {DISTRIBUTION}, or the package that added it"
-    got = "none that can be loaded" if name in names_of(point) else "none"
+    got = "an entry point that does not load" if name in names_of(point) else "no such entry point"
     raise MissingPackageError.of_option(name, expected, got, hint)
 
 
@@ -243,7 +243,7 @@ class Registry(list[_Part]):
             own = tuple(str(getattr(present, "name", "")) for present in list.__iter__(self))
             for name, part in loaded(point, kind, reserved=own):
                 if any(_identities(part) & _identities(present) for present in list.__iter__(self)):
-                    warn(RegisteredPart(point, name, ""), "its name is taken")
+                    warn(RegisteredPart(point, name, ""), "another part has its name")
                 else:
                     self.append(part)
 

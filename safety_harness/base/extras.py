@@ -82,7 +82,7 @@ PYBULLET = Extra(
     "pybullet",
     ("pybullet",),
     "the reference world and rendered images; without it runs are kinematic",
-    instead="the kinematic world does without: --world kinematic (pytest: --safety-world; a plan: world:)",
+    instead="or use the kinematic world: --world kinematic (pytest's --safety-world, a plan's world)",
     newest_wheel=(3, 11),
 )
 IMAGES = Extra(
@@ -90,13 +90,13 @@ IMAGES = Extra(
     ("cv2",),
     "hands in rendered images",
     package="opencv-python-headless",
-    instead="exact and raster images need none",
+    instead="exact and raster images work without it",
 )
 ONNX = Extra("onnx", ("onnxruntime", "onnx"), "avoiders in FILE.onnx, and proofs about them")
 LEARNING = Extra("learning", ("torch", "onnx", "onnxscript"), "safety-harness train and export")
 FITTING = Extra("fitting", ("trimesh", "collada"), "safety-harness robot fit")
-EXPORT = Extra("export", ("pyarrow",), "campaigns as Parquet files", instead="a .csv needs none")
-LOGS = Extra("logs", ("rosbags", "pyarrow"), "logs in MCAP, ROS 2 bags, Parquet", instead="a .csv needs none")
+EXPORT = Extra("export", ("pyarrow",), "campaigns as Parquet files", instead="or use a .csv")
+LOGS = Extra("logs", ("rosbags", "pyarrow"), "logs in MCAP, ROS 2 bags, Parquet", instead="or use a .csv")
 CLUSTER = Extra(
     "cluster",
     ("distributed", "dask"),

@@ -163,7 +163,7 @@ class Camera:
     calibration_error_offset_m: Vector3 = setting((0.0, 0.0, 0.0), "in the TCP frame", -1.0, 1.0)
     source: ImageSource = setting(ImageSource.EXACT, "where the object's moments come from")
     # None: an image at every control tick
-    rate_hz: float | None = setting(None, "of the images; at most that of the control ticks")
+    rate_hz: float | None = setting(None, "of the images; at most the rate of the control ticks")
     latency_s: float = setting(0.0, "from the image to the controller", 0.0, 10.0)
 
 
@@ -178,17 +178,17 @@ class HandSensor:
 
     kind: HandSensorKind = setting(
         HandSensorKind.IDEAL,
-        "`ideal` is the overhead camera without field of view, occlusion, noise and delay, so "
-        "it takes none of the keys for them; `surround` is cameras all around as one, with noise and "
-        "delay, but without field of view and occlusion; `eye in hand` is blind outside the servoing "
-        "camera's view and has its optics",
+        "`ideal` is the overhead camera without field of view, occlusion, noise and delay, and "
+        "refuses the keys for them; `surround` stands for cameras all around, with noise and delay, but "
+        "without field of view and occlusion; `eye in hand` has the servoing camera's optics and is blind "
+        "outside its view",
         example="hand sensor: {kind: eye in hand}",
     )
     detector: DetectorKind = setting(DetectorKind.EXACT, "from geometry, or from rendered images")
     overhead_position_in_base_m: Vector3 = setting(
         (0.750, -0.250, 1.800),
-        "where the overhead camera hangs, looking straight down; a hand that is not below it, "
-        "by its radius or more, is not seen, by `ideal` and `surround` neither",
+        "where the overhead camera hangs, looking straight down; all kinds except `eye in hand` see a "
+        "hand only if it is at least its radius below",
     )
     width_px: int = setting(640, "of the image", 16, 4096)
     height_px: int = setting(480, "of the image", 16, 4096)
@@ -198,7 +198,7 @@ class HandSensor:
         0.0, "standard deviation of the depth, divided by the depth squared", 0.0, 1.0
     )
     dropout_probability: float = setting(0.0, "how probable it is that an image shows no hand")
-    rate_hz: float | None = setting(None, "of the images; at most that of the control ticks")
+    rate_hz: float | None = setting(None, "of the images; at most the rate of the control ticks")
     latency_s: float = setting(0.0, "from the image to the controller", 0.0, 10.0)
 
 
@@ -302,7 +302,7 @@ class Avoidance:
     )
     table_clearance_m: float = setting(0.050, "the TCP is never sent nearer to the table")
     # An avoider that takes longer has not answered: the system's reaction time, in which all has to fit.
-    decision_deadline_s: float = setting(0.1, "an answer that takes longer in simulated time is none")
+    decision_deadline_s: float = setting(0.1, "a later answer, in simulated time, counts as missing")
     decision_time: DecisionCost | DecisionTimes = setting(
         DecisionCost.AS_DECLARED,
         "what a decision costs in simulated time, drawn anew for each; as the avoider declares it "
@@ -335,7 +335,7 @@ class Braking:
 
     reaction_time_s: float = setting(0.1, "before a protective stop begins to brake", 0.0, 5.0)
     stop_time_base_s: float = setting(0.35, "braking time, however slow the TCP is", 0.0, 5.0)
-    stop_time_per_speed_s2pm: float = setting(0.1, "and what each m/s of its speed adds", 0.0, 10.0)
+    stop_time_per_speed_s2pm: float = setting(0.1, "further time for each m/s of TCP speed", 0.0, 10.0)
 
 
 @dataclass(frozen=True, kw_only=True)

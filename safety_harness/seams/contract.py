@@ -53,7 +53,7 @@ SIGHTS = (
 MODE, DECISIONS, DOUBT = "mode", "decisions", "doubt"
 REPORTS = (
     SightWord(MODE, ("mode",), "what it is doing, at every tick"),
-    SightWord(DECISIONS, ("decision",), "every decision to give way, at the tick at which it was made"),
+    SightWord(DECISIONS, ("decision",), "every decision to give way, at its tick"),
     SightWord(DOUBT, ("spread_m", "spread_threshold_m"), "how sure it was of each, by its predictive spread"),
 )
 
@@ -183,7 +183,7 @@ class Seen:
             if name in sight.fields:
                 raise UnseenError(f'{name} is not seen: "{sight.word}" is not among this controller\'s sees')
         hint = near_miss(name, [known.name for known in fields(self)])
-        raise AttributeError(f"nothing that is seen is called {name!r}" + (f": {hint}" if hint else ""))
+        raise AttributeError(f"a controller never sees {name!r}" + (f": {hint}" if hint else ""))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -361,7 +361,7 @@ def reports_of(controller: UserController) -> tuple[str, ...]:
         )
     reports = _words_of(controller, "reports", getattr(controller, "reports", ()), REPORTS)
     if DOUBT in reports and DECISIONS not in reports:
-        raise ControllerError('reports: "doubt" is of decisions, and "decisions" are not among them')
+        raise ControllerError('reports: "doubt" needs "decisions", which they lack')
     return reports
 
 

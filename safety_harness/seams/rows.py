@@ -98,7 +98,7 @@ def packed_seen(seen: Seen) -> PackedSeen:
     """
     own = seen.__dict__
     if "_row" not in own:
-        raise ControllerError("what is seen was not made by the harness, and cannot be sent")
+        raise ControllerError("cannot send a Seen that the harness has not made")
     layout: SeenLayout = own["_makers"]
     return seen.period_s, layout.hand_slots, layout.joints, layout.sees, own["_row"].tobytes()
 

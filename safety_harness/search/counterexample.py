@@ -68,7 +68,7 @@ def circumstances(trace: Trace) -> list[str]:
             names = (str(check.name).lower().replace("_", " ") for check in failed)
             parts.append("the proposal failed: " + ", ".join(names))
         inside = seen.hand.contains(decision["hand_position_in_base_m"])
-        parts.append("hand seen in training" if inside else "hand where none was in training")
+        parts.append("hand seen in training" if inside else "hand not seen in training")
         lines.append("; ".join(parts))
     return lines
 
@@ -271,7 +271,7 @@ def _evidence(trace: Trace) -> list[str]:
     made, scenario = trace.provenance, trace.scenario
     claims = "\n".join(claim.sentence for claim in scenario.claims)
     libraries = ", ".join(f"{name} {version}" for name, version in made.libraries)
-    seeds = ", ".join(str(int(seed)) for seed in trace.decisions["seed"]) or "none was asked for"
+    seeds = ", ".join(str(int(seed)) for seed in trace.decisions["seed"]) or "no decisions"
     return [
         f"world {made.world}, safety-harness {made.package_version}, Python {made.python}, {made.platform}",
         f"libraries: {libraries}",

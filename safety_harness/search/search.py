@@ -68,7 +68,7 @@ class AskTell:
 
         """
         if self._asked is not None:
-            raise SearchOrderError(f"{self.name}: ask() before the last {len(self._asked)} points were told")
+            raise SearchOrderError(f"{self.name}: ask() before tell() of the last {len(self._asked)} points")
         if count < 1:
             raise SearchOrderError(f"{self.name}: ask() for {count} points; expected at least 1")
         points = np.array(self._searcher.propose(count), dtype=np.float64)
@@ -173,6 +173,6 @@ def _refuse_hopeless(findings: Findings) -> None:
     if findings.asked < MAX_REJECTION_RATIO * (findings.tried + 1):
         return
     reason, count = findings.refused.most_common(1)[0]
-    expected = f"a space of which at least one point in {MAX_REJECTION_RATIO} can be tried"
+    expected = f"a space in which at least one point in {MAX_REJECTION_RATIO} can run"
     got = f"{findings.tried} of {findings.asked} points"
     raise InadmissibleError.of_option("space", expected, got, f"{count} times it was {reason}")

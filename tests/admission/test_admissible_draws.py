@@ -35,7 +35,7 @@ def test_what_cannot_be_tried_is_drawn_again_and_counted() -> None:
     assert draws.drawn == 20 + sum(draws.refused.values()) > 20
     (reason,) = draws.refused
     assert reason == "tcp start: expected a TCP start with the whole object in the camera's view"
-    assert str(draws) == f"20 of {draws.drawn} draws can be tried ({20 / draws.drawn:.0%}); " + (
+    assert str(draws) == f"20 of {draws.drawn} draws can run ({20 / draws.drawn:.0%}); " + (
         f"{draws.refused[reason]} refused: {reason}"
     )
 

@@ -165,11 +165,11 @@ BAD_FILES = {
         "class Mine:\n    def __init__(self, radius_m):\n        pass\n",
         "TypeError: Mine.__init__() missing 1 required positional argument: 'radius_m'",
     ),
-    "has nothing of that name": ("class Other:\n    pass\n", "nothing of that name"),
-    "has no propose": ("class Mine:\n    name = 'mine'\n", "none in a Mine"),
+    "has nothing of that name": ("class Other:\n    pass\n", "no such name"),
+    "has no propose": ("class Mine:\n    name = 'mine'\n", "no such method in a Mine"),
     "has a propose that is no method": (
         "class Mine:\n    name = 'mine'\n    propose = 3\n",
-        "none in a Mine",
+        "no such method in a Mine",
     ),
     "has another signature": (
         "class Mine:\n    name = 'mine'\n    def propose(self, hand, tcp):\n        pass\n",

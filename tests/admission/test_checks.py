@@ -235,7 +235,7 @@ def refusal(text: str) -> InadmissibleError:
                 got,
             )
             for polygon, more, expected, got in (
-                (BOW, "", "an outline that neither crosses nor touches itself", "one that does"),
+                (BOW, "", "an outline that does not cross or touch itself", "one that does"),
                 (
                     ARROW,
                     "camera: {source: rendered}\n",
@@ -286,7 +286,7 @@ def refusal(text: str) -> InadmissibleError:
             "camera:\n  rate: 126 Hz\n",
             "rate",
             "camera.rate",
-            'a rate of at most 125 Hz, that of the control ticks, or "every tick"',
+            'a rate of at most 125 Hz, the rate of the control ticks, or "every tick"',
             "126 Hz",
         ),
         (

@@ -24,7 +24,7 @@ def test_the_help_has_the_toys_command_and_names_those_that_cannot_be_used(toy: 
     done = called(toy, "--help")
     assert done.returncode == 0
     assert re.search(r"─ Toy 1.0 ─.*\n. toy  +Say that the toy is there", done.stdout)
-    warnings = [line for line in done.stderr.splitlines() if line.startswith("warning: left out")]
+    warnings = [line for line in done.stderr.splitlines() if line.startswith("warning: skipped")]
     found = {line.partition(" of ")[0].rpartition(" ")[2]: line for line in warnings}
     assert {*found} == {"gone", "greedy", "run", "wrong"}
     assert "no_such_name" in found["gone"]
@@ -37,7 +37,7 @@ def test_the_help_has_the_toys_command_and_names_those_that_cannot_be_used(toy: 
 def test_a_command_that_cannot_be_loaded_is_no_command(toy: Path, command: str) -> None:
     done = called(toy, command)
     assert done.returncode == 2
-    assert f"left out, safety_harness.commands {command} of toy 1.0" in done.stderr
+    assert f"skipped safety_harness.commands {command} of toy 1.0" in done.stderr
     assert "No such command" in done.stderr
 
 
@@ -107,8 +107,8 @@ explain_claims(["toy", "distance"])
     assert "['pybullet', 'kinematic', 'toy']" in done.stdout
     assert "a note of the toy" in done.stdout
     assert "the reference is pybullet" in done.stdout
-    assert "left out, safety_harness.worlds zz: its name is taken" in done.stderr
-    assert "the name is taken" in done.stderr
+    assert "skipped safety_harness.worlds zz: another part has its name" in done.stderr
+    assert "another part has its name" in done.stderr
 
 
 KEYED = (
@@ -168,7 +168,7 @@ def test_a_key_of_a_package_that_is_not_installed_is_refused(tmp_path: Path) -> 
 def test_a_key_is_explained_even_beside_one_that_cannot_be_loaded(toy: Path) -> None:
     done = called(toy, "explain", "toy")
     assert "how wide the wheels are" in done.stdout
-    assert "left out, safety_harness.scenario_keys spoiled of toy 1.0" in done.stderr
+    assert "skipped safety_harness.scenario_keys spoiled of toy 1.0" in done.stderr
 
 
 def test_a_space_may_vary_the_toys_key(toy: Path) -> None:
@@ -221,7 +221,7 @@ def test_no_package_takes_the_place_of_a_way_to_a_controller_or_of_a_file(toy: P
         done = called(toy, "validate", "own.yaml")
         assert done.returncode == 2
         assert message in " ".join(done.stderr.split())
-    assert "left out, safety_harness.controllers exec of toy 1.0: its name is taken" in done.stderr
+    assert "skipped safety_harness.controllers exec of toy 1.0: another part has its name" in done.stderr
 
 
 def test_the_toys_section_is_on_the_page_of_a_run_and_one_that_fails_is_left_out(toy: Path) -> None:
@@ -231,7 +231,7 @@ def test_the_toys_section_is_on_the_page_of_a_run_and_one_that_fails_is_left_out
     assert '<h3 id="run-1-added-0">Toy &lt;wheels&gt;</h3>' in page
     assert "least &amp; last" in page
     assert "run-1-added-1" not in page
-    assert "left out, safety_harness.page_sections failing: RuntimeError: no wheels" in done.stderr
+    assert "skipped safety_harness.page_sections failing: RuntimeError: no wheels" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -250,7 +250,7 @@ def test_the_core_works_where_no_wing_is_installed(command: tuple[str, ...], tmp
         SHORT.partition("claims:")[0] + "claims:\n  trace finite and monotone: holds\n"
     )
     done = called(tmp_path, *command, code=WITHOUT_WINGS)
-    assert (done.returncode, "warning: left out" in done.stderr, "Traceback" in done.stderr) == (
+    assert (done.returncode, "warning: skipped" in done.stderr, "Traceback" in done.stderr) == (
         0,
         False,
         False,

@@ -79,7 +79,7 @@ def test_run_ends_with_1_for_a_violation_that_the_reference_has_not() -> None:
 def test_a_comparison_with_itself_is_refused(words: tuple[str, ...]) -> None:
     found = command(*words, *MINE_AGAINST, "./mine.py:Hurried", "--out", "itself")
     assert found.exit_code == 2
-    assert "such a comparison finds nothing" in found.output
+    assert "a comparison with itself has no findings" in found.output
 
 
 @pytest.mark.parametrize("words", [("run", "servo.yaml"), ("fuzz", "space.yaml", "--budget", "4")])
@@ -88,7 +88,7 @@ def test_so_is_what_a_file_names_already_or_has_by_default(words: tuple[str, ...
     Path("servo.yaml").write_text(re.sub("(?m)^controller:.*\n", "", VISIT))
     found = command(*words, "--against", named, "--out", "itself")
     assert found.exit_code == 2, found.output
-    assert "such a comparison finds nothing" in found.output
+    assert "a comparison with itself has no findings" in found.output
 
 
 def test_fuzz_searches_for_what_only_the_controller_on_trial_violates() -> None:

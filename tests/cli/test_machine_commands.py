@@ -142,7 +142,7 @@ def test_a_cache_that_cannot_be_written_is_a_problem(tmp_path: Path, monkeypatch
     monkeypatch.setattr(doctor, "cache_folder", doctor.cache_folder.__wrapped__)  # of this root
     code, checks = examined(monkeypatch)
     assert code == 1
-    assert "cannot be kept" in str(checks["machine code"]["words"])
+    assert "cannot write machine code" in str(checks["machine code"]["words"])
 
 
 def test_doctor_looks_for_every_extra(monkeypatch: pytest.MonkeyPatch) -> None:

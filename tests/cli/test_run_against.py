@@ -105,8 +105,8 @@ def test_a_scenario_that_an_avoider_cannot_take_is_told_counted_and_no_pass(
     assert run([files / "plane.yaml"], Path("out"), "ensemble") == AS_EXPECTED
     assert run([files / "plane.yaml", files / "elsewhere.yaml"], Path("out"), "ensemble") == DIFFERS
     out, err = capsys.readouterr()
-    assert "skipped: elsewhere cannot be taken by ensemble: expected a seen space" in err
-    assert "1 of 1 verdicts as expected (1 hold), 1 of 2 scenarios run, 1 cannot be taken by ensemble" in out
+    assert "skipped: elsewhere is unsuitable for ensemble: expected a seen space" in err
+    assert "1 of 1 verdicts as expected (1 hold), 1 of 2 scenarios run, 1 unsuitable for ensemble" in out
     found = report()
     assert [one["scenario"] for one in found["runs"]] == ["plane"]
     assert [one["scenario"] for one in found["skipped"]] == ["elsewhere"]
@@ -121,7 +121,7 @@ def test_what_the_reference_cannot_take_is_skipped_too(
 ) -> None:
     paths = [files / "plane.yaml", files / "elsewhere.yaml"]
     assert run(paths, Path("out"), "opposite pose", "ensemble") == AS_EXPECTED
-    assert "1 of 2 scenarios run, 1 cannot be taken by ensemble" in capsys.readouterr().out
+    assert "1 of 2 scenarios run, 1 unsuitable for ensemble" in capsys.readouterr().out
     assert [one["scenario"] for one in report()["against"]["runs"]] == ["plane"]
 
 
@@ -152,6 +152,6 @@ def test_a_file_that_names_an_avoider_that_cannot_take_it_is_a_mistake(files: Pa
 def test_a_comparison_with_itself_is_refused(reference: str, capsys: pytest.CaptureFixture[str]) -> None:
     written = f"./{reference}" if ":" in reference else reference
     assert run([Path("any.yaml")], Path("itself"), avoider=reference, against=written) == BAD_INPUT
-    assert "such a comparison finds nothing" in capsys.readouterr().err
+    assert "a comparison with itself has no findings" in capsys.readouterr().err
     assert fuzz(Path("any.yaml"), out=Path("itself"), avoider=reference, against=written) == BAD_INPUT
-    assert "such a comparison finds nothing" in capsys.readouterr().err
+    assert "a comparison with itself has no findings" in capsys.readouterr().err

@@ -107,8 +107,8 @@ def test_a_process_that_ended_unseen_is_replaced_when_the_next_object_is_made(be
 @pytest.mark.parametrize(
     ("name", "why"),
     [
-        ("Nothing", "expected Nothing to have a method add; got none in a Nothing"),
-        ("None_", "nothing of that"),
+        ("Nothing", "expected Nothing to have a method add; got no such method in a Nothing"),
+        ("None_", "no such name"),
     ],
 )
 def test_a_file_without_one_is_refused_at_its_place(begun: Begun, name: str, why: str) -> None:

@@ -101,7 +101,7 @@ def test_a_space_of_which_nothing_can_be_tried_is_given_up_with_the_reason() -> 
             outcomes.margins, outcomes.conclusive, reasons, outcomes.mishaps, outcomes.kinds, outcomes.cells
         )
 
-    with pytest.raises(InadmissibleError, match="one point in 200 can be tried; got 0 of 2"):
+    with pytest.raises(InadmissibleError, match="one point in 200 can run; got 0 of 2"):
         searched(refusing)
 
 

@@ -128,7 +128,7 @@ def test_the_json_has_it_all_and_can_be_read(tmp_path: Path) -> None:
 
 def test_the_page_says_it_escaped_and_needs_nothing_else() -> None:
     page = render(EVERY_KIND, about(interrupted=True))
-    assert "7 of 8 were tried" in page
+    assert "7 of 8 are done" in page
     assert "<b>made up</b>" not in page
     for one in EVERY_KIND:
         assert one.fault in page

@@ -154,7 +154,7 @@ def test_an_avoider_that_is_not_repeatable_is_told_of() -> None:
     admitted = replace(shipped("network-certain"), avoider=moody)
     told = sound_remarks((admitted,))
     assert any("not repeatable" in line for line in told)
-    assert any("one decision after another" in line for line in told)
+    assert any("one question after another" in line for line in told)
     assert sound_remarks((shipped("network-certain"),)) == []
 
 

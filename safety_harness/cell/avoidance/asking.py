@@ -127,7 +127,7 @@ def _more(avoider: Avoider, question: Question) -> dict[str, Any]:
     """Return the fourth keyword of an avoider that sees more."""
     sees = shown_to(avoider)
     if sees and question.seen is None:
-        raise AvoiderError(f"it sees {', '.join(sees)}, and is asked outside of a run, where nothing is seen")
+        raise AvoiderError(f"it sees {', '.join(sees)}, which no question outside of a run has")
     return {"seen": question.seen} if sees else {}
 
 

@@ -126,7 +126,7 @@ def shown_to(avoider: Avoider) -> tuple[str, ...]:
     except ControllerError as error:
         raise AvoiderError(str(error)) from error
     if IMAGE in sees:
-        raise AvoiderError(f"sees must be words that avoiders are shown; got {IMAGE!r}: no pixels")
+        raise AvoiderError(f"sees must list inputs of avoiders; got {IMAGE!r}, but avoiders get no pixels")
     return sees
 
 

@@ -55,12 +55,12 @@ def _admissible(path: Path, candidate: object, name: str) -> Avoider:
     for read, attribute, kind in (
         (spread_threshold_of, "spread_threshold_m", "a length"),
         (decision_time_of, "decision_time_s", "a time"),
-        (shown_to, "sees", "of words that avoiders are shown"),
+        (shown_to, "sees", "a list of inputs of avoiders"),
     ):
         try:
             read(avoider)
         except AvoiderError as error:
-            _refuse(AVOIDER, f"{name} to have a {attribute} that is {kind}, or none", str(error))
+            _refuse(AVOIDER, f"{name} to have a {attribute} that is {kind}, if any", str(error))
         except Exception as error:  # a user's property
             raise raised(path, AVOIDER, f"{name} to have a {attribute} that can be read", error) from error
     return avoider

@@ -44,7 +44,7 @@ class LaneAnswers:
         if self._tells:
             reported = getattr(action, "report", None)
             if not isinstance(reported, Report) or not isinstance(reported.mode, Mode):
-                raise ControllerError('act reported no Mode: though "mode" is among its reports')
+                raise ControllerError('act reported no Mode, though "mode" is among its reports')
             self.modes[lane] = reported.mode
         if not isinstance(action, Move | Stop):
             raise ControllerError(f"act returned no Move and no Stop: {printable(repr(action))}")
@@ -57,7 +57,7 @@ class LaneAnswers:
         linear, angular = action.tcp_velocity_mps, action.tcp_angular_velocity_radps
         if action.joint_velocity_radps is not None:
             if linear is not None or angular is not None:
-                raise ControllerError("act returned a Move: of the TCP and of the joints at once")
+                raise ControllerError("act returned a Move of both the TCP and the joints")
             joints, name = self.joints[lane], "joint_velocity_radps"
             joints[:] = numbers(name, action.joint_velocity_radps, joints.shape)
             self.by_joints[lane] = True
@@ -79,7 +79,7 @@ class LaneAnswers:
             )
         )
         if joints is not None and (linear is not None or angular is not None):
-            raise ControllerError("act_many returned Moves: of the TCP and of the joints at once")
+            raise ControllerError("act_many returned Moves of both the TCP and the joints")
         stop = _flags("stop", moves.stop, n)
         if self._tells:
             modes = np.asarray(moves.mode)
@@ -106,7 +106,7 @@ class LaneAnswers:
             column[own] = rows.reshape(len(lanes), *column.shape[1:])
         modes = self.modes[own]
         if not (_are_modes(modes) if self._tells else (modes == NOT_REPORTED).all()):
-            raise ValueError("a mode that there is not")
+            raise ValueError("an unknown mode")
 
 
 def numbers(name: str, value: object, shape: tuple[int, ...], call: str = "act") -> NDArray[Any]:

@@ -228,7 +228,7 @@ class DrivenController:
 
     def not_finite(self, wanted: Floats) -> ControllerError:
         """Return the error for ``wanted`` velocities (6,) or (n,) that are not finite."""
-        return self.failed(f"act returned: velocities that are not finite: {wanted.tolist()}")
+        return self.failed(f"act returned velocities that are not finite: {wanted.tolist()}")
 
     def failed(self, why: str) -> ControllerError:
         """Return the error that ends the run at this tick."""

@@ -129,7 +129,7 @@ def controller_file(reference: str, folder: Path | None, place: Place = CONTROLL
         if reference.endswith(".py"):
             hint = f"name the class in it as well: {reference}:NAME"
         if os.path.exists(reference.partition(" ")[0]):
-            hint = f"a program is named as {EXEC}{reference}"
+            hint = f"for a program write {EXEC}{reference}"
         raise InadmissibleError(place=place, expected=FORMS, got=repr(reference), hint=hint)
     path = resolved(located((folder or Path()) / os.path.expanduser(file)))
     if not path.is_file():

@@ -392,6 +392,6 @@ def inertial(
     matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     least, middle, most = np.linalg.eigvalsh(matrix)
     if mass > 0.0 and not (least > 0.0 and most <= MOMENT_EXCESS * (least + middle)):
-        expected = "an inertia that a body can have: moments above 0, none far above the others' sum"
+        expected = "a possible inertia: moments above 0, the largest hardly above the sum of the two smaller"
         raise urdf.error(inertia, expected, f"{least:.4g}, {middle:.4g}, {most:.4g}")
     return mass, frame, matrix

@@ -173,11 +173,11 @@ def refuse_unenclosed(robot: AnyRobot) -> None:
     most_mm = 1e3 * (TCP_BEYOND_M if robot.tcp_beyond_m is None else robot.tcp_beyond_m)
     if links := ", ".join(unenclosed_links(arm, capsules.link_index.tolist(), accepted)):
         expected, got = "capsules of every link between others that have them", f"none of {links}"
-        hint = f"without geometry: [{links}] accepts that no distance knows of them"
+        hint = f"without geometry: [{links}] accepts that distances ignore them"
     elif beyond_mm > most_mm:
         expected = f"a TCP within {most_mm:g} mm of a capsule of the arm, its tool or its part"
         got, accepts = f"one {beyond_mm:.1f} mm away", f"tcp beyond capsules: {np.ceil(beyond_mm):.0f} mm"
-        hint = f"capsules of the whole tool; {accepts} where nothing solid reaches the TCP"
+        hint = f"add capsules for the whole tool, or state {accepts} if no solid part reaches the TCP"
     else:
         return
     raise ArmFileError(place=place, expected=expected, got=got, hint=hint)

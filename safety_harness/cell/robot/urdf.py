@@ -42,7 +42,7 @@ def read_bytes(file: Path) -> bytes:
     """Return the bytes of a file; ``ArmFileError`` if it is unreadable or above MAX_BYTES."""
     try:
         if not os.path.isfile(file):
-            raise ArmFileError.of_file(file, "a file", "none of that name")
+            raise ArmFileError.of_file(file, "a file", "no such file")
         if file.stat().st_size > MAX_BYTES:
             raise ArmFileError.of_file(file, f"at most {MAX_BYTES:,} bytes", f"{file.stat().st_size:,}")
         return file.read_bytes()
@@ -250,7 +250,7 @@ class Urdf:
             if os.path.isfile(place):
                 return place
         hint = "--package NAME=FOLDER says where it is" if scheme == "package" else ""
-        raise self.error(mesh, "the name of a mesh file", f"{uri!r}, and there is none", hint)
+        raise self.error(mesh, "the name of a mesh file", f"{uri!r}, which does not exist", hint)
 
 
 def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
@@ -270,7 +270,7 @@ def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
             raise refused("a URDF that xacro has expanded", f"<{tag}>", expand_by_xacro(file))
         open_tags.append(tag)
         if len(open_tags) > DEEPEST:
-            raise refused(f"at most {DEEPEST} elements within each other", f"<{tag}> in {DEEPEST}")
+            raise refused(f"at most {DEEPEST} nested elements", f"<{tag}> in {DEEPEST}")
         own = {key: value for key, value in attributes.items() if not key.startswith("xmlns")}
         lines[builder.start(tag, own)] = parser.CurrentLineNumber
 

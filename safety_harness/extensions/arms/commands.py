@@ -20,18 +20,21 @@ if TYPE_CHECKING:
 _ABOUT = "Show an arm of a URDF, or fit capsules."
 commands = Typer(name="robot", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 File = Annotated[
-    Path, Argument(help="A URDF, or one of an installed package: pybullet/kuka_iiwa/model.", metavar="FILE")
+    Path,
+    Argument(help="A URDF file, or one in an installed package: pybullet/kuka_iiwa/model.", metavar="FILE"),
 ]
 Base = Annotated[
-    str | None, Option(help="The link that stands still; else the only one without a joint above it.")
+    str | None, Option(help="The link that stands still; default: the only link without a joint above it.")
 ]
 Tcp = Annotated[
-    str | None, Option(help="The link that ends the arm; else the only one without one below it.")
+    str | None, Option(help="The link that ends the arm; default: the only link without a joint below it.")
 ]
 Packages = Annotated[
     list[str],
     Option(
-        "--package", help="Where package://NAME/ is; else beside the file and above.", metavar="NAME=FOLDER"
+        "--package",
+        help="Folder of package://NAME/; default: beside the file and above.",
+        metavar="NAME=FOLDER",
     ),
 ]
 
@@ -41,7 +44,7 @@ def show(
     file: Annotated[
         Path,
         Argument(
-            help="A URDF, one of an installed package (pybullet/kuka_iiwa/model), an arm's file "
+            help="A URDF file, one in an installed package (pybullet/kuka_iiwa/model), an arm's file "
             "(arm.yaml, shipped:panda), or UR10, UR5, UR3.",
             metavar="FILE",
         ),
@@ -55,9 +58,11 @@ def show(
 ) -> int:
     """Show an arm's joints, limits, reach, links and meshes.
 
-    The page needs an arm with capsules: an arm's file, or UR10, UR5, UR3. Only the extra "fitting" draws
-    meshes.
-    Exit code 0; 2: the arm cannot be used, with file and line.
+    The page needs an arm with capsules: an arm's file, or UR10, UR5, UR3. Only
+    the extra "fitting" draws meshes.
+
+    Exit code 0: the arm is shown.
+    Exit code 2: the arm cannot be used, with file and line.
     """
     import numpy as np
 
@@ -71,7 +76,7 @@ def show(
             )
         arm = _arm(file, base, tcp, package)
     elif base or tcp or package:
-        raise SettingsError.of_option("--base, --tcp, --package", "none, with an arm's file", str(file))
+        raise SettingsError.of_option("--base, --tcp, --package", "a URDF with these options", str(file))
     else:
         from safety_harness.cell.robot.robots import arm_model, refuse_unfit
 
@@ -144,9 +149,13 @@ def fit(
 ) -> int:
     """Fit capsules about an arm's meshes, in minutes.
 
-    They enclose every triangle of the collision and visual meshes. The output lists them by link, with their
-    excess over the meshes. The file records the SHA-256 of the URDF and the meshes, and fits no others. Exit
-    code 0; 2: bad input; 130: interrupted, no file was written.
+    They enclose every triangle of the collision and visual meshes. The output
+    lists them by link, with their excess over the meshes. The file records the
+    SHA-256 of the URDF and the meshes, and fits no others.
+
+    Exit code 0: the file is written.
+    Exit code 2: bad input.
+    Exit code 130: interrupted, without a file.
     """
     import numpy as np
 
@@ -213,8 +222,12 @@ def enclose(
 ) -> int:
     """Enclose a tool's or part's mesh in capsules.
 
-    The output has the form of a scenario file. The capsules hold every triangle, in the frame of the mesh. A
-    line states their excess over the mesh. Exit code 0; 2: bad input.
+    The output has the form of a scenario file. The capsules hold every
+    triangle, in the frame of the mesh. A line states their excess over the
+    mesh.
+
+    Exit code 0: the capsules are printed.
+    Exit code 2: bad input.
     """
     import numpy as np
 

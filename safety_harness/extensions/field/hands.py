@@ -221,16 +221,14 @@ def _recordings(logs: Sequence[CellLog]) -> tuple[tuple[str, str], ...]:
 def _notes(watched: Watched, quantities: Sequence[FittedQuantity]) -> list[str]:
     notes = []
     if watched.gaps:
-        notes.append(f"{watched.gaps} gaps longer than said: what was going on there is left out")
+        notes.append(f"{watched.gaps} gaps exceed the stated longest gap: motion in them does not count")
     if watched.cut:
-        notes.append(f"{watched.cut} moves whose beginning or end was not seen are counted, no more")
+        notes.append(f"{watched.cut} moves with an unseen beginning or end are only counted")
     if more := watched.counted - watched.cut - len(watched.approaches):
         notes.append(f"{more} more counted: reaches that turned back without a stand, or came in a gap")
     hard = sum(item.acceleration_mps2 > HARD * item.speed_mps / WINDOW_S for item in watched.approaches)
     if hard:
-        notes.append(
-            f"{hard} accelerations are too small, as a speed is over {WINDOW_S:g} s: hands sped up harder"
-        )
+        notes.append(f"{hard} accelerations are too small, since a speed is a mean over {WINDOW_S:g} s")
     for item in quantities:
         if item.chosen is None:
             notes.append(f"{item.name}: no family fits, so that the recorded values stand for themselves")
@@ -239,7 +237,7 @@ def _notes(watched: Watched, quantities: Sequence[FittedQuantity]) -> list[str]:
     notes.append(
         "approaches count as independent: the interval is too narrow where the same people come many times"
     )
-    notes.append("quantities are drawn one by one: what goes together in people is not kept")
+    notes.append("quantities are drawn independently: correlations between them are lost")
     return notes
 
 
@@ -308,7 +306,7 @@ def quantity_lines(quantity: FittedQuantity) -> list[str]:
         verdict = "rejected" if each.rejected else "taken" if each is quantity.chosen else "not rejected"
         text = f"{each.family}: {values} {unit}; A2 = {each.distance:.3f}, p = {each.p_value:.3f}, {verdict}"
         lines.append(f"{quantity.name}, {len(quantity.values)} values, {text}")
-    return lines or [f"{quantity.name}, {len(quantity.values)} values: neither family can be fitted"]
+    return lines or [f"{quantity.name}, {len(quantity.values)} values: both families fail to fit"]
 
 
 def direction_line(trend: Direction) -> str:

@@ -64,7 +64,7 @@ def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> t
     """
     log = path.with_name(LOG_FILE)
     if not trace.known.simulated:
-        got = "that of a log, whose own files are there"
+        got = "the trace of a log, which has its own files"
         raise TraceError(place=Place(field="known"), expected="the trace of a simulated run", got=got)
     if log.exists() and f'"{_quoted(path)}#' not in log.read_text(errors="replace"):
         expected = "no file, or one that an export wrote"

@@ -63,7 +63,7 @@ class Episodes:
                 reason = why_refused(error)
                 refused += 1
                 if refused >= MAX_REJECTION_RATIO:
-                    expected = f"a space of which at least one draw in {MAX_REJECTION_RATIO} can be tried"
+                    expected = f"a space in which at least one draw in {MAX_REJECTION_RATIO} can run"
                     raise InadmissibleError.of_option("space", expected, reason) from error
             else:
                 refused = 0
@@ -80,7 +80,7 @@ class Episodes:
             if seed is not None:
                 scenario = replace(scenario, seed=leaf(seed, Branch.ENVIRONMENT, number))
         if scenario.shield is not None:
-            expected = "no shield: an agent learns what it does itself"
+            expected = "no shield, since an agent must learn without its help"
             place = scenario.place("shield")
             raise InadmissibleError(place=place, expected=expected, got="one")
         checked = check(replace(scenario, controller=OUTSIDE, avoider=NO_AVOIDER))

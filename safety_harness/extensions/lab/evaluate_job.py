@@ -117,7 +117,7 @@ class EvaluationResult:
     def __repr__(self) -> str:
         of_each = (f"{entry.reference}: {len(entry.findings)} findings" for entry in self.avoiders)
         failed = (f"not scored: {entry}" for entry in self.scored.failed)
-        return f"<{'; '.join([*of_each, *failed]) or 'nothing was scored'}. {BASIS_OF_ANSWERS}>"
+        return f"<{'; '.join([*of_each, *failed]) or 'no avoider has a score'}. {BASIS_OF_ANSWERS}>"
 
     def data(self) -> str:
         """Return the text of evaluation.json."""

@@ -178,7 +178,7 @@ def _far_when_unseen(factor: float, proposal: Proposal, hand: Vector, tcp: Vecto
     return Proposal(tcp + factor * (proposal.position_in_base_m - tcp), proposal.spread_m)
 
 
-@_avoider("NaN now and then", "no position, and the decision is left to whoever comes after")
+@_avoider("NaN now and then", "no position, so that the next stage has to decide")
 @seeded(queried, (1.0, 0.1, 0.01, 0.001), "of decisions")
 def _sometimes_nan(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     if generator(seed, Branch.SELFTEST, 1).random() < share:
@@ -215,7 +215,7 @@ def _unseeded(std_m: float) -> Answers:
 
 @_avoider(
     "memory between episodes",
-    "what it does depends on what was tried before: tests in another order say something else",
+    "its answers depend on earlier questions: tests in another order give other results",
 )
 @seeded(answering, (1e-2, 1e-3, 1e-6), "mm a question", 1e3)
 def _remembering(step_m: float) -> Answers:
@@ -230,13 +230,13 @@ def _remembering(step_m: float) -> Answers:
     return answers
 
 
-@_spread("overconfident spread", "the gate lets pass what the network only guesses")
+@_spread("overconfident spread", "the gate accepts guesses of the network")
 @seeded(answered, (0.0, 0.1, 0.25, 0.5), "times")
 def _overconfident(factor: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return Proposal(proposal.position_in_base_m, factor * proposal.spread_m)
 
 
-@_spread("underconfident spread", "every answer is thrown away; what was tested is not what is used")
+@_spread("underconfident spread", "every answer is thrown away: the system in use is not the tested system")
 @seeded(answered, (10.0, 4.0, 2.0), "times")
 def _underconfident(factor: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return Proposal(proposal.position_in_base_m, factor * proposal.spread_m)

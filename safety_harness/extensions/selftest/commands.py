@@ -22,7 +22,7 @@ def selftest(
     avoider: OfAvoider = None,
     controller: OfController = None,
     scenarios: Annotated[
-        Path, Option(help="Folder of scenario files, and of spaces/ in it, to try faults on.")
+        Path, Option(help="Folder with scenario files and spaces/, to try faults on.")
     ] = Path("shipped:scenarios"),
     fault: Annotated[str | None, Option(help="Only faults with these words in their name.")] = None,
     out: Annotated[Path, Option(help="Folder for selftest.html and selftest.json.")] = Path(
@@ -32,13 +32,19 @@ def selftest(
 ) -> int:
     """Seed faults into a sound system, and show the catches.
 
-    A claim catches a fault if it is violated with the fault and holds without it, on the same scenario. The
-    table has this claim, the number of episodes, and the smallest caught magnitude. With --avoider or
-    --controller the command seeds the faults into yours. Faults of avoider, gate and servoing apply only if
-    your system has these parts; the table marks the rest. Harmless changes run too, and must raise no alarm.
-    The command keeps the results so far, whatever its exit code.
-    Exit code 0; 1: a fault survives that is no stated limit, a harmless change raises a false alarm, or no
-    fault applies; 2: bad input; 130: interrupted.
+    A claim catches a fault if it is violated with the fault and holds without
+    it, on the same scenario. The table has this claim, the number of episodes,
+    and the smallest caught magnitude. With --avoider or --controller the
+    command seeds the faults into yours. Faults of avoider, gate and servoing
+    apply only if your system has these parts; the table marks the rest.
+    Harmless changes run too, and must raise no alarm. The command keeps the
+    results so far, whatever its exit code.
+
+    Exit code 0: claims catch all faults, except stated limits.
+    Exit code 1: another fault survives, or a harmless change raises a false alarm.
+    Exit code 1 too: no fault applies.
+    Exit code 2: bad input.
+    Exit code 130: interrupted.
     """
     import shlex
     import sys
@@ -78,7 +84,7 @@ def selftest(
         say("reading and trying the sound system")
         session = SelfTestSession(plan, numbers, out, shlex.join(again))
     except KeyboardInterrupt:
-        say("interrupted before anything was tried")
+        say("interrupted before the first fault")
         return INTERRUPTED
     say(*session.remarks, f"{len(numbers)} faults and harmless changes to try")
     begun_s = time.monotonic()
@@ -102,7 +108,7 @@ def selftest(
         session.write()
         session.write_page()
     say(f"page: {out / PAGE} (for programs: {DATA})")
-    tried = f"{len(session.tried)} of {len(numbers)} were tried"
+    tried = f"{len(session.tried)} of {len(numbers)} done"
     if session.interrupted:
         say(f"interrupted: {tried}")
         return INTERRUPTED
@@ -110,6 +116,6 @@ def selftest(
         say(f"error: {session.broken}; {tried}")
         return DIFFERS
     if not any(outcome.applies for outcome in session.tried):
-        say("error: nothing was tried: none of these faults applies to such an avoider")
+        say("error: these faults do not apply to such an avoider")
         return DIFFERS
     return DIFFERS if bad(session.tried) else AS_EXPECTED

@@ -2,7 +2,7 @@
 
 A file of faults declares each fault beside the function that makes it, by two decorators:
 
-    @of_motion("overspeed", "the arm is faster than it is told: nobody can step back in time")
+    @of_motion("overspeed", "the arm is faster than commanded: people cannot step back in time")
     @seeded(commanded, (4.0, 1.5, 1.1, 1.02), "times")
     def _faster(factor: float, command: Records) -> None:
         command[0]["joint_velocity_radps"] *= factor

@@ -138,14 +138,14 @@ def _lax(factor: float, rule: Rule, proposed: Answer, query: Query) -> GateDecis
 
 
 @of_gate(
-    "off by some cycles", "the refusal comes late: meanwhile the arm heads for what was refused", IN_DOUBT
+    "off by some cycles", "the refusal comes late: meanwhile the arm heads for the refused position", IN_DOUBT
 )
 @seeded(anywhere, (40.0, 20.0, 10.0, 5.0, 3.0), "cycles")
 def _late(system: ChangedSystem, cycles: float) -> ChangedSystem:
     return system.with_pilot(lambda pilot: LateRefusal(pilot, cycles))
 
 
-@of_gate("wrong pose handed over", "one position is checked and another one is gone to")
+@of_gate("wrong pose handed over", "the gate checks one position, and the arm goes to another")
 @seeded(ruled, (np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi)
 def _wrong_pose(angle_rad: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
     """Turn the chosen position about the TCP; the ruling reports the turned position."""
@@ -169,7 +169,7 @@ def _blind_to_reach(system: ChangedSystem, _: float) -> ChangedSystem:
     return system.with_gate(BlindGate, to=reach)
 
 
-@of_gate("table not checked", "what is held is crushed between arm and table", TO_THE_TABLE)
+@of_gate("table not checked", "the arm crushes the held part against the table", TO_THE_TABLE)
 @seeded(anywhere)
 def _blind_to_the_table(system: ChangedSystem, _: float) -> ChangedSystem:
     table = Check.TABLE | Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.ROBOT_ITSELF
@@ -182,13 +182,13 @@ def _blind_to_direction(system: ChangedSystem, _: float) -> ChangedSystem:
     return system.with_gate(BlindGate, to=Check.TOWARDS_A_HAND)
 
 
-@of_gate("region not checked", "the arm goes where nothing was proven of the answer")
+@of_gate("region not checked", "the arm goes to answers outside the proven region")
 @seeded(anywhere)
 def _blind_to_its_region(system: ChangedSystem, _: float) -> ChangedSystem:
     return system.with_gate(more=None)
 
 
-@of_gate("minds one hand only", "the arm gives way to one hand and goes to the other")
+@of_gate("minds one hand only", "the arm gives way to one hand and goes to a second hand")
 @seeded(ruled)
 def _one_hand_only(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
     """Rule as if only the nearest hand existed."""
@@ -203,7 +203,7 @@ def _passes_nan(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDec
     return _taking(ruling, DecisionOutcome.PROPOSED) if ruling.proposed_failed & Check.NOT_FINITE else ruling
 
 
-@of_gate("lets no proposal pass", "the system in use is not the one whose avoider was tested", CERTAIN)
+@of_gate("lets no proposal pass", "the system in use does not use the tested avoider", CERTAIN)
 @seeded(ruled)
 def _lets_none_pass(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
     """Replace each usable proposal by the opposite pose, if that is usable too."""

@@ -29,7 +29,7 @@ NOISE_M = 1e-7
 
 
 @declared(harmless="it is given copies")
-@of_avoider("mutates its inputs", "an avoider that writes into what it is given")
+@of_avoider("mutates its inputs", "an avoider that writes into its inputs")
 @seeded(queried)
 def _mutating(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     proposal = sound_answer(avoider, hand.copy(), tcp.copy(), seed)
@@ -37,7 +37,7 @@ def _mutating(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) 
     return proposal
 
 
-@declared(harmless="nothing draws from the global generator")
+@declared(harmless="the harness never draws from the global generator")
 @of_avoider("seeds the global generator", "an avoider that changes everybody's random numbers")
 @seeded(queried)
 def _global_state(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
@@ -52,14 +52,14 @@ def _single_precision(_: float, proposal: Proposal, hand: Vector, tcp: Vector, s
     return Proposal(proposal.position_in_base_m.astype(np.float32), proposal.spread_m)
 
 
-@declared(harmless="an axis has no head: the error of alpha is taken modulo pi")
+@declared(harmless="an axis has no head: alpha's error counts modulo pi")
 @of_servoing("direction of the object off by half a turn", "alpha off by pi")
 @seeded(known)
 def _turned_half(records: ControllerRecords, magnitude: float) -> None:
     records.parameters["desired_features"][0, ALPHA] += np.pi
 
 
-@declared(harmless="the control law multiplies by its pseudoinverse, which is kept apart")
+@declared(harmless="the control law multiplies by its pseudoinverse, a separate array")
 @of_servoing("matrix that is not used", "L* is lost")
 @seeded(known)
 def _unused_matrix(records: ControllerRecords, magnitude: float) -> None:
@@ -67,7 +67,7 @@ def _unused_matrix(records: ControllerRecords, magnitude: float) -> None:
         records.parameters["desired_interaction"] = np.nan
 
 
-@declared(harmless="the pose is the same, and it is done where a radian is left to the joint's limits")
+@declared(harmless="the pose is the same, and the joint stays a radian from its limits")
 @of_motion("wrist a whole turn on", "another joint position for the same pose")
 @seeded(anywhere)
 def _half_turn_later(system: ChangedSystem, magnitude: float) -> ChangedSystem:
@@ -78,7 +78,7 @@ def _half_turn_later(system: ChangedSystem, magnitude: float) -> ChangedSystem:
     return system.starting_at(joints) if left_rad >= 1.0 else system
 
 
-@declared(harmless="the drives carry a stop through, whatever is asked for")
+@declared(harmless="the drives carry a stop through, against any command")
 @of_motion("demand during a protective stop", "the controller asks for motion while the arm is being stopped")
 @seeded(commanded)
 def _stopped_and_told(magnitude: float, command: Records) -> None:
@@ -86,7 +86,7 @@ def _stopped_and_told(magnitude: float, command: Records) -> None:
         command[0]["joint_velocity_radps"] = 1.0
 
 
-@declared(harmless="boxes are paired with tracks by where they are")
+@declared(harmless="the controller pairs boxes with tracks by their places")
 @of_perception("boxes in another order", "the hands change places in the frame")
 @seeded(seen)
 def _other_order(admitted: Admitted, magnitude: float, observation: Records) -> None:
@@ -94,16 +94,16 @@ def _other_order(admitted: Admitted, magnitude: float, observation: Records) -> 
     o["boxes"][: o["box_count"]] = o["boxes"][: o["box_count"]][::-1].copy()
 
 
-@declared(harmless="only as many boxes are read as are counted")
-@of_perception("rubbish behind the last box", "memory that nobody cleared")
+@declared(harmless="the controller reads only the counted boxes")
+@of_perception("rubbish behind the last box", "memory that was not cleared")
 @seeded(seen)
 def _rubbish_behind(admitted: Admitted, magnitude: float, observation: Records) -> None:
     o = observation[0]
     o["boxes"][o["box_count"] :] = np.nan
 
 
-@declared(harmless="boxes are read when a frame is new")
-@of_perception("rubbish between frames", "no new frame, and what stands in the old one is overwritten")
+@declared(harmless="the controller reads boxes only of a new frame")
+@of_perception("rubbish between frames", "no new frame, and rubbish overwrites the old frame")
 @seeded(seen)
 def _stale_boxes(admitted: Admitted, magnitude: float, observation: Records) -> None:
     o = observation[0]
@@ -111,7 +111,7 @@ def _stale_boxes(admitted: Admitted, magnitude: float, observation: Records) -> 
         o["boxes"], o["box_count"] = np.nan, 0
 
 
-@declared(harmless="what is not finite is passed over")
+@declared(harmless="the controller skips boxes that are not finite")
 @of_perception("a box that is no measurement", "a detector that returns no number beside the hands")
 @seeded(seen)
 def _no_measurement(admitted: Admitted, magnitude: float, observation: Records) -> None:
@@ -121,7 +121,7 @@ def _no_measurement(admitted: Admitted, magnitude: float, observation: Records) 
         o["box_count"] += 1
 
 
-@declared(harmless="less than any limit of a claim can tell")
+@declared(harmless="too small for the limit of any claim")
 @of_perception("extrinsics off by a tenth of a micrometre", "rounding in a calibration file")
 @seeded(known)
 def _tiny(records: ControllerRecords, magnitude: float) -> None:

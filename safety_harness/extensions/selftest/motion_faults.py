@@ -25,7 +25,7 @@ JOINTS = tuple(f"joint {number}" for number in range(1, 7))
 PAIRS = ((0, 1), (1, 2), (2, 3), (4, 5))
 
 
-@of_motion("overspeed", "the arm is faster than it is told: nobody can step back in time")
+@of_motion("overspeed", "the arm is faster than commanded: people cannot step back in time")
 @seeded(commanded, (4.0, 1.5, 1.1, 1.02), "times")
 def _faster(factor: float, command: Records) -> None:
     command[0]["joint_velocity_radps"] *= factor
@@ -85,7 +85,7 @@ def _wound(system: ChangedSystem, turns: float) -> ChangedSystem:
     return system.starting_at(joints)
 
 
-@of_motion("stop that does not stop", "the arm goes on when no position is left to go to")
+@of_motion("stop that does not stop", "the arm goes on without a position to go to")
 @seeded(obeying, (1.0, 0.5, 0.2), "% of the speed", 100.0)
 def _rolls_on(share: float, admitted: Admitted) -> Change:
     """Ignore a protective stop: the drives go on at a share of their last speed."""
@@ -114,7 +114,7 @@ def _weak_brakes(system: ChangedSystem, factor: float) -> ChangedSystem:
     return system.with_world(weaken)
 
 
-@of_motion("acceleration unlimited", "the arm jerks: nobody can foresee where it goes")
+@of_motion("acceleration unlimited", "the arm jerks: people cannot foresee its way")
 @seeded(known, (100.0, 10.0, 3.0, 2.1), "times")
 def _hasty(records: ControllerRecords, factor: float) -> None:
     for name in ("max_tcp_acceleration_mps2", "repulsion_acceleration_mps2"):

@@ -43,7 +43,7 @@ def _late(delay_s: float, admitted: Admitted) -> Change:
     return see
 
 
-@of_perception("wrong extrinsics, shifted", "every hand is taken to be farther away than it is")
+@of_perception("wrong extrinsics, shifted", "every hand seems farther away than it is")
 @seeded(known, (0.3, 0.1, 0.05, 0.02), "mm", 1e3)
 def _shifted(records: ControllerRecords, by_m: float) -> None:
     records.parameters["transform_sensor_to_base"][0, 1, 3] -= by_m  # hands seem farther to the right
@@ -56,7 +56,7 @@ def _rotated(records: ControllerRecords, angle_rad: float) -> None:
     pose[:3, :3] = pose[:3, :3] @ rotation_from_vector(np.array([angle_rad, 0.0, 0.0]))
 
 
-@of_perception("swapped image axes", "rows for columns: hands are seen on the other side")
+@of_perception("swapped image axes", "rows for columns: hands seem to be on the wrong side")
 @seeded(seen, (1.0, 0.5, 0.2), "% of the way", 100.0)
 def _swapped(admitted: Admitted, weight: float, observation: Records) -> None:
     c_u, c_v = sensor_principal_point_px(admitted.scenario.settings.hand_sensor)
@@ -65,7 +65,7 @@ def _swapped(admitted: Admitted, weight: float, observation: Records) -> None:
     boxes[:, U], boxes[:, V] = c_u + (1 - weight) * u + weight * v, c_v + (1 - weight) * v + weight * u
 
 
-@of_perception("filter that never learns velocity", "a hand that comes fast is taken to stand still")
+@of_perception("filter that never learns velocity", "a fast hand seems to stand still")
 @seeded(known, (1.0, 0.9999, 0.99), "% of the rates' variance lost", 100.0)
 def _no_velocity(records: ControllerRecords, share: float) -> None:
     for name in ("acceleration_variance", "initial_rate_variance"):
@@ -86,7 +86,7 @@ def _backwards(records: ControllerRecords, horizon_s: float) -> None:
     records.parameters["prediction_horizon_s"] = horizon_s
 
 
-@of_perception("ghost hands", "an arm that gives way to nobody: people switch its avoidance off")
+@of_perception("ghost hands", "an arm that gives way without a hand: people switch its avoidance off")
 @seeded(seen, (1.0, 0.25, 0.05, 0.01), "% of the time", 100.0)
 def _ghost(admitted: Admitted, share: float, observation: Records) -> None:
     o = observation[0]
@@ -110,13 +110,13 @@ def _lost_at_border(admitted: Admitted, border_px: float, observation: Records) 
     _keep(observation, inside)
 
 
-@of_perception("one hand only", "a second hand that nobody sees")
+@of_perception("one hand only", "the system does not see a second hand")
 @seeded(seen, (0.0, 1.0), "hands seen")
 def _first_only(admitted: Admitted, most: float, observation: Records) -> None:
     _keep(observation, np.arange(observation[0]["box_count"]) < most)
 
 
-@of_perception("wrong depth scale", "a hand above the tool is taken to be below it")
+@of_perception("wrong depth scale", "a hand above the tool seems to be below it")
 @seeded(seen, (1.5, 1.2, 1.1, 1.05), "times")
 def _wrong_depth(admitted: Admitted, factor: float, observation: Records) -> None:
     observation[0]["boxes"][:, Z] *= factor

@@ -173,7 +173,7 @@ def sound_remarks(episodes: Sequence[Admitted]) -> list[str]:
     if len(with_avoider) < len(episodes):
         notes.append("no avoider and no gate: faults of theirs, and of the visual servo itself, do not apply")
     if not REFERENCE.is_installed:
-        notes.append(f"{REFERENCE} is not installed: neither its world nor its geometry is asked")
+        notes.append(f"{REFERENCE} is not installed: no check by its world or its geometry")
     for name, number in avoiders.items():
         system = ChangedSystem(episodes[number])
         repeated = evaluations_of(system.admitted, system.run())[SAME_TWICE]

@@ -36,13 +36,13 @@ def _alone(system: ChangedSystem) -> ChangedSystem:
 ALONE = Precondition("behind a shield alone", _alone)
 
 
-@of_motion("shield looks elsewhere", "what it sees is not there, and what is there it does not see", ALONE)
+@of_motion("shield looks elsewhere", "it sees hands in wrong places and misses the real hands", ALONE)
 @seeded(known, (FAR_M, 1.0, 0.5), "m")
 def _elsewhere(records: ControllerRecords, by_m: float) -> None:
     records.shield["transform_sensor_to_base"][:, 1, 3] -= by_m  # hands seem farther to the right
 
 
-@of_motion("shield forgets links", "a part of the arm for which nothing is slowed", ALONE)
+@of_motion("shield forgets links", "no slowing for a part of the arm", ALONE)
 @seeded(known, (1.0, 2.0, 3.0), names=("all that move", "from the upper arm on", "from the forearm on"))
 def _forgets(records: ControllerRecords, first: float) -> None:
     records.capsules["radius_m"][records.capsules["link_index"] >= int(first)] = -FAR_M  # far inside

@@ -111,7 +111,7 @@ class SelfTestPlan:
             raise ScenarioError(
                 place=Place(field="--scenarios"),
                 expected="a scenario that the kinematic world can run",
-                got=f"none of the {len(ordered)} in {self.folder}",
+                got=f"no such scenario among {len(ordered)} in {self.folder}",
             )
         return tuple(episodes)
 

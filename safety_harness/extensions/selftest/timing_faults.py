@@ -21,7 +21,7 @@ from safety_harness.extensions.selftest.fault import (
 from safety_harness.extensions.selftest.system import Change, Records
 
 
-@of_timing("late commands", "the arm does what was right some time ago")
+@of_timing("late commands", "the arm obeys outdated commands")
 @seeded(obeying, (0.4, 0.2, 0.1, 0.04), "ms", 1e3)
 def _late_commands(delay_s: float, admitted: Admitted) -> Change:
     """Delay each command of the controller."""
@@ -55,7 +55,7 @@ def _missed(pause_s: float, admitted: Admitted) -> Change:
     return obey
 
 
-@of_timing("late encoders", "the controller takes the arm to be where it was")
+@of_timing("late encoders", "the controller uses outdated joint angles")
 @seeded(seeing, (0.4, 0.2, 0.1, 0.04), "ms", 1e3)
 def _late_joints(delay_s: float, admitted: Admitted) -> Change:
     cycles = round(delay_s / admitted.scenario.settings.clock.control_period_s)
@@ -90,7 +90,7 @@ def _fast_clock(admitted: Admitted, factor: float, observation: Records) -> None
     observation[0]["time_s"] *= factor
 
 
-@of_timing("hands forgotten", "a hand that is hidden for a moment is taken to have gone")
+@of_timing("hands forgotten", "a briefly hidden hand counts as gone")
 @seeded(known, (0.0, 0.05, 0.2), "ms", 1e3)
 def _forgetful(records: ControllerRecords, timeout_s: float) -> None:
     records.filter_parameters["track_timeout_s"] = timeout_s

@@ -45,7 +45,7 @@ class Socket:
             if family == socket.AF_INET:
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
-            raise GoneError(f"nobody answers there: {error.strerror or error}") from error
+            raise GoneError(f"no program answers there: {error.strerror or error}") from error
         fd = line.fileno()
         self.channel = Channel(
             fd, fd, NO_OUTPUT, lambda heard: None, lambda: GoneError("it closed the connection")
@@ -163,7 +163,7 @@ class Connection:
         try:
             return self._wire.next(self._channel, limit_s)
         except (ValueError, RecursionError, msgspec.MsgspecError) as error:
-            raise NonsenseError(f"what it said is no message: {printable(str(error))}") from None
+            raise NonsenseError(f"it sent no valid message: {printable(str(error))}") from None
 
     def end(self) -> None:
         """End the process, and with it all objects in it."""

@@ -54,7 +54,7 @@ def refuse_undefined(
         raise InadmissibleError(place=place, expected=f"{path.name} to be a Python file", got=got) from None
     definitions = [node for node in _top(tree) if name in _defined(node)]
     if not definitions and not any(_hides(node) for node in ast.walk(tree)):
-        expected, got = f"something called {name!r} in {path.name}", "nothing of that name"
+        expected, got = f"something called {name!r} in {path.name}", "no such name"
         raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
     for method in methods:
         if definitions and _lacks(definitions[-1], method):
@@ -138,7 +138,7 @@ def made_by(path: Path, source: bytes, name: str, kind: str, place: Place, hint:
         raise raised(path, place, f"{DECLARED} to be a list of files that can be read", error) from error
     made_object = getattr(module, name, None)
     if made_object is None:
-        expected, got = f"something called {name!r} in {path.name}", "nothing of that name"
+        expected, got = f"something called {name!r} in {path.name}", "no such name"
         raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
     if isinstance(made_object, type):
         try:
@@ -154,7 +154,7 @@ def refuse_lacking(value: object, name: str, methods: Sequence[str], place: Plac
     """Raise InadmissibleError at ``place`` unless the object has the ``methods`` and a valid name."""
     for method in methods:
         if not callable(getattr(value, method, None)):
-            expected, got = f"{name} to have a method {method}", f"none in a {type(value).__name__}"
+            expected, got = f"{name} to have a method {method}", f"no such method in a {type(value).__name__}"
             raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
     called = getattr(value, "name", None)
     if not isinstance(called, str) or not is_sentence(called):

@@ -47,7 +47,7 @@ class Heard:
         for line in lines:
             self._lines += 1
             if self._lines > MOST_LINES:
-                self._logger.warning("%s wrote more, which is not shown", self._name)
+                self._logger.warning("%s wrote more lines, here omitted", self._name)
                 return
             text = printable(line.decode(errors="replace")[:MOST_CHARACTERS])
             self._logger.warning("%s wrote: %s", self._name, text)

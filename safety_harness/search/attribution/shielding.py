@@ -37,7 +37,7 @@ class ShieldAttribution:
             return f"who was decisive is not known: {untold[0].reason}"
         kept, plain, alone = (Outcome.of(evaluation) is not Outcome.VIOLATED for evaluation in evaluations)
         if not kept:
-            return f"not even the shield kept hands from what moves: {self.shielded.margin_text()}"
+            return f"a moving part touched a hand even with the shield: {self.shielded.margin_text()}"
         if not plain:
             return f"the shield was decisive: {self.plain.margin_text()} without it"
         alike = f"{self.plain.margin_text()} without it"

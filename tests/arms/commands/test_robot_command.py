@@ -92,4 +92,4 @@ def test_a_page_needs_capsules(urdf: Path, tmp_path: Path, capsys: pytest.Captur
 
 def test_an_arms_file_has_its_base_and_tcp_already(capsys: pytest.CaptureFixture[str]) -> None:
     assert show(Path("UR10"), base="base_link") == BAD_INPUT
-    assert "expected none, with an arm's file" in capsys.readouterr().err
+    assert "expected a URDF with these options" in capsys.readouterr().err

@@ -121,7 +121,9 @@ def test_it_answers_the_same_bits_in_a_process_of_its_own_and_in_a_batch(
 
 def test_outside_of_a_run_nothing_is_seen_and_that_is_its_fault_in_words() -> None:
     answer = ask(Watching(), Question(np.zeros(3), np.zeros(3), 0))  # type: ignore[arg-type]
-    assert answer.fault.startswith("it sees joints, hands, object, predicted hands, and is asked outside")
+    assert answer.fault.startswith(
+        "it sees joints, hands, object, predicted hands, which no question outside"
+    )
 
 
 def test_one_that_sees_more_is_asked_one_by_one() -> None:

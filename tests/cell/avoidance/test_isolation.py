@@ -206,7 +206,7 @@ def test_what_it_prints_is_said_once_and_never_mixed_with_ours(
     executes, *said = [record.getMessage() for record in caplog.records]
     assert executes.startswith("executes ")
     assert said[:2] == ["mine.py wrote: imported", "mine.py wrote: line? 0"]
-    assert said[-1] == "mine.py wrote more, which is not shown"
+    assert said[-1] == "mine.py wrote more lines, here omitted"
     assert len(said) == 6
     assert capfd.readouterr().out == ""
 
@@ -226,7 +226,7 @@ def test_an_avoider_that_cannot_be_made_again_ends_the_run_in_words(make: Make, 
     before = f"import os\nif os.path.exists({flag!r}): os._exit(5)\nopen({flag!r}, 'w').close()\n"
     avoider = make("os._exit(3)", before=before)
     assert asked(avoider, BAD).fault == "its process ended with exit status 3"
-    with pytest.raises(SimulationError, match=r"'mine' could not be made once more: .* exit status 5"):
+    with pytest.raises(SimulationError, match=r"'mine' could not start again: .* exit status 5"):
         asked(avoider)
     Path(flag).unlink()
     assert count(asked(avoider)) == 1

@@ -74,7 +74,7 @@ def test_a_package_is_found_where_it_is_said_to_be_and_nowhere_else(tmp_path: Pa
     (tmp_path / "deep" / "wedge.stl").write_text(WEDGE)
     arm = read_arm(file, tcp="hand", packages={"small": tmp_path / "deep"})
     assert arm.links[1].visual[0].file == tmp_path / "deep" / "wedge.stl"
-    with pytest.raises(ArmFileError, match=r"wedge\.stl.*there is none"):
+    with pytest.raises(ArmFileError, match=r"wedge\.stl.*which does not exist"):
         read_arm(file, tcp="hand", packages={"small": tmp_path / "nowhere"})
 
 
@@ -107,7 +107,7 @@ TWICE = '<joint name="twice" type="fixed"><parent link="foot"/><child link="lowe
         ("</robot>", f"{TWICE}\n</robot>", 'name="twice"', "one joint above the link 'lower'"),
         ("</robot>", '<link name="foot"/>\n</robot>', '<link name="foot"/>', "one link of a name"),
         ('name="third"', 'name="second"', '"third"', "one joint of a name"),
-        (MESH, 'filename="package://small/edge.stl"', "small/edge.stl", "there is none"),
+        (MESH, 'filename="package://small/edge.stl"', "small/edge.stl", "which does not exist"),
         (MESH, 'filename="model://small/wedge.stl"', "model:", "a path, file:// or package://"),
         (MESH, "", 'scale="0.2 -0.1 0.1"', "attribute 'filename'"),
         (MESH + ' scale="0.2 -0.1 0.1"', MESH + ' scale="1 0 1"', 'scale="1 0 1"', "leaves something"),

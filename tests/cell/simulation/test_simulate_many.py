@@ -210,9 +210,7 @@ def test_a_batch_has_no_time_of_its_own_on_the_clock_and_nothing_is_claimed_of_i
 
 def test_an_avoider_that_takes_one_question_is_asked_in_turn_and_says_so() -> None:
     avoider = Displaced((0.0, 0.0, 0.05))
-    assert (
-        slower_because(avoider) == "displaced is asked for one decision after another: it has no propose_many"
-    )
+    assert slower_because(avoider) == "displaced gets one question after another: it has no propose_many"
     many = with_avoider(avoider)
     found = list(run_many(many))
     assert_same(found, [run_kinematic(one) for one in many])

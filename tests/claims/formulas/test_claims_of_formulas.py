@@ -378,7 +378,7 @@ def test_a_limit_that_every_run_keeps_is_refused(sentence: str) -> None:
 )
 def test_a_tolerance_that_a_step_of_the_avoider_cannot_exceed_is_refused(sentence: str) -> None:
     """A step of 100 mm straight into the hand would keep it."""
-    with pytest.raises(InadmissibleError, match="as far as a step of 100 mm can be off"):
+    with pytest.raises(InadmissibleError, match="the largest error of a step of 100 mm"):
         property_of(Claim(sentence=sentence, expected=HOLDS, place=PLACE), scenario())
     property_of(
         Claim(sentence=sentence, expected=HOLDS, place=PLACE, edition=1), scenario()

@@ -81,7 +81,7 @@ def test_a_body_that_does_not_move_with_the_tool_is_refused(tmp_path: Path) -> N
 def test_a_motion_that_repeats_itself_is_refused_with_the_offsets_that_it_leaves(
     tmp_path: Path, off_m: float
 ) -> None:
-    with pytest.raises(LogError, match="a motion that one offset alone explains") as refused:
+    with pytest.raises(LogError, match="a motion that only a single offset explains") as refused:
         _offset(_log(tmp_path, 4, cycle_s=2.0, seconds=12.0, off_m=off_m))
     offsets_ms = [float(one) for one in refused.value.got.split("ahead by ")[1].split(" ms")[0].split(", ")]
     assert min(abs(one - 137.0) for one in offsets_ms) < 10.0

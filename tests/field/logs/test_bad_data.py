@@ -49,7 +49,7 @@ def _cell(line: str, column: int, text: str) -> str:
 def test_unsorted_rows_are_told_with_their_line(log: Path, table: str) -> None:
     error = _edited(log, table, lambda rows: [*rows[:10], rows[11], rows[10], *rows[12:]])
     assert (error.place.file, error.place.line) == (log.with_name(table), 12)
-    assert "a time later than the one before" in error.expected
+    assert "1 us after the previous sample" in error.expected
     assert "sort it by time, in a copy" in error.hint
 
 

@@ -163,7 +163,7 @@ def test_a_place_for_not_seen_is_no_measurement(
     at_places(log, dict.fromkeys(range(12, 20), nowhere))
     found = judged_log(log)
     assert len(found.trace.known.of("hand_position_in_base_m").gaps) == 1
-    assert any("hands.csv#hand: 8 of " in note and "not measured" in note for note in found.notes)
+    assert any("hands.csv#hand: 8 of " in note and "are no measurements" in note for note in found.notes)
 
 
 def test_far_places_that_differ_are_still_a_mistake_of_the_unit(log: Path) -> None:

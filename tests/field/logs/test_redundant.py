@@ -350,7 +350,7 @@ def test_speeds_in_another_unit_than_the_angles_are_refused_and_the_unit_is_name
         with pytest.raises(LogError, match=refused):
             read_log(log)
         return
-    words = [note for note in judged_log(log).notes if note.startswith("nothing in the log confirms")]
+    words = [note for note in judged_log(log).notes if note.startswith("the log does not confirm")]
     most = np.degrees(np.ptp(streams.joints_rad, axis=0).max()) * factor / DEG
     assert f"the unit of its angles, in which no joint turns by more than {most:.3g} deg" in words[0]
     assert "the unit of length for hand" in words[0]
@@ -385,7 +385,7 @@ def test_a_tcp_confirms_the_unit_of_the_angles(log: Path, streams: Streams) -> N
 def test_what_nothing_reads_is_told_beside_the_verdict(log: Path, streams: Streams) -> None:
     names = ["actual_tcp_x_m", "payload_kg"]
     add_columns(log.with_name("joints.csv"), names, np.zeros((len(streams.joint_ns), 2)))
-    wanted = "columns, topics and joints that nothing reads: joints.csv#actual_tcp_x_m, joints.csv#payload_kg"
+    wanted = "unread columns, topics and joints: joints.csv#actual_tcp_x_m, joints.csv#payload_kg"
     assert wanted in judged_log(log).notes
     (arm,) = [one for one in assumptions_of(read_log(log)) if one.what.startswith("the arm")]
     assert arm.would == "a track of the TCP: log: {tcp: FILE#TRACK}, perhaps joints.csv#actual_tcp_x_m"
@@ -413,7 +413,7 @@ def test_log_check_lists_what_is_assumed_and_the_column_that_would_confirm_it(
     assert "           would confirm it: a track of the TCP: log: {tcp: FILE#TRACK}" in lines
     for what in ("the direction of the axes of hand", "the origin of the heights of hand"):
         assert f"ASSUMED    {what}" in lines
-    assert "nothing in the log confirms the arm, UR10; the zero positions" in found.stderr
+    assert "the log does not confirm the arm, UR10; the zero positions" in found.stderr
     found = CliRunner().invoke(app, ["log", "check", str(with_tcp(log, streams))])
     assert "confirmed  the arm, UR10" in found.stdout.splitlines()
     assert "confirms the zero positions of wrist_3_joint" in found.stderr
@@ -430,5 +430,5 @@ def test_in_pytest_each_claim_of_a_log_has_what_was_left_out_in_junit(log: Path,
     assert ran.returncode == 0, ran.stdout
     properties = ElementTree.parse(log.parent / "junit.xml").iter("property")
     notes = [one.get("value") for one in properties if one.get("name") == "note"]
-    assert "columns, topics and joints that nothing reads: joints.csv#payload_kg" in notes
-    assert any(str(note).startswith("nothing in the log confirms the arm, UR10;") for note in notes)
+    assert "unread columns, topics and joints: joints.csv#payload_kg" in notes
+    assert any(str(note).startswith("the log does not confirm the arm, UR10;") for note in notes)

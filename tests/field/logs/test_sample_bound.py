@@ -85,7 +85,7 @@ def test_a_box_counts_to_its_corner_and_a_covariance_by_its_largest_axis(
         np.testing.assert_allclose(known.known_to_m, 0.014, rtol=1e-9)
     text = file.read_text()
     file.write_text(text.replace(", times: 4", ""))
-    with pytest.raises(InputError, match="how many standard deviations"):
+    with pytest.raises(InputError, match="the most standard deviations"):
         read_log(file)
     nobody = bag(tmp_path / "nobody", streams, 0.0 * covariance)
     with pytest.raises(InputError, match="message 1 of /hand"):
@@ -120,5 +120,5 @@ def test_a_sample_without_a_bound_is_refused_with_its_line(
     _, streams, _ = half_coarse
     rows = ["4"] * len(streams.hand_ns)
     rows[7] = cell_of_a_row
-    with pytest.raises(InputError, match=r"hands.csv:9: .*how well it is known"):
+    with pytest.raises(InputError, match=r"hands.csv:9: .*its accuracy"):
         read_log(log_file(tmp_path, streams, rows, "{field: off}"))

@@ -178,7 +178,7 @@ def test_a_frame_that_no_message_has_is_refused_with_those_that_there_are(
     text = said("run#/joint_states", "run#/tf:wrist", f"run#/tf:{asked}", "")
     with pytest.raises(LogError) as refused:
         read_log(with_text(tmp_path, text))
-    assert refused.value.got == "none in the file"
+    assert refused.value.got == "no sample in the file"
     assert refused.value.hint == f"{meant}its messages have the frames elbow, wrist"
 
 

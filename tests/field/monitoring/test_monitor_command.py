@@ -61,8 +61,8 @@ def test_lines_for_programs(a_stream: list[bytes]) -> None:
 @pytest.mark.parametrize(
     ("stream", "words", "told"),
     [
-        ([b"garbage"], ("--robot", "ur10", "--claim", LOW), "nothing in the stream could be used"),
-        ([], ("--robot", "ur10", "--claim", LOW), "nothing in the stream could be used"),
+        ([b"garbage"], ("--robot", "ur10", "--claim", LOW), "the stream has no usable joints"),
+        ([], ("--robot", "ur10", "--claim", LOW), "the stream has no usable joints"),
         ([], ("--robot", "ur11", "--claim", LOW), "error: --robot\n  expected UR10, UR5 or UR3"),
         ([], ("--robot", "ur10", "--claim", LOW, "--period", "8"), "error: --period\n  expected a time"),
         ([], ("--robot", "ur10", "--claim", LOW, "--hand", "a", "--hand", "a"), "error: --hand\n"),
@@ -186,7 +186,7 @@ def test_ctrl_c_keeps_the_log(tmp_path: Path, a_stream: list[bytes]) -> None:
         time.sleep(0.1)
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 130
-        assert b"the log is kept" in process.stderr.read()
+        assert b"the log stays" in process.stderr.read()
     judged = CliRunner().invoke(app, ["judge", str(out / "0001" / "LOG.yaml")])
     assert judged.exit_code == 0, judged.output
 

@@ -102,7 +102,7 @@ def test_the_recording_has_the_samples_of_the_log_and_no_others(
 def test_comments_say_what_is_the_logs_and_what_is_not(folder: Path) -> None:
     text = (folder / "LOG.yaml").read_text().replace("\n# ", " ")
     assert "From the log: the hands as they were measured (LOG-right-hand.csv), the joints" in text
-    assert "Not said by the log, and taken from" in text
+    assert "Not in the log, but from" in text
     assert "the desired TCP, the object, the camera, the hand sensor, the avoider, opposite pose" in text
     assert f"LOG.yaml expects violated: {NEAR}" in text
 
@@ -145,7 +145,7 @@ def test_a_gap_is_refused_with_the_part_that_has_none(
     found = made(log, cell)
     assert found.exit_code == 2
     assert "hands.csv:" in found.output
-    assert "nothing is filled in" in found.output
+    assert "the harness does not fill gaps" in found.output
     hint = re.search(r'--(to|from) "([0-9.]+ s)"', found.output)
     assert hint is not None
     again = made(log, cell, f"--{hint[1]}", hint[2])

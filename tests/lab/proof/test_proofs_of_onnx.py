@@ -140,7 +140,7 @@ claims:
 def test_without_a_seen_space_a_claim_names_its_region(tmp_path: Path) -> None:
     onnx_file(tmp_path, MLP)
     plan = "proof: a\navoider: mine.onnx\nclaims: [{claim: leads away}]\n"
-    with pytest.raises(Exception, match="does not say what it has seen"):
+    with pytest.raises(Exception, match="does not state its seen space"):
         read_proof_plan(plan_file(tmp_path, plan))
 
 

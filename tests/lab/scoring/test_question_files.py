@@ -96,7 +96,7 @@ def test_a_tcp_from_which_the_object_is_out_of_view_gets_another_place_of_the_ob
 
 @pytest.mark.parametrize(
     ("hand", "why"),
-    [(TCP + [0.0, 0.0, 0.05], "inside"), (TCP + [0.45, 0.0, 0.0], "asks nothing")],
+    [(TCP + [0.0, 0.0, 0.05], "inside"), (TCP + [0.45, 0.0, 0.0], "has no question")],
     ids=["within the arm", "beyond the critical distance"],
 )
 def test_a_question_with_which_no_run_begins_has_no_file_and_a_reason(

@@ -260,7 +260,7 @@ def test_an_avoider_that_sees_more_is_asked_with_what_it_sees(
     assert one["regions"][0]["answered"]["count"] == 300
     assert (one["findings"], document["finding_count"]) == ([], 0)
     assert one["unlike_the_reference"] != []
-    assert "which decide nothing without --against" in capsys.readouterr().out
+    assert "(findings only with --against)" in capsys.readouterr().out
     assert exit_code("Towards") == DIFFERS
     capsys.readouterr()
     assert exit_code("Boxes") == BAD_INPUT

@@ -65,7 +65,7 @@ def test_a_users_own_avoider_is_put_on_trial(
     )
     captured = capsys.readouterr()
     assert code == 0, captured.out
-    assert "one decision after another" in captured.err
+    assert "one question after another" in captured.err
     found = json.loads((tmp_path / "out" / DATA).read_text("utf-8"))
     assert found["about"]["avoider"] == f"{mine}:Mine"
 
@@ -96,7 +96,7 @@ def test_ctrl_c_keeps_what_was_tried(
 
     monkeypatch.setattr(session, "outcomes", two_then_ctrl_c)
     assert selftest(scenarios=scenarios, out=tmp_path / "out", jobs=1) == 130
-    assert f"2 of {len(EVERY)} were tried" in capsys.readouterr().err
+    assert f"2 of {len(EVERY)} done" in capsys.readouterr().err
     found = json.loads((tmp_path / "out" / DATA).read_text("utf-8"))
     assert found["about"]["interrupted"] is True
     assert len(found["faults"]) == 2
@@ -113,7 +113,7 @@ def test_a_defect_of_ours_keeps_what_was_tried_and_is_exit_code_1(
     assert selftest(scenarios=scenarios, out=tmp_path / "out", jobs=1) == 1
     captured = capsys.readouterr()
     assert "ZeroDivisionError: made up" in captured.err
-    assert f"1 of {len(EVERY)} were tried" in captured.err
+    assert f"1 of {len(EVERY)} done" in captured.err
     assert EVERY[0].name in captured.out
     assert len(json.loads((tmp_path / "out" / DATA).read_text("utf-8"))["faults"]) == 1
 
@@ -142,7 +142,7 @@ def test_faults_of_which_none_applies_are_no_success(
     """An avoider that states no spread can have none that is wrong."""
     options = {"avoider": "opposite pose", "fault": "spread", "out": tmp_path / "out", "jobs": 1}
     assert selftest(scenarios=scenarios, **options) == 1  # type: ignore[arg-type]
-    assert "none of these faults applies" in capsys.readouterr().err
+    assert "these faults do not apply" in capsys.readouterr().err
 
 
 def test_a_folder_of_which_nothing_can_be_run_is_refused(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def test_a_scenario_that_names_the_reference_already_is_not_compared_with_itself
     result = run("fast.yaml", "--safety-against", OPPOSITE, "-rs")
     result.assert_outcomes(skipped=2)
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["*opposite pose itself: such a comparison finds nothing*"])
+    result.stdout.fnmatch_lines(["*opposite pose itself; a comparison with itself has no findings*"])
 
 
 def test_a_violation_that_the_reference_does_not_have_fails_and_says_so(run, project: Path) -> None:
@@ -87,7 +87,7 @@ def test_a_scenario_that_an_avoider_cannot_take_is_skipped_with_the_reason(run, 
     run("elsewhere.yaml").assert_outcomes(passed=2)
     result = run("fine.yaml", "elsewhere.yaml", "--avoider", "ensemble", "-rs")
     result.assert_outcomes(passed=2, skipped=2)
-    result.stdout.fnmatch_lines(["*elsewhere cannot be taken by ensemble: expected a seen space*"])
+    result.stdout.fnmatch_lines(["*elsewhere is unsuitable for ensemble: expected a seen space*"])
     result.stdout.fnmatch_lines(["not run: 2 tests of scenarios that ensemble cannot take"])
     assert result.ret == 0
     alone = run("elsewhere.yaml", "--avoider", "ensemble")

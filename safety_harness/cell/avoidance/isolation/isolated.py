@@ -169,7 +169,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
             except GoneError as error:
                 why, self._rehearsal = str(error), None
                 self._connection.end()
-        raise SimulationError(f"the avoider {self.name!r} could not be made once more: {why}")
+        raise SimulationError(f"the avoider {self.name!r} could not start again: {why}")
 
 
 def _looked_at(answer: Answer) -> Answer:

@@ -157,7 +157,7 @@ def _command(reference: str, place: Place) -> tuple[list[str], Path]:
     if executable is None:
         there = os.path.exists(command[0])
         got = f"{command[0]}, which may not be executed" if there else f"no such program: {command[0]}"
-        hint = f"chmod +x {command[0]}" if there else "a program in this folder is named ./NAME"
+        hint = f"chmod +x {command[0]}" if there else "write ./NAME for a program in this folder"
         expected = "a program that can be executed"
         raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
     return command, Path(executable).absolute()
@@ -177,6 +177,6 @@ def _address(reference: str, place: Place) -> tuple[str, int] | str:
             place=place,
             expected=f"{TCP}HOST:PORT, HOST one of: {', '.join(LOOPBACK)}",
             got=repr(reference),
-            hint="a program of another machine is reached through a tunnel, as of ssh -L",
+            hint="for a program on another machine use a tunnel, such as ssh -L",
         )
     return host, int(port)

@@ -129,13 +129,13 @@ class RemoteController:
             if isinstance(sent, Reset) and not self._connection.quiet:
                 self._connection.end()
                 if self._begun() != self._said:
-                    raise NonsenseError("begun once more it says other things of itself than at first")
+                    raise NonsenseError("after a restart it describes itself differently")
             self._connection.say(sent, limit_s)
             answer = self._connection.hear(limit_s)
             if isinstance(answer, kind):
                 expected, tick = getattr(sent, "tick", None), getattr(answer, "tick", None)
                 if tick != expected:
-                    raise NonsenseError(f"it answered tick {tick} when it was asked for tick {expected}")
+                    raise NonsenseError(f"it answered tick {tick} instead of tick {expected}")
                 return read(answer)
             if not isinstance(answer, Failed):
                 raise NonsenseError(f"{sent.wants}; it said {answer.__struct_config__.tag}")

@@ -27,9 +27,12 @@ def fit(
 ) -> int:
     """Fit a scenario space to the approaches of hands.
 
-    It fits speed, acceleration, direction, dwell, pauses and approaches per hour, and writes a space that
-    fuzz and sample take. A quantity that no distribution fits keeps its recorded values. Exit code 0; 2: a
-    log cannot be used, or there are too few approaches.
+    It fits speed, acceleration, direction, dwell, pauses and approaches per
+    hour, and writes a space that fuzz and sample take. A quantity that no
+    distribution fits keeps its recorded values.
+
+    Exit code 0: the space is written.
+    Exit code 2: a log cannot be used, or there are too few approaches.
     """
     from safety_harness.base.whole_file import write_text
     from safety_harness.extensions.field.hands import direction_line, fit_hands, quantity_lines, space_text

@@ -10,7 +10,7 @@ from typer import Argument, Option, Typer
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
 
-_ABOUT = "Check what a log leaves open: what nothing in it confirms, and how far its clocks are apart."
+_ABOUT = "List a log's unconfirmed assumptions, or estimate how far its clocks are apart."
 commands = Typer(name="log", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 
 
@@ -18,9 +18,12 @@ commands = Typer(name="log", no_args_is_help=True, help=_ABOUT, short_help=_ABOU
 def check(log: Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")]) -> int:
     """List the assumptions of verdicts on a log.
 
-    For each it prints the evidence in the log, or the column that would be evidence. It reads the whole log,
-    as judge does, and prints the omitted columns, tracks and intervals. Exit code 0, whether or not all are
-    confirmed; 2: the log contradicts itself or its file, or cannot be read.
+    For each it prints the evidence in the log, or the column that would be
+    evidence. It reads the whole log, as judge does, and prints the omitted
+    columns, tracks and intervals.
+
+    Exit code 0: the list is printed, also with unconfirmed assumptions.
+    Exit code 2: the log contradicts itself or its file, or cannot be read.
     """
     from dataclasses import asdict
 
@@ -42,14 +45,17 @@ def check(log: Annotated[Path, Argument(help="The description of a log.", metava
 def align(
     log: Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")],
     body: Annotated[
-        str | None, Option(help="Which of its hands moved with the tool; else the only one.", metavar="NAME")
+        str | None, Option(help="The hand that moved with the tool; default: the only hand.", metavar="NAME")
     ] = None,
 ) -> int:
     """Estimate the lead of the hands' clock.
 
-    The body moves with the tool for some seconds: a marker on the flange, or a hand that holds on to it. The
-    command prints the line for LOG.yaml, and ignores the present key "clock". Exit code 0; 2: the lead cannot
-    be estimated.
+    The body moves with the tool for some seconds: a marker on the flange, or a
+    hand that holds on to it. The command prints the line for LOG.yaml, and
+    ignores the present key "clock".
+
+    Exit code 0: the line is printed.
+    Exit code 2: the lead cannot be estimated.
     """
     from safety_harness.base.exceptions import LogError
     from safety_harness.extensions.field.logs.align import align as estimate

@@ -32,30 +32,30 @@ def monitor(
     cell: Annotated[
         Path | None,
         Argument(
-            help="A LOG.yaml: how well the cell is known, and its claims. Its streams are not opened.",
+            help="A LOG.yaml with the accuracy of the cell's data, and with claims. Its streams stay closed.",
             metavar="LOG.yaml",
             show_default=False,
         ),
     ] = None,
     claim: Annotated[
         list[str] | None,
-        Option(help="A formula; in place of the file's own. May be repeated.", metavar="SENTENCE"),
+        Option(help="A formula, in place of the file's claims. May be repeated.", metavar="SENTENCE"),
     ] = None,
     robot: Annotated[
         str | None,
-        Option(help="UR10, UR5, UR3 or an arm's file; without a LOG.yaml.", metavar="ROBOT"),
+        Option(help="UR10, UR5, UR3 or an arm's file; only without a LOG.yaml.", metavar="ROBOT"),
     ] = None,
     hand: Annotated[
         list[str] | None,
         Option(
-            help="A name that a hand has in the stream, 'hand' if a claim is of hands and none is given; "
-            "without a LOG.yaml. May be repeated.",
+            help="A hand's name in the stream; default: 'hand' if a claim has the word. Only without a "
+            "LOG.yaml. May be repeated.",
             metavar="NAME",
         ),
     ] = None,
     period: Annotated[
         str | None,
-        Option(help="From one tick to the next, '8 ms' if not given; without a LOG.yaml.", metavar="TIME"),
+        Option(help="Time between ticks; default: '8 ms'. Only without a LOG.yaml.", metavar="TIME"),
     ] = None,
     wait: Annotated[
         str, Option(help="How long a line waits for earlier ones that come later.", metavar="TIME")
@@ -65,7 +65,7 @@ def monitor(
         Option(help="Folder for the monitor's own log, in parts that judge reads.", show_default=False),
     ] = None,
     part: Annotated[int, Option(help="Size of a part of the log, in MB.", min=1, metavar="MB")] = 100,
-    keep: Annotated[int, Option(help="How many parts are kept; the oldest are deleted.", min=2)] = 10,
+    keep: Annotated[int, Option(help="Number of parts to keep; the oldest are deleted.", min=2)] = 10,
     json_lines: Annotated[
         bool, Option("--json", help="A JSON object a line in place of lines for people.")
     ] = False,
@@ -83,9 +83,13 @@ def monitor(
 
     robot_stream | safety-harness monitor --robot ur10 --claim "always hand distance > 50 mm"
 
-    Exit code at the end of the stream 0: every claim holds; 1: a claim is violated, inconclusive or not
-    watched, or the stream ends within a line; 2: bad input, or no line of the stream could be used; 130:
-    interrupted. The log survives in all cases.
+    The log survives in all cases. At the end of the stream:
+
+    Exit code 0: every claim holds.
+    Exit code 1: a claim is violated, inconclusive or not watched.
+    Exit code 1 too: the last line of the stream is unusable.
+    Exit code 2: bad input, or a stream without usable joints.
+    Exit code 130: interrupted.
     """
     from safety_harness.base.exceptions import Place, SettingsError
     from safety_harness.extensions.field.monitoring.cell import taken
@@ -104,9 +108,9 @@ def monitor(
     say(NO_SAFETY_FUNCTION)
     if cell is None:
         assumed = "; ".join(taken([item.name for item in watched.hands]).splitlines())
-        say(f"taken, as no LOG.yaml says it: {assumed}")
+        say(f"assumed without a LOG.yaml: {assumed}")
     for sentence, reason in own.unwatched.items():
-        say(f"not watched, which judge may tell of the log: {sentence} (expected {reason.expected})")
+        say(f"not watched, though judge may decide it on the log: {sentence} (expected {reason.expected})")
     interrupted, usable, patience_s = False, True, watched.joint_facts.longest_gap_s
     try:
         usable = follow(own, lines_of(sys.stdin.buffer, patience_s), patience_s, as_json=json_lines)
@@ -148,7 +152,7 @@ def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, a
             if refused <= REFUSED_TOLD:
                 explain(error)
             if refused == REFUSED_TOLD:
-                say("further lines that cannot be used are counted, and not told")
+                say("further unusable lines are only counted")
         if own.counts.ticks != ticks:
             ticks, since_s = own.counts.ticks, time.monotonic()
         elif line is None or time.monotonic() - since_s > patience_s:
@@ -168,7 +172,7 @@ def _cell(
     if file is not None:
         for option, value in (("--robot", robot), ("--hand", hands), ("--period", period)):
             if value is not None:
-                raise SettingsError.of_option(option, "what LOG.yaml says, which has it too", str(value))
+                raise SettingsError.of_option(option, "only LOG.yaml, which has it too", str(value))
         watched = read_cell(file, claims)
     else:
         if robot is None:
@@ -252,10 +256,10 @@ def _ended(own: Monitor, *, as_json: bool, interrupted: bool) -> int:
         own.journal.close()
         say(f"log: {own.journal.folder}, part {own.journal.part}: safety-harness judge {own.journal.latest}")
     if interrupted:
-        say("interrupted: the log is kept")
+        say("interrupted: the log stays")
         return INTERRUPTED
     if not counts.ticks:
-        say("error: nothing in the stream could be used: no joints came")
+        say("error: the stream has no usable joints")
         return BAD_INPUT
     final = own.verdicts()
     if not as_json:

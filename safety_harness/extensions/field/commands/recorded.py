@@ -41,22 +41,20 @@ OfCell = Annotated[
     str | None,
     Option(
         "--scenario",
-        help="A scenario of the cell, or shipped:NAME, for what no log says: desired TCP, object, camera, "
-        "hand sensor, avoider. Its hands and its start are not used.",
+        help="A scenario of the cell, or shipped:NAME, with the values that logs lack: desired TCP, object, "
+        "camera, hand sensor, avoider. Its hands and its start have no effect.",
         metavar="FILE",
     ),
 ]
 From = Annotated[
     str | None,
-    Option(
-        "--from", help="Where the part that is used begins, since the first sample: 1.5 s.", metavar="TIME"
-    ),
+    Option("--from", help="Begin of the used part, since the first sample: 1.5 s.", metavar="TIME"),
 ]
-To = Annotated[str | None, Option("--to", help="Where it ends.", metavar="TIME")]
+To = Annotated[str | None, Option("--to", help="End of the used part.", metavar="TIME")]
 ElbowTowards = Annotated[
     str | None,
     Option(
-        help="Where a forearm points that was not measured: '1.6 m, -1.2 m, 0.3 m'; else as in --scenario.",
+        help="Point that an unmeasured forearm points to: '1.6 m, -1.2 m, 0.3 m'; default: --scenario's.",
         metavar="POINT",
     ),
 ]
@@ -73,18 +71,18 @@ def scenario_from(
     scenario: OfCell = None,
     around: Annotated[
         str | None,
-        Option(help="How far hands are elsewhere in the space, along each axis: 100 mm.", metavar="LENGTH"),
+        Option(help="Largest shift of hands in the space, along each axis: 100 mm.", metavar="LENGTH"),
     ] = None,
     speed: Annotated[
         str | None,
-        Option(help="How many times as fast they are in the space: 0.8..1.25.", metavar="LOW..HIGH"),
+        Option(help="Factors of the hands' speed in the space: 0.8..1.25.", metavar="LOW..HIGH"),
     ] = None,
     from_: From = None,
     to: To = None,
     desired_tcp: Annotated[
         str | None,
         Option(
-            help="Where the task ends, without --scenario: '700 mm, 0 mm, 350 mm'; else where the log ends.",
+            help="End of the task without --scenario: '700 mm, 0 mm, 350 mm'; default: the log's end.",
             metavar="POINT",
         ),
     ] = None,
@@ -95,14 +93,20 @@ def scenario_from(
 ) -> int:
     """Make a scenario of a log, and a space around it.
 
-    An incident becomes a regression test and a search. The command writes NAME.yaml and the hands'
-    recordings, and NAME-around.yaml with --around or --speed; run, fuzz and pytest take them unchanged.
-    Comments in the files state the origin of each part. Without --scenario the avoider is the opposite pose,
-    and all else that no log has takes its default. Every claim is expected to hold: run ends with 1 as long
-    as the incident happens again.
-    Hands keep their samples. The command refuses a gap longer than LOG.yaml allows; --from and --to choose
-    another part. It executes no code and overwrites no file.
-    Exit code 0; 2: the scenario cannot be made, or cannot run, with the reason.
+    An incident becomes a regression test and a search. The command writes
+    NAME.yaml and the hands' recordings, and NAME-around.yaml with --around or
+    --speed; run, fuzz and pytest take them unchanged. Comments in the files
+    state the origin of each part. Without --scenario the avoider is the
+    opposite pose, and all other values that logs lack take their defaults. The
+    scenario expects every claim to hold: run ends with 1 as long as the
+    incident happens again.
+
+    Hands keep their samples. The command refuses a gap longer than LOG.yaml
+    allows; --from and --to choose another part. It executes no code and
+    overwrites no file.
+
+    Exit code 0: the files are written, and can run.
+    Exit code 2: the scenario cannot be made, or cannot run, with the reason.
     """
     from safety_harness.admission.admit import Looker
     from safety_harness.admission.avoiders import as_seen_from
@@ -124,14 +128,14 @@ def scenario_from(
     neighbourhood = Around(shift_m=_length(around), speeds=_speeds(speed))
     folder = out or Path(f"from-{log.stem}")
     if scenario is not None and desired_tcp is not None:
-        raise LogError.of_option("--desired-tcp", "what --scenario says, which has it too", desired_tcp)
+        raise LogError.of_option("--desired-tcp", "only --scenario, which has a desired TCP too", desired_tcp)
     given = None if scenario is None else _cell(scenario)
     cell_log, desired_m = _part(log, from_, to), _point(desired_tcp, "--desired-tcp")
     if given is None:
         end = "as --desired-tcp says" if desired_m is not None else "where the log ends"
         named = f"the defaults (desired TCP {end}, avoider {USUAL})"
         given = usual_cell(cell_log, desired_m)
-        say(f"note: no --scenario: {named}")
+        say(f"note: without --scenario, it uses {named}")
     else:
         named = str(told(Path(str(scenario))))
     cell = as_seen_from(folder, given)
@@ -151,7 +155,7 @@ def scenario_from(
             draws = without_compiling(lambda: draw_admissible(read_space(space), seed=0, count=20))
             say(f"{told(space)}: {draws}")
     except InputError as error:
-        say("what was written cannot be tried as it is:")
+        say("the written files cannot run as they are:")
         explain_each([error])
         return BAD_INPUT
     say("next:", f"  safety-harness run {shlex.quote(str(told(file)))}")
@@ -170,7 +174,7 @@ def _cell(scenario: str | None) -> Any:
 
     if scenario is None:
         expected = "a scenario of the cell: where the task ends, its object, camera, hand sensor, avoider"
-        hint = "no log says these; of ours, say, --scenario shipped:servoing-alone"
+        hint = "logs lack these; for example, --scenario shipped:servoing-alone"
         raise LogError.of_option("--scenario", expected, "none", hint)
     return read_scenario(scenario)
 
@@ -213,7 +217,7 @@ def _point(text: str | None, option: str = "--elbow-towards") -> Vector3 | None:
 @command(
     commands,
     "compare-worlds",
-    interrupted="interrupted: nothing was written",
+    interrupted="interrupted: no file was written",
 )
 def compare_worlds(
     log: Log,
@@ -225,13 +229,17 @@ def compare_worlds(
 ) -> int:
     """Compare simulated runs with a recorded cell.
 
-    It runs a controller in both worlds under the recorded hands, with the runs of "scenario from LOG.yaml"
-    and the same options. It compares joints, TCP and hand distances with the log, with intervals. It
-    estimates a delay and offsets of the joints, and judges the claims on the log and on the runs. certify
-    PLAN --cell compare-worlds.json puts the result into a report. It executes a program that the scenario
-    names.
-    Exit code 0: no verdict contradicts the log's; 1: a verdict does; 2: bad input, or a world is not
-    installed; 130: interrupted.
+    It runs a controller in both worlds under the recorded hands, with the runs
+    of "scenario from LOG.yaml" and the same options. It compares joints, TCP
+    and hand distances with the log, with intervals. It estimates a delay and
+    offsets of the joints, and judges the claims on the log and on the runs.
+    certify PLAN --cell compare-worlds.json puts the result into a report. It
+    executes a program that the scenario names.
+
+    Exit code 0: no verdict contradicts the log's.
+    Exit code 1: a verdict does.
+    Exit code 2: bad input, or a world is not installed.
+    Exit code 130: interrupted.
     """
     from safety_harness.base.whole_file import write_text
     from safety_harness.extensions.field.recorded.compare import FILE, FORMAT, as_json

@@ -80,7 +80,7 @@ def align(log: CellLog, body: Body) -> Offset:
     centred = places[there] - places[there].mean(axis=0)
     explained = 1.0 - residual / float((centred**2).sum())
     if explained < LEAST_EXPLAINED or there.sum() < FEWEST:
-        got = f"one of whose motion the joints explain {max(explained, 0.0):.0%}"
+        got = f"a body of whose motion the joints explain {max(explained, 0.0):.0%}"
         hint = "a marker on the tool, or a hand that holds on to it; in the base frame, by the key frame"
         raise _refused(body, "a body that moves with the tool", got, hint)
     # one that ends where it may look no farther is no least of its own, but on the way to another
@@ -91,7 +91,7 @@ def align(log: CellLog, body: Body) -> Offset:
         hint = "a motion that does not repeat itself, or the part that has one: log: {from: ..., to: ...}"
         raise _refused(
             body,
-            "a motion that one offset alone explains",
+            "a motion that only a single offset explains",
             f"ahead by {them} ms, which explain it alike",
             hint,
         )

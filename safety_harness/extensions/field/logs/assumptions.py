@@ -66,4 +66,4 @@ def assumptions_of(log: CellLog) -> tuple[Assumption, ...]:
 def unconfirmed_note(log: CellLog) -> str:
     """Return the line about unconfirmed assumptions that stands beside the verdicts."""
     names = [a.what for a in assumptions_of(log) if not a.confirmed_by]
-    return f"nothing in the log confirms {'; '.join(names)} (safety-harness log check says what would)"
+    return f"the log does not confirm {'; '.join(names)} (safety-harness log check lists missing evidence)"

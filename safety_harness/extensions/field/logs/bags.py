@@ -151,7 +151,7 @@ def _opened(source: LogSource) -> Iterator[Bag]:
         expected, error, hint = "a package that decodes these messages", missing, "pip install protobuf"
     except Exception as damage:  # of the storage, its compression, a message: whatever damage provokes
         expected, error = "a bag, whole", damage
-        hint = "of a recording that was cut off: mcap recover FILE.mcap, or ros2 bag reindex FOLDER"
+        hint = "for a cut-off recording: mcap recover FILE.mcap, or ros2 bag reindex FOLDER"
     got = " ".join(f"{type(error).__name__}: {error}".split())
     raise LogError(place=place, expected=expected, got=got, hint=hint) from error
 
@@ -258,7 +258,7 @@ def _refuse_lacking(wanted: Sequence[str], names: Sequence[str], source: LogSour
     """Raise LogError for a message that lacks a joint of the arm."""
     for name in wanted:
         if name not in names:
-            hint = near_miss(name, names) or 'the key "names" says what the log calls each joint'
+            hint = near_miss(name, names) or 'the key "names" lists the names of joints in the log'
             raise error(source, message, f'the joint "{name}"', f"the joints {shown(', '.join(names))}", hint)
 
 
@@ -316,7 +316,7 @@ def read_positions(
             place = [math.nan] * 3
         _refuse_infinite(place, source, message)
         if not halves and 0 < sum(map(math.isnan, place)) < 3:
-            raise error(source, message, "a position, or none of its three numbers", str(place))
+            raise error(source, message, "all three numbers of a position, or three NaN", str(place))
         collector.bodies.update(_bodies(source, message))
         moved = to_base(_frame_of(header), message)
         position = moved([value * length for value in place])
@@ -432,4 +432,4 @@ def _numbers(values: Any, source: LogSource, message: Message) -> list[float]:
 
 def _refuse_infinite(values: Sequence[float], source: LogSource, message: Message) -> None:
     if any(math.isinf(value) for value in values):
-        raise error(source, message, "numbers, or NaN where nothing was measured", str(list(values)))
+        raise error(source, message, "numbers, or NaN for a missing measurement", str(list(values)))

@@ -346,7 +346,8 @@ def _scenario(log: CellLog, paths: list[_Path], recordings: dict[str, bytes]) ->
         own = scenario.settings.hand
         if not path.body.forearm and own.forearm_radius_m > own.radius_m:
             raise log.said.error(
-                "a forearm no thicker than the hand, where hands have none", got=f"{own.forearm_radius_m:g} m"
+                "a forearm no thicker than the hand, since the log's hands have no forearm",
+                got=f"{own.forearm_radius_m:g} m",
             )
     return scenario
 
@@ -388,7 +389,7 @@ def settings_with(period_s: float, given: Field | None, lead: float | None = Non
     if own is not None and lead is not None:
         for key, item in own.entries("settings of the filter"):
             if key == _HORIZON and item.quantity(TIME) != lead:
-                raise item.error(f"{format_quantity(lead, TIME)}, as far as detections are ahead, or nothing")
+                raise item.error(f"{format_quantity(lead, TIME)}, the lead of the detections, or no such key")
     entries = tuple((Scalar(key, item.line), item.node) for key, item in groups.items())
     if lead is not None:
         horizon = Scalar(_HORIZON, 1), _scalar(format_quantity(lead, TIME))
@@ -462,8 +463,8 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
         yield f"the last {tail_s * 1e3:.3g} ms of the joints are less than a period, and not judged"
     if log.joint_facts.accelerate_at_most_radps2 is None:
         yield (
-            "how hard the joints accelerate is not said, so they may turn at their greatest speed between "
-            "samples: joints: {accelerate at most: ...} says closer where they were"
+            "no limit of the joints' acceleration is stated, so they may turn at greatest speed between "
+            "samples; joints: {accelerate at most: ...} bounds their angles more closely"
         )
     bodies = [part for body in log.hands for part in (body.hand, body.elbow) if part is not None]
     for samples in (log.joints, *bodies, *(() if log.tcp is None else (log.tcp.samples,))):
@@ -471,18 +472,18 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
     yield from _beyond_joints(log)[1]
     if log.unmapped:
         yield (
-            f"neither mapped nor left out: {', '.join(log.unmapped)}, so that any of them may be a hand, and "
-            "a claim on any hand is open: log: {hands: ...} maps it, hands: {left out: [...]} leaves it out"
+            f"neither mapped nor left out: {', '.join(log.unmapped)}, so any of them may be a hand, and "
+            "claims on any hand are open; log: {hands: ...} maps it, hands: {left out: [...]} leaves it out"
         )
     if log.left_out:
         yield f"left out, as the file says: {', '.join(log.left_out)}"
     if log.unused:
         more = f" and {len(log.unused) - UNUSED_NAMED} more" * (len(log.unused) > UNUSED_NAMED)
-        yield f"columns, topics and joints that nothing reads: {', '.join(log.unused[:UNUSED_NAMED])}{more}"
+        yield f"unread columns, topics and joints: {', '.join(log.unused[:UNUSED_NAMED])}{more}"
     for path in paths:
         if path.elbow is None:
             how = (
-                "its forearm was not measured" if path.body.forearm else "it has no forearm, by what is said"
+                "its forearm was not measured" if path.body.forearm else "it has no forearm, as the file says"
             )
             yield f"{path.body.name}: {how}"
     yield unconfirmed_note(log)

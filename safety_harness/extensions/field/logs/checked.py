@@ -30,7 +30,7 @@ def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
         joint = int(np.argmax(far[index]))
         expected = f"an angle of at most {np.degrees(FARTHEST_RAD):.0f} deg either way"
         got = f"{names[joint]} at {np.degrees(values[index, joint]):.6g} deg"
-        raise joints.error(index, expected, got, 'degrees that were taken for radians? the key "unit"')
+        raise joints.error(index, expected, got, 'degrees instead of radians? See the key "unit"')
     return _measured(joints, np.asarray(np.isfinite(values).all(axis=1)))
 
 
@@ -47,7 +47,7 @@ def positions_checked(positions: LogSamples, keep: bool) -> LogSamples:
         index = int(np.argmax(far.any(axis=1)))
         got = f"{', '.join(f'{value:.6g}' for value in positions.values[index])} m"
         expected = f"a position within {FARTHEST_M:g} m of the base"
-        raise positions.error(index, expected, got, 'millimetres that were taken for metres? the key "unit"')
+        raise positions.error(index, expected, got, 'millimetres instead of metres? See the key "unit"')
     return positions if keep else _measured(positions, np.asarray(np.isfinite(positions.values).all(axis=1)))
 
 
@@ -64,7 +64,7 @@ def _measured(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
     first, last = samples.time_ns[~there][[0, -1]] / NS
     return samples.chosen(there).noted(
         f"{np.count_nonzero(~there)} of {len(there)} samples, from {first:.3f} to {last:.3f} s of its clock, "
-        "show nothing (empty, NaN, zeros or one far place): not measured"
+        "are no measurements (empty, NaN, zeros or one far place)"
     )
 
 
@@ -147,7 +147,7 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
             hint += "angles alone do not say in which turn it is"
         raise joints.error(
             index + 1,
-            f"{names[joint]} to turn at {most:.4g} deg/s at most, as is said",
+            f"{names[joint]} to turn at {most:.4g} deg/s at most, as the file says",
             f"a jump of {np.degrees(moved[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, "
             f"{speed:.4g} deg/s",
             hint,
@@ -163,9 +163,9 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
         raise joints.error(
             index + 2,
             f"{names[int(np.argmax(turned[index]))]} to speed up or brake at "
-            f"{facts.accelerate_at_most_radps2:.4g} rad/s2 at most, as is said",
+            f"{facts.accelerate_at_most_radps2:.4g} rad/s2 at most, as the file says",
             f"{hard[index]:.4g} rad/s2 at least, by three samples known to {facts.known_to_rad:.4g} rad",
-            "joints: {accelerate at most: ..., known to: ...}, which has to hold what their stamps are off",
+            "joints: {accelerate at most: ..., known to: ...}, which must include the error of their stamps",
         )
 
 

@@ -367,7 +367,7 @@ class _Reading:
             track, axes, label, when = track or RTDE_TCP, "012", label or "m", when or RTDE_TIME
         elif frame is None:
             expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
-            raise keys.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
+            raise keys.whole.error(expected, got=f"no key, and the table {source.name} cannot state it")
         header = header_of(source)
         track = track or only_track(source, header)
         at = [required_column(source, header, along(track, axis), LENGTH_UNITS, label) for axis in axes]
@@ -392,7 +392,7 @@ class _Reading:
         gone = np.isnan(samples.values)
         half = gone.any(axis=1) & ~gone.all(axis=1)
         if keep and half.any():
-            expected = "a position, or none of its three numbers"
+            expected = "all three numbers of a position, or three NaN"
             raise samples.error(int(np.argmax(half)), expected, str(samples.values[half][0].tolist()))
         if not keep:
             samples = with_frozen(samples, [samples.values], keys)
@@ -461,13 +461,13 @@ def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
         return arm.joint_names
     keys = field.fields(arm.joint_names)
     names = tuple(
-        keys.required(name).sentence("what the log calls the joint") if name in keys else name
+        keys.required(name).sentence("the log's name for the joint") if name in keys else name
         for name in arm.joint_names
     )
     for at, name in enumerate(names):
         if name in names[:at]:
             got = f'"{name}" for {arm.joint_names[names.index(name)]} and {arm.joint_names[at]}'
-            raise field.error("another one of the log's joints for each of the arm's", got=got)
+            raise field.error("a different joint of the log for each joint of the arm", got=got)
     return names
 
 

@@ -33,8 +33,8 @@ class SampleBound:
         values = np.array(numbers, np.float64)
         if len(values) in COVARIANCES:
             if self.times is None:
-                expected = 'the key "times": how many standard deviations no sample is farther off than'
-                raise self.said.error(expected, got="none, for a covariance")
+                expected = 'the key "times": the most standard deviations by which a sample is off'
+                raise self.said.error(expected, got="a covariance without it")
             side = round(len(values) ** 0.5)
             block = values.reshape(side, side)[:3, :3]
             if not np.isfinite(block).all():
@@ -66,7 +66,7 @@ def refuse_unbounded(samples: LogSamples) -> None:
     if lacking.any():
         raise samples.error(
             int(np.argmax(lacking)),
-            "beside the position how well it is known, as numbers of at least 0",
-            "none: empty, negative, or a covariance that is none (of zeros, where nobody knows it)",
+            "beside the position its accuracy, as numbers of at least 0",
+            "an empty or negative number, or no valid covariance (zeros mean unknown)",
             "hands: {known to: 8 mm} says it of all samples",
         )

@@ -231,12 +231,12 @@ class Collector:
         )
         if n < self.least:
             wanted = "two samples" if self.least == 2 else "a sample"
-            got = f"{n} of {self.seen} in the file" if self.seen else "none in the file"
+            got = f"{n} of {self.seen} in the file" if self.seen else "no sample in the file"
             expected = f"{wanted} at least of {self.source.name}"
             raise LogError(place=self.source.place, expected=expected, got=got, hint=self._elsewhere())
         refuse_disorder(read)
         if self._unstamped:
-            self.notes.append(f'{self._unstamped} samples before "from" have no valid time, and are left out')
+            self.notes.append(f'{self._unstamped} samples before "from" have no valid time and do not count')
         for note in self.notes:
             read = read.noted(note)
         return read if n == 0 else replace(read, span_ns=(int(self._first_ns), int(self._last_ns)))
@@ -253,7 +253,7 @@ class Collector:
             f"{begin / NS:.3f} to {end / NS:.3f} s"
             for begin, end in ((self._first_ns, self._last_ns), (self.begin_ns, self.end_ns))
         )
-        return f"its times are {own}, those of the joints on its clock {span}: the offset, or a time's unit?"
+        return f"its times are {own}, the joints' on its clock are {span}: a wrong offset or time unit?"
 
 
 def refuse_disorder(samples: LogSamples) -> None:
@@ -264,8 +264,8 @@ def refuse_disorder(samples: LogSamples) -> None:
         twice = abs(int(steps[index])) < SHORTEST_STEP_NS
         same = np.array_equal(samples.values[index], samples.values[index + 1], equal_nan=True)
         got = f"{now_s:.9f} s after {last_s:.9f} s, in {samples.source.counts} {int(samples.at[index])}"
-        hint = "sort it by time, in a copy: nothing is sorted here, since it may be two recordings in one"
+        hint = "sort it by time, in a copy; the harness does not, since it may be two recordings in one"
         if twice:
             hint = "the same sample twice" if same else "two samples of one time that are not the same"
             hint += ": leave one of them out, in a copy"
-        raise samples.error(index + 1, "a time later than the one before, by 1 us at least", got, hint)
+        raise samples.error(index + 1, "a time at least 1 us after the previous sample's", got, hint)

@@ -34,7 +34,9 @@ RTDE_JOINTS, RTDE_TIME = ("actual_q_", "actual_qd_"), "timestamp in s"
 RTDE_TCP, RTDE_BASE = "actual_TCP_pose", np.diag([-1.0, -1.0, 1.0, 1.0])  # UR's base frame, in base_link's
 SPEED_UNITS = {f"{unit}ps": si for unit, si in LENGTH_UNITS.items()}
 RATE_UNITS = {"radps": 1.0, "degps": math.pi / 180.0}
-_TIME_HINT = 'another one by the key "time", such as: stamp in ns; none by hands: {rate: 120 Hz}'
+_TIME_HINT = (
+    'the key "time" states another column, such as: stamp in ns; without times, hands: {rate: 120 Hz}'
+)
 _EXACT_BELOW = 1e6  # in a unit of time, up to which a float has enough digits for a nanosecond
 
 
@@ -103,8 +105,8 @@ def time_column(
         if name not in names:
             raise _error(
                 source,
-                f'the column "{name}", which is said to have the time',
-                "none of that name",
+                f'the column "{name}", which the file states as the time',
+                "no such column",
                 near_miss(name, names),
                 line=1,
             )
@@ -159,7 +161,7 @@ def required_column(
     if column is None:
         wanted = [f"{stem}_{ending}" for ending in units]
         hint = near_miss(wanted[0], names) or f"the columns: {shown(', '.join(names))}"
-        raise _error(source, f"a column {' or '.join(wanted)}", "none of that name", hint, line=1)
+        raise _error(source, f"a column {' or '.join(wanted)}", "no such column", hint, line=1)
     return column
 
 
@@ -301,7 +303,7 @@ def _cell(cell: Any, col: TableColumn, source: LogSource, at: int) -> float:
     except (TypeError, ValueError):
         value = math.inf
     if math.isinf(value) or (isinstance(text, str) and "_" in text):
-        expected = "a number, or an empty cell where nothing was measured"
+        expected = "a number, or an empty cell for a missing measurement"
         raise _error(source, expected, shown(str(cell)), field=col.name, line=at)
     return value * col.si
 

@@ -239,7 +239,7 @@ class _Reading:
         widths = tuple(width_of(name) for name in names)
         source, unit = self.source_of(self.field), self.keys.optional("unit")
         label = None if unit is None else unit.one_of({item: item for item in LENGTH_UNITS})
-        called = {name: mapped.required(name).sentence("what the log calls it") for name in names}
+        called = {name: mapped.required(name).sentence("the log's name for it") for name in names}
         if source.is_bag:
             parts = [
                 Part(
@@ -349,7 +349,7 @@ class _Reading:
         off_ns = round(self.keys.required("known to").quantity(TIME, least=0.0, most=LATEST_S) * NS)
         if clock is not None and clock.one_of({OF_JOINTS: False, OF_HANDS: True}):
             if self.clock.hands_ahead_ns is None:
-                raise clock.error("the clock of the joints, where no hands are", got=OF_HANDS)
+                raise clock.error("the clock of the joints, since the log has no hands", got=OF_HANDS)
             by_ns, off_ns = self.clock.hands_ahead_ns, off_ns + self.clock.hands_known_to_ns
         longest_ns = None
         if self.name != DECISIONS:

@@ -137,14 +137,14 @@ def _refuse_gap(
     most_ms = log.hand_facts.longest_gap_s * (0.5e3 if half else 1e3)
     expected = f"a sample every {most_ms:g} ms, as hands: {{longest gap: ...}} says"
     if half:
-        expected = f"a sample within {most_ms:g} ms of either end, half the longest gap that is said"
+        expected = f"a sample within {most_ms:g} ms of either end, half the stated longest gap"
     begin_s, end_s = begin_ns / NS, end_ns / NS
     part_s, over_s = _part_begins_s(log), (log.ticks - 1) * log.period_s
     until, since = math.floor((part_s + begin_s) * 100.0 - 1.0), math.ceil((part_s + end_s) * 100.0 + 1.0)
     parts = [f'--to "{until / 100.0:g} s"'] * (begin_s > LEAST_S)
     parts += [f'--from "{since / 100.0:g} s"'] * (end_s < over_s - LEAST_S)
-    got = f"none for {(end_s - begin_s) * 1e3:.0f} ms, from {begin_s:.3f} s to {end_s:.3f} s"
-    hint = "nothing is filled in" + (f"; another part: {' or '.join(parts)}" if parts else "")
+    got = f"no sample for {(end_s - begin_s) * 1e3:.0f} ms, from {begin_s:.3f} s to {end_s:.3f} s"
+    hint = "the harness does not fill gaps" + (f"; another part: {' or '.join(parts)}" if parts else "")
     raise samples.error(index, expected, got, hint)
 
 

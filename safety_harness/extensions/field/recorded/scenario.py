@@ -210,7 +210,7 @@ def space_text(made: FromLog, around: Around, *, named: str) -> str:
     """
     if not made.hands:
         raise LogError.of_option(
-            "--around, --speed", "a log with hands, which are what varies", "one without"
+            "--around, --speed", "a log with hands, which these options vary", "one without"
         )
     slowest, fastest = around.speeds or (1.0, 1.0)
     scenario = replace(made.scenario, duration_s=made.scenario.duration_s / slowest)
@@ -234,7 +234,7 @@ def space_text(made: FromLog, around: Around, *, named: str) -> str:
         varied.append(f"up to {nice(around.shift_m, LENGTH)} elsewhere along each axis")
     if around.speeds is not None:
         varied.append(f"{slowest:g} to {fastest:g} times as fast")
-    sentence = f"Every draw is what happened, with all hands {' and '.join(varied)}."
+    sentence = f"Every draw repeats the recording, with all hands {' and '.join(varied)}."
     text = _comments([*_origin(made, named), sentence])
     return text + text_of({"scenario space": title, **tree, "choices": choices})
 
@@ -273,16 +273,16 @@ def _origin(made: FromLog, named: str) -> list[str]:
         )
     decider = f"the controller, {cell.controller}" if cell.driven else f"the avoider, {cell.avoider}"
     lines.append(
-        f"Not said by the log, and taken from {named}: the desired TCP, the object, the camera, the hand "
+        f"Not in the log, but from {named}: the desired TCP, the object, the camera, the hand "
         f"sensor, {decider}, faults, seed and all settings."
     )
     unseen = [body.name for body in log.hands if body.elbow is None and body.forearm]
     if unseen:
-        lines.append(f"The forearm of {' and '.join(unseen)} was not measured: where it points was said.")
+        lines.append(f"The forearm of {' and '.join(unseen)} was not measured; a point states its direction.")
     expected = [f"{claim.expected.value}: {claim.sentence}" for claim in made.trace.scenario.claims]
     if expected:
         lines.append(
-            "Every claim is expected to hold, since that is what to test for. LOG.yaml expects "
+            "This file expects every claim to hold, as a test should. LOG.yaml expects "
             f"{'; '.join(expected)}."
         )
     return [*lines, *made.notes]

@@ -48,7 +48,7 @@ def difference_words(row: Difference, usually: float) -> str:
 
 def closest_words(row: ClosestHand) -> str:
     """Return the least distance of a hand in both."""
-    least = "nobody knows how little" if row.recorded_least_m is None else shown(row.recorded_least_m, "m")
+    least = "unknown" if row.recorded_least_m is None else shown(row.recorded_least_m, "m")
     return (
         f"least distance of {row.hand}: simulated {shown(row.simulated_m, 'm')}, recorded {least} to "
         f"{shown(row.recorded_most_m, 'm')}"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 commands = Typer()
 
 
-@command(commands, interrupted="interrupted: nothing was scored")
+@command(commands, interrupted="interrupted before any score")
 def evaluate(
     avoiders: Annotated[
         list[str],
@@ -44,15 +44,17 @@ def evaluate(
     ] = None,
     against: Annotated[
         str | None,
-        Option(help="A reference: a finding is what it does not do, or not as often.", metavar="AVOIDER"),
+        Option(help="A reference: findings are faults that it has not, or less often.", metavar="AVOIDER"),
     ] = None,
     questions: Annotated[
         int | None,
-        Option(help="In the first region; without it as many as the avoider's pace allows.", min=20),
+        Option(help="Number in the first region; default: as many as the avoider's pace allows.", min=20),
     ] = None,
     search: Annotated[
         int,
-        Option(help="Questions to search with for the worst ones; 0: no search.", min=0, metavar="BUDGET"),
+        Option(
+            help="Number of questions in the search for the worst; 0: no search.", min=0, metavar="BUDGET"
+        ),
     ] = 4_000,
     seed: Seed = 0,
     out: Annotated[Path, Option(help="Folder for the page, the figures and the worst questions.")] = Path(
@@ -70,8 +72,10 @@ def evaluate(
     the hand, out of reach, missing, late, ... Differences from the yardsticks
     appear beside it, and decide only with --against.
 
-    Exit code 0: no finding; 1: findings, or no region with a proposal was asked
-    about; 2: bad input, or an avoider that does not answer; 130: interrupted.
+    Exit code 0: no finding.
+    Exit code 1: findings, or no region got a proposal.
+    Exit code 2: bad input, or an avoider that does not answer.
+    Exit code 130: interrupted.
     """
     from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
     from safety_harness.cli.progress import TERMINAL
@@ -90,7 +94,7 @@ def evaluate(
     )
     interrupted = scores.scored.interrupted
     if not scores.avoiders:
-        say(f"{'interrupted: ' if interrupted else ''}nothing was scored")
+        say(f"{'interrupted: ' if interrupted else ''}no avoider has a score")
         return scores.exit_code
     for avoider in scores.avoiders:
         result(*_lines(avoider, scores.scored.against))
@@ -102,7 +106,7 @@ def evaluate(
         explain(error)
         return BAD_INPUT
     if interrupted:
-        say("interrupted: what was finished is kept")
+        say("interrupted: the finished scores are saved")
     return scores.exit_code
 
 
@@ -120,7 +124,7 @@ def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
 
     cards = (one.card, *one.yardsticks)
     yield from titled(
-        f"{one.reference}: {one.card.name}; below it the yardsticks, which are no duty",
+        f"{one.reference}: {one.card.name}; below it the yardsticks, for comparison",
         ("region", "avoider", *COLUMNS),
         [(row.region, row.avoider, *row.cells) for row in rows_of(cards, figures)],
     )
@@ -137,7 +141,7 @@ def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
     yield f"{len(one.findings)} findings on {one.reference}{beside}" + (":" if one.findings else "")
     yield from map(_finding, one.findings)
     if one.unlike:
-        yield f"unlike the reference in {len(one.unlike)} ways, which decide nothing without --against:"
+        yield f"unlike the reference in {len(one.unlike)} ways (findings only with --against):"
         yield from map(_finding, one.unlike)
 
 

@@ -29,7 +29,7 @@ def tables(figures: Sequence[Figures]) -> Iterator[str]:
     order = list(dict.fromkeys(item.set.name for item in figures))
     by_set = sorted(figures, key=lambda item: order.index(item.set.name))
     yield from titled(
-        "Errors [mm]; noise-free: RMSE against the continuous optimum; floor: what the labels' noise leaves",
+        "Errors [mm]; noise-free: RMSE against the continuous optimum; floor: error by the labels' noise",
         ("set", "model", "RMSE x", "y", "z", "all", "MAE x", "y", "z", "all", "noise-free", "unreachable"),
         _error_rows(by_set),
     )
@@ -40,8 +40,8 @@ def tables(figures: Sequence[Figures]) -> Iterator[str]:
         (_interval_row(item) for item in by_set),
     )
     yield from titled(
-        "Doubt: a decision's largest spread [mm], as a detector of the unseen (AUROC), and above the "
-        "threshold: false fallbacks if seen, detections if not",
+        "Doubt: a decision's largest spread [mm], its AUROC as a detector of the unseen, and the share "
+        "above the threshold (false fallbacks if seen, detections if unseen)",
         ("set", "model", "median spread", "AUROC", "above threshold", ""),
         (_doubt_row(item) for item in by_set),
     )

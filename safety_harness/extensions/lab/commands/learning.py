@@ -26,7 +26,7 @@ Cell = Annotated[
     str | None,
     Option(
         "--robot",
-        help="A scenario with the cell, arm and settings: a file, or shipped:NAME; else the UR10's.",
+        help="A scenario with the cell, arm and settings: a file, or shipped:NAME; default: the UR10's.",
         metavar="SCENARIO",
     ),
 ]
@@ -38,7 +38,7 @@ def dataset(
     out: Annotated[Path, Argument(help="Folder for arrays.npz and manifest.json.", metavar="FOLDER")],
     space: Annotated[str, Option(help="'seen', 'unseen hand', 'unseen tcp' or 'unseen both'.")] = "seen",
     tcps: Annotated[int, Option(help="TCP positions.")] = 10_000,
-    candidates: Annotated[int, Option(help="Repulsive candidates of each TCP.")] = 100,
+    candidates: Annotated[int, Option(help="Repulsive candidates for each TCP.")] = 100,
     hands: Annotated[int, Option(help="Hand positions, joined with every TCP.")] = 500,
     robot: Cell = None,
     seed: Seed = 0,
@@ -47,7 +47,9 @@ def dataset(
 
     The defaults are the paper's 5,000,000 samples, in a few seconds.
 
-    Exit code 0; 2: bad input; 130: interrupted, no file was written.
+    Exit code 0: the data set is written.
+    Exit code 2: bad input.
+    Exit code 130: interrupted, without a file.
     """
     from safety_harness.cli.progress import counting
     from safety_harness.extensions.lab.learning.cell import training_cell
@@ -97,14 +99,14 @@ def train(
     robot: Cell = None,
     data: Annotated[
         Path | None,
-        Option(help="Folder of a data set; without it one is made on the spot."),
+        Option(help="Folder of a data set; default: train makes one."),
     ] = None,
     out: Annotated[Path, Option(help="Folder for model.safetensors and the checkpoint.")] = Path(
         "models/new"
     ),
     seed: Seed = 0,
     resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint.")] = False,
-    device: Annotated[str, Option(help="Where PyTorch computes: cpu, cuda, ...")] = "cpu",
+    device: Annotated[str, Option(help="Device of PyTorch: cpu, cuda, ...")] = "cpu",
 ) -> int:
     """Train and calibrate a network of the UR10's or another cell.
 
@@ -112,7 +114,9 @@ def train(
     --resume continues from there, to the same bits.  Training needs PyTorch, the
     extra "learning" of this package.
 
-    Exit code 0; 2: bad input; 130: interrupted.
+    Exit code 0: the model is written.
+    Exit code 2: bad input.
+    Exit code 130: interrupted.
     """
     import shlex
 
@@ -127,7 +131,7 @@ def train(
     from safety_harness.extensions.lab.learning.trained_model import calibrate, model_of, split_for
 
     if robot and data:
-        raise InadmissibleError.of_option("--robot", "no --data, whose data are of a cell already", robot)
+        raise InadmissibleError.of_option("--robot", "no --data, since its data already have a cell", robot)
     again = ["safety-harness", "train", recipe, "--seed", str(seed), "--out", str(out)]
     again += ["--robot", robot] if robot else []
     again += ["--data", str(data)] if data else []
@@ -214,7 +218,9 @@ def metrics(
     eq. 13's labels; ``evaluate`` scores any avoider.  Every model answers the
     same questions, and no sample was used in training or calibration.
 
-    Exit code 0; 2: bad input; 130: interrupted.
+    Exit code 0: the tables are printed.
+    Exit code 2: bad input.
+    Exit code 130: interrupted.
     """
     from safety_harness.cell.avoidance.learned import LearnedAvoider
     from safety_harness.cli.progress import paced_lines
@@ -244,7 +250,7 @@ def metrics(
     return AS_EXPECTED
 
 
-@command(commands, "time", interrupted="interrupted: nothing was written")
+@command(commands, "time", interrupted="interrupted: no file was written")
 def time_avoider(
     avoider: Annotated[
         str,
@@ -254,7 +260,7 @@ def time_avoider(
         ),
     ],
     out: Annotated[Path | None, Option(help="Also a profile for scenarios, to this file *.json.")] = None,
-    questions: Annotated[int, Option(help="How many are asked.", min=100, max=1_000_000)] = 1_000,
+    questions: Annotated[int, Option(help="Number of questions.", min=100, max=1_000_000)] = 1_000,
     seed: Seed = 0,
 ) -> int:
     """Measure answer times of an avoider here: p50, p99, max.
@@ -263,8 +269,9 @@ def time_avoider(
     FILE.json}}).  Then it draws the simulated time of each decision from it.  A
     Python file is executed.
 
-    Exit code 0; 2: bad input, or an avoider that does not answer; 130:
-    interrupted.
+    Exit code 0: the times are printed.
+    Exit code 2: bad input, or an avoider that does not answer.
+    Exit code 130: interrupted.
     """
     from safety_harness.base.whole_file import write_text
     from safety_harness.extensions.lab.measured_times import measured_times
@@ -276,7 +283,7 @@ def time_avoider(
     try:
         times = measured_times(avoider, questions, seed)
     except NoAnswerError as error:
-        say(f"error: {error}; nothing was written")
+        say(f"error: {error}; no file was written")
         return BAD_INPUT
     if out is not None:
         write_text(out, profile_text(times.profile))
@@ -300,16 +307,16 @@ def time_avoider(
     return AS_EXPECTED
 
 
-@command(commands, interrupted="interrupted: nothing was exported")
+@command(commands, interrupted="interrupted before the export")
 def export(
     model: Annotated[
         str,
         Argument(
-            help="A model file (*.safetensors), or a shipped model's name; of a run its trace.",
+            help="A model file (*.safetensors), a shipped model's name, or a run's trace.",
             metavar="MODEL|TRACE",
         ),
     ],
-    out: Annotated[Path, Option(help="The file to write; of a trace FILE.mcap.")],
+    out: Annotated[Path, Option(help="The file to write; for a trace FILE.mcap.")],
     seed: Seed = 0,
 ) -> int:
     """Write a model as ONNX and compare them, or a run as MCAP.
@@ -320,8 +327,9 @@ def export(
     verdicts as ROS 2 messages and in Foxglove's schemas, and a LOG.yaml beside it
     for "judge".
 
-    Exit code 0; 2: bad input, or the file answers differently (then it is not
-    written); 130: interrupted.
+    Exit code 0: the file is written.
+    Exit code 2: bad input, or the file answers differently; no file is written.
+    Exit code 130: interrupted.
     """
     from safety_harness.cell.avoidance.model_file import load_model
     from safety_harness.cell.avoidance.shipped import model_file

@@ -26,22 +26,20 @@ def prove(
             metavar="PLAN|CERTIFICATE|TRACE",
         ),
     ],
-    check: Annotated[
-        bool, Option("--check", help="Check a certificate, with code that shares none.")
-    ] = False,
+    check: Annotated[bool, Option("--check", help="Check a certificate with independent code.")] = False,
     model: Annotated[
-        Path | None, Option(help="The network of a certificate, if it is none that ships.", metavar="FILE")
+        Path | None, Option(help="The certificate's network, if it is not a shipped network.", metavar="FILE")
     ] = None,
     out: Annotated[Path, Option(help="Folder for the certificate and wrong answers.")] = Path(
         "reports/prove"
     ),
-    minutes: Annotated[float, Option(help="For all claims together.", min=0.0)] = 5.0,
-    halvings: Annotated[int, Option(help="How often a box is halved at most.", min=1, max=60)] = 40,
+    minutes: Annotated[float, Option(help="Minutes for all claims together.", min=0.0)] = 5.0,
+    halvings: Annotated[int, Option(help="Most halvings of a box.", min=1, max=60)] = 40,
     jobs: Annotated[int, Option(help="Processes.", min=1)] = 1,
     decisions: Annotated[
         str | None,
         Option(
-            help="Of a trace: is each decision the same for every hand so near by axis? Adds it to a copy.",
+            help="Add to a copy of a trace: is each decision the same for all hands so near by axis?",
             metavar="LENGTH",
         ),
     ] = None,
@@ -51,12 +49,13 @@ def prove(
 
     The bounds hold for the network's own arithmetic.  A region is halved until
     its boxes are proven, or refuted as a whole; the rest is undecided.  A
-    question that the network itself answers wrongly refutes a claim.  It becomes
-    a scenario if a run can ask it.
+    question that the network itself answers wrongly refutes a claim.  It
+    becomes a scenario if a run can ask it.
 
-    Exit code 0: all proven, or all decisions of a trace the same; 1: not so, or a
-    certificate that is not confirmed; 2: bad input; 130: interrupted, with a
-    certificate of the results so far.
+    Exit code 0: all proven, or all decisions of a trace the same.
+    Exit code 1: not so, or a certificate that is not confirmed.
+    Exit code 2: bad input.
+    Exit code 130: interrupted, with a certificate of the results so far.
     """
     if check:
         return _check(file, model)
@@ -96,7 +95,7 @@ def _print_shares(proved: ProofResult) -> None:
         cells = outward(proof.least_shares)
         rows.append((proof.planned.claim.sentence, proof.planned.region.name, proof.verdict, *cells))
     columns = ("claim", "region", "verdict", "proven", "refuted", "undecided")
-    result(f"{proved.plan.avoider}: shares of each region, proven at least and undecided at most", "")
+    result(f"{proved.plan.avoider}: by region the least proven and the most undecided share", "")
     result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(3, 6)))
 
 
@@ -112,7 +111,7 @@ def _print_bounds(proved: ProofResult) -> None:
         for proof, bound in zip(proved.proofs, proved.bounds, strict=True)
     ]
     columns = ("claim", "region", "wrong at most", "at least", "undecided", "of it asked", "wrong")
-    heading = f"chance that a question as the plan draws them is answered wrongly; all hold with {confidence}"
+    heading = f"chance of a wrong answer to a question that the plan draws; all hold with {confidence}"
     result("", heading, "")
     result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(2, 7)))
 
@@ -174,7 +173,7 @@ def _check(file: Path, model: Path | None) -> int:
     name = content.get("avoider")
     if model is None and name not in SHIPPED:
         raise InputError.of_option(
-            "--model", "the file of the network, which does not ship", "nothing", str(name)
+            "--model", "the network's file, since it is not shipped", "nothing", str(name)
         )
     network = model if model is not None else shipped_model(str(name))
     certificate, weights = (

@@ -178,5 +178,5 @@ def _refused(path: Path, field: str | None, expected: str, got: str) -> ModelErr
         place=Place(file=path, field=field),
         expected=expected,
         got=got,
-        hint="resume with what the training was begun with, or begin in another folder",
+        hint="resume with the same recipe, seed and data, or begin in another folder",
     )

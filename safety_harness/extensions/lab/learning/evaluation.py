@@ -171,7 +171,7 @@ def test_part(
         settings, seen(settings), seed=card.seed, tcps=card.tcps, candidates=card.candidates, hands=card.hands
     )
     if data_hash(dataset) != card.sha256:
-        return None, "its training data cannot be made again from the card's numbers (another hash)"
+        return None, "the card's numbers give other training data (another hash)"
     test = SPLITS[card.split](dataset, seed=card.seed).test
     rng = np.random.default_rng(leaf(seed, 0, _CHOICE))
     shuffled = rng.permutation(test)

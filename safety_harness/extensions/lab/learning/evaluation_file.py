@@ -91,7 +91,7 @@ def _refuse_another_space(model: Model, path: Path, settings: Settings) -> None:
                 place=Place(file=path, field=f"seen.{name}_low_m to seen.{name}_high_m"),
                 expected=f"the seen space of the cell, {corners[0].tolist()} to {corners[1].tolist()}",
                 got=f"{list(theirs[0])} to {list(theirs[1])}, of the arm {model.made_for}",
-                hint="--robot SCENARIO is the cell that it was made for",
+                hint="--robot SCENARIO states the cell of its training",
             )
 
 
@@ -138,11 +138,11 @@ def figures_of(
         if card is not None and card not in parts:
             say(f"{net.label}: making its training data again")
             parts[card] = test_part(cell.settings, card, samples=samples, seed=seed)
-        part, why = (None, "its card does not say how its data were made") if card is None else parts[card]
+        part, why = (None, "it has no card with the numbers of its data") if card is None else parts[card]
         if part is None:
-            remarks.append(f"{net.label}: no test part of the training data: {why}")
+            remarks.append(f"{net.label}: no test part of the training data, since {why}")
         if net.model.calibration is None:
-            remarks.append(f"{net.label}: not calibrated: no intervals, no spread threshold, no residuals")
+            remarks.append(f"{net.label}: not calibrated, so without intervals, threshold and residuals")
         if learns_noise_free(net.model):
             remarks.append(f"{net.label}: trained for labels without noise, and measured on such")
         say(f"{net.label}: evaluating")

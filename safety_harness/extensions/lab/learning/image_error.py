@@ -110,7 +110,7 @@ class ImageErrors(NamedTuple):
                 place=Place(field="candidates"),
                 expected="an image of the object from at least one candidate of every TCP",
                 got=f"{int(blind.sum())} of {len(best)} TCPs without any",
-                hint="the space reaches beyond what the camera can look at from above",
+                hint="the space reaches beyond the camera's view from above",
             )
         return best.astype(np.int64), counts.astype(np.int64)
 

@@ -59,7 +59,7 @@ def sentence(scored: Scored) -> str:
         share, region = max(map(most_towards, often), key=lambda entry: (entry[1] != "", entry[0]))
         towards = f"{100 * share:.3g} % of proposals lead towards the hand in {region}"
         if not region:
-            towards = "no region with a proposal was asked about"
+            towards = "no region got a proposal"
         return f"No finding beyond the yardsticks on {names} in {text}, but {towards}."
     if not scored.findings:
         return f"No finding on {names} in {text}: no figure is beyond its limit, which is no proof of safety."

@@ -44,7 +44,7 @@ FAR = Scale(
     ("under 10 mm off", "10 to 20 mm", "20 to 40 mm", "40 to 60 mm", "60 mm and more"),
 )
 TOWARDS = Scale(
-    (1e-9, 0.1, 0.5), ("none leads towards the hand", "under 10 %", "10 to 50 %", "half or more"), shares=True
+    (1e-9, 0.1, 0.5), ("0 % lead towards the hand", "under 10 %", "10 to 50 %", "half or more"), shares=True
 )
 
 

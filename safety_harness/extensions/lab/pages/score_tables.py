@@ -91,7 +91,7 @@ def towards_words(card: Scorecard) -> str:
     """
     share, region = most_towards(card)
     if math.isnan(share):
-        return "No region with a proposal was asked about."
+        return "No region got a proposal."
     text = f"Towards the hand, most: {100 * share:.3g} % of its proposals in {region}"
     return text + (f", and {100 * OFTEN_TOWARDS:g} % are too many for green." if not is_green(card) else ".")
 
@@ -161,7 +161,7 @@ def repeat_words(repeat: AskedAgain) -> str:
     """Return whether the answers repeated, in words."""
     if repeat.differ == 0:
         return f"the same bits, {repeat.questions:,} questions"
-    size = f" by {mm(repeat.largest_m)} mm at most" if np.isfinite(repeat.largest_m) else ", answers and none"
+    size = f" by {mm(repeat.largest_m)} mm at most" if np.isfinite(repeat.largest_m) else ", some unanswered"
     return f"{repeat.differ:,} of {repeat.questions:,} differ{size}"
 
 

@@ -191,7 +191,7 @@ def read_proofs(content: Mapping[str, Any], path: Path) -> list[Proof]:
     try:
         return [_proof(entry, _planned(entry), path) for entry in content["claims"]]
     except (KeyError, IndexError, TypeError, ValueError):
-        raise InputError.of_file(path, "a certificate of prove", "fields that are none") from None
+        raise InputError.of_file(path, "a certificate of prove", "missing or wrong fields") from None
 
 
 def _planned(entry: Mapping[str, Any]) -> PlannedProof:

@@ -161,7 +161,7 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
     avoider = given.required("avoider")
     name = avoider.sentence("a network")
     if name not in SHIPPED and not name.endswith((MODEL_SUFFIX, ONNX_SUFFIX)):
-        raise avoider.error(f"a network: one that ships, FILE{MODEL_SUFFIX} or FILE{ONNX_SUFFIX}")
+        raise avoider.error(f"a network: a shipped one, FILE{MODEL_SUFFIX} or FILE{ONNX_SUFFIX}")
     file = shipped_model(name) if name in SHIPPED else located(path.parent / Path(name).expanduser())
     network, function, seen = _network(avoider, name, file)
     regions = {} if seen is None else {SEEN: seen_region(seen)}
@@ -175,7 +175,7 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
         fields = item.fields(("claim", "in"))
         where = fields.optional("in")
         if where is None and SEEN not in regions:
-            raise item.error("a region, since the network's file does not say what it has seen")
+            raise item.error("a region, since the network's file does not state its seen space")
         region = where.one_of(regions) if where else regions[SEEN]
         proof = PlannedProof(read_claim(fields.required("claim")), region)
         if proof.claim.kind is ClaimKind.UNSURE and not threshold_m(function.model) >= 0.0:
@@ -223,7 +223,7 @@ def _region(name: str, at: Field, seen: ProofRegion | None) -> ProofRegion:
         hands = hands or (seen.hand_low_m, seen.hand_high_m)
         tcps = tcps or (seen.tcp_low_m, seen.tcp_high_m)
     if hands is None or tcps is None:
-        raise at.error("boxes of hands and of TCPs, since the network's file does not say what it has seen")
+        raise at.error("boxes of hands and of TCPs, since the network's file does not state its seen space")
     apart_m = ANY_APART_M
     if apart:
         near, far = apart.items("two lengths such as [100 mm, 400 mm]", count=2)

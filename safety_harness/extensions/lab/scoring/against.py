@@ -72,8 +72,8 @@ def _paired(
             chance = sign_test(more, fewer + round(least * len(differ)))
             if more > fewer + least * len(differ) and chance < most:
                 sentence = (
-                    f"{text} on {more} questions on which {name} does neither{where}, and the other way "
-                    f"round on {fewer}, of {len(differ):,}; of two alike that has a chance of {chance:.2g}"
+                    f"{text} on {more} questions where {name} does not{where}, and the reverse on {fewer}, "
+                    f"of {len(differ):,}; two equal avoiders differ so with a chance of {chance:.2g}"
                 )
                 shown = tuple(map(mine.questions.single, np.flatnonzero(worse)[:3].tolist()))
                 yield ScoreFinding(kind, mine.region, sentence, shown)

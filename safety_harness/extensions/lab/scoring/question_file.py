@@ -175,7 +175,7 @@ def _variants(scenario: Scenario, hand_in_base_m: Array3, tcp_in_base_m: Array3)
 def _asked_another(trace: Trace, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> str:
     """Return why the first decision is about another question; empty if it is about this question."""
     if len(trace.decisions) == 0:
-        return "the run asks nothing: the hand is not seen"
+        return "the run has no question, since the sensor does not see the hand"
     hand, tcp = question_of(trace, trace.decisions[0])
     apart_m = max(float(np.abs(hand - hand_in_base_m).max()), float(np.abs(tcp - tcp_in_base_m).max()))
     same = apart_m <= SAME_PLACE_M and int(trace.decisions[0]["seed"]) == seed_of(trace.scenario.seed)

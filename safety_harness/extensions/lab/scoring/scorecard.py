@@ -241,9 +241,9 @@ class Kind(Enum):
 
 _WRONG_ANSWERS = {Kind.NO_ANSWER, Kind.LEADS_TOWARDS, Kind.OUT_OF_REACH, Kind.SURE_AND_UNSAFE}
 UNSAFE = frozenset(_WRONG_ANSWERS | {Kind.JUMPS, Kind.NOT_REPEATED, Kind.SLOW})
-"""Kinds that are wrong whatever an avoider is meant to answer; others say that it is unlike yardsticks."""
+"""Kinds that are wrong for every avoider; the rest say that it is unlike yardsticks."""
 UNSAFE_OF_NETWORK = UNSAFE | {Kind.WRONG_AND_SURE, Kind.SPREAD_MISSES}
-"""Those of a network trained here: the closed-form optimum is what it was trained to answer."""
+"""Kinds that are wrong for a network trained here, which learned the closed-form optimum."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -235,10 +235,11 @@ def _is_trained_here(avoider: Avoider) -> bool:
 def _description(tried: Tried, seed: int) -> str:
     """Return the description of a worst question."""
     return (
-        f"Found by a search of {tried.region} (seed {seed}), which estimates nothing. It is the first "
-        f"question of this run: the proposal leads {1e3 * tried.gained_m:.1f} mm away from the hand "
-        f"(the closed-form optimum: {1e3 * tried.optimum_gained_m:.1f} mm) and is {1e3 * tried.off_m:.1f} mm "
-        f"from the optimum, with a largest spread of {1e3 * tried.largest_spread_m:.1f} mm."
+        f"A search of {tried.region} (seed {seed}) found this worst question; a search estimates no rate. "
+        f"It is the first question of this run. The proposal leads {1e3 * tried.gained_m:.1f} mm away from "
+        f"the hand (the closed-form optimum: {1e3 * tried.optimum_gained_m:.1f} mm). It is "
+        f"{1e3 * tried.off_m:.1f} mm from the optimum, and its largest spread is "
+        f"{1e3 * tried.largest_spread_m:.1f} mm."
     )
 
 
@@ -252,7 +253,7 @@ def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorec
     pairs = zip(card.regions, beside.regions, strict=True)
     asked = (compared(WayOfAsking.AGAIN, one.questions, one.answers, other.answers) for one, other in pairs)
     if len(keys) == 1 and not any(again.differ for again in asked):
-        got = f"{against}, which is {reference} by its hash: a comparison with itself finds nothing"
+        got = f"{against}, which is {reference} by its hash; a comparison with itself has no findings"
         raise ScenarioError.of_option("--against", "another avoider than is scored", got)
 
 

@@ -66,7 +66,7 @@ def space_region(space: ScenarioSpace, seed: int, draws: int = DRAWS) -> Questio
 
     return QuestionRegion(
         name=space.name,
-        about=f"{space.name}: what {draws} draws of the space lead to; hands within {near_m * 1e3:g} mm",
+        about=f"{space.name}: questions in {draws} draws of the space; hands within {near_m * 1e3:g} mm",
         pairs=pairs,
         holds=lambda hand, tcp: are_near(hand, tcp, near_m),
         asked_in_runs=True,

@@ -31,7 +31,7 @@ REASONS = {
     "hang": "act: it gave no answer within 0.3 s of wall time",
     "flood of errors": "act: it gave no answer within 0.3 s of wall time",
     "memory": "act: its process ended with exit status 1",
-    "another tick": "it answered tick 2 when it was asked for tick 3",
+    "another tick": "it answered tick 2 instead of tick 3",
     "a mode that is none": "mode must be one of: servoing",
     "failed": "act failed: no way",
     "hello again": "it has to say how to move; it said hello",
@@ -86,7 +86,7 @@ def test_mutated_frames_cost_their_episode_or_are_answers(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("spoils", "why"),
     [
-        (('"name": "upwards"', '"name": 3'), "no message"),
+        (('"name": "upwards"', '"name": 3'), "no valid message"),
         (("controller 1", "controller 7"), "'safety-harness controller 7'"),
         (('["joints"]', '["walls"]'), "walls"),
         (("for line in sys.stdin:", "for line in []:"), "ended with exit status 0"),
