@@ -31,7 +31,6 @@ from safety_harness.cli.console import (
 )
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import Gathered, gather
-from safety_harness.scenario.files import told
 from safety_harness.scenario.kinds import added_input
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.ours import aside_lines
@@ -92,10 +91,8 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         for title, count in Counter(kind.title for kind, _ in read).items():
             rest += f" and {_count(count, title)}"
         say(f"{mistakes}; {rest} can be used")
-    for name, found in (("run", [one.scenario for one in checked]), ("fuzz", spaces)):
-        if found and not errors:
-            next_step(f"safety-harness {name} {shlex.quote(str(told(found[0].file or Path())))}")
-            break
+    if bool(checked) != bool(spaces) and not errors:
+        next_step(shlex.join(["safety-harness", "run" if checked else "fuzz", *map(str, paths)]))
     return BAD_INPUT if errors else AS_EXPECTED
 
 

@@ -81,7 +81,8 @@ def test_validate_names_what_no_run_could_try(tmp_path: Path, capsys: Captured) 
         f"scenario: cut off\nextends: {SCENARIOS / 'hand-visits-and-leaves.yaml'}\nduration: 2 s\n"
     )
     assert validate([file, short]) == AS_EXPECTED
-    one, other = capsys.readouterr().err.splitlines()
+    one, other, then = capsys.readouterr().err.splitlines()
+    assert then == f"next: safety-harness run {file} {short}"
     assert one.endswith("and nothing is known of: fault 1 (avoider answers NaN)")
     assert "'cut off', and nothing is known of: move" in other
 

@@ -73,6 +73,21 @@ def test_every_number_of_the_first_page_leads_to_its_rows(document: page.Node) -
     assert [document.one(one).tag for one in counted] == ["tr"] * 4
 
 
+def test_the_box_on_top_has_bound_target_and_verdict_of_each_claim(document: page.Node) -> None:
+    box = next(one for one in document.all("div", "banner") if one.all("li"))
+    lines = [one.text for one in box.all("li")]
+    assert len(lines) == 6
+    assert all(one.all("span", "verdict") for one in box.all("li"))
+    assert any(" of runs violate it (" in line and line.endswith(" was the target") for line in lines)
+    assert any("runs put it to the test" in line for line in lines)
+    order = [
+        node.attributes.get("id", node.tag)
+        for node in document.all("section")[0].children
+        if hasattr(node, "tag")
+    ]
+    assert order.index("nav") > order.index("div")
+
+
 def test_no_sentence_stands_twice() -> None:
     """Nor in the words of claims, which differ from each other in a real plan."""
     claims = tuple(
