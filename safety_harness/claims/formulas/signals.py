@@ -437,20 +437,3 @@ def _ways(
     turned = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
     way_m = turned @ arm_of(trace).reach_m + np.maximum(hand_m, elbow_m)
     return way_m, joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
-
-
-def markdown_of_signals(signals: Sequence[Signal] = SIGNALS) -> str:
-    """A row for each signal: its words and Python name, units, meaning, what is known between ticks."""
-    rows = ["| words | in Python | units | what it is | between ticks |", "|---|---|---|---|---|"]
-    for signal in signals:
-        units = "true or false"
-        if signal.dimension:
-            units = ", ".join(signal.dimension.units) or "a plain number"
-        name = f"`{signal.words}` | `{python_name(signal)}()`"
-        rows.append(f"| {name} | {units} | {signal.meaning} | {signal.between.value} |")
-    return "\n".join(rows) + "\n"
-
-
-def python_name(signal: Signal) -> str:
-    """What ``claims.formulas.language`` calls it."""
-    return signal.words.lower().replace(" ", "_")

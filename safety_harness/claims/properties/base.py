@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property, lru_cache
 from math import isclose, isfinite
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,25 +151,33 @@ def far_words(close: float | None, least_margin: float | None) -> str:
 
 
 FIELD = re.compile(r"\{(\w+):([^}]*)\}")
-PER_SI = {"mm": 1e3, "mm/s": 1e3, "m/s2": 1.0, "deg/s2": 180.0 / np.pi, "s": 1.0, "ms": 1e3}
+PLURAL = re.compile(r"(\{(\w+):[^}]*\} \w+)\(s\)")
+PER_SI = {"mm": 1e3, "mm/s": 1e3, "m/s": 1.0, "m/s2": 1.0, "deg/s2": 180.0 / np.pi, "s": 1.0, "ms": 1e3}
 
 
 class Worded:
     """A property whose sentence is ``words``, with fields of its own as "within {within_m:mm}".
 
-    After the colon: a unit of ``PER_SI``, "%" for a share, or nothing for a count.
+    The text after the colon is a unit of ``PER_SI``, "%" for a share, "1" for a number, or empty for a count.
+    After a number or a count, "time(s)" stands for "time" where it is 1, and else for "times".
     """
 
-    words: ClassVar[str]
+    @property
+    def words(self) -> str:
+        """The sentence with its fields."""
+        raise NotImplementedError
 
     @cached_property
     def sentence(self) -> str:
-        """The words with the values of the fields, as the catalogue writes it."""
-        return FIELD.sub(lambda found: shown_limit(getattr(self, found[1]), found[2]), self.words)
+        """Return the words with the values of the fields, as the catalogue writes it."""
+        words = PLURAL.sub(lambda match: match[1] + "s" * (getattr(self, match[2]) != 1), self.words)
+        return FIELD.sub(lambda match: shown_limit(getattr(self, match[1]), match[2]), words)
 
 
 def shown_limit(value: float, unit: str) -> str:
     """Return a limit (SI) as a sentence has it, in ``unit``."""
+    if unit == "1":
+        return f"{value:g}"
     if unit in PER_SI:
         return f"{value * PER_SI[unit]:g} {unit}"
     return f"{value * 100.0:.12g} %" if unit == "%" else str(value)

@@ -6,12 +6,11 @@ Pages are written from the entries, so that they say what the code knows.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 from safety_harness.base.exceptions import InadmissibleError, Place
-from safety_harness.claims.properties.base import FIELD, Property, Unit
+from safety_harness.claims.properties.base import FIELD, PLURAL, Property, Unit
 from safety_harness.claims.properties.measured import columns_read_by
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.units import (
@@ -19,6 +18,7 @@ from safety_harness.scenario.units import (
     ANGULAR_ACCELERATION,
     FRACTION,
     LENGTH,
+    NUMBER,
     OTHER_UNIT,
     SPEED,
     TIME,
@@ -26,7 +26,10 @@ from safety_harness.scenario.units import (
     parse_quantity,
 )
 
-DIMENSIONS = {"mm": LENGTH, "mm/s": SPEED, "m/s2": ACCELERATION, "deg/s2": ANGULAR_ACCELERATION, "s": TIME}
+DIMENSIONS = {
+    **{"1": NUMBER, "mm": LENGTH, "s": TIME, "mm/s": SPEED, "m/s": SPEED},
+    **{"m/s2": ACCELERATION, "deg/s2": ANGULAR_ACCELERATION},
+}
 LARGEST_COUNT = 1_000_000
 NONE = "-"
 
@@ -66,6 +69,16 @@ class CatalogueEntry:
         return self.prop.sentence
 
     @property
+    def words(self) -> str:
+        """The sentence with the names of fields in place of their values, as ``Worded`` has it."""
+        return getattr(self.prop, "words", self.example)
+
+    @property
+    def key(self) -> str:
+        """The identifier of the claim: its words without values, such as "hand-distance-never-below"."""
+        return "-".join(re.sub(r"[^a-z ]", "", FIELD.sub("", self.words).lower()).split())
+
+    @property
     def unit(self) -> Unit:
         """What its margins are shown in."""
         return self.prop.unit
@@ -74,15 +87,16 @@ class CatalogueEntry:
         """What the sentence of ``match`` claims of ``scenario``; InadmissibleError at ``place``."""
         if self.make is not None:
             return self.make(match, scenario, place)
-        fields = FIELD.findall(getattr(self.prop, "words", ""))
-        texts = enumerate(fields, start=1)
+        texts = enumerate(FIELD.findall(self.words), start=1)
         values = {name: _limit(match[k], unit, scenario, place) for k, (name, unit) in texts}
         return replace(self.prop, **values) if values else self.prop  # type: ignore[type-var]
 
     def understands(self, sentence: str) -> re.Match[str] | None:
         """The match of a sentence that claims this property, whatever its case and outer spaces."""
-        words = getattr(self.prop, "words", self.example)
-        pattern = self.pattern or FIELD.sub(lambda found: "(.+)" if found[2] else r"(\S+)", words)
+        words = PLURAL.sub(r"\1s?", self.words)
+        pattern = self.pattern or FIELD.sub(
+            lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", words
+        )
         return re.fullmatch(pattern, sentence.strip(), re.IGNORECASE)
 
 
@@ -135,7 +149,7 @@ def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
     """(name, text) of everything that an entry says for people, in the order to read it in."""
     yield "why", entry.rationale
     yield "source", entry.source
-    yield "margin", f"{entry.margin} ({_unit_words(entry)})"
+    yield "margin", f"{entry.margin} ({entry.unit.symbol or 'a number'})"
     yield "parameters", entry.parameters
     yield "exercised", entry.exercised
     also = entry.inconclusive
@@ -143,29 +157,3 @@ def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
     yield "reads", ", ".join(columns_read_by(entry.prop) or ())
     yield "tried in", f"shipped:{entry.scenario}"
     yield "broken by", entry.broken_by
-
-
-def _unit_words(entry: CatalogueEntry) -> str:
-    return entry.unit.symbol or "a number"
-
-
-def markdown_of_claims(
-    entries: Sequence[CatalogueEntry],
-    told: Callable[[CatalogueEntry], Iterable[tuple[str, str]]] = told,
-    breaks: Mapping[str, str] = MappingProxyType({}),
-) -> str:
-    """A table of all sentences, then each with everything that is ``told`` of it.
-
-    ``breaks`` has the smallest break that is caught, by sentence.
-    """
-    rows = ["| sentence | margin in | exercised when | smallest break caught |", "|---|---|---|---|"]
-    rows += [
-        f"| `{e.example}` | {_unit_words(e)} | {e.exercised} | {breaks.get(e.example, 'not measured')} |"
-        for e in entries
-    ]
-    sections = []
-    for entry in entries:
-        lines = [f"### {entry.example}", ""]
-        lines += [f"- *{name}*: {text}" for name, text in told(entry)]
-        sections.append("\n".join(lines))
-    return "\n".join(rows) + "\n\n" + "\n\n".join(sections) + "\n"

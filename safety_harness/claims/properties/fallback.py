@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from safety_harness.cell.avoidance.flaky import question_of
 from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inconclusive, is_somewhere, judged
-from safety_harness.claims.properties.entry import CatalogueEntry, count
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.giving_way import LEAST_WAY_M, Finding, worst_of
 from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.properties.positions import opposite_position, reach_m, spare_m, stopped_m
@@ -219,7 +219,6 @@ WAY = (
 UNCERTAIN = CatalogueEntry(
     prop=UncertainFallsBack(cycles=2),
     pattern=r"uncertain answers fall back within (\S+) cycles?",
-    make=lambda match, _, place: UncertainFallsBack(cycles=count(match[1], place)),
     rationale="the spread is worth something only if it keeps the arm from going where the network guesses",
     source="the paper, section 3.3: the opposite pose where the network is not sure",
     margin=f"the least of: cycles left at the onset, as way; {WAY}; after a stop what the opposite pose "

@@ -23,10 +23,9 @@ from safety_harness.claims.properties.base import (
     is_somewhere,
     judged,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.signals.occasions import no_answer, spread_beside_threshold
-from safety_harness.scenario.units import LENGTH, NUMBER
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.overruling import Overruling, answered, overruled
 from safety_harness.trace.records import ENDLESS
@@ -139,7 +138,7 @@ class NearOptimum(Worded):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WithinSpread:
+class WithinSpread(Worded):
     """A proposal is within ``spreads`` of its own spreads, and an allowance, of the optimum, axis by axis.
 
     Margin of one proposal: the least over axes of k s_i + allowance - |p_i - o_i|.  The allowance is for what
@@ -149,12 +148,7 @@ class WithinSpread:
     spreads: float
     allowance_m: float
     unit: Unit = Unit.LENGTH
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        spreads = f"{self.spreads:g} {'spread' if self.spreads == 1.0 else 'spreads'}"
-        return f"proposals within {spreads} and {self.allowance_m * 1e3:g} mm of the optimum"
+    words: ClassVar[str] = "proposals within {spreads:1} spread(s) and {allowance_m:mm} of the optimum"
 
     @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -239,7 +233,6 @@ LEAD_AWAY = CatalogueEntry(
 NEAR_OPTIMUM = CatalogueEntry(
     prop=NearOptimum(within_m=0.06),
     pattern=r"proposals within (\S+(?: \S+)?) of the optimum",
-    make=lambda match, _, place: NearOptimum(within_m=quantity(match[1], LENGTH, place)),
     rationale=f"a network that is wrong in a region, a frame or a unit shows here first. {YARDSTICK}",
     source="eq. 13 of the paper, with the nearest point of the candidates' cap in closed form",
     margin="the length less the distance from a proposal to its question's optimum, least over proposals",
@@ -250,10 +243,6 @@ NEAR_OPTIMUM = CatalogueEntry(
 )
 WITHIN_SPREAD = CatalogueEntry(
     prop=WithinSpread(spreads=3.0, allowance_m=0.03),
-    pattern=r"proposals within (\S+) spreads? and (.+) of the optimum",
-    make=lambda match, _, place: WithinSpread(
-        spreads=quantity(match[1], NUMBER, place), allowance_m=quantity(match[2], LENGTH, place)
-    ),
     rationale="the gate trusts the spread: an error that it does not announce passes. The spread of dropout "
     f"or of an ensemble is that of the network alone: an allowance stands for its labels' noise. {YARDSTICK}",
     source="the paper, section 3.3, and eqs. 10 and 11: the spread of a network's answers",

@@ -15,11 +15,12 @@ from safety_harness.claims.properties.base import (
     OF_HANDS,
     Evaluation,
     Unit,
+    Worded,
     judged,
     runs_of,
     times_begun,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.signals.occasions import OFF_THE_GOAL, nearest_of, no_hand
 from safety_harness.claims.signals.separation import (
@@ -31,7 +32,6 @@ from safety_harness.claims.signals.separation import (
 )
 from safety_harness.claims.signals.speeds import arm_speeds_mps
 from safety_harness.claims.signals.true_motion import JOINTS, arm_of, capsules_of, true_motion
-from safety_harness.scenario.units import SPEED
 from safety_harness.trace.known import UNMEASURED
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace, history, once_a_trace
@@ -100,7 +100,7 @@ def _fastest_mps(trace: Trace) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProtectiveSeparation:
+class ProtectiveSeparation(Worded):
     """min over time, hands and links of d - S_p while the arm moves (any joint above 1 mrad/s).
 
     ``hand_speed_mps`` is the v_h of every human, towards the arm; None for ``default_mps``.  With
@@ -125,13 +125,11 @@ class ProtectiveSeparation:
     unit: Unit = Unit.LENGTH
 
     @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
+    def words(self) -> str:
+        """The speed of hands is part of the sentence where it is not the usual one."""
         if self.own_speeds:
             return "protective separation kept from hands at their own speeds"
-        if self.hand_speed_mps is None:
-            return "protective separation kept"
-        return f"protective separation kept at {self.hand_speed_mps:g} m/s"
+        return "protective separation kept" + " at {hand_speed_mps:m/s}" * (self.hand_speed_mps is not None)
 
     @property
     def assumed_mps(self) -> float:
@@ -312,8 +310,6 @@ PROTECTIVE_SEPARATION = CatalogueEntry(
 PROTECTIVE_SEPARATION_AT = replace(
     PROTECTIVE_SEPARATION,
     prop=ProtectiveSeparation(hand_speed_mps=1.6),
-    pattern=r"protective separation kept at (.+)",
-    make=lambda match, _, place: ProtectiveSeparation(hand_speed_mps=quantity(match[1], SPEED, place)),
     parameters=f"v_h as written, in place of {REACHING_MPS:g} m/s; {_TIMES}",
 )
 PROTECTIVE_SEPARATION_OWN = replace(

@@ -27,7 +27,7 @@ from safety_harness.claims.properties.base import (
     time_left_s,
     times_begun,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, count, quantity
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.signals.occasions import (
     NEAR_M,
@@ -39,7 +39,6 @@ from safety_harness.claims.signals.occasions import (
 from safety_harness.claims.signals.true_motion import nearest_hand_m, true_motion
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import REACHING_MPS
-from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import Limit, Mode
 from safety_harness.trace.trace import Trace, once_a_trace
 
@@ -293,7 +292,7 @@ GIVES_WAY_TO_TRUE_HAND = replace(
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivesWayAtMost:
+class GivesWayAtMost(Worded):
     """``most`` less how often the arm went from its task to giving way.
 
     From servoing, or from standing without the object, to repulsing or to a protective stop.  What is
@@ -302,11 +301,7 @@ class GivesWayAtMost:
 
     most: int
     unit: Unit = Unit.COUNT
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"gives way at most {self.most} {'time' if self.most == 1 else 'times'}"
+    words: ClassVar[str] = "gives way at most {most:} time(s)"
 
     @reads(also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -327,8 +322,6 @@ def gives_way_at(trace: Trace) -> NDArray[np.int64]:
 
 GIVES_WAY_AT_MOST = CatalogueEntry(
     prop=GivesWayAtMost(most=3),
-    pattern=r"gives way at most (\S+) times?",
-    make=lambda match, _, place: GivesWayAtMost(most=count(match[1], place)),
     rationale="an arm that goes to and fro before a hand is of no use, and nobody can foresee it",
     source="hysteresis, a common demand on switched controllers",
     margin="the times allowed less those at which the arm leaves its task to repulse or to stop",
@@ -340,7 +333,7 @@ GIVES_WAY_AT_MOST = CatalogueEntry(
 
 
 @dataclass(frozen=True, kw_only=True)
-class NoFalseAlarms:
+class NoFalseAlarms(Worded):
     """The limit less the distance of the nearest true hand from the TCP whenever the arm gives way.
 
     Asked where repulsion or a protective stop begins, and at every decision; not while they last, for
@@ -356,10 +349,9 @@ class NoFalseAlarms:
     unit: Unit = Unit.LENGTH
 
     @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        words = "never gives way without a hand"
-        return words if self.within_m is None else f"{words} within {self.within_m * 1e3:g} mm"
+    def words(self) -> str:
+        """The limit is part of the sentence where it is stated."""
+        return "never gives way without a hand" + " within {within_m:mm}" * (self.within_m is not None)
 
     @reads(
         "transform_tcp_to_base",
@@ -450,7 +442,5 @@ FALSE_ALARMS = CatalogueEntry(
 FALSE_ALARMS_WITHIN = replace(
     FALSE_ALARMS,
     prop=NoFalseAlarms(within_m=0.6),
-    pattern=r"never gives way without a hand within (.+)",
-    make=lambda match, _, place: NoFalseAlarms(within_m=quantity(match[1], LENGTH, place)),
     parameters="the limit",
 )

@@ -26,14 +26,13 @@ from safety_harness.claims.properties.base import (
     runs_of,
     time_left_s,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import columns_read_by, only_whole, reads
 from safety_harness.claims.properties.reaction import nearest_off_m
 from safety_harness.claims.signals.occasions import MOVES, OFF_THE_GOAL, millimetres, tcp_stood
 from safety_harness.claims.signals.poses import pose_errors, position_errors_m
 from safety_harness.claims.signals.true_motion import nearest_hand_m
 from safety_harness.scenario.model import Verdict
-from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace, history, once_a_trace
 
@@ -83,7 +82,7 @@ def busy_to_the_end(trace: Trace) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GainSwitchReached:
+class GainSwitchReached(Worded):
     """Eq. 15 falls below the switch within the allowed time after the last hand has left.
 
     Margin: time left when it does, or minus the time that had been overrun at the end of the run.
@@ -98,9 +97,9 @@ class GainSwitchReached:
     unit: Unit = Unit.TIME
 
     @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return "gain switch reached" + ("" if self.within_s is None else f" within {self.within_s:g} s")
+    def words(self) -> str:
+        """The time allowed is part of the sentence where it is stated."""
+        return "gain switch reached" + " within {within_s:s}" * (self.within_s is not None)
 
     @only_whole()
     @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["sse"])
@@ -230,7 +229,6 @@ GAIN_SWITCH_WITHIN = replace(
     GAIN_SWITCH,
     prop=GainSwitchReached(within_s=5.0),
     pattern=r"gain switch reached within (?!.* iterations$)(.+)",
-    make=lambda match, _, place: GainSwitchReached(within_s=quantity(match[1], TIME, place)),
     rationale="the same, for a cell with a cycle time",
     margin="time left of the time allowed",
     parameters="the time allowed",

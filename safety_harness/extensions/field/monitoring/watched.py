@@ -28,7 +28,7 @@ from safety_harness.claims.formulas.parse import parse_formula
 from safety_harness.claims.formulas.quantities import formula_error
 from safety_harness.claims.formulas.signals import hand_distance, nearest_hand_to_tcp
 from safety_harness.claims.properties.base import Unit
-from safety_harness.claims.properties.catalogue import CATALOGUE
+from safety_harness.claims.properties.catalogue import CATALOGUE, entry_claimed
 from safety_harness.claims.signals.signal import Signal
 from safety_harness.extensions.field.monitoring.prefix import Prefix, is_endless
 from safety_harness.extensions.field.monitoring.sensing import (
@@ -51,15 +51,14 @@ def watched_formula(sentence: str) -> Formula:
 
     FormulaError for what is neither.
     """
-    entry, match = next(((one, of) for one in CATALOGUE if (of := one.understands(sentence))), (None, None))
-    if entry is not None and match is not None and entry.formula:
+    if (claimed := entry_claimed(sentence)) is None:
+        return parse_formula(sentence)
+    entry, match = claimed
+    if entry.formula:
         return parse_formula(entry.formula.format(match[1]))
-    if entry is not None:
-        known = " and ".join(f'"{one.example}"' for one in CATALOGUE if one.formula)
-        expected = f"a formula, or a sentence of the catalogue that is one, as {known} are"
-        got = f'"{sentence}", which looks at a whole run'
-        raise formula_error(expected, got, "judge tells it of the log")
-    return parse_formula(sentence)
+    known = " and ".join(f'"{one.example}"' for one in CATALOGUE if one.formula)
+    expected = f"a formula, or a sentence of the catalogue that is one, as {known} are"
+    raise formula_error(expected, f'"{sentence}", which looks at a whole run', "judge tells it of the log")
 
 
 class WatchedClaim:
