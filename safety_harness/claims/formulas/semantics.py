@@ -41,6 +41,9 @@ from safety_harness.claims.formulas.quantities import Span
 
 LEAST = float(np.finfo(np.float64).tiny)
 OF_A_TICK = (Comparison, Truth, Not, And, Or)
+OPERATORS = (Comparison, Truth, Not, And, Or, Always, Eventually, Until, Globally)
+NOT, AND, OR, ALWAYS, EVENTUALLY, UNTIL, GLOBALLY = range(2, 9)
+NO_WINDOW = (-1, -1)
 
 Values = NDArray[np.float64]
 Atoms = Callable[[Comparison | Truth], "MarginBounds"]
@@ -134,70 +137,19 @@ def _of_any_case(bounds: MarginBounds, cases: list[tuple[NDArray[np.bool_], Marg
 
 
 def _joined(formula: Formula, parts: list[MarginBounds], period_s: float) -> MarginBounds:
-    match formula:
-        case Not():
-            return -parts[0]
-        case And():
-            return _least(parts)
-        case Or():
-            return -_least([-part for part in parts])
-        case Always(span=span):
-            return _always(parts[0], span, period_s)
-        case Eventually(span=span):
-            return -_always(-parts[0], span, period_s)
-        case Until(span=span):
-            return _until(parts[0], parts[1], span, period_s)
-        case Globally():
-            return _always(where_triggered(*parts), None, period_s)
-        case Initially():
-            return parts[0]
-    raise TypeError(f"no formula: {formula!r}")
-
-
-def _least(parts: list[MarginBounds]) -> MarginBounds:
-    low = np.minimum.reduce([part.low for part in parts])
-    if all(part.low is part.high for part in parts):
-        return MarginBounds(low, low)
-    return MarginBounds(low, np.minimum.reduce([part.high for part in parts]))
-
-
-def _always(body: MarginBounds, span: Span | None, period_s: float) -> MarginBounds:
-    if span is None:
-        low = least_from_here(body.low)
-        return MarginBounds(low, low if body.low is body.high else least_from_here(body.high))
-    begin, end = span.ticks(period_s)
-    return MarginBounds(
-        least_in_window(body.low, begin, end, -np.inf), least_in_window(body.high, begin, end, np.inf)
-    )
-
-
-def _until(lasts: MarginBounds, ends: MarginBounds, span: Span | None, period_s: float) -> MarginBounds:
-    """With a window: second comes within it, and first lasts until second comes after its begin.
-
-    (Donze, Ferrere, Maler, Efficient robust monitoring for STL, 2013.)
-    """
-    if span is None:
-        return MarginBounds(
-            until_from_here(lasts.low, ends.low, -np.inf), until_from_here(lasts.high, ends.high, -np.inf)
-        )
-    begin, end = span.ticks(period_s)
-    bounds = []
-    for first, second, beyond in ((lasts.low, ends.low, -np.inf), (lasts.high, ends.high, np.inf)):
-        comes = -least_in_window(-second, begin, end, -beyond)
-        lasting = until_from_here(first, second, beyond)
-        if begin > 0:
-            shifted = np.full(len(first), beyond)
-            shifted[: max(len(first) - begin, 0)] = lasting[begin:]
-            lasting = np.minimum(shifted, least_in_window(first, 0, begin - 1, beyond))
-        bounds.append(np.minimum(comes, lasting))
-    return MarginBounds(*bounds)
+    if isinstance(formula, Initially):
+        return parts[0]
+    span = getattr(formula, "span", None)
+    operator, window = OPERATORS.index(type(formula)), NO_WINDOW if span is None else span.ticks(period_s)
+    found = parts[0]
+    for other in parts[1:] or parts:  # of three and more, two by two
+        found = MarginBounds(*operate(operator, *window, found.low, found.high, other.low, other.high))
+    return found
 
 
 def where_triggered(trigger: MarginBounds, response: MarginBounds) -> MarginBounds:
-    """The response's margin where the trigger holds, inf where it does not, both where that is unknown."""
-    low = np.where(trigger.high < 0.0, np.inf, response.low)
-    high = np.where(trigger.low >= 0.0, response.high, np.inf)
-    return MarginBounds(low, high)
+    """Return the response's margin where the trigger holds, inf where it does not, both where unknown."""
+    return MarginBounds(*_asked(trigger.low, trigger.high, response.low, response.high))
 
 
 def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> MarginBounds:
@@ -276,6 +228,64 @@ def until_from_here(
         after = max(ends[k], min(lasts[k], after))
         out[k] = after
     return out
+
+
+@compiled
+def _asked(trigger_low: Values, trigger_high: Values, low: Values, high: Values) -> tuple[Values, Values]:
+    """Return both ends (n,) of ``where_triggered``."""
+    return np.where(trigger_high < 0.0, np.inf, low), np.where(trigger_low >= 0.0, high, np.inf)
+
+
+@compiled
+def _until(lasts: Values, ends: Values, begin: int, end: int, beyond: float) -> Values:
+    """Return one end (n,) of an "until": with a window, second comes within it, and first lasts until then.
+
+    ``lasts`` and ``ends`` (n,), ``beyond`` follows the last sample.  Source: Donze, Ferrere and Maler,
+    Efficient robust monitoring for STL, 2013.
+    """
+    if begin < 0:
+        return until_from_here(lasts, ends, -np.inf)
+    lasting = until_from_here(lasts, ends, beyond)
+    if begin > 0:
+        shifted = np.full(len(lasts), beyond)
+        shifted[: max(len(lasts) - begin, 0)] = lasting[begin:]
+        lasting = np.minimum(shifted, least_in_window(lasts, 0, begin - 1, beyond))
+    return np.minimum(-least_in_window(-ends, begin, end, -beyond), lasting)
+
+
+@compiled
+def operate(
+    operator: int, begin: int, end: int, low: Values, high: Values, other_low: Values, other_high: Values
+) -> tuple[Values, Values]:
+    """Return the margins (n,) of an operator by those of its first part and of its second, if it has one.
+
+    Args:
+        operator: Its place in ``OPERATORS``.
+        begin: The first tick of its window, counted from now; negative without a window.
+        end: The last tick of its window.
+        low: The least margins (n,) of the first part.
+        high: Its largest margins (n,).
+        other_low: The least margins (n,) of the second part.
+        other_high: Its largest margins (n,).
+
+    """
+    if operator == NOT:
+        return -high, -low
+    if operator == AND:
+        return np.minimum(low, other_low), np.minimum(high, other_high)
+    if operator == OR:
+        return np.maximum(low, other_low), np.maximum(high, other_high)
+    if operator == UNTIL:
+        return _until(low, other_low, begin, end, -np.inf), _until(high, other_high, begin, end, np.inf)
+    sign = -1.0 if operator == EVENTUALLY else 1.0
+    if operator == GLOBALLY:
+        low, high = _asked(low, high, other_low, other_high)
+    if begin < 0:
+        return sign * least_from_here(sign * low), sign * least_from_here(sign * high)
+    return (
+        sign * least_in_window(sign * low, begin, end, -sign * np.inf),
+        sign * least_in_window(sign * high, begin, end, sign * np.inf),
+    )
 
 
 @dataclass(frozen=True)

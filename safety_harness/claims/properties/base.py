@@ -10,12 +10,12 @@ truncation is still a violation.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import isclose, isfinite
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -222,19 +222,23 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
 
 @once_a_trace
 def first_unreal(trace: Trace) -> dict[str, int]:
-    """By field the first tick at which it is not finite, of a hand that is there; others are left out."""
-    rows, present = as_numbers(trace.ticks), trace.ticks["hand_present"]
-    first = _first_unreal(rows, nonfinite_count(trace), _told(trace.ticks.dtype), present).tolist()
-    fields = columns(trace.ticks.dtype)
-    return {name: tick for name, tick in zip(fields, first, strict=True) if tick < len(rows)}
+    """Return the first tick at which a field is not finite, of a hand that is there; others are left out."""
+    found = unreal(trace, dict.fromkeys(OF_HANDS, trace.ticks["hand_present"]))
+    return {name: int(np.argmax(wrong)) for name, wrong in found if wrong.any()}
 
 
-@lru_cache(maxsize=64)
-def _told(dtype: np.dtype[Any]) -> NDArray[np.int64]:
-    """(f, 3) as ``_first_unreal`` wants them."""
-    hands = dtype["hand_present"].shape[0]
-    of_each = {name: (c, c.stop - c.start) for name, c in columns(dtype).items()}
-    return np.array([(c.start, c.stop, n // hands * (name in OF_HANDS)) for name, (c, n) in of_each.items()])
+def unreal(trace: Trace, there: Mapping[str, NDArray[np.bool_]]) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Yield each field of a tick that has values not below ENDLESS in size, and the ticks (n,) of these.
+
+    ``there`` says by field what has to be a number, (n, k) for the k parts of its rows; of other fields all.
+    """
+    rows, nonfinite = as_numbers(trace.ticks), nonfinite_count(trace)
+    for name, column in columns(trace.ticks.dtype).items():
+        if nonfinite[column].any():
+            wrong = ~(np.abs(rows[:, column]) < ENDLESS)[:, None]
+            if (parts := there.get(name)) is not None:
+                wrong = wrong.reshape(*parts.shape, -1) & parts[..., None]
+            yield name, wrong.any(axis=(1, 2))
 
 
 @once_a_trace
@@ -250,28 +254,6 @@ def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
     for k in range(rows.shape[0]):
         for column in range(rows.shape[1]):
             found[column] += not abs(rows[k, column]) < ENDLESS
-    return found
-
-
-@compiled
-def _first_unreal(
-    rows: NDArray[np.float64],  # (n, c)
-    nonfinite_count: NDArray[np.int64],  # (c,)
-    fields: NDArray[np.int64],  # (f, 3) first column, the one after the last, how many of each hand or 0
-    present: NDArray[np.bool_],  # (n, hands)
-) -> NDArray[np.int64]:
-    """(f,) the first tick with one in any column of a field that is not below ENDLESS, else n."""
-    found = np.full(fields.shape[0], rows.shape[0])
-    for field in range(fields.shape[0]):
-        start, stop, width = fields[field, 0], fields[field, 1], fields[field, 2]
-        for column in range(start, stop):
-            if nonfinite_count[column] == 0:
-                continue
-            for k in range(found[field]):
-                there = width == 0 or present[k, (column - start) // width]
-                if there and not abs(rows[k, column]) < ENDLESS:
-                    found[field] = k
-                    break
     return found
 
 

@@ -12,6 +12,7 @@ from safety_harness.cell.robot.capsules import Arm
 from safety_harness.cell.robot.distance import place_capsules
 from safety_harness.cell.robot.kinematics import fastest_end, forward_kinematics, link_twists, tcp_velocity
 from safety_harness.cell.simulation.worlds import WORLDS
+from safety_harness.claims.signals.bounds import speed_cells
 from safety_harness.claims.signals.occasions import MOVES
 from safety_harness.claims.signals.signal import Sampled, Values
 from safety_harness.claims.signals.true_motion import arm_of, true_motion
@@ -19,18 +20,12 @@ from safety_harness.trace.trace import Trace, history, once_a_trace
 
 
 def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
-    """Speeds at the ticks with the mean ones from tick to tick; the largest of each row.
+    """Sample the fastest of some speeds, with bounds between the ticks as ``speed_cells`` has them.
 
-    Within a cell each is taken to lie between its least and its largest value at both ends and in
-    the mean.  Occasions: the ticks from which on it moves.
-
-    ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
+    Occasions are the ticks from which on it moves.  ``at_tick`` is of shape (n, joints) and ``mean``, from
+    tick to tick, of shape (n-1, joints).
     """
-    low, high = at_tick.copy(), at_tick.copy()
-    low[:-1] = np.minimum(np.minimum(at_tick[:-1], at_tick[1:]), mean)
-    high[:-1] = np.maximum(np.maximum(at_tick[:-1], at_tick[1:]), mean)
-    within_a_row = tuple(range(1, at_tick.ndim))
-    value, low, high, mean = (a.max(axis=within_a_row) for a in (at_tick, low, high, mean))
+    value, low, high, mean = speed_cells(at_tick, mean)
     moves = value - MOVES
     moves[:-1] = np.fmax(moves[:-1], mean - MOVES)
     return Sampled(value=value, low=low, high=high, tried=(moves, moves), untried=f"{of} never moves")
@@ -87,8 +82,9 @@ def larger(at_tick: Values, mean: Values) -> Values:
 
 
 def sample_tcp_speed(trace: Trace) -> Sampled:
-    """Of the TCP; between ticks the mean speed counts too."""
-    return speeds(*tcp_speeds_mps(trace), of="the TCP")
+    """Sample the TCP's speed; between ticks its mean counts too."""
+    at_ticks, mean = tcp_speeds_mps(trace)
+    return speeds(at_ticks[:, None], mean[:, None], of="the TCP")
 
 
 def sample_joint_speed(trace: Trace) -> Sampled:
