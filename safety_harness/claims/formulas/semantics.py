@@ -1,17 +1,16 @@
-"""What a formula's margin is at every tick: an interval, so that what is not known is not guessed.
+"""The margin of a formula at every tick, as an interval, so that an unknown value is not guessed.
 
-And which tick, and which comparison or truth, a margin comes from (``witness``).
+``witness`` finds the tick, and the comparison or truth, that a margin comes from.
 
-The margin of a comparison is the distance to its limit, that of a truth +-inf; "not" turns the sign,
-"and" and "always" take the least, "or" and "eventually" the largest, "until" the largest over the
-ticks j of its window of the least of second(j) and first before j.  Windows are in control ticks,
-ends included.  A value at its very limit is ``LEAST``, the smallest normal number, on the right side of <=
-and >=, and on the wrong side of < and >: no margin is 0, and a formula and its negation never both hold.
+The margin of a comparison is the distance to its limit, that of a truth +-inf.  "not" turns the sign, "and"
+and "always" take the least, "or" and "eventually" the largest.  "until" takes the largest, over the ticks j
+of its window, of the least of second(j) and of first before j.  Windows are in control ticks, ends included.
+A value at its very limit is ``LEAST``, the smallest normal number, on the right side of <= and >=, and on the
+wrong side of < and >.  So no margin is 0, and a formula and its negation never both hold.
 
-Each margin is an interval from ``low`` to ``high``: NaN, ticks that were not reached and windows that run
-beyond the last tick make it [-inf, inf], and every operator takes the bounds of its parts to its own.
-(Compare Deshmukh et al., Robust online monitoring of signal temporal logic, 2017.)  Operators
-without a window end with the run.
+Each margin is an interval from ``low`` to ``high``.  NaN, ticks that were not reached and windows that exceed
+the last tick make it [-inf, inf], and every operator combines the bounds of its parts.  (Compare Deshmukh et
+al., Robust online monitoring of signal temporal logic, 2017.)  Operators without a window end with the run.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ Atoms = Callable[[Comparison | Truth], "MarginBounds"]
 
 @dataclass(frozen=True, eq=False)
 class MarginBounds:
-    """Margins (n,) that lie between ``low`` and ``high``, never NaN; one array where they are known."""
+    """Margins (n,) that lie between ``low`` and ``high``, never NaN; the same array where they are known."""
 
     low: Values
     high: Values
@@ -72,17 +71,17 @@ class Margins:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What may have been at the ticks ``where`` (n,), with the ``atoms`` as they are then."""
+    """A possibility at the ticks ``where`` (n,), with the ``atoms`` in that case."""
 
     where: NDArray[np.bool_]
     atoms: Atoms
 
 
 def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Case] = ()) -> Margins:
-    """The margins of ``formula`` at every tick, ``atoms`` giving those of its comparisons and truths.
+    """Return the margins of ``formula`` at every tick, by those of its comparisons and truths from ``atoms``.
 
-    At a tick that has ``cases`` one of them was: an "and" or "or" of comparisons and truths, of which each is
-    unknown by itself, is then between the least and the largest that any of them gives.
+    At a tick with ``cases``, one of these was true.  There, an "and" or "or" of comparisons and truths, each
+    unknown by itself, lies between the least and the largest that any case gives.
     """
     if isinstance(formula, Comparison | Truth):
         return Margins(formula, atoms(formula))
@@ -102,9 +101,9 @@ def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Cas
 def ticks_asked(
     margins: Margins, period_s: float, begin: NDArray[np.bool_] | None = None
 ) -> list[tuple[Comparison | Truth, NDArray[np.bool_]]]:
-    """Each comparison and truth with the ticks (n,) at which the formula, asked at the first, asks of it.
+    """Return each comparison and truth with the ticks (n,) that count for the formula at the first tick.
 
-    Asked at the ticks ``begin`` (n,), an operator asks its parts at those of its window, to its end.
+    At the ticks ``begin`` (n,), an operator asks its parts at the ticks of its window, to its end.
     """
     formula, n = margins.formula, len(margins.bounds.low)
     asked = np.arange(n) == 0 if begin is None else begin
@@ -122,7 +121,7 @@ def ticks_asked(
 
 
 def _windows(begin: NDArray[np.bool_], first: int, last: int) -> NDArray[np.bool_]:
-    """(n,) from ``first`` to ``last`` ticks after any of ``begin`` (n,)."""
+    """Return (n,) the ticks from ``first`` to ``last`` ticks after any of ``begin`` (n,)."""
     before = np.append(0, np.cumsum(begin))
     ticks = np.arange(len(begin))
     found: NDArray[np.bool_] = before[np.maximum(ticks - first + 1, 0)] > before[np.maximum(ticks - last, 0)]
@@ -140,10 +139,10 @@ def _joined(formula: Formula, parts: list[MarginBounds], period_s: float) -> Mar
     if isinstance(formula, Initially):
         return parts[0]
     span = getattr(formula, "span", None)
-    operator, window = OPERATORS.index(type(formula)), NO_WINDOW if span is None else span.ticks(period_s)
-    found = parts[0]
+    begin, end = NO_WINDOW if span is None else span.ticks(period_s)
+    operator, found = OPERATORS.index(type(formula)), parts[0]
     for other in parts[1:] or parts:  # of three and more, two by two
-        found = MarginBounds(*operate(operator, *window, found.low, found.high, other.low, other.high))
+        found = MarginBounds(*operate(operator, begin, end, found.low, found.high, other.low, other.high))
     return found
 
 
@@ -153,7 +152,7 @@ def where_triggered(trigger: MarginBounds, response: MarginBounds) -> MarginBoun
 
 
 def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> MarginBounds:
-    """The margins of a comparison whose signal lies between ``low`` and ``high`` (n,), NaN where unknown."""
+    """Return margins of a comparison with a signal between ``low`` and ``high`` (n,), NaN where unknown."""
     limit, relation = comparison.limit.value, comparison.relation
     above = relation in (Relation.ABOVE, Relation.AT_LEAST)
     least = low - limit if above else limit - high
@@ -168,7 +167,7 @@ def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> Marg
 
 
 def truth_bounds(value: Values) -> MarginBounds:
-    """The margins of a truth ``value`` (n,): 1.0, 0.0, or NaN where it is unknown."""
+    """Return the margins of a truth ``value`` (n,): 1.0, 0.0, or NaN where it is unknown."""
     margin = np.where(value > 0.5, np.inf, -np.inf)
     unknown = np.isnan(value)
     return MarginBounds(margin, np.where(unknown, np.inf, margin) if unknown.any() else margin)
@@ -176,7 +175,7 @@ def truth_bounds(value: Values) -> MarginBounds:
 
 @compiled
 def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """out[k] = min of x[k:] of ``x`` (n,)."""
+    """Return out[k] = min of x[k:] of ``x`` (n,)."""
     out = np.empty(x.shape[0])
     least = np.inf
     for k in range(x.shape[0] - 1, -1, -1):
@@ -187,10 +186,10 @@ def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @compiled
 def least_in_window(x: NDArray[np.float64], begin: int, end: int, beyond: float) -> NDArray[np.float64]:
-    """out[k] = min of x[k + begin] to x[k + end], ends included, with ``beyond`` where they leave x.
+    """Return out[k] = min of x[k + begin] to x[k + end], ends included, with ``beyond`` outside of x.
 
-    0 <= begin <= end.  A queue keeps the positions at which a smaller value than all before it
-    stands, seen from the window's begin: each is put in and taken out once.
+    0 <= begin <= end.  A queue has the positions of values that are smaller than all values before them, as
+    seen from the window's begin.  Each position enters and leaves the queue once.
 
     ``x`` (n,).
     """
@@ -217,7 +216,7 @@ def least_in_window(x: NDArray[np.float64], begin: int, end: int, beyond: float)
 def until_from_here(
     lasts: NDArray[np.float64], ends: NDArray[np.float64], beyond: float
 ) -> NDArray[np.float64]:
-    """out[k] = max over j >= k of min(ends[j], min of lasts[k:j]); ``beyond`` follows the last sample.
+    """Return out[k] = max over j >= k of min(ends[j], min of lasts[k:j]); ``beyond`` follows the last sample.
 
     ``lasts`` and ``ends`` (n,).
     """
@@ -290,16 +289,16 @@ def operate(
 
 @dataclass(frozen=True)
 class Witness:
-    """A tick, from 0, and what is said there; ``atom`` is None for what comes after the last tick."""
+    """A tick, from 0, and the comparison or truth that decides; ``atom`` is None after the last tick."""
 
     tick: int
     atom: Comparison | Truth | None
 
 
 def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witness:
-    """Where the lower (or upper) bound of the margin at ``tick`` comes from.
+    """Return the source of the lower (or upper) bound of the margin at ``tick``.
 
-    Of several places with the same margin the first that is not known for certain, else the first.
+    Among several places with the same margin, the first that is not certain decides, else the first.
     """
     formula, parts = margins.formula, margins.parts
     match formula:
@@ -332,7 +331,7 @@ def _side(bounds: MarginBounds, *, low: bool) -> NDArray[np.float64]:
 
 
 def _extreme(values: NDArray[np.float64], doubtful: NDArray[np.bool_], *, least: bool) -> int:
-    """The place of the least or largest value, a doubtful one before others."""
+    """Return the place of the least or largest value; a doubtful place comes before others."""
     at = np.flatnonzero(values == (values.min() if least else values.max()))
     unsure = at[doubtful[at]]
     return int(unsure[0] if len(unsure) else at[0])
@@ -347,7 +346,7 @@ def _first(parts: list[MarginBounds], tick: int, *, low: bool, least: bool) -> i
 def _in_window(
     body: MarginBounds, tick: int, span: Span | None, period_s: float, *, low: bool, least: bool
 ) -> int | None:
-    """The tick that decides, or None where that is one beyond the last."""
+    """Return the tick that decides, or None where that is after the last tick."""
     values, n = _side(body, low=low), len(body.low)
     begin, end = (tick, n - 1) if span is None else (tick + t for t in span.ticks(period_s))
     within = slice(begin, min(end, n - 1) + 1)
@@ -360,7 +359,7 @@ def _in_window(
 
 
 def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *, low: bool) -> Witness:
-    """Of the ticks at which the second part may end it the best, and there the worst of what is asked."""
+    """Return the best of the ticks at which the second part may end it, and there the worst of the parts."""
     first, second = margins.parts
     n = len(margins.bounds.low) - tick
     begin, end = (0, n - 1) if span is None else span.ticks(period_s)
@@ -379,7 +378,7 @@ def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *
 
 
 def _from(bounds: MarginBounds, tick: int, later: int) -> MarginBounds:
-    """From ``tick`` on, with as many unknown ones after the last."""
+    """Return bounds from ``tick`` on, with ``later`` unknown ticks after the last."""
     return MarginBounds(
         np.append(bounds.low[tick:], np.full(later, -np.inf)),
         np.append(bounds.high[tick:], np.full(later, np.inf)),

@@ -238,7 +238,7 @@ def unreal(trace: Trace, there: Mapping[str, NDArray[np.bool_]]) -> Iterator[tup
             wrong = ~(np.abs(rows[:, column]) < ENDLESS)[:, None]
             if (parts := there.get(name)) is not None:
                 wrong = wrong.reshape(*parts.shape, -1) & parts[..., None]
-            yield name, wrong.any(axis=(1, 2))
+            yield name, np.asarray(wrong.any(axis=(1, 2)))
 
 
 @once_a_trace

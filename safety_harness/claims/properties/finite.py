@@ -90,7 +90,7 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
     )
     there = dict.fromkeys(OF_HANDS, present) | dict.fromkeys(OF_IMAGES, visible[:, None])
     there["predicted_hand_in_base_m"] = tracked
-    there["predicted_distance_m"] = tracked.any(axis=1, keepdims=True)
+    there["predicted_distance_m"] = np.asarray(tracked.any(axis=1, keepdims=True))
     for name, wrong in unreal(trace, there):
         if name not in lacking:
             bad |= wrong

@@ -5,20 +5,22 @@ Compiled code can call these functions, so that a monitor has the bounds of a lo
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 from numba.extending import register_jitable
 
-jitable: Any = register_jitable  # compiled code can call such a function too
+Function = TypeVar("Function", bound=Callable[..., Any])
+jitable: Callable[[Function], Function] = register_jitable  # compiled code can call such a function too
 
 
 @jitable
 def tent(first: Any, second: Any, way: Any, slack: Any) -> tuple[Any, Any]:
     """Return bounds of a signal that goes ``way`` from its value ``first`` at a tick to the ``second``.
 
-    After a part x of the way it has left the one end by at most x and is at most way - x from the
-    other; ``slack`` is what it may be off by beside that.
+    After a part x of the way the signal has changed by at most x from ``first``, and differs by at most way -
+    x from ``second``.  ``slack`` is a further error of the signal.
     """
     low = np.minimum(0.5 * (first + second - way), np.minimum(first, second)) - slack
     return low, np.maximum(0.5 * (first + second + way), np.maximum(first, second)) + slack
@@ -65,35 +67,46 @@ def speed_cells(at_ticks: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
 
 @jitable
 def place_between(at: Any, speed: Any, period_s: float) -> Any:
-    """Return by what a place is off between ticks: beside its own, half of what its way is off by.
+    """Return the error of a place between ticks: its own error, and half of the error of its way.
 
-    ``at`` is by what it is off at a tick, ``speed`` by what its speed is.
+    ``at`` is the error of the place at a tick, ``speed`` the error of its speed.
     """
     return at + 0.5 * np.maximum(speed * period_s, 2.0 * at)
 
 
 @jitable
 def speed_between(speed: Any, place: Any, period_s: float) -> Any:
-    """Return by what a speed is off, its mean over a period among it, by what it and its ``place`` are."""
+    """Return the error of a speed whose mean over a period counts too, by its own error and its place's."""
     return np.maximum(speed, 2.0 * place / period_s)
 
 
 @jitable
 def apart_between(hand: Any, elbow: Any, arm: Any, faster: Any, period_s: float) -> Any:
-    """Return by what the distance of a hand from the arm is off, with the bend of joints between ticks.
+    """Return the error of the distance of a hand from the arm, with the bend of joints between ticks.
 
-    ``hand`` and ``elbow`` are by what these are off, ``arm`` by what any point of the arm is, and ``faster``
-    by what any is faster.
+    Args:
+        hand: The error of the hand's position.
+        elbow: The error of the elbow's position.
+        arm: The largest error of a point of the arm.
+        faster: The largest error of the speed of a point of the arm.
+        period_s: The control period.
+
     """
     return np.maximum(hand, elbow) + arm + period_s / 2.0 * faster
 
 
 @jitable
 def velocity_off(reach_m: Any, turned_rad: Any, faster_radps: Any, rates_radps: Any) -> Any:
-    """Return (n,) by what the TCP's velocity is off at ticks whose joints are by ``turned_rad`` and so on.
+    """Return the error (n,) of the TCP's velocity at ticks.
 
-    u' sum over j of l_j + u sum over j of |q'_j| sum over i of l_max(i, j), as for ``faster_mps``;
-    ``reach_m`` (joints,), ``turned_rad`` and ``faster_radps`` (n,), ``rates_radps`` (n, joints).
+    u' sum over j of l_j + u sum over j of |q'_j| sum over i of l_max(i, j), as for ``faster_mps``.
+
+    Args:
+        reach_m: The lengths (joints,) of the chains of links that the joints move.
+        turned_rad: The error u (n,) of the joints.
+        faster_radps: The error u' (n,) of their speeds.
+        rates_radps: The speeds q' (n, joints).
+
     """
     farther_m = reach_m * np.arange(1, len(reach_m) + 1) + (reach_m.sum() - np.cumsum(reach_m))
     return faster_radps * reach_m.sum() + turned_rad * (np.abs(rates_radps) * farther_m).sum(axis=1)

@@ -96,11 +96,14 @@ class Prefix:
         self.latest: Ends | None = None
         self._reach = reach_ticks(self.formula, period_s)
         self._kept_ticks = self._reach + revisable  # beside the latest, and one that is let go
-        self._program = _Program(self.formula, period_s, columns)
-        self._values = np.empty((len(self._program.code), 2, 2 * self._kept_ticks + 4))
+        code: list[tuple[int, ...]] = []
+        reading: list[tuple[float, ...]] = []
+        self._whole = _Node(self.formula, period_s, columns, code, reading)
+        self._code, self._limits = np.array(code, np.int64), np.array(reading)[:, 5:].copy()
+        self._reading = np.array(reading)[:, :5].astype(np.int64)
+        self._values = np.empty((len(code), 2, 2 * self._kept_ticks + 4))
         self._begin = self._end = 0
         self._asks = is_endless(self.formula) and isinstance(self.formula, Always | Globally)
-        self._whole = _AtFirst(self._program, len(self._program.code) - 1)
 
     def see(self, seen: NDArray[np.float64], *, grown: bool) -> None:
         """Take what is known now of the latest ticks, ``seen`` (m, signals, c).
@@ -112,8 +115,8 @@ class Prefix:
             self._values[:, :, :kept] = self._values[:, :, self._begin : self._end].copy()
             self._begin, self._end = 0, kept
         self._end += grown
-        own, begin, end = self._program, self._begin, self._end
-        _evaluate(own.code, own.reading, own.limits, seen, self._values, begin, end)
+        begin, end = self._begin, self._end
+        _evaluate(self._code, self._reading, self._limits, seen, self._values, begin, end)
         self.least, self.most = self._whole.now(self._values[:, :, begin])
         if self._asks and begin + self._reach < end:
             self.latest, _ = self._whole.step(self._values[:, :, end - 1 - self._reach])
@@ -124,79 +127,51 @@ class Prefix:
     @property
     def triggered(self) -> bool:
         """Whether the trigger of a "whenever" certainly began to hold at one of the ticks that are kept."""
-        trigger = self._program.parts[-1][0]
+        trigger = self._whole.parts[0].row
         return bool((self._values[trigger, 0, self._begin : self._end] >= 0.0).any())
 
 
-class _Program:
-    """A formula as numbers, for ``_evaluate``: its nodes (k, 5), each after its parts, the whole one last.
+class _Node:
+    """A formula with its row in the program of ``_evaluate``, and its margins at the first tick.
 
-    ``reading`` (a, 5) are its atoms by their nodes, their signals and the columns of these, with their
-    ``limits`` (a, 2).
+    Above operators without a window stand "not", "and" and "or" alone.
+
+    Args:
+        formula: The node, whose parts become nodes before it.
+        period_s: The control period.
+        columns: As for ``Prefix``.
+        code: Rows (operator, first part, second part, window), written.
+        reading: A row for each atom: its row in ``code``, the numbers that it reads, and its limit; written.
+
     """
 
-    def __init__(self, formula: Formula, period_s: float, columns: Columns) -> None:
-        self.formulas: list[Formula] = []
-        self.parts: list[tuple[int, ...]] = []
-        rows: list[tuple[int, int, int, int, int]] = []
-        read: list[tuple[float, ...]] = []
-        self._add(formula, period_s, columns, rows, read)
-        self.code = np.array(rows, np.int64)
-        self.reading = np.array([row[:5] for row in read], np.int64)
-        self.limits = np.array([row[5:] for row in read], np.float64)
-
-    def _add(
+    def __init__(
         self,
         formula: Formula,
         period_s: float,
         columns: Columns,
-        rows: list[tuple[int, int, int, int, int]],
-        read: list[tuple[float, ...]],
-    ) -> int:
-        parts = [self._add(part, period_s, columns, rows, read) for part in formula.parts]
-        span = getattr(formula, "span", None)
-        begin, end = NO_WINDOW if span is None else span.ticks(period_s)
-        operator = OPERATORS.index(type(formula))
-        if isinstance(formula, Comparison | Truth):
-            read.append((len(rows), *self._read(formula, columns)))
-        one = parts[0] if parts else -1
-        for other in parts[1:-1]:  # of three and more, two by two
-            rows.append((operator, one, other, -1, -1))
-            self.formulas.append(formula)
-            self.parts.append((one, other))
-            one = len(rows) - 1
-        rows.append((operator, one, parts[-1] if parts else -1, begin, end))
-        self.formulas.append(formula)
-        self.parts.append(tuple(parts))
-        return len(rows) - 1
-
-    @staticmethod
-    def _read(atom: Comparison | Truth, columns: Columns) -> tuple[float, ...]:
-        signal, low, high = columns(atom)
-        if isinstance(atom, Truth):
-            return signal, 1, low, high, 0.5, np.inf
-        above = atom.relation in (Relation.ABOVE, Relation.AT_LEAST)
-        at_limit = -LEAST if atom.relation in (Relation.ABOVE, Relation.BELOW) else LEAST
-        return signal, above, low, high, atom.limit.value, at_limit
-
-
-class _AtFirst:
-    """The margins of a node at the first tick, by its margins at the oldest tick that is kept.
-
-    Above operators without a window stand "not", "and" and "or" alone.
-    """
-
-    def __init__(self, program: _Program, node: int) -> None:
-        self._formula, self._node, self._of = program.formulas[node], node, program.parts[node]
-        over = not is_endless(self._formula) and any(map(is_endless, self._formula.nodes()))
-        self._parts = [_AtFirst(program, part) for part in self._of] if over else []
+        code: list[tuple[int, ...]],
+        reading: list[tuple[float, ...]],
+    ) -> None:
+        self.parts = [_Node(part, period_s, columns, code, reading) for part in formula.parts]
+        self._formula, span = formula, getattr(formula, "span", None)
+        self._over = not is_endless(formula) and any(map(is_endless, formula.nodes()))
         self._best, self._lasting = (-np.inf, -np.inf), (np.inf, np.inf)
+        if isinstance(formula, Comparison | Truth):
+            reading.append((len(code), *_reading(formula, columns)))
+        operator, rows = OPERATORS.index(type(formula)), [part.row for part in self.parts] or [0]
+        row = rows[0]
+        for other in rows[1:-1]:  # of three and more, two by two
+            code.append((operator, row, other, *NO_WINDOW))
+            row = len(code) - 1
+        code.append((operator, row, rows[-1], *(NO_WINDOW if span is None else span.ticks(period_s))))
+        self.row = len(code) - 1
 
     def now(self, oldest: NDArray[np.float64]) -> Ends:
         """Return both ends, by the values ``oldest`` (nodes, 2) of every node."""
-        if not self._parts:
-            return self._after(_ends(oldest, self._node))
-        lows, highs = zip(*(part.now(oldest) for part in self._parts), strict=True)
+        if not self._over:
+            return self._after(self._ends(oldest))
+        lows, highs = zip(*(part.now(oldest) for part in self.parts), strict=True)
         if isinstance(self._formula, Not):
             return -highs[0], -lows[0]
         worst = min if isinstance(self._formula, And) else max
@@ -204,7 +179,7 @@ class _AtFirst:
 
     def forget(self, oldest: NDArray[np.float64]) -> None:
         """Let the oldest tick go, whose windows have passed; ``oldest`` (nodes, 2) are its values."""
-        for part in self._parts:
+        for part in self.parts if self._over else ():
             part.forget(oldest)
         lasts, ends = self.step(oldest)
         self._best = self._after(ends)
@@ -223,7 +198,7 @@ class _AtFirst:
 
         For what has windows b is the margin, which is final.
         """
-        parts = [_ends(values, part) for part in self._of]
+        parts = [part._ends(values) for part in self.parts]
         always, never = (np.inf, np.inf), (-np.inf, -np.inf)
         if isinstance(self._formula, Until) and is_endless(self._formula):
             return parts[0], parts[1]
@@ -234,12 +209,21 @@ class _AtFirst:
         if isinstance(self._formula, Globally):
             (least, most), (low, high) = parts
             return (np.inf if most < 0.0 else low, high if least >= 0.0 else np.inf), never
-        return never, _ends(values, self._node)
+        return never, self._ends(values)
+
+    def _ends(self, values: NDArray[np.float64]) -> Ends:
+        low, high = values[self.row].tolist()
+        return low, high
 
 
-def _ends(values: NDArray[np.float64], node: int) -> Ends:
-    low, high = values[node].tolist()
-    return low, high
+def _reading(atom: Comparison | Truth, columns: Columns) -> tuple[float, ...]:
+    """Return what ``_evaluate`` reads: signal, relation, low, high, limit, and the margin at the limit."""
+    signal, low, high = columns(atom)
+    if isinstance(atom, Truth):
+        return signal, 1, low, high, 0.5, np.inf
+    above = atom.relation in (Relation.ABOVE, Relation.AT_LEAST)
+    at_limit = -LEAST if atom.relation in (Relation.ABOVE, Relation.BELOW) else LEAST
+    return signal, above, low, high, atom.limit.value, at_limit
 
 
 @compiled

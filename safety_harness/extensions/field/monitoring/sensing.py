@@ -118,8 +118,9 @@ class Sensing:
         self._period_ns, self._nowhere = cell.period_ns, np.full((len(hands), 2), nan)
         arm = arm_with(cell.arm, cell_capsules(arm_capsules(cell.scenario.robot), settings))
         sizes_m = settings.hand.radius_m, settings.hand.forearm_radius_m
-        spaces = (np.empty((MAX_BISECTIONS + 1, count, 2, 3)) for count in (len(arm.capsules), 1))
-        self._cell = _Cell(arm, tcp_alone(cell.arm), *spaces, *sizes_m, cell.period_s)
+        workspace = np.empty((MAX_BISECTIONS + 1, len(arm.capsules), 2, 3))
+        tcp = tcp_alone(cell.arm), workspace, workspace[:, :1].copy()
+        self._cell = _Cell(arm, *tcp, *sizes_m, cell.period_s)
 
     def see(
         self, moments: Sequence[TickSeen], fresh: int, off: Sequence[tuple[float, float] | None]
@@ -138,7 +139,7 @@ class Sensing:
         first, found = moments[0].tick, np.empty((len(moments), len(MEASURED), 6))
         names = ("elapsed_s", "joints_rad", "rates_radps", "off", "bodies_m", "bodies_off_m")
         columns = (np.array([getattr(moment, name) for moment in moments]) for name in names)
-        _sense(self._cell, _Seen(*columns, *self._corners(first, first + len(moments) - 1)), found)
+        _sense(self._cell, _Seen._make([*columns, *self._corners(first, first + len(moments) - 1)]), found)
         for moment, signals in zip(moments, found, strict=True):
             moment.signals = signals
         return found
