@@ -1,4 +1,4 @@
-"""The distance of hands from the robot, at the ticks and between them, and how far it may be off."""
+"""The distance of hands from the robot, at the ticks and between them, and its error."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, i
 
 
 def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) and (n,) by how much [m] the distances of hands may be off, at the ticks and between them.
+    """Return (n,) and (n,) the errors [m] of the distances of hands, at the ticks and between them.
 
-    Infinite if a hand heads for a TCP that was not measured everywhere and exactly.
+    They are infinite if a hand heads for a TCP that was not measured everywhere and exactly.
     """
     known, count = trace.known, len(trace.ticks)
     if follows_unknown(trace):
@@ -56,7 +56,7 @@ def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 class Nearest(NamedTuple):
-    """The ends [m] of a least distance, when [s] the lower one was, and of which hand; ``inf``: of none."""
+    """Both ends [m] of a least distance, the time [s] of the lower end, and its hand; ``inf``: no hand."""
 
     low_m: float = np.inf
     time_s: float = 0.0
@@ -64,7 +64,7 @@ class Nearest(NamedTuple):
     high_m: float = np.inf
 
     def or_nearer(self, other: Nearest) -> Nearest:
-        """The least of two."""
+        """Return the smaller of two."""
         low = self if other.low_m >= self.low_m else other  # a NaN comes out
         return low._replace(high_m=min(self.high_m, other.high_m))
 
@@ -72,13 +72,13 @@ class Nearest(NamedTuple):
 def known_to(
     limit_m: float, nearest: Callable[[Trace, HandPaths], Nearest], trace: Trace, paths: HandPaths
 ) -> Nearest:
-    """What is nearest, with the hands followed in parts of a tick if that may decide about a limit."""
+    """Return the nearest approach, with hands followed in parts of a tick if that may decide."""
     found = nearest(trace, paths)
     return nearest(trace, finer_paths(trace)) if found.low_m < limit_m <= found.high_m else found
 
 
 def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
-    """The ways of the hands, or why no distance from them can be judged in this trace."""
+    """Return the paths of the hands, or the reason why no distance from them can be judged in this trace."""
     if not trace.scenario.hands:
         return None, f"never exercised: {no_hand(trace)}"
     if (np.abs(history(trace, "joint_position_rad")) > TURNED_RAD).any():
@@ -90,16 +90,17 @@ def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
 
 
 def capsule_name(trace: Trace, tick: int, hand: int) -> str:
-    """Which part of the robot is nearest to a hand at a tick."""
+    """Return the part of the robot that is nearest to a hand at a tick."""
     names = capsules_of(trace).names
     number = int(trace.ticks["hand_distance_capsule"][tick, hand])
     return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
 
 
 def closest_approach(trace: Trace, paths: HandPaths, off_m: NDArray[np.float64] | None = None) -> Nearest:
-    """The closest approach of any hand, at the ticks and between them.
+    """Return the closest approach of any hand, at the ticks and between them.
 
-    Less ``off_m`` (n,), by which the distance may be off at each tick, and the larger of two between them.
+    ``off_m`` (n,) is subtracted: the error of the distance at each tick; between two ticks the larger error
+    counts.
     """
     settings = trace.scenario.settings
     best = Nearest()
@@ -130,9 +131,9 @@ def closest_between(
     paths: HandPaths,
     each_m: NDArray[np.float64] = NONE_M,
 ) -> tuple[tuple[float, float], float]:
-    """Both ends of the least distance [m] over ``instants`` of one hand, and where the lower is, in ticks.
+    """Return both ends of a hand's least distance [m] over ``instants``, and when the lower is, in ticks.
 
-    ``each_m`` (2, n - 1), if it is wanted, is filled with both ends from each instant to the next.
+    ``each_m`` (2, n - 1), unless it is empty, is filled with both ends from each instant to the next.
     """
     low_m, index, fraction, high_m = _closest_in_trace(
         arm,
@@ -151,9 +152,9 @@ def closest_between(
 
 
 def ends_between(trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False) -> NDArray[np.float64]:
-    """(2, n-1) both ends of one hand's least distance [m] from each tick to the next; NaN where not known.
+    """Return (2, n-1) both ends of a hand's least distance [m] from each tick to the next; NaN is unknown.
 
-    From the arm, surface to surface, or ``from_tcp``: of the hand's centre.
+    The distance is from the arm, surface to surface, or with ``from_tcp`` from the TCP to the hand's centre.
     """
     seen = instants(trace, paths, hand, from_tcp=from_tcp)
     at, joints_rad, hand_m, elbow_m, distance_m, slack_m = seen
@@ -171,11 +172,11 @@ def ends_between(trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = 
 def instants(
     trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False
 ) -> tuple[NDArray[np.float64], ...]:
-    """Ticks and the hand's corners between them, in order of time.
+    """Return ticks, and the hand's corners between them, in order of time.
 
-    (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance or, at a corner,
-    inf, and (n - 1,) how far the distance may be below that of straight ways after each [m].  ``from_tcp``:
-    the elbow is where the hand is, and no distance is known.
+    These are (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance (inf at a
+    corner), and (n - 1,) how far the distance may be below that of straight ways after each [m].  With
+    ``from_tcp`` the elbow is at the hand, and no distance is known.
     """
     true, body = true_motion(trace), 0 if from_tcp else 1
     joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, body]
@@ -202,15 +203,15 @@ def instants(
 
 
 def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
-    """(n-1,) how far any point of the arm may leave the way of joints that move linearly, within each tick.
+    """Return (n-1,) how far the arm may leave the path of joints that move linearly within each tick.
 
-    A joint whose speed changes by at most dv, between the values at the two ticks, leaves the
-    straight line by at most dv dt/4; a point is displaced by no more than that angle times the
-    length of the chain of links that the joint moves.  Of a mean speed between them, at a and b from
-    either, it is dt a b/(a + b): nothing where a whole tick went at the speed of its end, as in both worlds.
+    A joint whose speed changes by at most dv, between the values at the two ticks, leaves the straight line
+    by at most dv dt/4.  A point is displaced by at most that angle times the length of the chain of links
+    that the joint moves. With a mean speed that differs by a and b from the two values, the angle is dt a
+    b/(a + b).  So it is 0 where a whole tick went at the speed of its end, as in both worlds.
 
-    Motors that saturate go beyond both.  That is without end where an engine did not record by how much, and
-    the mean speed of a joint is not that of the end.
+    Motors that saturate exceed both speeds.  The result is infinite where an engine did not record by how
+    much, and the mean speed of a joint is not that of the end.
     """
     true, world = true_motion(trace), trace.provenance.world
     period_s, known = trace.scenario.settings.clock.control_period_s, trace.known
@@ -235,7 +236,7 @@ def _joint_bends(
     exact: bool,  # positions and speeds are known exactly
     engine: bool,  # the world has motors, which may saturate
 ) -> NDArray[np.float64]:
-    """(n-1,) dt times the sum over joints of l a b/(a + b) [m], with l of ``chain_lengths``; else dv/4."""
+    """Return (n-1,) dt times the sum over joints of l a b/(a + b) [m], l of ``chain_lengths``; else dv/4."""
     found, recorded = np.zeros(max(rates_radps.shape[0] - 1, 0)), len(overshoot_radps) >= len(rates_radps)
     for k in range(found.shape[0]):
         for joint in range(arm.chain[0].joint_axes.shape[0]):
@@ -268,11 +269,11 @@ def _closest_in_trace(
     tolerance_m: float,
     each_m: NDArray[np.float64],  # (2, n - 1) written: both ends between two instants; or (2, 0)
 ) -> tuple[float, int, float, float]:
-    """Least distance over a trace: (distance, tick before it, fraction of the way to the next, upper end).
+    """Return the least distance of a trace, the tick before it, part of the way to the next, and upper end.
 
-    Where ``each_m`` is wanted, every stretch is looked at.  Else, from where the distance is known, stretches
-    are passed over in which nothing can come as near as the best so far: a joint moves no point farther than
-    by its angle times its chain of links, and distances change by no more than points move.
+    With ``each_m`` every stretch is computed.  Without it, stretches that cannot be nearer than the least
+    distance so far are skipped: a joint moves no point farther than its angle times its chain of links, and
+    distances change by no more than points move.
     """
     best = np.inf
     index, fraction = 0, 0.0
@@ -331,7 +332,7 @@ def displacement_m(
     elbows_m: NDArray[np.float64],  # (n, 3)
     k: int,
 ) -> float:
-    """By how much [m] a distance can change from instant k to the next, at most."""
+    """Return the largest change [m] of a distance from instant k to the next."""
     moved, hand, elbow = 0.0, 0.0, 0.0
     for i in range(reach_m.shape[0]):
         moved += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]

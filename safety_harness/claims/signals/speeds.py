@@ -1,4 +1,4 @@
-"""How fast TCP and joints are, and how far they go and turn from tick to tick."""
+"""Speeds of TCP and joints, and their ways from tick to tick."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
 
 @once_a_trace
 def tcp_steps_m(trace: Trace) -> Values:
-    """(n-1,) how far the TCP is at each tick from where it was at the one before."""
+    """Return (n-1,) the distance of the TCP at each tick from its place at the tick before."""
     steps = np.diff(np.ascontiguousarray(true_motion(trace).tcp_m.T))
     return np.asarray(np.sqrt((steps * steps).sum(axis=0)))
 
 
 def tcp_way_m(trace: Trace) -> Values:
-    """(n-1,) how far the TCP goes within each tick: its largest speed, at the ends or in the mean."""
+    """Return (n-1,) the TCP's way within each tick, at its largest speed: at either end, or in the mean."""
     speed = trace.ticks["tcp_speed_mps"]
     steps = tcp_steps_m(trace)
     way: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
@@ -47,7 +47,7 @@ def tcp_way_m(trace: Trace) -> Values:
 
 
 def turned_rad(trace: Trace) -> Values:
-    """(n-1,) by what angle the TCP can turn within each tick: those of all joints together."""
+    """Return (n-1,) the angle by which the TCP can turn within each tick: the sum over all joints."""
     speed = np.abs(trace.ticks["joint_velocity_radps"])
     steps = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
     most = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s)[:, None], steps)
@@ -56,23 +56,23 @@ def turned_rad(trace: Trace) -> Values:
 
 
 def known_to_radps(trace: Trace) -> float:
-    """By how much [rad/s] the recorded speed of a joint may miss the commanded one in the trace's world."""
+    """Return the largest difference [rad/s] of recorded and commanded joint speeds in the trace's world."""
     return sum(world.known_to_radps for world in WORLDS if world.name == trace.provenance.world)
 
 
 def tcp_speeds_mps(trace: Trace) -> tuple[Values, Values]:
-    """(n,) of the TCP at the ticks, and (n-1,) the mean ones from tick to tick."""
+    """Return (n,) the TCP's speed at the ticks, and (n-1,) its mean from tick to tick."""
     return history(trace, "tcp_speed_mps"), tcp_steps_m(trace) / np.diff(trace.time_s)
 
 
 def joint_speeds_radps(trace: Trace) -> tuple[Values, Values]:
-    """(n, joints) of the joints at the ticks, and (n-1, joints) the mean ones from tick to tick."""
+    """Return (n, joints) the joints' speeds at the ticks, and (n-1, joints) their means from tick to tick."""
     steps = np.abs(np.diff(history(trace, "joint_position_rad"), axis=0))
     return np.abs(history(trace, "joint_velocity_radps")), steps / np.diff(trace.time_s)[:, None]
 
 
 def larger(at_tick: Values, mean: Values) -> Values:
-    """(n, ...) the speed at each tick, or the mean one to the next where that is larger.
+    """Return (n, ...) the speed at each tick, or the mean speed to the next tick if that is larger.
 
     ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
     """
@@ -88,7 +88,7 @@ def sample_tcp_speed(trace: Trace) -> Sampled:
 
 
 def sample_joint_speed(trace: Trace) -> Sampled:
-    """Of the fastest joint, likewise; it may be lower by what motors miss (``known_to_radps``)."""
+    """Sample the fastest joint's speed; the commanded speed may be lower by ``known_to_radps``."""
     found, off_radps = speeds(*joint_speeds_radps(trace), of="the arm"), known_to_radps(trace)
     return replace(
         found, low=found.low - off_radps, value_low=found.value - off_radps, value_high=found.value
@@ -97,7 +97,7 @@ def sample_joint_speed(trace: Trace) -> Sampled:
 
 @once_a_trace
 def arm_speeds_mps(trace: Trace) -> Values:
-    """(n, 4) speed of the fastest end of any capsule's axis, and the TCP's velocity in base, at each tick.
+    """Return (n, 4) the speed of the fastest end of any capsule's axis, and the TCP's velocity in base.
 
     No point of an axis is faster than an end.
     """
@@ -111,7 +111,7 @@ def _arm_speeds_mps(
     joints_rad: NDArray[np.float64],  # (n, joints)
     rates_radps: NDArray[np.float64],  # (n, joints)
 ) -> NDArray[np.float64]:
-    """(n, 4) of ``arm_speeds_mps``."""
+    """Return (n, 4) as ``arm_speeds_mps`` does."""
     n, joints, capsules = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
     transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
     twists, found = np.empty((joints + 1, 6)), np.zeros((n, 4))
