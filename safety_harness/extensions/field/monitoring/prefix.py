@@ -1,13 +1,13 @@
 """A formula of a run that goes on: its margin if the run ended now, in bounded memory.
 
 ``semantics`` gives the margins of a whole run.  Here the run grows by a tick, and the margin at its first
-tick is computed again.  What has windows alone depends, at tick k, on the ticks that its windows reach.
-These ticks are kept and judged as ``semantics`` does; older ones are final.  An operator without a window is
-a recursion from the end,
+tick is computed again.  A formula with windows alone depends, at tick k, on the ticks that its windows reach.
+``semantics`` judges these ticks too; older ticks are final.  An operator without a window is a recursion from
+the end,
 
     v[k] = max(b[k], min(a[k], v[k + 1]))        always: min(a[k], v[k + 1]), eventually: max(b[k], v[k + 1])
 
-so that its margin at the first tick follows from that at the oldest tick that is kept, v[k], and two numbers:
+Its margin at the first tick follows from the margin v[k] at the oldest tick in memory, and two numbers:
 
     v[0] = max(best, min(lasting, v[k]))         best = max over j < k of min(b[j], a[0], ..., a[j - 1])
 
@@ -52,7 +52,7 @@ def is_endless(formula: Formula) -> bool:
 
 
 def refuse_endless(formula: Formula, period_s: float) -> None:
-    """Raise FormulaError with the reason for what needs unbounded memory, or for a window without a tick."""
+    """Raise FormulaError for a formula that needs unbounded memory, or has a window without a tick."""
     for node in formula.nodes():
         span = getattr(node, "span", None)
         if span is not None and span.ticks(period_s)[0] > span.ticks(period_s)[1]:
@@ -77,11 +77,11 @@ def refuse_endless(formula: Formula, period_s: float) -> None:
 class Prefix:
     """The ``least`` and largest (``most``) margin of ``formula`` at the first tick, so far.
 
-    The latest tick and ``revisable`` ones before it may be known better later.  Of an outermost "always" or
-    "whenever", ``latest`` are both margins at the latest tick whose windows have passed.
+    The latest tick and ``revisable`` ticks before it may be known better later.  ``latest`` are both margins
+    of an outermost "always" or "whenever" at the latest tick whose windows have passed.
 
     Args:
-        formula: What is asked of the run; FormulaError as of ``refuse_endless``.
+        formula: The part of a claim; FormulaError as from ``refuse_endless``.
         period_s: The control period.
         revisable: The number of ticks before the latest of which more can be known later.
         columns: The signal that a comparison or truth reads, and where its low and its high stand among the
@@ -126,7 +126,7 @@ class Prefix:
 
     @property
     def triggered(self) -> bool:
-        """Whether the trigger of a "whenever" certainly began to hold at one of the ticks that are kept."""
+        """Return whether the trigger of a "whenever" certainly held at a tick in memory."""
         trigger = self._whole.parts[0].row
         return bool((self._values[trigger, 0, self._begin : self._end] >= 0.0).any())
 
@@ -165,7 +165,7 @@ class _Node:
             code.append((operator, row, other, *NO_WINDOW))
             row = len(code) - 1
         code.append((operator, row, rows[-1], *(NO_WINDOW if span is None else span.ticks(period_s))))
-        self.row = len(code) - 1
+        self.row: int = len(code) - 1
 
     def now(self, oldest: NDArray[np.float64]) -> Ends:
         """Return both ends, by the values ``oldest`` (nodes, 2) of every node."""
