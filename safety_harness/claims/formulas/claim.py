@@ -384,7 +384,7 @@ def near_of(part: Formula, signal: Signal) -> float:
 def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: bool = False) -> Evaluation:
     """Return the verdict on a part; ``trace`` is not empty and does not contradict itself.
 
-    With ``finely`` the closer bounds of signals count; they are computed where they may decide.
+    ``finely`` takes the closer bounds of signals, which are computed where they may decide.
     """
     whole = trace.known.whole
     missing = () if whole else trace.known.missing(_columns_of(part))

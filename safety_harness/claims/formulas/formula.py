@@ -133,7 +133,7 @@ class _Over(Formula):
 
 @dataclass(frozen=True)
 class Not(_Over):
-    """The formula does not hold: the same margin with the other sign."""
+    """The formula does not hold: the same margin with the opposite sign."""
 
     def __str__(self) -> str:
         return f"not {operand(self.body)}"
@@ -308,7 +308,7 @@ _UNITS = (
 
 
 def parts_of(formula: Formula) -> tuple[Formula, ...]:
-    """Return the parts of a claim, each ready to be asked; FormulaError if one has no margin."""
+    """Return the parts of a claim, each with a time; FormulaError if one has no margin."""
     parts = tuple(_asked(part) for part in _split(formula))
     for part in parts:
         dimension_of(part)

@@ -29,8 +29,8 @@ class Flag(Signal):
 class Measure(Signal):
     """A signal with a value of ``dimension`` at each tick, to be compared with a limit of that dimension.
 
-    No run has a value below ``least``, and an infinite value only if it is ``endless``.  No run comes near to
-    a limit below ``lowest``, or above the largest limit of its dimension.
+    Values of runs are at least ``least``, and infinite only if it is ``endless``.  Runs do not come near to a
+    limit below ``lowest``, or above the largest limit of its dimension.
     """
 
     dimension: Dimension

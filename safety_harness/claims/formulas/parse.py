@@ -1,4 +1,4 @@
-"""From a sentence to its formula.
+"""A parser from a sentence to its formula.
 
     claim    := operand ("and" operand)* | operand ("or" operand)* | operand "until" operand [window] | far
     far      := ("always" [lasting] | "eventually" ["from" t "to" t] | "within" t | "initially" | "not") reach
@@ -8,8 +8,8 @@
     lasting  := "for" t | "from" t "to" t
     window   := "within" t | "from" t "to" t
 
-What could be read in two ways is refused: "and" mixed with "or", and anything that goes on after a
-``far`` one, wants parentheses.  Words count in either case.
+Ambiguous sentences are refused.  "and" beside "or" needs parentheses, and so does a ``far`` with a
+continuation.  Words count in either case.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ class Span:
             raise formula_error("a window from a time of at least 0 s to a later one", got)
 
     def ticks(self, period_s: float) -> tuple[int, int]:
-        """The first and the last tick of a window, counted from now; last before first if it has none."""
+        """Return the first and the last tick, counted from now; the last is earlier if it has no tick."""
         first, last = self.begin.value / period_s - TIME_EPS, self.end.value / period_s + TIME_EPS
         return math.ceil(first), math.floor(last)
 

@@ -100,7 +100,10 @@ def out_of_knowledge(trace: Trace, signal: Signal) -> NDArray[np.bool_]:
 
 
 def in_mode(mode: Mode) -> Sample:
-    """Whether the controller is in ``mode``; where it was either of some others, it is not."""
+    """Return a function that samples whether the controller is in ``mode``.
+
+    In a gap with several possible modes, it is not, unless ``mode`` is one of them.
+    """
 
     def sample(trace: Trace) -> Sampled:
         found, gone = truth(trace.ticks["mode"] == mode), lost(trace, ["mode"])

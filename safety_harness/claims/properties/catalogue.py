@@ -104,5 +104,5 @@ CATALOGUE = Registry(_OWN, ExtensionPoint.CLAIMS, CatalogueEntry)
 
 @lru_cache(maxsize=256)  # the scenarios of a space claim the same
 def entry_claimed(sentence: str) -> tuple[CatalogueEntry, re.Match[str]] | None:
-    """Return the entry that a sentence claims with the match of its values; None if none understands it."""
+    """Return the entry of the catalogue for a sentence, with the match of its values; else None."""
     return next(((entry, match) for entry in CATALOGUE if (match := entry.understands(sentence))), None)

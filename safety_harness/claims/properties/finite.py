@@ -1,4 +1,4 @@
-"""The record itself: every number is one, and time goes forward."""
+"""The record itself: every value is a number, and time goes forward."""
 
 from __future__ import annotations
 
@@ -47,11 +47,12 @@ READ = (
 
 @dataclass(frozen=True, kw_only=True)
 class FiniteTrace:
-    """Minus the number of records in which a number is none, or which are not later than the one before.
+    """Minus the number of records that have a value which is not a number, or are out of order.
 
-    What is not there is left out: a hand that is absent, the features of an image without the object,
-    the prediction of a slot that tracks nothing, the proposal of an avoider that gave none, the position
-    that a stop chose, the threshold of an avoider without one, the time of a decision that was not timed.
+    A record is out of order if it is not later than the record before.  Values of absent things do not count:
+    a hand that is not there, the features of an image without the object, the prediction of a slot that
+    tracks no hand, the proposal of an avoider without an answer, the position of a stop, the threshold of an
+    avoider without a threshold, the time of a decision that was not timed.
     """
 
     unit: Unit = Unit.COUNT
@@ -98,7 +99,7 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
 
 
 def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
-    """(m,) decisions with something that was measured and is no number, or no later than the one before."""
+    """Return (m,) decisions with a measured value that is not a number, or out of order."""
     decisions, latency_s = trace.decisions, trace.decision_latency_s
     bad = np.zeros(len(decisions), np.bool_)
     if len(decisions) == 0:

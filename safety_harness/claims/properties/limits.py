@@ -37,7 +37,7 @@ SPEED = "tcp_speed_mps"
 
 
 def _by(off: Off, speed: str = "", place: str = "") -> Ends:
-    """For ``reads``: how far a margin moves; exercised if the column ``speed`` or ``place`` says so."""
+    """Return ``ends`` for ``reads`` by the error of a margin; ``speed`` or ``place`` exercises it."""
 
     def ends(prop: object, trace: Trace, margin: float) -> tuple[float, float, bool]:
         by = float(off(trace)[2])

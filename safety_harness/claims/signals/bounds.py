@@ -1,4 +1,4 @@
-"""Bounds of a signal between two ticks, and what uncertainty adds to them, for numbers or for arrays.
+"""Bounds of a signal between two ticks, and their errors, for numbers or for arrays.
 
 Compiled code can call these functions, so that a monitor has the bounds of a log.
 """
@@ -30,7 +30,7 @@ def tent(first: Any, second: Any, way: Any, slack: Any) -> tuple[Any, Any]:
 def cells(value: Any, way: Any, slack: Any) -> tuple[Any, Any]:
     """Return bounds (n,) of a signal ``value`` (n,) from each tick to the next, by ``tent``.
 
-    The last ones are those of the last tick.  ``way`` (n-1,), and ``slack`` (n-1,) or a number.
+    The last bounds are those of the last tick.  ``way`` (n-1,), and ``slack`` (n-1,) or a number.
     """
     low, high = value.copy(), value.copy()
     low[:-1], high[:-1] = tent(value[:-1], value[1:], way, slack)
@@ -49,7 +49,7 @@ def or_next(value: Any) -> Any:
 def speed_cells(at_ticks: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
     """Return the fastest joint's speeds (n,) at the ticks, its bounds to the next tick, and its mean (n-1,).
 
-    From tick to tick a joint's speed lies between the least and the largest of both ends and the mean.
+    Between two ticks a joint's speed lies between the least and the largest of both ends and the mean.
     ``at_ticks`` (n, joints) and ``mean`` (n-1, joints).
     """
 

@@ -99,8 +99,7 @@ def capsule_name(trace: Trace, tick: int, hand: int) -> str:
 def closest_approach(trace: Trace, paths: HandPaths, off_m: NDArray[np.float64] | None = None) -> Nearest:
     """Return the closest approach of any hand, at the ticks and between them.
 
-    ``off_m`` (n,) is subtracted: the error of the distance at each tick; between two ticks the larger error
-    counts.
+    The error ``off_m`` (n,) of the distance at each tick is subtracted, between two ticks the larger error.
     """
     settings = trace.scenario.settings
     best = Nearest()
@@ -207,11 +206,11 @@ def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
 
     A joint whose speed changes by at most dv, between the values at the two ticks, leaves the straight line
     by at most dv dt/4.  A point is displaced by at most that angle times the length of the chain of links
-    that the joint moves. With a mean speed that differs by a and b from the two values, the angle is dt a
-    b/(a + b).  So it is 0 where a whole tick went at the speed of its end, as in both worlds.
+    that the joint moves.  If the mean speed differs by a and b from the two values, the angle is dt a b/(a +
+    b).  So it is 0 where a whole tick went at the speed of its end, as in both worlds.
 
-    Motors that saturate exceed both speeds.  The result is infinite where an engine did not record by how
-    much, and the mean speed of a joint is not that of the end.
+    Motors that saturate exceed both speeds.  If an engine did not record by how much, the result is infinite
+    unless the mean speed of a joint is that of the end.
     """
     true, world = true_motion(trace), trace.provenance.world
     period_s, known = trace.scenario.settings.clock.control_period_s, trace.known

@@ -60,8 +60,8 @@ def or_next(state: Truths) -> Truths:
 def as_known(signal: Signal, one: Sampled, trace: Trace) -> Sampled:
     """Return the bounds of ``signal``, where ``one`` is its measured part.
 
-    The signal is unknown at lost ticks and in the cells that touch them.  Where it has a value there, that of
-    the hands that were measured, the signal is at most as large.
+    The signal is unknown at lost ticks and in the cells that touch them.  A value of the measured hands
+    bounds it from above there.
     """
     columns = [name for name in signal.reads if trace.known.of(name).limited]
     if not columns or one.absent:

@@ -56,9 +56,9 @@ Values = NDArray[np.float64]
 class TickSeen:
     """A tick, and what is known of it now.
 
-    Joints and their speeds (n,), what both may be off, NaN if nothing is known, hands and elbows (h, 2, 3)
-    [m] in base and what these may be off (h, 2), NaN if that is not known; a hand without a forearm has its
-    elbow where it is.  ``signals`` (signals, 6) follow.
+    It has joints and their speeds (n,), the errors of both (NaN if they are not known), hands and elbows (h,
+    2, 3) [m] in base, and the errors of these (h, 2), NaN where they are not known.  A hand without a forearm
+    has its elbow at the hand. ``signals`` (signals, 6) follow.
     """
 
     tick: int
@@ -72,13 +72,13 @@ class TickSeen:
 
     @property
     def lost(self) -> bool:
-        """Is the arm or a hand not known?"""
+        """Return whether the arm or a hand is unknown."""
         assert self.bodies_off_m is not None
         return isnan(self.off[0]) or bool(np.isnan(self.bodies_off_m[:, 0]).any())
 
 
 class HandTracks(NamedTuple):
-    """Of a hand and its elbow: the same track where it has no forearm, None where nobody measures it."""
+    """The tracks of a hand and its elbow: the same without a forearm; None for an unmeasured elbow."""
 
     hand: BodyTrack
     elbow: BodyTrack | None
@@ -155,9 +155,9 @@ class Sensing:
                 moment.bodies_m[k, 1], moment.bodies_off_m[k, 1] = other
 
     def _corners(self, first: int, last: int) -> tuple[NDArray[np.int64], Values, Values]:
-        """The samples of hands between two ticks.
+        """Return the samples of hands between two ticks.
 
-        Their ticks after ``first``, and hands (c, 2), parts of a period (c,), and places (c, 2, 3) of hand
+        These are ticks after ``first`` and hands (c, 2), parts of a period (c,), and places (c, 2, 3) of hand
         and elbow then.
         """
         found = []
