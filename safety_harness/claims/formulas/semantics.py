@@ -231,7 +231,10 @@ def until_from_here(
 
 @compiled
 def _asked(trigger_low: Values, trigger_high: Values, low: Values, high: Values) -> tuple[Values, Values]:
-    """Return both ends (n,) of ``where_triggered``."""
+    """Return both ends (n,) of ``where_triggered``.
+
+    ``trigger_low``, ``trigger_high``, ``low`` and ``high`` are of shape (n,).
+    """
     return np.where(trigger_high < 0.0, np.inf, low), np.where(trigger_low >= 0.0, high, np.inf)
 
 
@@ -258,14 +261,16 @@ def operate(
 ) -> tuple[Values, Values]:
     """Return the margins (n,) of an operator by those of its first part and of its second, if it has one.
 
+    ``low``, ``high``, ``other_low`` and ``other_high`` are of shape (n,).
+
     Args:
         operator: Its place in ``OPERATORS``.
         begin: The first tick of its window, counted from now; negative without a window.
         end: The last tick of its window.
-        low: The least margins (n,) of the first part.
-        high: Its largest margins (n,).
-        other_low: The least margins (n,) of the second part.
-        other_high: Its largest margins (n,).
+        low: The least margins of the first part.
+        high: Its largest margins.
+        other_low: The least margins of the second part.
+        other_high: Its largest margins.
 
     """
     if operator == NOT:

@@ -29,11 +29,9 @@ from safety_harness.claims.signals.signal import (
 from safety_harness.claims.signals.speeds import sample_joint_speed, sample_tcp_speed, tcp_way_m, turned_rad
 from safety_harness.claims.signals.true_motion import (
     TOLERANCE,
-    HandPaths,
     arm_of,
     finer_paths,
     hand_bend_m,
-    true_motion,
 )
 from safety_harness.claims.signals.uncertainty import (
     HANDS,
@@ -181,12 +179,16 @@ def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -
         value, present = trace.ticks["hand_distance_m"][:, :hands], trace.ticks["hand_present"][:, :hands]
         value = np.where(present & np.isinf(value), np.nan, value)  # else the other hand would hide it
     low, high, surely = value.copy(), value.copy(), value.copy()
+    turned_rad = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
+    arm_m = tcp_way_m(trace) if from_tcp else turned_rad @ arm_of(trace).reach_m
     for hand in range(hands):
-        ends_m = ends_between(trace, paths, hand, from_tcp=from_tcp)
+        ends_m, (hand_m, elbow_m) = ends_between(trace, paths, hand, from_tcp=from_tcp)
         for side, least_m in zip((low, surely), ends_m, strict=True):
             side[:-1, hand] = np.minimum(side[:-1, hand], least_m)
-        way_m, slack_m = _ways(trace, paths, hand, from_tcp=from_tcp)
-        high[:-1, hand] = tent(value[:-1, hand], value[1:, hand], way_m, slack_m)[1]
+        bend_m = hand_bend_m(trace, paths, hand, centre=from_tcp)
+        bend_m = bend_m if from_tcp else joint_bend_m(trace) + bend_m
+        way_m = arm_m + np.maximum(hand_m, elbow_m)
+        high[:-1, hand] = tent(value[:-1, hand], value[1:, hand], way_m, bend_m)[1]
     signal, what = (nearest_hand_to_tcp, "the TCP") if from_tcp else (hand_distance, "the arm's surface")
     return replace(_nearest(signal, trace, value, low, high, what), surely=surely.min(axis=1))
 
@@ -424,28 +426,3 @@ def _coming_near(distance: Sampled, whose: str, what: str) -> Sampled:
     """Return the distance of ``whose`` from ``what``, exercised each time that it falls below NEAR_M."""
     near = NEAR_M - distance.value
     return replace(distance, tried=(near, near), comes=(whose, what))
-
-
-def _path_m(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n-1,) the ways of a hand and of its elbow within each tick [m], with a recording's corners."""
-    own, last = paths.corner_hand == hand, len(trace.ticks) - 1
-    at = np.append(np.arange(last + 1, dtype=np.float64), paths.corner_at[own])
-    points = np.append(true_motion(trace).hands_m[:, hand], paths.corners_in_base_m[own], axis=0)
-    order = np.argsort(at, kind="stable")
-    tick = np.minimum(at[order][:-1].astype(int), max(last - 1, 0))
-    ways = np.zeros((2, max(last, 0)))
-    for way, place in zip(ways, points[order].transpose(1, 0, 2), strict=True):
-        np.add.at(way, tick, np.linalg.norm(np.diff(place, axis=0), axis=1))
-    return ways[0], ways[1]
-
-
-def _ways(
-    trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n-1,) the ways of arm and hand to or from each other within a tick, and (n-1,) their bends."""
-    hand_m, elbow_m = _path_m(trace, paths, hand)
-    if from_tcp:
-        return tcp_way_m(trace) + hand_m, hand_bend_m(trace, paths, hand, centre=True)
-    turned = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
-    way_m = turned @ arm_of(trace).reach_m + np.maximum(hand_m, elbow_m)
-    return way_m, joint_bend_m(trace) + hand_bend_m(trace, paths, hand)

@@ -234,7 +234,7 @@ def above_polygon(
 
 @compiled
 def _over(x: float, y: float, polygon: NDArray[np.float64]) -> bool:
-    """Return whether a point is within a polygon (m, 3), seen from above, by the even-odd rule."""
+    """Return whether a point is within a ``polygon`` (m, 3), seen from above, by the even-odd rule."""
     odd = False
     n = polygon.shape[0]
     for k in range(n):

@@ -139,7 +139,7 @@ class ReactsWithin(Worded):
         return inconclusive(self, why, exercised=len(decided))
 
     def _encounters(self, trace: Trace, hand: int) -> Iterator[tuple[int, int, bool]]:
-        """(ticks until the reaction, tick at which the hand came, is it told?) of each that counts."""
+        """Yield (ticks until the reaction, tick at which the hand came, is it known?) of each encounter."""
         settings, ticks = trace.scenario.settings, trace.ticks
         period_s, tcp_m = settings.clock.control_period_s, true_motion(trace).tcp_m
         last, halved = len(ticks) - 1, round(HALVED_S / period_s)
@@ -177,9 +177,10 @@ class ReactsWithin(Worded):
 
 
 def _began(change: NDArray[np.float64], soon: int) -> int | None:
-    """The tick at which a ``change`` (n,) begins that becomes HALF: the knee below its chord; else None.
+    """Return the tick at which a ``change`` (n,) to HALF begins, the knee below its chord; else None.
 
-    But no sooner than ``soon`` before it is HALF: what takes longer, such as a wide curve, is no answer.
+    The tick is at most ``soon`` before HALF is reached: a slower change, such as a wide curve, is not a
+    reaction.
     """
     end = int(np.argmax(change >= HALF))
     if not change[end] >= HALF:

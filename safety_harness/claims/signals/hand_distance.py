@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +32,7 @@ from safety_harness.claims.signals.true_motion import (
 )
 from safety_harness.trace.trace import Trace, history
 
-NONE_M = np.empty((2, 0))
+POINT = (0.0, 0.0)  # radii of a hand that is a point
 FASTEST_RADPS = 1e4  # no joint turns so fast: such a speed says nothing
 SATURATED_RADPS = 1e-3  # a mean speed this far from that of the tick's end is of motors that may saturate
 ROUNDING_RADPS = 1e-6  # by which a mean speed may be beyond what is recorded: a nanometre or two
@@ -128,12 +127,8 @@ def closest_between(
     slack_m: NDArray[np.float64],  # (n - 1,)
     size: Hand,
     paths: HandPaths,
-    each_m: NDArray[np.float64] = NONE_M,
 ) -> tuple[tuple[float, float], float]:
-    """Return both ends of a hand's least distance [m] over ``instants``, and when the lower is, in ticks.
-
-    ``each_m`` (2, n - 1), unless it is empty, is filled with both ends from each instant to the next.
-    """
+    """Return both ends of a hand's least distance [m] over ``instants``, and when the lower is, in ticks."""
     low_m, index, fraction, high_m = _closest_in_trace(
         arm,
         joints_rad,
@@ -144,44 +139,81 @@ def closest_between(
         size.radius_m,
         size.forearm_radius_m,
         paths.resolution_m,
-        each_m,
     )
     later = at[min(index + 1, len(at) - 1)]
     return (low_m, high_m), float(at[index] + fraction * (later - at[index]))
 
 
-def ends_between(trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False) -> NDArray[np.float64]:
-    """Return (2, n-1) both ends of a hand's least distance [m] from each tick to the next; NaN is unknown.
-
-    The distance is from the arm, surface to surface, or with ``from_tcp`` from the TCP to the hand's centre.
-    """
-    seen = instants(trace, paths, hand, from_tcp=from_tcp)
-    at, joints_rad, hand_m, elbow_m, distance_m, slack_m = seen
-    arm, size, ends_m = arm_of(trace), trace.scenario.settings.hand, np.empty((2, len(slack_m)))
-    if from_tcp:
-        arm, size = tcp_of(trace), replace(size, radius_m=0.0, forearm_radius_m=0.0)
-    closest_between(arm, at, joints_rad, hand_m, elbow_m, distance_m, slack_m, size, paths, ends_m)
-    least_m = np.full((2, max(len(trace.ticks) - 1, 0)), np.inf)
-    tick = np.minimum(at[:-1].astype(int), max(least_m.shape[1] - 1, 0))
-    for least, ends in zip(least_m, ends_m, strict=True):
-        np.minimum.at(least, tick, ends)
-    return least_m
-
-
-def instants(
+def ends_between(
     trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False
-) -> tuple[NDArray[np.float64], ...]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return both ends of a hand's least distance [m] from tick to tick, and the ways of hand and elbow.
+
+    Both are (2, n-1); NaN is unknown.  The distance is from the arm, surface to surface, or with ``from_tcp``
+    from the TCP to the hand's centre.
+    """
+    own, bodies, size = paths.corner_hand == hand, [0, 0 if from_tcp else 1], trace.scenario.settings.hand
+    true, arm = true_motion(trace), tcp_of(trace) if from_tcp else arm_of(trace)
+    return between_ticks(
+        arm,
+        np.empty((MAX_BISECTIONS + 1, len(arm.capsules), 2, 3)),
+        np.array(true.joints_rad, order="C"),
+        np.array(true.hands_m[:, hand][:, bodies], order="C"),
+        paths.corner_at[own],
+        np.array(paths.corners_in_base_m[own][:, bodies], order="C"),
+        joint_bend_m(trace, arm) + hand_bend_m(trace, paths, hand, centre=from_tcp),
+        POINT if from_tcp else (size.radius_m, size.forearm_radius_m),
+        paths.resolution_m,
+    )
+
+
+@compiled
+def between_ticks(
+    arm: Arm,
+    space: NDArray[np.float64],  # (MAX_BISECTIONS + 1, capsules, 2, 3), overwritten
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    bodies_m: NDArray[np.float64],  # (n, 2, 3) a hand and its elbow
+    corner_at: NDArray[np.float64],  # (c,) in ticks, rising
+    corners_m: NDArray[np.float64],  # (c, 2, 3) both there
+    slack_m: NDArray[np.float64],  # (n - 1,) by which arm and hand may leave straight ways
+    radii_m: tuple[float, float],  # of hand and forearm
+    tolerance_m: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return both ends of a hand's least distance [m] from tick to tick, and the ways [m] of hand and elbow.
+
+    Both are (2, n - 1).  Arm and hand go straight from corner to corner.
+    """
+    ends_m, ways_m, c = np.full((2, len(slack_m)), np.inf), np.zeros((2, len(slack_m))), 0
+    radius_m, arm_radius_m = radii_m
+    for k in range(len(slack_m)):
+        begin, corner, (hand, elbow) = joints_rad[k], True, bodies_m[k]
+        while corner:
+            corner = c < len(corner_at) and min(int(corner_at[c]), len(slack_m) - 1) <= k
+            end, after = joints_rad[k + 1], bodies_m[k + 1]
+            if corner:
+                end, after = joints_rad[k] + (corner_at[c] - k) * (end - joints_rad[k]), corners_m[c]
+                c += 1
+            to, elbow_to = after
+            bound_m, _, sampled_m, _ = closest_approach_between(
+                arm, space, begin, end, hand, to, elbow, elbow_to, radius_m, arm_radius_m, tolerance_m, np.inf
+            )
+            ends_m[0, k] = np.minimum(ends_m[0, k], bound_m - slack_m[k])  # a NaN comes out
+            ends_m[1, k] = np.minimum(ends_m[1, k], sampled_m + slack_m[k])
+            ways_m[0, k] += np.sqrt(((to - hand) ** 2).sum())
+            ways_m[1, k] += np.sqrt(((elbow_to - elbow) ** 2).sum())
+            begin, hand, elbow = end, to, elbow_to
+    return ends_m, ways_m
+
+
+def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
     """Return ticks, and the hand's corners between them, in order of time.
 
     These are (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance (inf at a
-    corner), and (n - 1,) how far the distance may be below that of straight ways after each [m].  With
-    ``from_tcp`` the elbow is at the hand, and no distance is known.
+    corner), and (n - 1,) how far the distance may be below that of straight ways after each [m].
     """
-    true, body = true_motion(trace), 0 if from_tcp else 1
-    joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, body]
-    distance_m = np.full(len(hand_m), np.inf) if from_tcp else trace.ticks["hand_distance_m"][:, hand]
-    slack_m = joint_bend_m(trace, tcp_of(trace)) if from_tcp else joint_bend_m(trace)
-    slack_m = slack_m + hand_bend_m(trace, paths, hand, centre=from_tcp)
+    true, distance_m = true_motion(trace), trace.ticks["hand_distance_m"][:, hand]
+    joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, 1]
+    slack_m = joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
     ticks = np.arange(len(joints_rad), dtype=np.float64)
     own = paths.corner_hand == hand
     if not own.any():
@@ -195,7 +227,7 @@ def instants(
         at,
         np.column_stack([np.interp(at, ticks, column) for column in joints_rad.T]),
         np.insert(hand_m, after, corners[:, 0], axis=0),
-        np.insert(elbow_m, after, corners[:, body], axis=0),
+        np.insert(elbow_m, after, corners[:, 1], axis=0),
         np.insert(distance_m, after, np.inf),
         np.insert(slack_m, after - 1, slack_m[after - 1]) if len(slack_m) else slack_m,
     )
@@ -266,13 +298,11 @@ def _closest_in_trace(
     hand_radius_m: float,
     forearm_radius_m: float,
     tolerance_m: float,
-    each_m: NDArray[np.float64],  # (2, n - 1) written: both ends between two instants; or (2, 0)
 ) -> tuple[float, int, float, float]:
     """Return the least distance of a trace, the tick before it, part of the way to the next, and upper end.
 
-    With ``each_m`` every stretch is computed.  Without it, stretches that cannot be nearer than the least
-    distance so far are skipped: a joint moves no point farther than its angle times its chain of links, and
-    distances change by no more than points move.
+    Stretches that cannot be nearer than the least distance so far are skipped: a joint moves no point farther
+    than its angle times its chain of links, and distances change by no more than points move.
     """
     best = np.inf
     index, fraction = 0, 0.0
@@ -292,7 +322,7 @@ def _closest_in_trace(
                 arm.capsules, ends, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m
             )
         first, known = k, False
-        while each_m.shape[1] == 0 and k < distance_m.shape[0] - 1:
+        while k < distance_m.shape[0] - 1:
             left_m -= displacement_m(arm.reach_m, joints_rad, hands_m, elbows_m, k)
             if not left_m - slack_m[k] > high + tolerance_m:  # a NaN must come out, not be passed over
                 break
@@ -311,12 +341,10 @@ def _closest_in_trace(
             hand_radius_m,
             forearm_radius_m,
             tolerance_m,
-            np.inf if each_m.shape[1] else high + slack_m[k],
+            high + slack_m[k],
         )
         bound, known = bound - slack_m[k], True
         high = min(high, sampled + slack_m[k])  # between two ticks, at a corner too, joints may be elsewhere
-        if each_m.shape[1]:
-            each_m[0, k], each_m[1, k] = bound, sampled + slack_m[k]
         if not bound >= best:
             best, index, fraction = bound, k, where
         k += 1

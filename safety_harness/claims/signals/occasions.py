@@ -73,7 +73,7 @@ def no_hand(trace: Trace) -> str:
 def no_predicted_hand(trace: Trace) -> str:
     """Return why no predicted hand was within the critical distance of the TCP: too far away, or not seen.
 
-    Where not everything was measured, return only what would have been enough.
+    The reason has only the sufficient distance if measurements are missing.
     """
     near_m = _near_m(trace)
     if _not_all_seen(trace):

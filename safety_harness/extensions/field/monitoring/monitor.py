@@ -159,7 +159,10 @@ class Monitor:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
 
     def _ahead_s(self, sample: Sample) -> float:
-        """How much more a line shows than the joints' clock: one of hands alone is on theirs."""
+        """Return how much later a line shows than the joints' clock.
+
+        A line of hands alone is on the hands' clock already.
+        """
         return self.cell.hands_ahead_ns / NS if sample.joint_position_rad is None else 0.0
 
     def silent(self) -> Iterator[VerdictLine]:

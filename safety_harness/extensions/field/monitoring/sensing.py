@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled, inlined
 from safety_harness.cell.robot.capsules import Arm, arm_with, tcp_alone
-from safety_harness.cell.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
+from safety_harness.cell.robot.closest_approach import MAX_BISECTIONS
 from safety_harness.cell.robot.distance import hand_distance as distance_between
 from safety_harness.cell.robot.distance import place_capsules
 from safety_harness.cell.robot.kinematics import forward_kinematics, tcp_velocity
@@ -39,6 +39,7 @@ from safety_harness.claims.signals.bounds import (
     speed_cells,
     velocity_off,
 )
+from safety_harness.claims.signals.hand_distance import POINT, between_ticks
 from safety_harness.claims.signals.occasions import MOVES
 from safety_harness.claims.signals.true_motion import RESOLUTION_M
 from safety_harness.extensions.field.monitoring.cell import WatchedCell
@@ -89,10 +90,9 @@ class _Cell(NamedTuple):
 
     arm: Arm
     tcp: Arm
-    workspace: Values  # (MAX_BISECTIONS + 1, capsules, 2, 3), overwritten
-    tcp_workspace: Values  # (MAX_BISECTIONS + 1, 1, 2, 3), overwritten
-    radius_m: float
-    forearm_radius_m: float
+    space: Values  # (MAX_BISECTIONS + 1, capsules, 2, 3), overwritten
+    tcp_space: Values  # (MAX_BISECTIONS + 1, 1, 2, 3), overwritten
+    radii_m: tuple[float, float]  # of hand and forearm
     period_s: float
 
 
@@ -105,8 +105,8 @@ class _Seen(NamedTuple):
     off: Values  # (m, 2) errors of joints and of their speeds, NaN where the arm is lost
     bodies_m: Values  # (m, h, 2, 3) hands and elbows, NaN where they are not known
     bodies_off_m: Values  # (m, h, 2) their errors
-    corner: NDArray[np.int64]  # (c, 2) the tick before a corner, and its hand
-    corner_at: Values  # (c,) parts of a period after that tick
+    corner_hand: NDArray[np.int64]  # (c,) rising
+    corner_at: Values  # (c,) ticks since the first, rising for each hand
     corners_m: Values  # (c, 2, 3) hand and elbow there
 
 
@@ -117,10 +117,10 @@ class Sensing:
         settings, self._hands = cell.scenario.settings, hands
         self._period_ns, self._nowhere = cell.period_ns, np.full((len(hands), 2), nan)
         arm = arm_with(cell.arm, cell_capsules(arm_capsules(cell.scenario.robot), settings))
-        sizes_m = settings.hand.radius_m, settings.hand.forearm_radius_m
+        radii_m = settings.hand.radius_m, settings.hand.forearm_radius_m
         workspace = np.empty((MAX_BISECTIONS + 1, len(arm.capsules), 2, 3))
         tcp = tcp_alone(cell.arm), workspace, workspace[:, :1].copy()
-        self._cell = _Cell(arm, *tcp, *sizes_m, cell.period_s)
+        self._cell = _Cell(arm, *tcp, radii_m, cell.period_s)
 
     def see(
         self, moments: Sequence[TickSeen], fresh: int, off: Sequence[tuple[float, float] | None]
@@ -157,8 +157,7 @@ class Sensing:
     def _corners(self, first: int, last: int) -> tuple[NDArray[np.int64], Values, Values]:
         """Return the samples of hands between two ticks.
 
-        These are ticks after ``first`` and hands (c, 2), parts of a period (c,), and places (c, 2, 3) of hand
-        and elbow then.
+        These are hands (c,), times (c,) in ticks after ``first``, and places (c, 2, 3) of hand and elbow.
         """
         found = []
         for k, (hand, elbow) in enumerate(self._hands):
@@ -167,14 +166,13 @@ class Sensing:
             if other is not hand:
                 times = sorted({*times, *other.corners(begin_ns, end_ns)})
             for time_ns in sorted(times):
-                tick, since_ns = divmod(time_ns, self._period_ns)
-                if since_ns:
+                if time_ns % self._period_ns:
                     places = hand.between(time_ns), other.between(time_ns)
-                    found.append(((tick - first, k), since_ns / self._period_ns, places))
+                    found.append((k, (time_ns - begin_ns) / self._period_ns, places))
         if not found:
-            return np.empty((0, 2), np.int64), np.empty(0), np.empty((0, 2, 3))
-        which, share, places_m = zip(*found, strict=True)
-        return np.array(which), np.array(share), np.array(places_m)
+            return np.empty(0, np.int64), np.empty(0), np.empty((0, 2, 3))
+        which, at, places_m = zip(*found, strict=True)
+        return np.array(which), np.array(at), np.array(places_m)
 
 
 @compiled
@@ -183,8 +181,8 @@ def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
 
     ``found`` is of shape (m, signals, 6).
     """
-    arm, tcp, period_s = cell.arm, cell.tcp, cell.period_s
-    count, hands, n = seen.bodies_m.shape[0], seen.bodies_m.shape[1], seen.joints_rad.shape[1]
+    arm, tcp, period_s, joints_rad = cell.arm, cell.tcp, cell.period_s, seen.joints_rad
+    count, hands, n = seen.bodies_m.shape[0], seen.bodies_m.shape[1], joints_rad.shape[1]
     turned_rad, faster_radps, reach_m = seen.off[:, 0], seen.off[:, 1], arm.reach_m.sum()
     off_m = turned_rad * reach_m
     off_mps = velocity_off(arm.reach_m, turned_rad, faster_radps, seen.rates_radps)
@@ -194,7 +192,7 @@ def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
     for k in range(count):
         if np.isnan(turned_rad[k]):
             continue
-        forward_kinematics(arm.chain[0], seen.joints_rad[k], transforms)
+        forward_kinematics(arm.chain[0], joints_rad[k], transforms)
         place_capsules(arm.capsules, transforms, ends_m)
         tcp_m[k] = transforms[n + 1, :3, 3]
         x, y, z = tcp_velocity(arm.chain[0].joint_axes, transforms, seen.rates_radps[k])
@@ -202,15 +200,13 @@ def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
         for h in range(hands):
             hand, elbow = seen.bodies_m[k, h]
             to_tcp_m[h, k] = _distance_m(hand, tcp_m[k])
-            apart_m[h, k], _ = distance_between(
-                arm.capsules, ends_m, hand, elbow, cell.radius_m, cell.forearm_radius_m
-            )
+            apart_m[h, k], _ = distance_between(arm.capsules, ends_m, hand, elbow, *cell.radii_m)
     found[:], found[:, :, LOW], found[:, :, CELL_LOW], found[:, :, TRIED] = np.nan, np.inf, np.inf, 0.0
     exact, later_s = np.zeros(count), np.append(seen.elapsed_s[1:], seen.elapsed_s[-1:])
     _put(found[:, ELAPSED], seen.elapsed_s, exact, seen.elapsed_s, later_s, exact, exact)
     found[:, ELAPSED, TRIED] = 1.0
     step_m = np.sqrt(((tcp_m[1:] - tcp_m[:-1]) ** 2).sum(axis=1))
-    step_rad = np.abs(seen.joints_rad[1:] - seen.joints_rad[:-1])
+    step_rad = np.abs(joints_rad[1:] - joints_rad[:-1])
     _put_speed(found[:, TCP_SPEED], speed_mps, step_m.reshape(-1, 1) / period_s, off_mps, off_m, period_s)
     rates_radps = np.abs(seen.rates_radps)
     _put_speed(found[:, JOINT_SPEED], rates_radps, step_rad / period_s, faster_radps, turned_rad, period_s)
@@ -220,77 +216,38 @@ def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
     _put(found[:, HEIGHT], tcp_m[:, 2], off_m, low_m, high_m, between_m, between_m)
     found[:, HEIGHT, TRIED] = ~np.isnan(off_m)
     bend_rad = np.abs(seen.rates_radps[1:] - seen.rates_radps[:-1]) * period_s / 4.0
-    arm_bend_m, tcp_bend_m = (bend_rad * arm.reach_m).sum(axis=1), (bend_rad * tcp.reach_m).sum(axis=1)
+    bend_m, tcp_bend_m = (bend_rad * arm.reach_m).sum(axis=1), (bend_rad * tcp.reach_m).sum(axis=1)
     turned_m = (step_rad * arm.reach_m).sum(axis=1)
     by_rad = or_next(turned_rad) + 0.5 * period_s * or_next(faster_radps)
     for h in range(hands):
-        least_m, ways_m = _between(cell, seen, h, to_tcp_m[h], apart_m[h])
+        own, bodies_m = seen.corner_hand == h, seen.bodies_m[:, h].copy()
+        corner_at, corners_m = seen.corner_at[own], seen.corners_m[own]
+        hands_m, turns_m = bodies_m.copy(), corners_m.copy()
+        hands_m[:, 1], turns_m[:, 1] = bodies_m[:, 0], corners_m[:, 0]
         hand_m, elbow_m = seen.bodies_off_m[:, h, 0], seen.bodies_off_m[:, h, 1]
+        ends_m, ways_m = between_ticks(
+            tcp, cell.tcp_space, joints_rad, hands_m, corner_at, turns_m, tcp_bend_m, POINT, RESOLUTION_M
+        )
         at_m, low_m = off_m + hand_m, to_tcp_m[h].copy()
-        low_m[:-1] = np.minimum(low_m[:-1], least_m[1] - tcp_bend_m)
+        low_m[:-1] = np.minimum(low_m[:-1], ends_m[0])
         _, high_m = cells(to_tcp_m[h], way_m + ways_m[0], exact[1:])
         above_m = between_m + 2.0 * or_next(hand_m)
         below_m = np.maximum(or_next(off_m), by_rad * tcp.reach_m.sum()) + or_next(hand_m)
         below_m[-1], above_m[-1] = above_m[-1], above_m[-1] + at_m[-1]
         _put(found[:, NEAR], to_tcp_m[h], at_m, low_m, high_m, below_m, above_m)
         at_m, low_m = np.maximum(hand_m, elbow_m) + off_m, apart_m[h].copy()
-        low_m[:-1] = np.minimum(low_m[:-1], least_m[0] - arm_bend_m)
-        _, high_m = cells(apart_m[h], turned_m + np.maximum(ways_m[0], ways_m[1]), arm_bend_m)
+        ends_m, ways_m = between_ticks(
+            arm, cell.space, joints_rad, bodies_m, corner_at, corners_m, bend_m, cell.radii_m, RESOLUTION_M
+        )
+        low_m[:-1] = np.minimum(low_m[:-1], ends_m[0])
+        _, high_m = cells(apart_m[h], turned_m + np.maximum(ways_m[0], ways_m[1]), bend_m)
         moved_m = apart_between(hand_m, elbow_m, off_m, faster_radps * reach_m, period_s)
         below_m, above_m = or_next(moved_m), or_next(moved_m + at_m)
         _put(found[:, APART], apart_m[h], at_m, low_m, high_m, below_m, above_m)
-    for k in range(count):
-        for signal in range(found.shape[1]):
-            for side in (LOW, CELL_LOW):
-                if not found[k, signal, side] < np.inf:
-                    found[k, signal, side] = -np.inf
-            for side in (HIGH, CELL_HIGH):
-                if np.isnan(found[k, signal, side]):
-                    found[k, signal, side] = np.inf
-
-
-@compiled
-def _between(cell: _Cell, seen: _Seen, hand: int, to_tcp_m: Values, apart_m: Values) -> tuple[Values, Values]:
-    """Return least distances of a hand from tick to tick, and the ways of hand and elbow, (2, m - 1) each.
-
-    Arm and hand go straight from corner to corner.  Distances are from the arm's surface and from the TCP.
-    ``to_tcp_m`` and ``apart_m`` (m,) are the distances at the ticks, NaN where they are not known.
-    """
-    least_m = np.full((2, len(apart_m) - 1), np.inf)
-    ways_m = np.zeros((2, len(apart_m) - 1))
-    for k in range(len(apart_m) - 1):
-        if np.isnan(to_tcp_m[k] + to_tcp_m[k + 1]):
-            continue
-        before, begin = seen.bodies_m[k, hand], seen.joints_rad[k]
-        for c in range(len(seen.corner) + 1):
-            if c == len(seen.corner):
-                after, end = seen.bodies_m[k + 1, hand], seen.joints_rad[k + 1]
-            elif seen.corner[c, 0] == k and seen.corner[c, 1] == hand:
-                turned = seen.joints_rad[k + 1] - seen.joints_rad[k]
-                after, end = seen.corners_m[c], seen.joints_rad[k] + seen.corner_at[c] * turned
-            else:
-                continue
-            for body in range(2):
-                ways_m[body, k] += _distance_m(before[body], after[body])
-            for near in range(2):
-                if near or not np.isnan(apart_m[k] + apart_m[k + 1]):
-                    own_m, _, _, _ = closest_approach_between(
-                        cell.tcp if near else cell.arm,
-                        cell.tcp_workspace if near else cell.workspace,
-                        begin,
-                        end,
-                        before[0],
-                        after[0],
-                        before[0 if near else 1],
-                        after[0 if near else 1],
-                        0.0 if near else cell.radius_m,
-                        0.0 if near else cell.forearm_radius_m,
-                        RESOLUTION_M,
-                        np.inf,
-                    )
-                    least_m[near, k] = min(least_m[near, k], own_m)
-            before, begin = after, end
-    return least_m, ways_m
+    for side in (LOW, CELL_LOW):
+        found[:, :, side] = np.where(found[:, :, side] < np.inf, found[:, :, side], -np.inf)
+    for side in (HIGH, CELL_HIGH):
+        found[:, :, side] = np.where(np.isnan(found[:, :, side]), np.inf, found[:, :, side])
 
 
 @compiled
@@ -312,10 +269,12 @@ def _put_speed(
 def _put(
     known: Values, value: Values, at: Values, low: Values, high: Values, below: Values, above: Values
 ) -> None:
-    """Write a signal, ``known`` (m, 6), or a nearer hand: ``value`` (m,), wrong by ``at`` (m,) at the ticks.
+    """Write a signal, ``known`` (m, 6), or a nearer hand.
 
-    To the next tick it is at least ``low - below``, and at most ``high + above``.  NaN is unknown: then the
-    least of all hands is unknown too, and not the largest that the nearest hand's can be.
+    ``value`` (m,) is wrong by ``at`` (m,) at the ticks.  To the next tick the signal is at least ``low -
+    below``, and at most ``high + above``, where ``low``, ``high``, ``below`` and ``above`` are of shape (m,).
+    NaN is unknown.  Then the least distance of all hands is unknown too, but not its largest value, which the
+    nearest hand gives.
     """
     value = np.where(np.isnan(at), np.nan, value)
     known[:, VALUE] = np.fmin(known[:, VALUE], value)
@@ -326,6 +285,6 @@ def _put(
 
 @inlined
 def _distance_m(one: Values, other: Values) -> float:
-    """Return the distance of two points (3,)."""
+    """Return the distance of two points, ``one`` (3,) and ``other`` (3,)."""
     x, y, z = other[0] - one[0], other[1] - one[1], other[2] - one[2]
     return float(np.sqrt(x * x + y * y + z * z))
