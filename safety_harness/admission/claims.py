@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from functools import lru_cache
 
 from safety_harness.base.exceptions import FormulaError, InadmissibleError, Place, near_miss
 from safety_harness.claims.formulas.claim import FormulaClaim
@@ -12,8 +11,7 @@ from safety_harness.claims.formulas.formula import Always, Comparison, Relation,
 from safety_harness.claims.formulas.parse import ALL_CLAIMS, looks_like_formula, parse_formula
 from safety_harness.claims.formulas.signals import nearest_hand_to_tcp, predicted_hand_distance
 from safety_harness.claims.properties.base import SI_UNITS, Property
-from safety_harness.claims.properties.catalogue import CATALOGUE
-from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.properties.catalogue import CATALOGUE, entry_claimed
 from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
 from safety_harness.claims.signals.separation import WALKING_MPS
 from safety_harness.scenario.model import BY_AT_MOST, EDITION, Claim, Scenario
@@ -41,7 +39,7 @@ def property_of(claim: Claim, scenario: Scenario) -> Property:
 
 def _property_of(claim: Claim, scenario: Scenario) -> Property:
     """Return the property of a claim without a check of its bound's unit."""
-    meant = _entry_of(claim.sentence)
+    meant = entry_claimed(claim.sentence)
     if meant is not None:
         entry, match = meant
         claimed = entry.property_of(match, scenario, claim.place)
@@ -86,13 +84,3 @@ def _refuse_what_every_run_keeps(claim: FormulaClaim, place: Place) -> None:
             if bound.relation is Relation.AT_LEAST or (hands and bound.relation is Relation.ABOVE):
                 expected = f"a limit that {bound.signal.words} can fall below"
                 raise FormulaError(place=place, expected=expected, got=f"{bound}, which every run keeps")
-
-
-@lru_cache(maxsize=256)  # the scenarios of a space claim the same
-def _entry_of(sentence: str) -> tuple[CatalogueEntry, re.Match[str]] | None:
-    """Return the entry of the catalogue that understands a sentence, and the parts of the sentence."""
-    for entry in CATALOGUE:
-        match = entry.understands(sentence)
-        if match:
-            return entry, match
-    return None

@@ -62,13 +62,12 @@ GRAVEST = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
 
 @dataclass(frozen=True)
 class FormulaClaim:
-    """The property that ``formula`` says; FormulaError if it mixes margins that cannot be compared.
+    """The property of ``formula``; FormulaError if it mixes margins that cannot be compared.
 
-    It is violated if that is certain at the ticks, whatever is unknown; it holds if that is certain
-    at the ticks and between them, in a run that was not cut short and put it to the test; else it
-    is inconclusive, with the reason.  Of several parts the gravest verdict counts.  Where not everything
-    was measured, or not exactly, both are asked of all that may have been.  ``edition`` says what the
-    sentence meant when it was stored.
+    It is violated if that is certain at the ticks, whatever is unknown.  It holds if that is certain at the
+    ticks and between them, in a run that was complete and exercised it.  Else it is inconclusive, with the
+    reason.  The worst verdict of several parts counts.  Where measurements are missing or inexact, both cover
+    every possible value. ``edition`` is the meaning of the sentence when it was stored.
     """
 
     formula: Formula
@@ -79,12 +78,12 @@ class FormulaClaim:
 
     @property
     def sentence(self) -> str:
-        """As a scenario file writes it."""
+        """Return the sentence of a scenario file."""
         return str(self.formula)
 
     @property
     def close(self) -> float | None:
-        """As ``close_to``, of a claim that is one comparison, asked at every tick."""
+        """Return the margin of a close run, as ``close_to``, for a claim of one comparison at every tick."""
         match parts_of(self.formula):
             case (Always(body=Comparison() as one),):
                 least = one.relation in (Relation.ABOVE, Relation.AT_LEAST)
@@ -93,20 +92,20 @@ class FormulaClaim:
 
     @property
     def unit(self) -> Unit:
-        """Of the first part's margin."""
+        """Return the unit of the first part's margin."""
         return unit_of(parts_of(self.formula)[0])
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """The columns of a trace that its signals read."""
+        """Return the columns of a trace that its signals read."""
         return _columns_of(self.formula)
 
     def check(self, scenario: Scenario, place: Place | None = None) -> None:
-        """FormulaError at ``place`` for windows that a run of ``scenario`` has no room for."""
+        """Raise FormulaError at ``place`` for windows that exceed a run of ``scenario``."""
         check_windows(self.formula, scenario, place or Place(field="formula"))
 
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge one trace; FormulaError as ``check`` says."""
+        """Judge a trace; FormulaError as from ``check``."""
         self.check(trace.scenario)
         problem = unreadable(trace, ())
         if problem is not None:
@@ -123,9 +122,9 @@ class FormulaClaim:
 
 
 def _deciding(parts: tuple[Evaluation, ...]) -> Evaluation:
-    """The first part with the gravest verdict, of those in its unit the one with the least margin.
+    """Return the first part with the worst verdict; of those in its unit, the part with the least margin.
 
-    The reason says how each of them came out.
+    The reason has the verdict of each part.
     """
     verdict = next(v for v in GRAVEST if any(part.verdict is v for part in parts))
     grave = [part for part in parts if part.verdict is verdict]
@@ -146,7 +145,7 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """One part of a claim that is asked of one run, and the signals that it reads there."""
+    """A part of a claim on a run, and its signals there."""
 
     part: Formula
     trace: Trace
@@ -176,7 +175,7 @@ class _Asked:
         return comparison_bounds(atom, low, high)
 
     def between(self, atom: Comparison | Truth) -> MarginBounds:
-        """From each tick to the next; what is not known at the tick is not known after it either."""
+        """Return margins from each tick to the next; a signal unknown at a tick is unknown after it too."""
         one = self.sampled[atom.signal]
         if isinstance(atom, Truth) or one.low is one.high:
             return self.at_ticks(atom)
@@ -185,7 +184,7 @@ class _Asked:
         return comparison_bounds(atom, low, high)
 
     def reached(self, atom: Comparison | Truth) -> MarginBounds:
-        """When the signal with a ``surely`` is least, from each tick to the next."""
+        """Return margins with the signal at its least, from each tick to the next, if it has a ``surely``."""
         one = self.sampled[atom.signal]
         if one.surely is None or isinstance(atom, Truth):
             return self.between(atom)
@@ -193,9 +192,9 @@ class _Asked:
         return comparison_bounds(atom, low, high)
 
     def surely(self, at_ticks: Margins) -> float:
-        """What the part's margin is certainly not above, by the ticks and by moments between them.
+        """Return a bound that the part's margin certainly does not exceed, by ticks and moments between.
 
-        A part that asks the same of every moment is violated by any.  The last one is of one tick alone.
+        Any moment violates a part that asks the same of every moment.  The last moment is a tick alone.
         """
         part, most = self.part, float(at_ticks.bounds.high[0])
         always = isinstance(part, Globally) or (isinstance(part, Always) and part.span is None)
@@ -206,7 +205,7 @@ class _Asked:
         return min(most, float(margins(part, self.reached, self.period_s).bounds.high[0]))
 
     def cases(self, atoms: Atoms) -> list[Case]:
-        """The modes that may have been, where it was either of several and more than one is asked of."""
+        """Return the possible modes, where several were possible and the part asks for more than one mode."""
         gaps = self.trace.known.of("mode").gaps
         several = len(MODES.keys() & self.sampled.keys()) > 1
         either = {mode for gap in gaps for mode in gap.either} if several else set()
@@ -224,13 +223,13 @@ class _Asked:
         return found
 
     def exercised(self, at_ticks: Margins, *, perhaps: bool = False) -> tuple[int, str]:
-        """How often the part was certainly put to the test, and what it is that never happened if that is 0.
+        """Return how often the part was certainly exercised, and the missing event if that is 0.
 
-        A trigger counts each time that it begins to hold, "until" and "eventually" the ticks before what
-        they wait for (before edition 3 "until" alone), anything else every tick that is known and asked of.
-        A signal that counts its own occasions bounds the number by those at such ticks, unless the trigger
-        has set it; a way gone is one of a speed that is certain at no tick. ``perhaps``: as if all that is
-        unknown had been an occasion.
+        A trigger counts each time that it begins to hold.  For "until" and "eventually" the ticks before
+        their goal count (before edition 3 for "until" alone).  Else every tick counts that is known and
+        asked.  A signal with its own occasions bounds the number by these at such ticks, unless it is in the
+        trigger.  A way that certainly moves counts for a speed that is certain at no tick.  With ``perhaps``
+        every unknown tick counts.
         """
         part, tried = self.part, set(self.sampled)
         asked = ticks_asked(at_ticks, self.period_s)
@@ -266,7 +265,7 @@ class _Asked:
         return count, untried
 
     def untried(self, one: Sampled, when: NDArray[np.bool_], near_m: float) -> str:
-        """What it is that did not happen at the ticks ``when`` (n,) it is asked of."""
+        """Return the event that did not happen at the ticks ``when`` (n,) at which the part asks."""
         asked = "" if when.all() else " at any tick that the formula asks of"
         if one.comes is None:
             return f"{one.untried}{asked}"
@@ -275,23 +274,23 @@ class _Asked:
         return (nearest or f"there was no {whose}") + asked
 
     def begun(self, surely: NDArray[np.bool_], never: NDArray[np.bool_]) -> int:
-        """How often something begins, at least: between two unknown ticks it may have gone on."""
+        """Return how often a state begins, at least: between two unknown ticks it may have continued."""
         return times_begun(surely[surely | never] if self.lacking else surely)
 
     def unexercised(self, at_ticks: Margins, untried: str) -> Evaluation:
-        """Inconclusive: it was never exercised, or only by what was not measured if at all."""
+        """Return inconclusive: never exercised, or only by values that were not measured."""
         if self.lacking and self.exercised(at_ticks, perhaps=True)[0]:
             return self.lacks(self.lacking, "nothing else tells whether it was exercised")
         return inconclusive(self, f"never exercised: {untried}")
 
     @cached_property
     def lacking(self) -> tuple[str, ...]:
-        """The columns that it reads of which not everything is known."""
+        """Return the columns that it reads and that are not wholly known."""
         known = self.trace.known
         return () if known.whole else tuple(n for n in _columns_of(self.part) if known.of(n).limited)
 
     def lacks(self, columns: tuple[str, ...], told: str = "", exercised: int = 0) -> Evaluation:
-        """Inconclusive for want of what ``columns`` do not tell."""
+        """Return inconclusive, since ``columns`` are not known well enough."""
         gaps = gaps_of(self.trace, columns)
         words = f"not measured: {', '.join(gaps)}" if gaps else ""
         rest = [name for name in columns if name not in gaps]
@@ -301,7 +300,7 @@ class _Asked:
         return replace(inconclusive(self, words, exercised=exercised), unmeasured=columns)
 
     def nearest(self, trigger: Formula, at_ticks: Margins) -> str:
-        """By how little a trigger did not hold, and when; empty where that is no one quantity."""
+        """Return the smallest gap by which a trigger failed, and when; empty if it has several quantities."""
         low = at_ticks.bounds.low[: len(self.trace.ticks)]
         try:
             unit = unit_of(trigger)
@@ -314,7 +313,7 @@ class _Asked:
         return f": it lacked at least {lacked}, at {self.trace.time_s[tick]:.3f} s"
 
     def undecided(self, at_ticks: Margins, between: Margins, surely: float, exercised: int) -> Evaluation:
-        """Inconclusive: something is unknown or uncertain, or the bounds between the ticks are too wide."""
+        """Return inconclusive: a value is unknown or uncertain, or the bounds between ticks are too wide."""
         holds, uncertain = at_ticks.bounds.low[0] >= 0.0, self.trace.known.uncertain(self.lacking)
         ends = [float(between.bounds.low[0]), surely]
         told = self.told(Verdict.INCONCLUSIVE, between, exercised)
@@ -331,7 +330,7 @@ class _Asked:
         return self.unknown(witness(between if holds else at_ticks, 0, self.period_s, low=True), exercised)
 
     def unknown(self, found: Witness, exercised: int) -> Evaluation:
-        """What is not known: at the tick that would decide, else the first thing of all."""
+        """Return the unknown value: at the tick that would decide, else the first."""
         trace, columns = self.trace, self.lacking
         why = "a window runs beyond the end of the run, which does not decide it"
         if not trace.complete:
@@ -351,7 +350,7 @@ class _Asked:
         return inconclusive(self, why, exercised=exercised)
 
     def told(self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True) -> Evaluation:
-        """A verdict by the lower (or upper) bound of what was seen, with the moment that decided it."""
+        """Return a verdict by the lower (or upper) bound of ``seen``, with the moment that decided it."""
         found = witness(seen, 0, self.period_s, low=low)
         margin, unit = float((seen.bounds.low if low else seen.bounds.high)[0]), self.unit
         margin = 0.0 if margin == LEAST else margin
@@ -377,15 +376,15 @@ class _Asked:
 
 
 def near_of(part: Formula, signal: Signal) -> float:
-    """How near has to come what a part says of the distance ``signal``, for it to be an occasion."""
+    """Return how near the distance ``signal`` has to come to exercise a part."""
     said = (node for node in part.nodes() if isinstance(node, Comparison) and node.signal is signal)
     return occasion_m(max((one.limit.value for one in said), default=0.0))
 
 
 def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: bool = False) -> Evaluation:
-    """The verdict on one part; ``trace`` is not empty and does not contradict itself.
+    """Return the verdict on a part; ``trace`` is not empty and does not contradict itself.
 
-    ``finely``: with the closer bounds of signals that have such, which are asked for where they may decide.
+    ``finely`` takes the closer bounds of signals, which are computed where they may decide.
     """
     whole = trace.known.whole
     missing = () if whole else trace.known.missing(_columns_of(part))
@@ -435,12 +434,12 @@ def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: b
 
 
 def _holes(one: Sampled) -> NDArray[np.bool_]:
-    """(n,) the ticks at which a signal is not known, or not wholly."""
+    """Return (n,) the ticks at which a signal is not known, or not wholly."""
     return np.isnan(one.value) if one.lost is None else np.isnan(one.value) | one.lost
 
 
 def _impossible(signal: Signal, one: Sampled, trace: Trace) -> str:
-    """Why a signal's values are no evidence; empty if a run can have them."""
+    """Return why a signal's values are not evidence; empty if a run can have them."""
     found = signal.impossible(one) if isinstance(signal, Measure) else None
     if found is None:
         return ""
@@ -450,6 +449,6 @@ def _impossible(signal: Signal, one: Sampled, trace: Trace) -> str:
 
 
 def _whole_run(values: Values, trace: Trace) -> Values:
-    """(scenario.ticks + 1,): NaN for the ticks that the run did not reach."""
+    """Return (scenario.ticks + 1,) values, with NaN for the ticks that the run did not reach."""
     missing = trace.scenario.ticks + 1 - len(values)
     return np.append(values, np.full(missing, np.nan)) if missing > 0 else values

@@ -1,19 +1,17 @@
-"""What a formula is made of, and how it is written in Python.
+"""The parts of a formula, and its form in Python.
 
     always(hand_distance() > mm(50))
     whenever(hand_distance() < mm(300)).then(eventually(tcp_speed() < mm_per_s(100), within=ms(200)))
     repulsing().until(hand_distance() > mm(300), within=s(4))
 
-Formulas are frozen trees, equal when they say the same; ``str`` is the sentence that a scenario file
-has for them.  They are joined by ``&``, ``|`` and ``~``, each comparison in parentheses; Python's own
-``and``, ``or``, ``not`` and ``a < x < b`` ask whether a formula is true, which only a run can say, and
-raise FormulaError.
+Formulas are frozen trees, equal if they have the same meaning; ``str`` returns their sentence in a scenario
+file. ``&``, ``|`` and ``~`` join them, each comparison in parentheses.  Python's own ``and``, ``or``, ``not``
+and ``a < x < b`` ask whether a formula is true.  Only a run can answer that, so they raise FormulaError.
 
-A claim asks its formula as the parts that "and" joins at its top, each of the whole run.  A part without a
-temporal operator is asked at every tick, as if "always" stood before it; one that such operators begin is
-asked once, of the first tick and what follows.  One that joins both kinds could mean either, and is refused.
-"always (a and b)" and "whenever t then (a and b)" are the same as their two halves, so that each has a margin
-of its own.
+A claim splits its formula at each "and" at its top into parts about the whole run.  A part without a temporal
+operator applies to every tick, as if "always" stood before it.  A part that begins with such operators
+applies to the first tick and its future.  A part that joins both kinds is ambiguous, and refused.  "always (a
+and b)" and "whenever t then (a and b)" equal their two halves, so that each half has its own margin.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ from safety_harness.scenario.units import (
 
 
 class Relation(Enum):
-    """How a value stands to its limit."""
+    """The relation of a value to its limit."""
 
     BELOW = "<"
     AT_MOST = "<="
@@ -49,18 +47,18 @@ class Relation(Enum):
 
 
 class Formula:
-    """Any formula; the classes below are all there are."""
+    """Any formula; the classes below are the only kinds."""
 
     def __post_init__(self) -> None:
         _refuse_what_stands_at_the_top(self)
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """The formulas that it is directly made of."""
+        """Return the formulas of which it directly consists."""
         return ()
 
     def nodes(self) -> Iterator[Formula]:
-        """It and everything in it, depth first."""
+        """Yield the formula and everything in it, depth first."""
         yield self
         for part in self.parts:
             yield from part.nodes()
@@ -75,7 +73,7 @@ class Formula:
         return Not(self)
 
     def until(self, other: Formula, *, within: Window = None) -> Formula:
-        """It holds from now until a tick, in the window, at which ``other`` does; there it need not."""
+        """Return the formula that this holds from now until a tick of the window at which ``other`` holds."""
         return Until(self, formula_of(other, "until"), span_of(within))
 
     def __bool__(self) -> bool:
@@ -88,7 +86,7 @@ class Formula:
 
 @dataclass(frozen=True)
 class Comparison(Formula):
-    """A signal's value beside a limit.  Margin: how far it is on the right side of it."""
+    """A signal's value beside a limit.  Its margin is the distance on the right side of the limit."""
 
     signal: Signal
     relation: Relation
@@ -113,7 +111,7 @@ class Comparison(Formula):
 
 @dataclass(frozen=True)
 class Truth(Formula):
-    """A signal that is true or false; its margin is without end either way."""
+    """A signal that is true or false; its margin is infinite either way."""
 
     signal: Signal
 
@@ -129,13 +127,13 @@ class _Over(Formula):
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """What it is said of."""
+        """Return its body."""
         return (self.body,)
 
 
 @dataclass(frozen=True)
 class Not(_Over):
-    """It does not hold: the same margin with the other sign."""
+    """The formula does not hold: the same margin with the opposite sign."""
 
     def __str__(self) -> str:
         return f"not {operand(self.body)}"
@@ -143,7 +141,7 @@ class Not(_Over):
 
 @dataclass(frozen=True)
 class Initially(_Over):
-    """It holds at the first tick."""
+    """The formula holds at the first tick."""
 
     def __str__(self) -> str:
         return f"initially {operand(self.body)}"
@@ -151,7 +149,7 @@ class Initially(_Over):
 
 @dataclass(frozen=True)
 class Always(_Over):
-    """It holds at every tick of the window, or from now to the end of the run: the least margin."""
+    """The formula holds at every tick of the window, or to the end of the run: the least margin."""
 
     span: Span | None = None
 
@@ -162,7 +160,7 @@ class Always(_Over):
 
 @dataclass(frozen=True)
 class Eventually(_Over):
-    """It holds at one tick of the window at least, or of the rest of the run: the largest margin."""
+    """The formula holds at one tick at least of the window, or of the rest of the run: the largest margin."""
 
     span: Span | None = None
 
@@ -180,16 +178,16 @@ class _Several(Formula):
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """What is joined."""
+        """Return the joined formulas."""
         return self.members
 
 
 @dataclass(frozen=True)
 class And(_Several):
-    """All of them hold: the least margin."""
+    """All formulas hold: the least margin."""
 
     def __post_init__(self) -> None:
-        """It joins what stands at the top, whatever that is."""
+        """Accept every part, since it joins parts at the top."""
 
     def __str__(self) -> str:
         return " and ".join(joined(part) for part in self.members)
@@ -197,7 +195,7 @@ class And(_Several):
 
 @dataclass(frozen=True)
 class Or(_Several):
-    """One of them holds: the largest margin."""
+    """One of the formulas holds: the largest margin."""
 
     def __str__(self) -> str:
         return " or ".join(joined(part) for part in self.members)
@@ -213,7 +211,7 @@ class Until(Formula):
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """What lasts, and what ends it."""
+        """Return the part that lasts, and the part that ends it."""
         return (self.first, self.second)
 
     def __str__(self) -> str:
@@ -230,7 +228,7 @@ class Globally(Formula):
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """Trigger and response."""
+        """Return trigger and response."""
         return (self.trigger, self.response)
 
     def __str__(self) -> str:
@@ -239,7 +237,7 @@ class Globally(Formula):
 
 
 def goal_of(part: Formula) -> Formula | None:
-    """Return what has to hold at some tick from the first one on; None if ``part`` asks no such thing."""
+    """Return the formula that has to hold at some tick from the first on; None without such a goal."""
     match part:
         case Until():
             return part.second
@@ -255,12 +253,12 @@ _JOINS = (And, Or, Until)
 
 
 def operand(formula: Formula) -> str:
-    """As it stands after an operator: in parentheses if it joins several."""
+    """Return the text after an operator: in parentheses if it joins several."""
     return f"({formula})" if isinstance(formula, _JOINS) else str(formula)
 
 
 def joined(formula: Formula) -> str:
-    """As it stands beside "and", "or", "until": in parentheses if it could be taken to reach further."""
+    """Return the text beside "and", "or", "until": in parentheses if it could seem to reach further."""
     inner = formula
     while isinstance(inner, Not):
         inner = inner.body
@@ -269,24 +267,24 @@ def joined(formula: Formula) -> str:
 
 
 def conjunction(*formulas: Formula) -> Formula:
-    """All of ``formulas``; what they themselves join stands beside the rest."""
+    """Return all of ``formulas`` joined; their own members join the rest."""
     return And(tuple(p for one in formulas for p in (one.members if isinstance(one, And) else (one,))))
 
 
 def disjunction(*formulas: Formula) -> Formula:
-    """One of ``formulas``; what they themselves join stands beside the rest."""
+    """Return the alternative of ``formulas``; their own members join the rest."""
     return Or(tuple(p for one in formulas for p in (one.members if isinstance(one, Or) else (one,))))
 
 
 def formula_of(value: object, word: str) -> Formula:
-    """``value`` if it is a formula; else FormulaError, naming the operator beside which it stands."""
+    """Return ``value`` if it is a formula; else raise FormulaError with the operator beside it."""
     if isinstance(value, Formula):
         return value
     raise formula_error(f'a formula such as hand_distance() > mm(50) beside "{word}"', str(value))
 
 
 def _refuse_what_stands_at_the_top(formula: Formula) -> None:
-    """FormulaError for a part that is no formula, or that only a whole claim can be."""
+    """Raise FormulaError for a part that is not a formula, or that only a whole claim can be."""
     word = type(formula).__name__.lower()
     for part in formula.parts:
         for node in formula_of(part, word).nodes():
@@ -310,7 +308,7 @@ _UNITS = (
 
 
 def parts_of(formula: Formula) -> tuple[Formula, ...]:
-    """The parts that a claim is made of, each ready to be asked; FormulaError if one has no margin."""
+    """Return the parts of a claim, each with a time; FormulaError if one has no margin."""
     parts = tuple(_asked(part) for part in _split(formula))
     for part in parts:
         dimension_of(part)
@@ -318,7 +316,7 @@ def parts_of(formula: Formula) -> tuple[Formula, ...]:
 
 
 def _split(formula: Formula) -> list[Formula]:
-    """At every "and" that stands at the top, or directly in what "always" or "whenever" says there."""
+    """Split at every "and" at the top, or directly below "always" or "whenever" there."""
     match formula:
         case And():
             return [part for member in formula.members for part in _split(member)]
@@ -332,7 +330,7 @@ def _split(formula: Formula) -> list[Formula]:
 
 
 def _asked(part: Formula) -> Formula:
-    """With "always" before it if no operator says when; FormulaError if one does for a part of it alone."""
+    """Add "always" if no operator gives a time; FormulaError if one does for a part alone."""
     if not any(isinstance(node, TEMPORAL) for node in part.nodes()):
         return Always(part)
     if (bare := next(_of_no_time(part), None)) is not None:
@@ -345,7 +343,7 @@ def _asked(part: Formula) -> Formula:
 
 
 def _of_no_time(formula: Formula) -> Iterator[Formula]:
-    """The comparisons and truths that no temporal operator stands over."""
+    """Yield the comparisons and truths without a temporal operator above them."""
     if isinstance(formula, Comparison | Truth):
         yield formula
     elif not isinstance(formula, TEMPORAL):
@@ -354,19 +352,19 @@ def _of_no_time(formula: Formula) -> Iterator[Formula]:
 
 
 def unit_of(part: Formula) -> Unit:
-    """What the margin of a part is shown in; a number for truths alone."""
+    """Return the unit of a part's margin; a number for truths alone."""
     return shown_in(dimension_of(part))
 
 
 def shown_in(dimension: Dimension | None) -> Unit:
-    """The unit for values of a dimension."""
+    """Return the unit for values of a dimension."""
     return next((unit for own, unit in _UNITS if own is dimension), Unit.COUNT)
 
 
 def dimension_of(formula: Formula) -> Dimension | None:
-    """Of a formula's margin, None for truths alone; FormulaError where it would mix two of them.
+    """Return the dimension of a formula's margin, None for truths alone; FormulaError for a mixture.
 
-    A trigger has no margin, and may mix.
+    A trigger has no margin, and may mix dimensions.
     """
     if isinstance(formula, Comparison):
         return formula.signal.dimension
@@ -387,13 +385,13 @@ def dimension_of(formula: Formula) -> Dimension | None:
 
 
 def signals_of(formula: Formula) -> tuple[Signal, ...]:
-    """Every signal that a formula reads, once, in the order of the sentence."""
+    """Return every signal that a formula reads, once, in the order of the sentence."""
     atoms = (node for node in formula.nodes() if isinstance(node, Comparison | Truth))
     return tuple(dict.fromkeys(atom.signal for atom in atoms))
 
 
 def check_windows(formula: Formula, scenario: Scenario, place: Place) -> None:
-    """FormulaError at ``place`` for windows that end after every run of ``scenario``, or have no tick."""
+    """Raise FormulaError at ``place`` for windows longer than any run of ``scenario``, or without a tick."""
     period_s = scenario.settings.clock.control_period_s
     for node in formula.nodes():
         span = getattr(node, "span", None)
@@ -414,7 +412,7 @@ def check_windows(formula: Formula, scenario: Scenario, place: Place) -> None:
 
 
 def reach_ticks(formula: Formula, period_s: float) -> int:
-    """How many ticks after the one that it is asked of its windows end."""
+    """Return how many ticks after the tick in question its windows end."""
     span = formula.span if isinstance(formula, Always | Eventually | Until) else None
     own = span.ticks(period_s)[1] if span is not None else 0
     return own + max((reach_ticks(part, period_s) for part in formula.parts), default=0)

@@ -1,4 +1,4 @@
-"""Everything that formulas are written with in Python."""
+"""All names with which formulas are written in Python."""
 
 from __future__ import annotations
 
@@ -152,20 +152,21 @@ def rad_per_s(number: float) -> Quantity:
 
 
 def always(formula: Formula, *, within: Window = None) -> Formula:
-    """It holds at every tick from now on, or at every one of the window.
+    """Return the formula that ``formula`` holds at every tick from now on, or of the window.
 
-    ``within=s(2)``: from now to 2 s; ``within=(s(0.1), s(0.5))``: from 0.1 s to 0.5 s, ends included.
+    ``within=s(2)`` is the window from now to 2 s; ``within=(s(0.1), s(0.5))`` that from 0.1 s to 0.5 s, ends
+    included.
     """
     return Always(formula_of(formula, "always"), span_of(within))
 
 
 def eventually(formula: Formula, *, within: Window = None) -> Formula:
-    """It holds at one tick at least, from now on or in the window."""
+    """Return the formula that ``formula`` holds at one tick at least, from now on or in the window."""
     return Eventually(formula_of(formula, "eventually"), span_of(within))
 
 
 def initially(formula: Formula) -> Formula:
-    """It holds at the first tick of the run."""
+    """Return the formula that ``formula`` holds at the first tick of the run."""
     return Initially(formula_of(formula, "initially"))
 
 
@@ -176,10 +177,13 @@ class Antecedent:
     trigger: Formula
 
     def then(self, response: Formula) -> Formula:
-        """At every tick at which the trigger holds, ``response`` does."""
+        """Return the formula that ``response`` holds at every tick at which the trigger does."""
         return Globally(self.trigger, formula_of(response, "then"))
 
 
 def whenever(trigger: Formula) -> Antecedent:
-    """``whenever(p).then(q)``: q at every tick at which p holds; if p never does, that is no evidence."""
+    """Begin ``whenever(p).then(q)``: q holds at every tick at which p does.
+
+    A p that never holds is no evidence.
+    """
     return Antecedent(formula_of(trigger, "whenever"))

@@ -1,4 +1,4 @@
-"""The two kinds of signal: a measure, to be compared with a limit, and a flag, which is true or false."""
+"""The two kinds of signal: a measure, which a formula compares with a limit, and a flag, true or false."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from safety_harness.trace.records import ENDLESS
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Flag(Signal):
-    """Something that is true or false at each tick.  ``stopped()`` is the formula that it is true."""
+    """A signal that is true or false at each tick.  ``stopped()`` is the formula that it is true."""
 
     dimension: None = None
     between: Interpolation = Interpolation.HELD
 
     def __call__(self) -> Formula:
-        """That it is true."""
+        """Return the formula that the flag is true."""
         return Truth(self)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measure(Signal):
-    """Something with a value of ``dimension`` at each tick, to be compared with a limit of that kind.
+    """A signal with a value of ``dimension`` at each tick, to be compared with a limit of that dimension.
 
-    No run has a value below ``least``, nor one without end unless it is ``endless``.  No run comes near to a
-    limit below ``lowest``, or above what a limit of its dimension can be.
+    Values of runs are at least ``least``, and infinite only if it is ``endless``.  Runs do not come near to a
+    limit below ``lowest``, or above the largest limit of its dimension.
     """
 
     dimension: Dimension
@@ -40,13 +40,13 @@ class Measure(Signal):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Between which its limits (SI) lie."""
+        """Return the least and the largest limit (SI)."""
         return self.lowest, self.dimension.most_of_limits
 
     def impossible(self, sampled: Sampled) -> tuple[int, float] | None:
-        """The first tick with a value, or a bound of one, that no run has, and what it is; NaN is unknown.
+        """Return the first tick with a value, or a bound, that no run has, and that value; NaN is unknown.
 
-        So is what has no lower bound: motors that may saturate leave none between two ticks.
+        A missing lower bound is unknown too: motors that may saturate leave it open between two ticks.
         """
         least, unbounded = self.least, np.isneginf(sampled.low)
         for side, unknown in ((sampled.value, np.nan), (sampled.low, -np.inf), (sampled.high, np.inf)):
@@ -60,7 +60,7 @@ class Measure(Signal):
         return None
 
     def __call__(self) -> Measure:
-        """Itself: ``tcp_speed() < mm_per_s(250)`` and ``tcp_speed < mm_per_s(250)`` are the same."""
+        """Return itself: ``tcp_speed() < mm_per_s(250)`` equals ``tcp_speed < mm_per_s(250)``."""
         return self
 
     def __lt__(self, limit: Quantity | float) -> Comparison:

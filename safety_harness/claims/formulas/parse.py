@@ -1,4 +1,4 @@
-"""From a sentence to its formula.
+"""A parser from a sentence to its formula.
 
     claim    := operand ("and" operand)* | operand ("or" operand)* | operand "until" operand [window] | far
     far      := ("always" [lasting] | "eventually" ["from" t "to" t] | "within" t | "initially" | "not") reach
@@ -8,8 +8,8 @@
     lasting  := "for" t | "from" t "to" t
     window   := "within" t | "from" t "to" t
 
-What could be read in two ways is refused: "and" mixed with "or", and anything that goes on after a
-``far`` one, wants parentheses.  Words count in either case.
+Ambiguous sentences are refused.  "and" beside "or" needs parentheses, and so does a ``far`` with a
+continuation.  Words count in either case.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ MAX_DEPTH = 30  # parentheses and operators within one another
 
 
 def parse_formula(sentence: str, place: Place | None = None) -> Formula:
-    """The formula that a sentence says; FormulaError at ``place`` with the column of the wrong word."""
+    """Return the formula of a sentence; FormulaError at ``place`` with the column of the wrong word."""
     refuse_other_type("parse_formula(sentence)", sentence, str, expected="a sentence")
     place = place or Place(field="formula")
     parser = _Parser(sentence, place, tokens_of(sentence, place))
@@ -61,7 +61,7 @@ def parse_formula(sentence: str, place: Place | None = None) -> Formula:
 
 
 def looks_like_formula(sentence: str) -> bool:
-    """Does a sentence that nothing else understands mean to be a formula?"""
+    """Return whether a sentence that is not in the catalogue seems to be a formula."""
     if any(sign in sentence for sign in "<>≤≥=()"):
         return True
     words = sentence.lower().split()
@@ -84,7 +84,7 @@ class _Parser:
         return self.tokens[self.at]
 
     def take(self, *texts: str) -> Token | None:
-        """The token that stands here if it is one of ``texts``; the next one follows."""
+        """Return the current token if it is one of ``texts``, and advance."""
         token = self.now
         if token.text not in texts or token.kind == "end":
             return None
@@ -102,7 +102,7 @@ class _Parser:
         return FormulaError(place=self.place, expected=expected, got=what, hint=hint)
 
     def made(self, token: Token, make: type[Formula], *parts: object) -> Formula:
-        """A node; what it refuses is told at ``token``."""
+        """Return a node; if it refuses its parts, report that at ``token``."""
         try:
             return make(*parts)
         except FormulaError as error:
@@ -134,7 +134,7 @@ class _Parser:
             raise self.error(f"at most {MAX_DEPTH} parentheses and operators within one another")
 
     def refuse_more(self, begins: Token) -> None:
-        """After an operator that could be taken to reach further, or another joint."""
+        """Refuse an operator that could seem to reach further, or another joint."""
         if self.now.text in ("and", "or", "until") and self.now.kind == "word":
             word = begins.text
             hint = f'"{word} (...)" with what belongs to it, or "({word} ...)" around it'
@@ -148,7 +148,10 @@ class _Parser:
         return formula
 
     def far_begins(self) -> bool:
-        """Does an operator stand here that reaches over what follows?  "not" does if the next one does."""
+        """Return whether an operator stands here that reaches over the rest.
+
+        "not" reaches over the rest if the next operator does.
+        """
         ahead = self.at
         while self.tokens[ahead].text == "not":
             ahead += 1
@@ -171,7 +174,7 @@ class _Parser:
         return self.made(word, make, self.reach(depth), lasts)
 
     def reach(self, depth: int, *, until: bool = False) -> Formula:
-        """What an operator is said of: one operand, or another operator with its own."""
+        """Return what an operator applies to: one operand, or another operator with its own."""
         self.refuse_deeper(depth)
         if self.far_begins():
             return self.far(depth + 1)
@@ -211,7 +214,7 @@ class _Parser:
         return self.made(name, Truth, signal)
 
     def signal(self) -> Signal:
-        """The signal with the most words of those that stand here."""
+        """Return the signal with the most words among those that match here."""
         ahead = [token.text for token in self.tokens[self.at :]]
         found = [signal for signal in SIGNALS if ahead[: len(_words(signal))] == _words(signal)]
         if found:
@@ -245,7 +248,7 @@ class _Parser:
             raise self.error(error.expected, token, error.hint, text) from error
 
     def window(self, from_now: str) -> Span | None:
-        """``for 2 s`` or ``within 2 s`` (as ``from_now`` says), or ``from 0.1 s to 0.5 s``."""
+        """Return ``for 2 s`` or ``within 2 s`` (as ``from_now`` says), or ``from 0.1 s to 0.5 s``."""
         word = self.take(from_now, "from")
         if word is None:
             return None
@@ -258,7 +261,7 @@ class _Parser:
         return Span(begin, self.later(begin))
 
     def later(self, begin: Quantity) -> Quantity:
-        """A time after ``begin``."""
+        """Return a time after ``begin``."""
         token = self.now
         end = self.quantity(TIME)
         if not end.value > begin.value:
@@ -280,7 +283,7 @@ SAME = {"≤": "<=", "≥": ">="}
 
 @dataclass(frozen=True)
 class Token:
-    """One word (in lower case as ``text``, as it is written in ``written``), number or sign; or the end."""
+    """A word (in lower case as ``text``, as written in ``written``), number or sign; or the end."""
 
     kind: str  # "number", "sign", "word" or "end"
     written: str
@@ -288,12 +291,12 @@ class Token:
 
     @property
     def text(self) -> str:
-        """What it says, however it is written."""
+        """Return the text in its usual form, however it was written."""
         return SAME.get(self.written, self.written.lower())
 
 
 def tokens_of(sentence: str, place: Place) -> list[Token]:
-    """The tokens of a sentence, with one that says where it ends; FormulaError for what is none."""
+    """Return the tokens of a sentence, with a last token for its end; FormulaError for other characters."""
     found, at = [], 0
     while at < len(sentence):
         if sentence[at].isspace():

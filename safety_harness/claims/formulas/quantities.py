@@ -1,4 +1,4 @@
-"""Quantities with units, as formulas compare signals with them: ``mm(50)``, ``deg_per_s(30)``."""
+"""Quantities with units for the limits of formulas: ``mm(50)``, ``deg_per_s(30)``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from safety_harness.scenario.units import NUMBER, TIME, Dimension, normal_unit, 
 
 @dataclass(frozen=True)
 class Quantity:
-    """``value`` in SI, its ``dimension``, and how it is ``written`` (which does not count when compared)."""
+    """A ``value`` in SI, its ``dimension``, and its text ``written`` (which comparisons ignore)."""
 
     value: float
     dimension: Dimension = field(compare=False)
@@ -37,7 +37,7 @@ class Quantity:
 
 
 def formula_error(expected: str, got: str, hint: str = "") -> FormulaError:
-    """A mistake in a formula that is not, or not yet, in a file."""
+    """Return the error for a mistake in a formula that is not in a file, or not yet."""
     return FormulaError(place=Place(field="formula"), expected=expected, got=got, hint=hint)
 
 
@@ -49,7 +49,7 @@ def _needs_parentheses(sign: str, quantity: Quantity) -> FormulaError:
 
 
 def quantity(number: float, unit: str, dimension: Dimension) -> Quantity:
-    """``number`` (finite) of a ``unit`` of ``dimension``: the float nearest to what is written, in SI."""
+    """Return ``number`` (finite) in a ``unit`` of ``dimension``: the float nearest to the text, in SI."""
     if isinstance(number, bool) or not isinstance(number, Real) or not math.isfinite(number):
         expected = f"a finite number of {unit}" if unit else "a finite number"
         raise FormulaError(place=Place(field=unit or "formula"), expected=expected, got=repr(number))
@@ -57,7 +57,7 @@ def quantity(number: float, unit: str, dimension: Dimension) -> Quantity:
 
 
 def read_quantity(text: str, dimension: Dimension, place: Place) -> Quantity:
-    """A quantity as a sentence has it; ScenarioError at ``place`` if it is none of ``dimension``."""
+    """Return a quantity from a sentence; ScenarioError at ``place`` if it is not of ``dimension``."""
     value = parse_quantity(text, dimension, place)
     number, _, unit = text.strip().partition(" ")
     if "e" not in number.lower():
@@ -69,7 +69,7 @@ def read_quantity(text: str, dimension: Dimension, place: Place) -> Quantity:
 
 
 def plain(number: float) -> Quantity:
-    """A number without a unit."""
+    """Return a number without a unit."""
     return quantity(number, "", NUMBER)
 
 
@@ -94,19 +94,19 @@ class Span:
             raise formula_error("a window from a time of at least 0 s to a later one", got)
 
     def ticks(self, period_s: float) -> tuple[int, int]:
-        """The first and the last tick of a window, counted from now; last before first if it has none."""
+        """Return the first and the last tick, counted from now; the last is earlier if it has no tick."""
         first, last = self.begin.value / period_s - TIME_EPS, self.end.value / period_s + TIME_EPS
         return math.ceil(first), math.floor(last)
 
     def words(self, from_now: str) -> str:
-        """``from_now`` with its end if it begins now, else from when to when."""
+        """Return ``from_now`` with its end if it begins now, else both times."""
         if self.begin.value == 0.0:
             return f"{from_now} {self.end}"
         return f"from {self.begin} to {self.end}"
 
 
 def span_of(within: Window) -> Span | None:
-    """``s(2)``: from now to 2 s; ``(s(0.1), s(0.5))``: from the one to the other."""
+    """Return ``s(2)`` as the window from now to 2 s, or ``(s(0.1), s(0.5))`` as that between both."""
     if within is None:
         return None
     begin, end = within if isinstance(within, tuple) else (NOW, within)

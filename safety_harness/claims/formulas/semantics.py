@@ -1,17 +1,16 @@
-"""What a formula's margin is at every tick: an interval, so that what is not known is not guessed.
+"""The margin of a formula at every tick, as an interval, so that an unknown value is not guessed.
 
-And which tick, and which comparison or truth, a margin comes from (``witness``).
+``witness`` finds the tick, and the comparison or truth, that a margin comes from.
 
-The margin of a comparison is the distance to its limit, that of a truth +-inf; "not" turns the sign,
-"and" and "always" take the least, "or" and "eventually" the largest, "until" the largest over the
-ticks j of its window of the least of second(j) and first before j.  Windows are in control ticks,
-ends included.  A value at its very limit is ``LEAST``, the smallest normal number, on the right side of <=
-and >=, and on the wrong side of < and >: no margin is 0, and a formula and its negation never both hold.
+The margin of a comparison is the distance to its limit, that of a truth +-inf.  "not" turns the sign, "and"
+and "always" take the least, "or" and "eventually" the largest.  "until" takes the largest, over the ticks j
+of its window, of the least of second(j) and of first before j.  Windows are in control ticks, ends included.
+A value at its very limit is ``LEAST``, the smallest normal number, on the right side of <= and >=, and on the
+wrong side of < and >.  So no margin is 0, and a formula and its negation never both hold.
 
-Each margin is an interval from ``low`` to ``high``: NaN, ticks that were not reached and windows that run
-beyond the last tick make it [-inf, inf], and every operator takes the bounds of its parts to its own.
-(Compare Deshmukh et al., Robust online monitoring of signal temporal logic, 2017.)  Operators
-without a window end with the run.
+Each margin is an interval from ``low`` to ``high``.  NaN, ticks that were not reached and windows that exceed
+the last tick make it [-inf, inf], and every operator combines the bounds of its parts.  (Compare Deshmukh et
+al., Robust online monitoring of signal temporal logic, 2017.)  Operators without a window end with the run.
 """
 
 from __future__ import annotations
@@ -41,6 +40,9 @@ from safety_harness.claims.formulas.quantities import Span
 
 LEAST = float(np.finfo(np.float64).tiny)
 OF_A_TICK = (Comparison, Truth, Not, And, Or)
+OPERATORS = (Comparison, Truth, Not, And, Or, Always, Eventually, Until, Globally)
+NOT, AND, OR, ALWAYS, EVENTUALLY, UNTIL, GLOBALLY = range(2, 9)
+NO_WINDOW = (-1, -1)
 
 Values = NDArray[np.float64]
 Atoms = Callable[[Comparison | Truth], "MarginBounds"]
@@ -48,7 +50,7 @@ Atoms = Callable[[Comparison | Truth], "MarginBounds"]
 
 @dataclass(frozen=True, eq=False)
 class MarginBounds:
-    """Margins (n,) that lie between ``low`` and ``high``, never NaN; one array where they are known."""
+    """Margins (n,) that lie between ``low`` and ``high``, never NaN; the same array where they are known."""
 
     low: Values
     high: Values
@@ -69,17 +71,17 @@ class Margins:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What may have been at the ticks ``where`` (n,), with the ``atoms`` as they are then."""
+    """A possibility at the ticks ``where`` (n,), with the ``atoms`` in that case."""
 
     where: NDArray[np.bool_]
     atoms: Atoms
 
 
 def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Case] = ()) -> Margins:
-    """The margins of ``formula`` at every tick, ``atoms`` giving those of its comparisons and truths.
+    """Return the margins of ``formula`` at every tick, by those of its comparisons and truths from ``atoms``.
 
-    At a tick that has ``cases`` one of them was: an "and" or "or" of comparisons and truths, of which each is
-    unknown by itself, is then between the least and the largest that any of them gives.
+    At a tick with ``cases``, one of these was true.  There, an "and" or "or" of comparisons and truths, each
+    unknown by itself, lies between the least and the largest that any case gives.
     """
     if isinstance(formula, Comparison | Truth):
         return Margins(formula, atoms(formula))
@@ -99,9 +101,9 @@ def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Cas
 def ticks_asked(
     margins: Margins, period_s: float, begin: NDArray[np.bool_] | None = None
 ) -> list[tuple[Comparison | Truth, NDArray[np.bool_]]]:
-    """Each comparison and truth with the ticks (n,) at which the formula, asked at the first, asks of it.
+    """Return each comparison and truth with the ticks (n,) that count for the formula at the first tick.
 
-    Asked at the ticks ``begin`` (n,), an operator asks its parts at those of its window, to its end.
+    At the ticks ``begin`` (n,), an operator asks its parts at the ticks of its window, to its end.
     """
     formula, n = margins.formula, len(margins.bounds.low)
     asked = np.arange(n) == 0 if begin is None else begin
@@ -119,7 +121,7 @@ def ticks_asked(
 
 
 def _windows(begin: NDArray[np.bool_], first: int, last: int) -> NDArray[np.bool_]:
-    """(n,) from ``first`` to ``last`` ticks after any of ``begin`` (n,)."""
+    """Return (n,) the ticks from ``first`` to ``last`` ticks after any of ``begin`` (n,)."""
     before = np.append(0, np.cumsum(begin))
     ticks = np.arange(len(begin))
     found: NDArray[np.bool_] = before[np.maximum(ticks - first + 1, 0)] > before[np.maximum(ticks - last, 0)]
@@ -134,74 +136,23 @@ def _of_any_case(bounds: MarginBounds, cases: list[tuple[NDArray[np.bool_], Marg
 
 
 def _joined(formula: Formula, parts: list[MarginBounds], period_s: float) -> MarginBounds:
-    match formula:
-        case Not():
-            return -parts[0]
-        case And():
-            return _least(parts)
-        case Or():
-            return -_least([-part for part in parts])
-        case Always(span=span):
-            return _always(parts[0], span, period_s)
-        case Eventually(span=span):
-            return -_always(-parts[0], span, period_s)
-        case Until(span=span):
-            return _until(parts[0], parts[1], span, period_s)
-        case Globally():
-            return _always(where_triggered(*parts), None, period_s)
-        case Initially():
-            return parts[0]
-    raise TypeError(f"no formula: {formula!r}")
-
-
-def _least(parts: list[MarginBounds]) -> MarginBounds:
-    low = np.minimum.reduce([part.low for part in parts])
-    if all(part.low is part.high for part in parts):
-        return MarginBounds(low, low)
-    return MarginBounds(low, np.minimum.reduce([part.high for part in parts]))
-
-
-def _always(body: MarginBounds, span: Span | None, period_s: float) -> MarginBounds:
-    if span is None:
-        low = least_from_here(body.low)
-        return MarginBounds(low, low if body.low is body.high else least_from_here(body.high))
-    begin, end = span.ticks(period_s)
-    return MarginBounds(
-        least_in_window(body.low, begin, end, -np.inf), least_in_window(body.high, begin, end, np.inf)
-    )
-
-
-def _until(lasts: MarginBounds, ends: MarginBounds, span: Span | None, period_s: float) -> MarginBounds:
-    """With a window: second comes within it, and first lasts until second comes after its begin.
-
-    (Donze, Ferrere, Maler, Efficient robust monitoring for STL, 2013.)
-    """
-    if span is None:
-        return MarginBounds(
-            until_from_here(lasts.low, ends.low, -np.inf), until_from_here(lasts.high, ends.high, -np.inf)
-        )
-    begin, end = span.ticks(period_s)
-    bounds = []
-    for first, second, beyond in ((lasts.low, ends.low, -np.inf), (lasts.high, ends.high, np.inf)):
-        comes = -least_in_window(-second, begin, end, -beyond)
-        lasting = until_from_here(first, second, beyond)
-        if begin > 0:
-            shifted = np.full(len(first), beyond)
-            shifted[: max(len(first) - begin, 0)] = lasting[begin:]
-            lasting = np.minimum(shifted, least_in_window(first, 0, begin - 1, beyond))
-        bounds.append(np.minimum(comes, lasting))
-    return MarginBounds(*bounds)
+    if isinstance(formula, Initially):
+        return parts[0]
+    span = getattr(formula, "span", None)
+    begin, end = NO_WINDOW if span is None else span.ticks(period_s)
+    operator, found = OPERATORS.index(type(formula)), parts[0]
+    for other in parts[1:] or parts:  # of three and more, two by two
+        found = MarginBounds(*operate(operator, begin, end, found.low, found.high, other.low, other.high))
+    return found
 
 
 def where_triggered(trigger: MarginBounds, response: MarginBounds) -> MarginBounds:
-    """The response's margin where the trigger holds, inf where it does not, both where that is unknown."""
-    low = np.where(trigger.high < 0.0, np.inf, response.low)
-    high = np.where(trigger.low >= 0.0, response.high, np.inf)
-    return MarginBounds(low, high)
+    """Return the response's margin where the trigger holds, inf where it does not, both where unknown."""
+    return MarginBounds(*_asked(trigger.low, trigger.high, response.low, response.high))
 
 
 def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> MarginBounds:
-    """The margins of a comparison whose signal lies between ``low`` and ``high`` (n,), NaN where unknown."""
+    """Return margins of a comparison with a signal between ``low`` and ``high`` (n,), NaN where unknown."""
     limit, relation = comparison.limit.value, comparison.relation
     above = relation in (Relation.ABOVE, Relation.AT_LEAST)
     least = low - limit if above else limit - high
@@ -216,7 +167,7 @@ def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> Marg
 
 
 def truth_bounds(value: Values) -> MarginBounds:
-    """The margins of a truth ``value`` (n,): 1.0, 0.0, or NaN where it is unknown."""
+    """Return the margins of a truth ``value`` (n,): 1.0, 0.0, or NaN where it is unknown."""
     margin = np.where(value > 0.5, np.inf, -np.inf)
     unknown = np.isnan(value)
     return MarginBounds(margin, np.where(unknown, np.inf, margin) if unknown.any() else margin)
@@ -224,7 +175,7 @@ def truth_bounds(value: Values) -> MarginBounds:
 
 @compiled
 def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """out[k] = min of x[k:] of ``x`` (n,)."""
+    """Return out[k] = min of x[k:] of ``x`` (n,)."""
     out = np.empty(x.shape[0])
     least = np.inf
     for k in range(x.shape[0] - 1, -1, -1):
@@ -235,10 +186,10 @@ def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @compiled
 def least_in_window(x: NDArray[np.float64], begin: int, end: int, beyond: float) -> NDArray[np.float64]:
-    """out[k] = min of x[k + begin] to x[k + end], ends included, with ``beyond`` where they leave x.
+    """Return out[k] = min of x[k + begin] to x[k + end], ends included, with ``beyond`` outside of x.
 
-    0 <= begin <= end.  A queue keeps the positions at which a smaller value than all before it
-    stands, seen from the window's begin: each is put in and taken out once.
+    0 <= begin <= end.  A queue has the positions of values that are smaller than all values before them, as
+    seen from the window's begin.  Each position enters and leaves the queue once.
 
     ``x`` (n,).
     """
@@ -265,7 +216,7 @@ def least_in_window(x: NDArray[np.float64], begin: int, end: int, beyond: float)
 def until_from_here(
     lasts: NDArray[np.float64], ends: NDArray[np.float64], beyond: float
 ) -> NDArray[np.float64]:
-    """out[k] = max over j >= k of min(ends[j], min of lasts[k:j]); ``beyond`` follows the last sample.
+    """Return out[k] = max over j >= k of min(ends[j], min of lasts[k:j]); ``beyond`` follows the last sample.
 
     ``lasts`` and ``ends`` (n,).
     """
@@ -278,18 +229,81 @@ def until_from_here(
     return out
 
 
+@compiled
+def _asked(trigger_low: Values, trigger_high: Values, low: Values, high: Values) -> tuple[Values, Values]:
+    """Return both ends (n,) of ``where_triggered``.
+
+    ``trigger_low``, ``trigger_high``, ``low`` and ``high`` are of shape (n,).
+    """
+    return np.where(trigger_high < 0.0, np.inf, low), np.where(trigger_low >= 0.0, high, np.inf)
+
+
+@compiled
+def _until(lasts: Values, ends: Values, begin: int, end: int, beyond: float) -> Values:
+    """Return one end (n,) of an "until": with a window, second comes within it, and first lasts until then.
+
+    ``lasts`` and ``ends`` (n,), ``beyond`` follows the last sample.  Source: Donze, Ferrere and Maler,
+    Efficient robust monitoring for STL, 2013.
+    """
+    if begin < 0:
+        return until_from_here(lasts, ends, -np.inf)
+    lasting = until_from_here(lasts, ends, beyond)
+    if begin > 0:
+        shifted = np.full(len(lasts), beyond)
+        shifted[: max(len(lasts) - begin, 0)] = lasting[begin:]
+        lasting = np.minimum(shifted, least_in_window(lasts, 0, begin - 1, beyond))
+    return np.minimum(-least_in_window(-ends, begin, end, -beyond), lasting)
+
+
+@compiled
+def operate(
+    operator: int, begin: int, end: int, low: Values, high: Values, other_low: Values, other_high: Values
+) -> tuple[Values, Values]:
+    """Return the margins (n,) of an operator by those of its first part and of its second, if it has one.
+
+    ``low``, ``high``, ``other_low`` and ``other_high`` are of shape (n,).
+
+    Args:
+        operator: Its place in ``OPERATORS``.
+        begin: The first tick of its window, counted from now; negative without a window.
+        end: The last tick of its window.
+        low: The least margins of the first part.
+        high: Its largest margins.
+        other_low: The least margins of the second part.
+        other_high: Its largest margins.
+
+    """
+    if operator == NOT:
+        return -high, -low
+    if operator == AND:
+        return np.minimum(low, other_low), np.minimum(high, other_high)
+    if operator == OR:
+        return np.maximum(low, other_low), np.maximum(high, other_high)
+    if operator == UNTIL:
+        return _until(low, other_low, begin, end, -np.inf), _until(high, other_high, begin, end, np.inf)
+    sign = -1.0 if operator == EVENTUALLY else 1.0
+    if operator == GLOBALLY:
+        low, high = _asked(low, high, other_low, other_high)
+    if begin < 0:
+        return sign * least_from_here(sign * low), sign * least_from_here(sign * high)
+    return (
+        sign * least_in_window(sign * low, begin, end, -sign * np.inf),
+        sign * least_in_window(sign * high, begin, end, sign * np.inf),
+    )
+
+
 @dataclass(frozen=True)
 class Witness:
-    """A tick, from 0, and what is said there; ``atom`` is None for what comes after the last tick."""
+    """A tick, from 0, and the comparison or truth that decides; ``atom`` is None after the last tick."""
 
     tick: int
     atom: Comparison | Truth | None
 
 
 def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witness:
-    """Where the lower (or upper) bound of the margin at ``tick`` comes from.
+    """Return the source of the lower (or upper) bound of the margin at ``tick``.
 
-    Of several places with the same margin the first that is not known for certain, else the first.
+    Among several places with the same margin, the first that is not certain decides, else the first.
     """
     formula, parts = margins.formula, margins.parts
     match formula:
@@ -322,7 +336,7 @@ def _side(bounds: MarginBounds, *, low: bool) -> NDArray[np.float64]:
 
 
 def _extreme(values: NDArray[np.float64], doubtful: NDArray[np.bool_], *, least: bool) -> int:
-    """The place of the least or largest value, a doubtful one before others."""
+    """Return the place of the least or largest value; a doubtful place comes before others."""
     at = np.flatnonzero(values == (values.min() if least else values.max()))
     unsure = at[doubtful[at]]
     return int(unsure[0] if len(unsure) else at[0])
@@ -337,7 +351,7 @@ def _first(parts: list[MarginBounds], tick: int, *, low: bool, least: bool) -> i
 def _in_window(
     body: MarginBounds, tick: int, span: Span | None, period_s: float, *, low: bool, least: bool
 ) -> int | None:
-    """The tick that decides, or None where that is one beyond the last."""
+    """Return the tick that decides, or None where that is after the last tick."""
     values, n = _side(body, low=low), len(body.low)
     begin, end = (tick, n - 1) if span is None else (tick + t for t in span.ticks(period_s))
     within = slice(begin, min(end, n - 1) + 1)
@@ -350,7 +364,7 @@ def _in_window(
 
 
 def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *, low: bool) -> Witness:
-    """Of the ticks at which the second part may end it the best, and there the worst of what is asked."""
+    """Return the best of the ticks at which the second part may end it, and there the worst of the parts."""
     first, second = margins.parts
     n = len(margins.bounds.low) - tick
     begin, end = (0, n - 1) if span is None else span.ticks(period_s)
@@ -369,7 +383,7 @@ def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *
 
 
 def _from(bounds: MarginBounds, tick: int, later: int) -> MarginBounds:
-    """From ``tick`` on, with as many unknown ones after the last."""
+    """Return bounds from ``tick`` on, with ``later`` unknown ticks after the last."""
     return MarginBounds(
         np.append(bounds.low[tick:], np.full(later, -np.inf)),
         np.append(bounds.high[tick:], np.full(later, np.inf)),

@@ -1,4 +1,4 @@
-"""From a trace to each signal: its value at the ticks and what is known of it between them."""
+"""Signals of a trace: their values at the ticks, and what is known of them between the ticks."""
 
 from __future__ import annotations
 
@@ -29,11 +29,9 @@ from safety_harness.claims.signals.signal import (
 from safety_harness.claims.signals.speeds import sample_joint_speed, sample_tcp_speed, tcp_way_m, turned_rad
 from safety_harness.claims.signals.true_motion import (
     TOLERANCE,
-    HandPaths,
     arm_of,
     finer_paths,
     hand_bend_m,
-    true_motion,
 )
 from safety_harness.claims.signals.uncertainty import (
     HANDS,
@@ -68,14 +66,14 @@ def measure(
     reads: Sequence[str],
     **more: Any,
 ) -> Callable[[Sample], Measure]:
-    """The signal of a function that takes it from a trace, one of ``SIGNALS`` from then on."""
+    """Return a decorator that makes a measure of a function from a trace, and adds it to ``SIGNALS``."""
     said = partial(Measure, words=words, dimension=dimension, meaning=meaning, between=between, **more)
     said = partial(said, reads=tuple(reads))
     return lambda sample: _listed(said(sample=sample))
 
 
 def flag(words: str, meaning: str, *, reads: Sequence[str]) -> Callable[[Sample], Flag]:
-    """The same for what is true or false."""
+    """Return such a decorator for a signal that is true or false."""
     return lambda sample: _listed(Flag(words=words, meaning=meaning, sample=sample, reads=tuple(reads)))
 
 
@@ -85,12 +83,12 @@ def _listed(signal: Listed) -> Listed:
 
 
 def in_force(trace: Trace) -> NDArray[np.int64]:
-    """(n,) the latest decision at each tick, -1 before the first."""
+    """Return (n,) the number of the latest decision at each tick, -1 before the first decision."""
     return np.maximum.accumulate(trace.ticks["decision"])
 
 
 def out_of_knowledge(trace: Trace, signal: Signal) -> NDArray[np.bool_]:
-    """(n,) where ``signal``, of the latest decision, is not known: from a gap up to the next decision."""
+    """Return (n,) where ``signal``, of the latest decision, is not known: from a gap to the next decision."""
     gone = lost(trace, signal.reads)
     if gone.any():
         ticks, made = np.arange(len(gone)), trace.ticks["decision"] >= 0
@@ -100,7 +98,10 @@ def out_of_knowledge(trace: Trace, signal: Signal) -> NDArray[np.bool_]:
 
 
 def in_mode(mode: Mode) -> Sample:
-    """Whether the controller is in ``mode``; where it was either of some others, it is not."""
+    """Return a function that samples whether the controller is in ``mode``.
+
+    In a gap with several possible modes, it is not, unless ``mode`` is one of them.
+    """
 
     def sample(trace: Trace) -> Sampled:
         found, gone = truth(trace.ticks["mode"] == mode), lost(trace, ["mode"])
@@ -116,7 +117,7 @@ def in_mode(mode: Mode) -> Sample:
 
 
 def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
-    """Something (n,) that is true or false until the next tick.  ``true`` (n,)."""
+    """Return a signal ``true`` (n,) that is true or false until the next tick."""
     return at_ticks(np.asarray(true, np.float64))
 
 
@@ -140,9 +141,9 @@ def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
 )
 @lru_cache(maxsize=4)
 def hand_distance(trace: Trace) -> Sampled:
-    """Of any hand or forearm from any link, surface to surface, with the bounds of the catalogue's claim.
+    """Sample the distance of any hand or forearm from any link, surface to surface.
 
-    Occasions: a hand comes near to the arm's surface.
+    It has the bounds of the catalogue's claim.  Occasions: a hand comes near to the arm's surface.
     """
     return _from_hands(trace)
 
@@ -157,14 +158,14 @@ def hand_distance(trace: Trace) -> Sampled:
 )
 @lru_cache(maxsize=4)
 def nearest_hand_to_tcp(trace: Trace) -> Sampled:
-    """From the TCP to the nearest hand's centre, with bounds as of the hand distance."""
+    """Sample the distance from the TCP to the nearest hand's centre, bounded as the hand distance."""
     return _from_hands(trace, from_tcp=True)
 
 
 def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -> Sampled:
-    """The distance of the nearest hand; ``finely``: with the hands followed in parts of a tick.
+    """Sample the distance of the nearest hand; ``finely``: with the hands followed in parts of a tick.
 
-    Between two ticks its least value lies between both ends of ``ends_between``, and it is not above what
+    Between two ticks its least value lies between both ends of ``ends_between``.  It is at most as large as
     both ticks and the ways of arm and hand allow.
     """
     paths, why = followed_hands(trace)
@@ -178,12 +179,16 @@ def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -
         value, present = trace.ticks["hand_distance_m"][:, :hands], trace.ticks["hand_present"][:, :hands]
         value = np.where(present & np.isinf(value), np.nan, value)  # else the other hand would hide it
     low, high, surely = value.copy(), value.copy(), value.copy()
+    turned_rad = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
+    arm_m = tcp_way_m(trace) if from_tcp else turned_rad @ arm_of(trace).reach_m
     for hand in range(hands):
-        ends_m = ends_between(trace, paths, hand, from_tcp=from_tcp)
+        ends_m, (hand_m, elbow_m) = ends_between(trace, paths, hand, from_tcp=from_tcp)
         for side, least_m in zip((low, surely), ends_m, strict=True):
             side[:-1, hand] = np.minimum(side[:-1, hand], least_m)
-        way_m, slack_m = _ways(trace, paths, hand, from_tcp=from_tcp)
-        high[:-1, hand] = tent(value[:-1, hand], value[1:, hand], way_m, slack_m)[1]
+        bend_m = hand_bend_m(trace, paths, hand, centre=from_tcp)
+        bend_m = bend_m if from_tcp else joint_bend_m(trace) + bend_m
+        way_m = arm_m + np.maximum(hand_m, elbow_m)
+        high[:-1, hand] = tent(value[:-1, hand], value[1:, hand], way_m, bend_m)[1]
     signal, what = (nearest_hand_to_tcp, "the TCP") if from_tcp else (hand_distance, "the arm's surface")
     return replace(_nearest(signal, trace, value, low, high, what), surely=surely.min(axis=1))
 
@@ -208,7 +213,7 @@ tcp_speed = measure(
     off=of_place,
 )
 def tcp_height(trace: Trace) -> Sampled:
-    """Above the base frame's origin."""
+    """Sample the height above the base frame's origin."""
     return bounded(trace.ticks["transform_tcp_to_base"][:, 2, 3], tcp_way_m(trace))
 
 
@@ -220,7 +225,7 @@ def tcp_height(trace: Trace) -> Sampled:
     off=of_place,
 )
 def distance_to_desired_pose(trace: Trace) -> Sampled:
-    """Of the TCP from where servoing wants it."""
+    """Sample the distance of the TCP from the pose at which servoing aims."""
     return bounded(pose_errors(trace)[0], tcp_way_m(trace))
 
 
@@ -231,7 +236,7 @@ def distance_to_desired_pose(trace: Trace) -> Sampled:
     reads=[TCP, "joint_position_rad", "joint_velocity_radps"],
 )
 def angle_to_desired_pose(trace: Trace) -> Sampled:
-    """By which the TCP would have to turn; endless, which it never is, for a pose that is none."""
+    """Sample the angle by which the TCP would have to turn; infinite for a transform that is not a pose."""
     none = np.abs(trace.ticks["transform_tcp_to_base"][:, :3, :3]).max(axis=(1, 2)) > 1.0 + TOLERANCE
     return bounded(np.where(none, np.inf, pose_errors(trace)[1]), turned_rad(trace))
 
@@ -255,7 +260,7 @@ joint_speed = measure(
     off=by_uncertainty_of("sse"),
 )
 def image_error(trace: Trace) -> Sampled:
-    """Eq. 15 as the controller has it; unknown while the object is not seen."""
+    """Sample eq. 15 as the controller has it; unknown while the object is not seen."""
     sse = trace.ticks["sse"]
     if not np.any(np.isfinite(sse)):
         return absent(trace, "the object is never seen")
@@ -271,7 +276,7 @@ def image_error(trace: Trace) -> Sampled:
     off=by_uncertainty_of("decision.proposed_spread_m"),
 )
 def spread(trace: Trace) -> Sampled:
-    """The largest of the three axes, as the gate takes it."""
+    """Sample the largest of the three axes, as the gate does."""
     if len(trace.decisions) == 0:
         return _untried(trace, no_decision, "nothing was decided")
     spread_m = trace.decisions["proposed_spread_m"].max(axis=1)
@@ -291,7 +296,10 @@ def spread(trace: Trace) -> Sampled:
     off=by_uncertainty_of("predicted_distance_m"),
 )
 def predicted_hand_distance(trace: Trace) -> Sampled:
-    """From the TCP to the nearest predicted hand, inf where none is.  Occasions: one comes near."""
+    """Sample the distance from the TCP to the nearest predicted hand, inf without one.
+
+    Occasions: a predicted hand comes near.
+    """
     distance_m = trace.ticks["predicted_distance_m"]
     if not np.any(np.isfinite(distance_m)):
         return _untried(trace, no_predicted_hand, "no hand was predicted")
@@ -308,7 +316,10 @@ def predicted_hand_distance(trace: Trace) -> Sampled:
     off=by_uncertainty_of("predicted_hand_in_base_m", HANDS),
 )
 def prediction_error(trace: Trace) -> Sampled:
-    """What ``HandPredictions`` judges, at the tick of the prediction; unknown if it is for after the run."""
+    """Sample the error that ``HandPredictions`` judges, at the tick of the prediction.
+
+    It is unknown for a prediction of a time after the run.
+    """
     valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
     if hands == 0 or not valid.any():
         return _untried(trace, no_predicted_hand if hands else no_hand, "no hand was predicted")
@@ -325,7 +336,10 @@ def prediction_error(trace: Trace) -> Sampled:
 
 @measure("elapsed time", TIME, "since the run began", reads=[])
 def elapsed_time(trace: Trace) -> Sampled:
-    """Since the run began: the floats nearest to whole control periods, so that none is beside its limit."""
+    """Sample the time since the run began.
+
+    Its values are the floats nearest to whole control periods, so that a limit is met exactly.
+    """
     period = Fraction(repr(trace.scenario.settings.clock.control_period_s))  # as it is written, in decimals
     ticks: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64)
     time_s = ticks * float(period.numerator) / float(period.denominator)
@@ -359,7 +373,7 @@ deciding = flag("deciding", "a decision is made at this tick", reads=["decision"
     reads=["mode", "decision", "decision.outcome"],
 )
 def falling_back(trace: Trace) -> Sampled:
-    """While it gives way to the opposite pose, or stops, because of its latest decision."""
+    """Sample whether the arm retreats to the opposite pose, or stops, because of its latest decision."""
     if len(trace.decisions) == 0:
         return _untried(trace, no_decision, "nothing was decided")
     number, gone = in_force(trace), out_of_knowledge(trace, falling_back)
@@ -375,14 +389,14 @@ hand_tracked = flag("hand tracked", "the controller predicts a hand at least", r
 
 @flag("fault acting", "one of the scenario's faults acts", reads=["faults"])
 def fault_acting(trace: Trace) -> Sampled:
-    """At least one of the scenario's faults acts."""
+    """Sample whether at least one of the scenario's faults acts."""
     if not trace.scenario.faults:
         return absent(trace, "there is no fault in this scenario")
     return truth(trace.ticks["faults"] != 0)
 
 
 def _untried(trace: Trace, lacked: Callable[[Trace], str], words: str) -> Sampled:
-    """A signal that this run lacks, as ``lacked`` tells of a trace that is wholly known, else ``words``."""
+    """Return an absent signal: the reason is ``lacked`` if the trace is wholly known, else ``words``."""
     return absent(trace, f"never exercised: {lacked(trace) if trace.known.whole else words}")
 
 
@@ -394,7 +408,7 @@ def _nearest(
     high: NDArray[np.float64],
     what: str,
 ) -> Sampled:
-    """The nearest of the hands of (n, hands) distances and bounds of them: of those that were measured."""
+    """Return the nearest of the hands that were measured, by (n, hands) distances and their bounds."""
     gone = None
     if gaps_of(trace, signal.reads):
         gone = lost(trace, signal.reads)
@@ -409,48 +423,6 @@ def _nearest(
 
 
 def _coming_near(distance: Sampled, whose: str, what: str) -> Sampled:
-    """The distance of ``whose`` from ``what``, exercised each time that it falls below NEAR_M."""
+    """Return the distance of ``whose`` from ``what``, exercised each time that it falls below NEAR_M."""
     near = NEAR_M - distance.value
     return replace(distance, tried=(near, near), comes=(whose, what))
-
-
-def _path_m(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n-1,) ways of a hand and of its elbow within each tick [m], corners of a recording included."""
-    own, last = paths.corner_hand == hand, len(trace.ticks) - 1
-    at = np.append(np.arange(last + 1, dtype=np.float64), paths.corner_at[own])
-    points = np.append(true_motion(trace).hands_m[:, hand], paths.corners_in_base_m[own], axis=0)
-    order = np.argsort(at, kind="stable")
-    tick = np.minimum(at[order][:-1].astype(int), max(last - 1, 0))
-    ways = np.zeros((2, max(last, 0)))
-    for way, place in zip(ways, points[order].transpose(1, 0, 2), strict=True):
-        np.add.at(way, tick, np.linalg.norm(np.diff(place, axis=0), axis=1))
-    return ways[0], ways[1]
-
-
-def _ways(
-    trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n-1,) how far arm and hand can go to or from each other within a tick, and by how much they bend."""
-    hand_m, elbow_m = _path_m(trace, paths, hand)
-    if from_tcp:
-        return tcp_way_m(trace) + hand_m, hand_bend_m(trace, paths, hand, centre=True)
-    turned = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
-    way_m = turned @ arm_of(trace).reach_m + np.maximum(hand_m, elbow_m)
-    return way_m, joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
-
-
-def markdown_of_signals(signals: Sequence[Signal] = SIGNALS) -> str:
-    """A row for each signal: its words and Python name, units, meaning, what is known between ticks."""
-    rows = ["| words | in Python | units | what it is | between ticks |", "|---|---|---|---|---|"]
-    for signal in signals:
-        units = "true or false"
-        if signal.dimension:
-            units = ", ".join(signal.dimension.units) or "a plain number"
-        name = f"`{signal.words}` | `{python_name(signal)}()`"
-        rows.append(f"| {name} | {units} | {signal.meaning} | {signal.between.value} |")
-    return "\n".join(rows) + "\n"
-
-
-def python_name(signal: Signal) -> str:
-    """What ``claims.formulas.language`` calls it."""
-    return signal.words.lower().replace(" ", "_")

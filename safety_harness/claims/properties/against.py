@@ -1,6 +1,6 @@
-"""Two avoiders on the same draws: what the one on trial does that the other, the reference, does not.
+"""Two avoiders on the same draws: the differences of the avoider on trial from the reference.
 
-Scenario, seed and everything else are the same for both, so that what differs is the avoiders' doing.
+Scenario, seed and everything else are the same for both, so that the avoiders cause every difference.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ TOLERANCES = {unit: TOLERANCE * scale for unit, scale in SCALES.items()} | {Unit
 
 
 def tolerance(*both: Evaluation) -> float:
-    """Return the margin [SI] that may be lost without being told; of a share, at least one occasion.
+    """Return the margin [SI] whose loss is not reported; for a share, at least one occasion.
 
-    A count is exact, and the best that it has may be 0: of questions without an answer, say.
+    A count is exact, and its best margin may be 0, for example that of questions without an answer.
     """
     unit, exercised = both[0].unit, min(one.exercised for one in both)
     whole = 1.0 / max(exercised, 1) if unit is Unit.FRACTION else 0.0
@@ -48,7 +48,7 @@ def tolerance(*both: Evaluation) -> float:
 
 
 class VerdictChange(Enum):
-    """What becomes of a claim with the avoider on trial in the reference's place."""
+    """The change of a claim with the avoider on trial in the reference's place."""
 
     NEW = "new violation"
     DEEPER = "violated by more"
@@ -63,20 +63,20 @@ _TOLD = (VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT, VerdictC
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimDifference:
-    """One claim in one run with either avoider."""
+    """A claim in a run with either avoider."""
 
     mine: Evaluation
     reference: Evaluation
 
     @property
     def lost(self) -> float:
-        """How much less the margin is than the reference's [SI]; NaN where one of them has none."""
+        """Return the reference's margin less the other [SI]; NaN if either is missing."""
         a, b = self.reference.margin, self.mine.margin
         return a - b if a is not None and b is not None else float("nan")
 
     @property
     def change(self) -> VerdictChange:
-        """A violation is new as well where the reference has no verdict: nobody saw it violate."""
+        """Return the change; a violation is new as well where the reference has no verdict."""
         mine, reference = self.mine.verdict, self.reference.verdict
         less = self.lost > tolerance(self.mine, self.reference)
         if mine is Verdict.VIOLATED:
@@ -91,7 +91,7 @@ class ClaimDifference:
         return VerdictChange.LOST if less and reference is Verdict.HOLDS else VerdictChange.NONE
 
     def words(self, reference: str) -> str:
-        """Margins of both, or the verdict where there is none."""
+        """Return the margins of both, or the verdict where there is no margin."""
         mine, other = (
             one.verdict.value if one.margin is None else one.margin_text()
             for one in (self.mine, self.reference)
@@ -101,7 +101,7 @@ class ClaimDifference:
 
 @dataclass(frozen=True, kw_only=True)
 class RunDifference:
-    """One scenario with one seed, run with either avoider."""
+    """A scenario with a seed, run with either avoider."""
 
     run: str
     claims: tuple[ClaimDifference, ...]
@@ -112,7 +112,10 @@ class RunDifference:
     def of(
         cls, mine: Trace, reference: Trace, judged: Iterable[tuple[Evaluation, Evaluation]]
     ) -> RunDifference:
-        """Of two traces and what was said of them; that the avoider answered is judged in every run."""
+        """Return the difference of two traces and of their evaluations.
+
+        Every run is also judged on whether the avoider answered.
+        """
         pairs = list(judged)
         if not is_claimed(mine.scenario.claims):
             answered = AvoiderAnswered()
@@ -125,11 +128,11 @@ class RunDifference:
         )
 
     def has(self, *changes: VerdictChange) -> bool:
-        """Is any of them in it?"""
+        """Return whether a claim has any of these changes."""
         return any(one.change in changes for one in self.claims)
 
     def lines(self, reference: str) -> Iterator[str]:
-        """What the reference does not do, the overruling among it."""
+        """Yield what the reference does not do, overruling included."""
         for one in self.claims:
             if one.change in _TOLD:
                 yield f"{one.change.value}: {self.run}: {one.mine.sentence}: {one.words(reference)}"
@@ -141,16 +144,16 @@ class RunDifference:
 
     @property
     def more_overruled(self) -> float:
-        """By how much the share of overruled proposals is greater; 0 where one of them proposed nothing."""
+        """Return the increase of the share of overruled proposals; 0 where one avoider proposed nothing."""
         more = self.mine.share - self.reference.share
         return more if isfinite(more) else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Against:
-    """``mine`` (its name) held against ``reference`` in ``runs`` of the same draws.
+    """``mine`` (its name) beside ``reference`` in ``runs`` of the same draws.
 
-    Of runs that a search chose nothing is tested: then they are not ``drawn``.
+    Runs that a search chose are not ``drawn``: no test is computed from them.
     """
 
     mine: str
@@ -160,18 +163,18 @@ class Against:
 
     @property
     def worse(self) -> bool:
-        """Is there a violation that the reference does not have or has by less, or a verdict lost?"""
+        """Return whether there is a new or deeper violation, or a lost verdict."""
         return any(
             run.has(VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT) for run in self.runs
         )
 
     def count(self, change: VerdictChange) -> int:
-        """Runs in which any claim changes so."""
+        """Return the number of runs in which any claim changes so."""
         return sum(run.has(change) for run in self.runs)
 
     @property
     def sentence(self) -> str:
-        """Violations in pairs, with the exact test.  Where one has no verdict the pair tells nothing."""
+        """Return the violations in pairs, with the exact test; a pair without a verdict does not count."""
         new = [self._certain(run, VerdictChange.NEW) for run in self.runs]
         gone = [self._certain(run, VerdictChange.GONE) for run in self.runs]
         both = sum(a and b for a, b in zip(new, gone, strict=True))
@@ -190,7 +193,10 @@ class Against:
 
     @property
     def overruling(self) -> str:
-        """Overruled proposals of both, and in how many runs more or less; empty if nothing was proposed."""
+        """Return the overruled proposals of both, and how many runs have more or less.
+
+        The text is empty without proposals.
+        """
         mine, reference = (
             sum((getattr(run, name) for run in self.runs), Overruling()) for name in ("mine", "reference")
         )
@@ -200,7 +206,7 @@ class Against:
         return words and words + (p_words(more, less) if self.drawn else "")
 
     def lines(self) -> Iterator[str]:
-        """Of each claim how much of what there is, then the two sentences."""
+        """Yield the changes of each claim with their numbers, then the two sentences."""
         sentences = dict.fromkeys(one.mine.sentence for run in self.runs for one in run.claims)
         for sentence in sentences:
             found = [(run, one) for run in self.runs for one in run.claims if one.mine.sentence == sentence]
@@ -220,7 +226,7 @@ class Against:
         yield from filter(None, (self.sentence, self.overruling))
 
     def as_json(self) -> dict[str, Any]:
-        """For programs; margins are SI."""
+        """Return the comparison for programs; margins are SI."""
         return {
             "mine": self.mine,
             "reference": self.reference,
@@ -249,9 +255,9 @@ def _as_json(one: ClaimDifference) -> dict[str, Any]:
 
 
 def paired_words(mine: str, reference: str, new: int, gone: int, runs: int, *, both: int = 0) -> str:
-    """One sentence, for ``p_words`` behind it: in how many of ``runs`` only one of them violates a claim.
+    """Return in how many of ``runs`` only one of them violates a claim; ``p_words`` follows.
 
-    In ``both`` each violates one that the other keeps: they speak for neither.
+    If each violates a claim that the other keeps (``both``), the run does not count for either.
     """
     as_well = f"; in {both} each violates one that the other keeps" if both else ""
     return (
@@ -263,7 +269,7 @@ def paired_words(mine: str, reference: str, new: int, gone: int, runs: int, *, b
 def overruling_words(
     mine: tuple[str, Overruling], reference: tuple[str, Overruling], more: int, less: int
 ) -> str:
-    """One sentence, for ``p_words`` behind it, on two names with their tallies; empty without proposals."""
+    """Return a sentence on two names with their tallies, before ``p_words``; empty without proposals."""
     if not (mine[1].proposals and reference[1].proposals):
         return ""
     shares = ", ".join(
@@ -274,6 +280,6 @@ def overruling_words(
 
 
 def p_words(more: int, fewer: int) -> str:
-    """McNemar's exact test of "either is equally likely", in which ties say nothing."""
+    """Return McNemar's exact test of "either is equally likely", in which ties do not count."""
     p = sign_test(more, fewer)
     return " (p < 0.001)" if p < 0.001 else f" (p = {p:.2g})"

@@ -1,6 +1,6 @@
-"""The avoider is what answers, and in time: else the fallback stands in for it, and is what is shown.
+"""The avoider itself answers, and in time; else the fallback acts in its place.
 
-That it answers is the one claim that is judged of every run, whether its scenario makes it or not.
+That it answers is the only claim that is judged of every run, whether its scenario makes it or not.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ NOT_MODELLED = "computing time not modelled"
 
 @dataclass(frozen=True, kw_only=True)
 class AvoiderAnswered:
-    """Minus the number of questions that got no usable answer.
+    """Minus the number of questions without a usable answer.
 
-    No answer is an exception, what is no proposal, a NaN, an answer that came too late, a process that
-    ended.  One that the gate refuses is an answer.  A fault of the scenario that keeps the avoider from
-    answering is not the avoider's: such questions do not count.
+    An exception, an invalid proposal, a NaN, a late answer and a process that ended count as no answer.  An
+    answer that the gate refuses is an answer.  Questions do not count if a fault of the scenario kept the
+    avoider from answering.
     """
 
     unit: Unit = Unit.COUNT
@@ -70,7 +70,7 @@ class AvoiderAnswered:
 
 
 def unanswered(trace: Trace) -> NDArray[np.bool_]:
-    """(m,) decisions without a usable answer for which no fault of the scenario accounts."""
+    """Return (m,) the decisions without a usable answer that no fault of the scenario explains."""
     decisions = trace.decisions
     if len(decisions) == 0:
         return np.zeros(0, np.bool_)
@@ -80,19 +80,22 @@ def unanswered(trace: Trace) -> NDArray[np.bool_]:
 
 
 def fault_of(trace: Trace) -> str:
-    """What the avoider did first instead of answering, without its numbers; empty if it always answered."""
+    """Return what the avoider did first instead of answering; empty if it always answered.
+
+    The text has no numbers, so that equal faults are equal.
+    """
     if len(trace.decisions) == 0 or not (silent := unanswered(trace)).any():
         return ""
     return f"the avoider gave no answer: {_MEASURED.sub('...', _words(trace, int(np.argmax(silent))))}"
 
 
 def without_numbers(text: str) -> str:
-    """By what mistakes are told apart: those of names, lines of files and exit codes stay."""
+    """Return the text by which mistakes differ: numbers of names, lines of files and exit codes stay."""
     return _NUMBER.sub("...", text)
 
 
 def fallback_words(unanswered: int, decisions: int) -> str:
-    """For headlines, of an avoider that gave no usable answer to some questions; empty if it always did."""
+    """Return a headline for an avoider without some usable answers; empty if it always answered."""
     if not unanswered:
         return ""
     never = "did not answer" if unanswered == decisions else "did not always answer"
@@ -101,9 +104,10 @@ def fallback_words(unanswered: int, decisions: int) -> str:
 
 
 def _own(trace: Trace) -> NDArray[np.bool_]:
-    """(m,) questions whose answer no fault of the scenario suppresses; such a fault is marked at the tick.
+    """Return (m,) the questions whose answer no fault of the scenario suppresses.
 
-    An answer that takes longer than the deadline by itself is late whatever fault acts.
+    Such a fault is marked at the tick.  An answer that takes longer than the deadline by itself is late
+    whatever fault acts.
     """
     if not trace.scenario.faults:
         return np.ones(len(trace.decisions), np.bool_)
@@ -140,19 +144,19 @@ DEFAULT_CLAIM = Claim(sentence=ANSWERED.example, expected=Verdict.HOLDS)
 
 
 def is_claimed(claims: Iterable[Claim]) -> bool:
-    """Do ``claims`` say anything of it themselves?"""
+    """Return whether ``claims`` include it."""
     return any(ANSWERED.understands(claim.sentence) for claim in claims)
 
 
 def with_expectation(claims: tuple[Claim, ...], scenario: Scenario) -> tuple[Claim, ...]:
-    """``claims`` with what the scenario itself expects of the avoider's answering, unless they say it."""
+    """Return ``claims``, and the scenario's own expectation of answers unless they have one."""
     if is_claimed(claims):
         return claims
     return claims + tuple(claim for claim in scenario.claims if is_claimed([claim]))
 
 
 def by_default(trace: Trace) -> Evaluation | None:
-    """The word on a run that the avoider did not answer in, although nobody expects that; else None."""
+    """Return the evaluation of a run without some answers that was expected to have them; else None."""
     expected = (c.expected for c in trace.scenario.claims if ANSWERED.understands(c.sentence))
     if next(expected, Verdict.HOLDS) is not Verdict.HOLDS:
         return None
@@ -164,10 +168,10 @@ def by_default(trace: Trace) -> Evaluation | None:
 class DecisionTime(Worded):
     """min over decisions of ``within_s`` less the time that the arm went on without the answer.
 
-    That is the decision time of the settings, or as the avoider declares it, and what a fault of the
-    scenario adds, to the tick at which the answer counts.  An answer that was given up on at the deadline
-    never came: it counts as one control period more than the limit, at least.  A decision that costs no
-    simulated time shows nothing: with one of those nothing holds.
+    The time is the decision time of the settings, or of the avoider's declaration, and the delay by a fault
+    of the scenario, until the tick at which the answer counts.  An answer that missed the deadline never
+    came: it counts as at least one control period more than the limit.  A decision that costs no simulated
+    time is not evidence, and the claim cannot hold with it.
     """
 
     within_s: float

@@ -1,21 +1,20 @@
-"""What every property is and says: a function of a Trace with a signed margin and a verdict.
+"""A property: a function of a Trace with a signed margin and a verdict.
 
-A margin is positive where the property holds and negative where it is violated, in a physical
-unit, never rounded before it is compared.  *Inconclusive* is for a trace that is no evidence
-either way: empty, truncated, in contradiction with itself, with a NaN or an infinity in what the
-property reads, or one in which the property was never exercised.  A violation seen before a
-truncation is still a violation.
+A margin is positive where the property holds and negative where it is violated.  It has a physical unit, and
+is never rounded before a comparison.  *Inconclusive* is the verdict on a trace that is not evidence either
+way.  Such a trace is empty, truncated, contradicts itself, has a NaN or an infinity in the columns that the
+property reads, or never exercised the property.  A violation before a truncation is still a violation.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import isclose, isfinite
-from typing import Any, ClassVar, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +33,7 @@ OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distanc
 
 
 class Unit(Enum):
-    """The unit that a margin is shown in: (symbol, factor from SI)."""
+    """The unit of a shown margin: (symbol, factor from SI)."""
 
     LENGTH = ("mm", 1e3)
     ANGLE = ("deg", 180.0 / np.pi)
@@ -48,16 +47,16 @@ class Unit(Enum):
 
     @property
     def symbol(self) -> str:
-        """As people write it."""
+        """Return the unit as people write it."""
         return self.value[0]
 
     @property
     def per_si(self) -> float:
-        """How many of it are one SI unit."""
+        """Return the number of units in one SI unit."""
         return self.value[1]
 
     def margin_text(self, margin: float | None) -> str:
-        """A margin (SI) with its sign, in this unit; a dash for none, or for a NaN."""
+        """Return a margin (SI) with its sign, in this unit; a dash for None, or for a NaN."""
         if margin is None or np.isnan(margin):
             return "-"
         return shown_margin(margin * self.per_si, self.symbol)
@@ -77,20 +76,20 @@ SI_UNITS = {
 
 
 def shown_margin(margin: float, symbol: str) -> str:
-    """A margin that is in the unit ``symbol`` already; without a symbol it is a count, and whole."""
+    """Return a margin that is in the unit ``symbol`` already; without a symbol it is a count, and whole."""
     number = f"{margin:+.1f}" if abs(margin) >= 1.0 and symbol else f"{margin:+.{3 if symbol else 9}g}"
     return f"{number} {symbol}".rstrip()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """One property's word on one trace.
+    """The result of evaluating a property on a trace.
 
-    ``margin`` (SI) and ``worst_time_s`` are None where there is none to give; ``reason`` says in
-    a sentence what decided; ``exercised`` counts the occasions on which the property could have
-    been violated (0 for a property that was never put to the test).  ``parts`` are the words on its
-    conjuncts, if it is made of several.  ``close`` is that of ``close_to``.  It is not ``applicable`` if it
-    is about what the controller under test does not have or say, such as an avoider's answers.
+    ``margin`` (SI) and ``worst_time_s`` are None if they do not exist; ``reason`` is a sentence on what
+    decided. ``exercised`` counts the occasions on which the property could have been violated; 0 means never
+    exercised.  ``parts`` are the evaluations of its conjuncts, if it has several.  ``close`` is that of
+    ``close_to``.  It is not ``applicable`` if it is about something that the controller under test does not
+    have or report, such as an avoider's answers.
     """
 
     sentence: str
@@ -109,33 +108,33 @@ class Evaluation:
         raise no_truth_value(f"whether an evaluation is true, of {self.sentence}: {self.verdict.value}")
 
     def margin_text(self) -> str:
-        """The margin with its sign and unit, or a dash."""
+        """Return the margin with its sign and unit, or a dash."""
         return self.unit.margin_text(self.margin)
 
 
 class Evaluations(tuple[Evaluation, ...]):
-    """What a run's claims came to, in their order; to ask whether that is true is refused."""
+    """The evaluations of a run's claims, in their order; their truth value is refused."""
 
     def __bool__(self) -> bool:
         raise no_truth_value(f"whether {len(self)} evaluations are true")
 
 
 class Said(Protocol):
-    """What an evaluation is of."""
+    """The subject of an evaluation."""
 
     @property
     def sentence(self) -> str:
-        """As the catalogue and the reports write it."""
+        """Return the sentence of the catalogue and of reports."""
 
     @property
     def unit(self) -> Unit:
-        """What its margins are shown in."""
+        """Return the unit of its margins."""
 
 
 def close_to(prop: Said) -> float | None:
-    """The margin (SI) of a run that comes within half of a property's limit; None without one such limit.
+    """Return the margin (SI) of a run that comes within half of a property's limit; None without one limit.
 
-    That is half of the most that is allowed, and twice the least.
+    That is half of an upper limit, and twice a lower limit.
     """
     if hasattr(prop, "close"):
         return prop.close  # type: ignore[no-any-return]
@@ -145,31 +144,39 @@ def close_to(prop: Said) -> float | None:
 
 
 def far_words(close: float | None, least_margin: float | None) -> str:
-    """That no run came within half of a limit; empty if one did, or if there is no limit."""
+    """Return that no run came within half of a limit; empty if a run did, or without a limit."""
     far = close and least_margin is not None and least_margin > close
     return "no run came within half of its limit; is it in the unit that is meant?" if far else ""
 
 
 FIELD = re.compile(r"\{(\w+):([^}]*)\}")
-PER_SI = {"mm": 1e3, "mm/s": 1e3, "m/s2": 1.0, "deg/s2": 180.0 / np.pi, "s": 1.0, "ms": 1e3}
+PLURAL = re.compile(r"(\{(\w+):[^}]*\} \w+)\(s\)")
+PER_SI = {"mm": 1e3, "mm/s": 1e3, "m/s": 1.0, "m/s2": 1.0, "deg/s2": 180.0 / np.pi, "s": 1.0, "ms": 1e3}
 
 
 class Worded:
     """A property whose sentence is ``words``, with fields of its own as "within {within_m:mm}".
 
-    After the colon: a unit of ``PER_SI``, "%" for a share, or nothing for a count.
+    The text after the colon is a unit of ``PER_SI``, "%" for a share, "1" for a number, or empty for a count.
+    After a number or a count, "time(s)" stands for "time" where it is 1, and else for "times".
     """
 
-    words: ClassVar[str]
+    @property
+    def words(self) -> str:
+        """Return the sentence with the names of its fields."""
+        raise NotImplementedError
 
     @cached_property
     def sentence(self) -> str:
-        """The words with the values of the fields, as the catalogue writes it."""
-        return FIELD.sub(lambda found: shown_limit(getattr(self, found[1]), found[2]), self.words)
+        """Return the words with the values of the fields, as the catalogue writes it."""
+        words = PLURAL.sub(lambda match: match[1] + "s" * (getattr(self, match[2]) != 1), self.words)
+        return FIELD.sub(lambda match: shown_limit(getattr(self, match[1]), match[2]), words)
 
 
 def shown_limit(value: float, unit: str) -> str:
     """Return a limit (SI) as a sentence has it, in ``unit``."""
+    if unit == "1":
+        return f"{value:g}"
     if unit in PER_SI:
         return f"{value * PER_SI[unit]:g} {unit}"
     return f"{value * 100.0:.12g} %" if unit == "%" else str(value)
@@ -179,11 +186,11 @@ class Property(Said, Protocol):
     """A safety property."""
 
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge one trace."""
+        """Judge a trace."""
 
 
 def inconclusive(prop: Said, reason: str, *, exercised: int = 0) -> Evaluation:
-    """No evidence either way, and why."""
+    """Return an evaluation without evidence either way, and why."""
     return Evaluation(
         sentence=prop.sentence,
         verdict=Verdict.INCONCLUSIVE,
@@ -195,10 +202,10 @@ def inconclusive(prop: Said, reason: str, *, exercised: int = 0) -> Evaluation:
 
 
 def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
-    """Why a trace cannot be judged on ``fields`` at all, else None.
+    """Return why a trace cannot be judged on ``fields`` at all, else None.
 
-    It is empty, it contradicts itself, or something in ``fields`` is not finite: of a hand only
-    while that hand is there, for its distance is infinite while it is not.
+    The trace is empty, it contradicts itself, or a value in ``fields`` is not finite.  Values of a hand count
+    only while that hand is there, since its distance is infinite while it is not.
     """
     if len(trace.ticks) == 0:
         return "the trace is empty"
@@ -214,30 +221,34 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
 
 @once_a_trace
 def first_unreal(trace: Trace) -> dict[str, int]:
-    """By field the first tick at which it is not finite, of a hand that is there; others are left out."""
-    rows, present = as_numbers(trace.ticks), trace.ticks["hand_present"]
-    first = _first_unreal(rows, nonfinite_count(trace), _told(trace.ticks.dtype), present).tolist()
-    fields = columns(trace.ticks.dtype)
-    return {name: tick for name, tick in zip(fields, first, strict=True) if tick < len(rows)}
+    """Return the first tick at which a field is not finite, of a hand that is there; others are left out."""
+    found = unreal(trace, dict.fromkeys(OF_HANDS, trace.ticks["hand_present"]))
+    return {name: int(np.argmax(wrong)) for name, wrong in found if wrong.any()}
 
 
-@lru_cache(maxsize=64)
-def _told(dtype: np.dtype[Any]) -> NDArray[np.int64]:
-    """(f, 3) as ``_first_unreal`` wants them."""
-    hands = dtype["hand_present"].shape[0]
-    of_each = {name: (c, c.stop - c.start) for name, c in columns(dtype).items()}
-    return np.array([(c.start, c.stop, n // hands * (name in OF_HANDS)) for name, (c, n) in of_each.items()])
+def unreal(trace: Trace, there: Mapping[str, NDArray[np.bool_]]) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Yield each field of a tick that has values not below ENDLESS in size, and the ticks (n,) of these.
+
+    ``there`` says by field what has to be a number, (n, k) for the k parts of its rows; of other fields all.
+    """
+    rows, nonfinite = as_numbers(trace.ticks), nonfinite_count(trace)
+    for name, column in columns(trace.ticks.dtype).items():
+        if nonfinite[column].any():
+            wrong = ~(np.abs(rows[:, column]) < ENDLESS)[:, None]
+            if (parts := there.get(name)) is not None:
+                wrong = wrong.reshape(*parts.shape, -1) & parts[..., None]
+            yield name, np.asarray(wrong.any(axis=(1, 2)))
 
 
 @once_a_trace
 def nonfinite_count(trace: Trace) -> NDArray[np.int64]:
-    """(c,) how many values of each column of ``as_numbers`` are not below ENDLESS, NaN among them."""
+    """Return (c,) how many values of each column of ``as_numbers`` are not below ENDLESS, or NaN."""
     return _endless(as_numbers(trace.ticks))
 
 
 @compiled
 def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
-    """(c,) how many of each column of ``rows`` (n, c) are not below ENDLESS in size."""
+    """Return (c,) how many values of each column of ``rows`` (n, c) are not below ENDLESS in size."""
     found = np.zeros(rows.shape[1], np.int64)
     for k in range(rows.shape[0]):
         for column in range(rows.shape[1]):
@@ -245,42 +256,20 @@ def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
     return found
 
 
-@compiled
-def _first_unreal(
-    rows: NDArray[np.float64],  # (n, c)
-    nonfinite_count: NDArray[np.int64],  # (c,)
-    fields: NDArray[np.int64],  # (f, 3) first column, the one after the last, how many of each hand or 0
-    present: NDArray[np.bool_],  # (n, hands)
-) -> NDArray[np.int64]:
-    """(f,) the first tick with one in any column of a field that is not below ENDLESS, else n."""
-    found = np.full(fields.shape[0], rows.shape[0])
-    for field in range(fields.shape[0]):
-        start, stop, width = fields[field, 0], fields[field, 1], fields[field, 2]
-        for column in range(start, stop):
-            if nonfinite_count[column] == 0:
-                continue
-            for k in range(found[field]):
-                there = width == 0 or present[k, (column - start) // width]
-                if there and not abs(rows[k, column]) < ENDLESS:
-                    found[field] = k
-                    break
-    return found
-
-
 def is_somewhere(position_in_base_m: Array3) -> bool:
-    """Is a position of a decision one at all: finite, and on this side of the horizon?"""
+    """Return whether a decision's position is finite, and on this side of the horizon."""
     return bool(np.all(np.abs(position_in_base_m) < HORIZON_M))  # of a NaN it is false
 
 
 def begins_at(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(n,) does a state (n,) begin?  One that is there at the first tick begins then."""
+    """Return (n,) whether a state (n,) begins; a state at the first tick begins there."""
     begins = state.copy()
     begins[1:] &= ~state[:-1]
     return begins
 
 
 def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(k,) where each stretch of a state (n,) begins, and (k,) the first after its end."""
+    """Return (k,) the begin of each stretch of a state (n,), and (k,) the first tick after its end."""
     padded = np.zeros(len(state) + 2, np.int8)
     padded[1:-1] = state
     change = padded[1:] - padded[:-1]
@@ -288,15 +277,15 @@ def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def times_begun(state: NDArray[np.bool_]) -> int:
-    """How often a state (n,) begins."""
+    """Return how often a state (n,) begins."""
     return int(np.count_nonzero(begins_at(state)))
 
 
 def time_left_s(trace: Trace, limit_s: float, ticks: int) -> float:
-    """``limit_s`` less a whole number of control periods; 0.0 where they differ by their own rounding.
+    """Return ``limit_s`` less a number of control periods; 0.0 if only rounding differs.
 
-    A limit of 24 ms is three periods of 8 ms, though the floats are not: 4 units in the last place are more
-    than what the rounding of limit, period and product makes.
+    A limit of 24 ms is three periods of 8 ms, though the floats differ.  4 units in the last place exceed the
+    rounding of limit, period and product.
     """
     took_s = ticks * trace.scenario.settings.clock.control_period_s
     return 0.0 if isclose(limit_s, took_s, rel_tol=2.0**-51) else limit_s - took_s
@@ -315,14 +304,24 @@ def judged(
     most: float | None = None,
     unsure: str = "it holds at the ticks, perhaps not between them",
 ) -> Evaluation:
-    """The verdict that a finite margin gives, with the two ways in which it is no evidence.
+    """Return the verdict of a finite margin, unless the run is not evidence.
 
-    Violated when negative; when not, inconclusive if the property was never exercised or if the
-    run did not last as long as its scenario says.  A margin that is not finite, of whichever sign,
-    comes from nothing that can have happened and is no evidence at all.  ``lacked`` says, in place of
-    ``reason``, what it would have taken to exercise it.  A violation is ``revocable`` where later ticks could
-    undo it: of a run that was cut short it is none.  Where ``margin`` is a lower end, ``most`` is the
-    upper one, and only a violation by both is one; ``unsure`` says why they differ.
+    A negative margin violates.  Else the verdict is inconclusive if the property was never exercised, or if
+    the run did not last as long as its scenario.  A margin that is not finite cannot come from a real run,
+    and is not evidence.
+
+    Args:
+        prop: The property.
+        trace: The run.
+        margin: The margin (SI); with ``most`` its lower end.
+        worst_time_s: The time of the margin.
+        reason: What decided.
+        exercised: The number of occasions.
+        lacked: What would have exercised it, in place of ``reason``.
+        revocable: Whether later ticks could undo a violation: then a run that was cut short has no violation.
+        most: The upper end of the margin; only a violation by both ends counts.
+        unsure: Why both ends differ.
+
     """
     if most is not None and margin < 0.0:
         if most >= 0.0:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from functools import lru_cache
+
 from safety_harness.base.extension_points import ExtensionPoint, Registry
 from safety_harness.claims.properties.answered import ANSWERED, DECISION_TIME
 from safety_harness.claims.properties.clear_ways import CLEAR_WAYS
@@ -97,3 +100,9 @@ _OWN = (
 )
 CATALOGUE = Registry(_OWN, ExtensionPoint.CLAIMS, CatalogueEntry)
 """Every claim; another is an entry here, or an entry point of a package."""
+
+
+@lru_cache(maxsize=256)  # the scenarios of a space claim the same
+def entry_claimed(sentence: str) -> tuple[CatalogueEntry, re.Match[str]] | None:
+    """Return the entry of the catalogue for a sentence, with the match of its values; else None."""
+    return next(((entry, match) for entry in CATALOGUE if (match := entry.understands(sentence))), None)

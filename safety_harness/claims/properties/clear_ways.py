@@ -1,6 +1,6 @@
-"""A repulsion leads into nothing else: not into the table, the object or the robot itself.
+"""A repulsion does not lead into the table, the object or the robot itself.
 
-And how far the arm is from these along any sequence of joint positions.
+The module also computes the clearances along any sequence of joint positions.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ class Way:
 class ClearWays:
     """Least clearance of any link from table, object and the robot itself along every repulsion.
 
-    Planned: the straight way from where the arm truly was to the chosen position, as far as the arm
-    can follow it.  Executed: the true joints from the decision to the end of the repulsion.  Between
-    two samples both ends of the clearance are known (``least_along``).
+    Planned: the straight way from where the arm truly was to the chosen position, as far as the arm can
+    follow it. Executed: the true joints from the decision to the end of the repulsion.  Between two samples
+    both ends of the clearance are known (``least_along``).
 
-    ``parts`` says it of each obstacle.  Exercised by every way that was chosen.
+    ``parts`` has an evaluation for each obstacle.  Every way that was chosen exercises it.
     """
 
     unit: Unit = Unit.LENGTH
@@ -98,7 +98,7 @@ class ClearWays:
 
 
 def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
-    """The straight way to the position that decision ``number`` chose.  ``reach_m`` (joints,)."""
+    """Return the straight way to the position that decision ``number`` chose.  ``reach_m`` (joints,)."""
     decision = trace.decisions[number]
     arm = arm_model(trace.scenario.robot)
     start_rad = trace.ticks["joint_position_rad"][decision["tick"]]
@@ -108,7 +108,7 @@ def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
 
 
 def executed(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
-    """The true way from decision ``number`` to the end of its repulsion.  ``reach_m`` (joints,)."""
+    """Return the true way from decision ``number`` to the end of its repulsion.  ``reach_m`` (joints,)."""
     first = int(trace.decisions[number]["tick"])
     window = slice(first, last_tick(trace, number) + 1)
     joints_rad = trace.ticks["joint_position_rad"][window]
@@ -124,11 +124,11 @@ def least_along(
     slack_m: Floats | float = 0.0,
     limit_m: float = 0.0,
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Both ends (c,) of the least clearance along joints that move linearly, and (c,) the sample before it.
+    """Return both ends (c,) of the least clearance along linearly moving joints, and (c,) the sample before.
 
     ``clearance_m`` gives (n, c) at joints (n, joints).  Between two samples no point moves farther than each
     joint's turn times its chain of links, and leaves that way by ``slack_m`` (n - 1,).  Where a limit lies
-    between both ends, the steps that may decide are looked at in PARTS.
+    between both ends, the steps that may decide are computed in PARTS.
     """
     at_samples = clearance_m(joints_rad)
     moved_m = np.abs(np.diff(joints_rad, axis=0)) @ reach_m
@@ -161,13 +161,13 @@ CLEAR_WAYS = CatalogueEntry(
 
 
 def clearances_m(trace: Trace, joints_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 3) clearance from the table, the object and the robot itself at each of ``joints_rad`` (n, joints).
+    """Return (n, 3) the clearance from table, object and robot itself at each of ``joints_rad`` (n, joints).
 
-    Capsules enclose the links and the camera, so that no clearance is longer than the true one;
-    negative in penetration (of the object, which is flat, by the radius at most).  The table is its
-    plane, without end.  From table and object: forearm, wrist and camera; base, shoulder and upper arm
-    stand there, and end where the forearm begins.  From the robot itself: wrist and camera from base,
-    shoulder and upper arm.
+    Capsules enclose the links and the camera, so that no clearance exceeds the true one; it is negative in
+    penetration (of the object, which is flat, by the radius at most).  The table is an infinite plane.
+    Forearm, wrist and camera count for table and object; base, shoulder and upper arm stand there, and end
+    where the forearm begins.  For the robot itself, wrist and camera count beside base, shoulder and upper
+    arm.
     """
     settings, joints_rad = trace.scenario.settings, np.ascontiguousarray(joints_rad)
     table_m, polygon = settings.cell.table_height_m, object_polygon_in_base(settings)
@@ -184,7 +184,7 @@ def _clearances(
     table_m: float,
     polygon: NDArray[np.float64],  # (m, 3)
 ) -> NDArray[np.float64]:
-    """(n, 3) [m] at each of ``joints_rad``: from the table's plane, the polygon and the robot itself.
+    """Return (n, 3) [m] the clearances at each of ``joints_rad``: table's plane, polygon, robot itself.
 
     min over capsules with axis c and radius r of min c_z - r - table, |c, polygon| - r; ``wrist_distance``.
     """
@@ -214,7 +214,7 @@ def above_polygon(
     end: NDArray[np.float64],  # (3,), may be the start
     polygon: NDArray[np.float64],  # (m, 3) corners, one after another, all at one height
 ) -> float:
-    """Distance [m] of a segment from a level polygon; at an edge, at an end over it, or 0 if through it."""
+    """Return the distance [m] of a segment from a level polygon: at an edge, an end, or 0 if through it."""
     height = polygon[0, 2]
     first, last = start[2] - height, end[2] - height
     least = np.inf
@@ -234,7 +234,7 @@ def above_polygon(
 
 @compiled
 def _over(x: float, y: float, polygon: NDArray[np.float64]) -> bool:
-    """Is a point within a polygon, seen from above?  Even-odd rule.  ``polygon`` (m, 3)."""
+    """Return whether a point is within a ``polygon`` (m, 3), seen from above, by the even-odd rule."""
     odd = False
     n = polygon.shape[0]
     for k in range(n):

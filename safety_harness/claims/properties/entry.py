@@ -1,17 +1,16 @@
-"""What the catalogue says of a property: how to claim it, and everything that one should know before.
+"""The catalogue's description of a property: how to claim it, and everything to know beforehand.
 
-Pages are written from the entries, so that they say what the code knows.
+Pages are written from the entries, so that they agree with the code.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 from safety_harness.base.exceptions import InadmissibleError, Place
-from safety_harness.claims.properties.base import FIELD, Property, Unit
+from safety_harness.claims.properties.base import FIELD, PLURAL, Property, Unit
 from safety_harness.claims.properties.measured import columns_read_by
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.units import (
@@ -19,6 +18,7 @@ from safety_harness.scenario.units import (
     ANGULAR_ACCELERATION,
     FRACTION,
     LENGTH,
+    NUMBER,
     OTHER_UNIT,
     SPEED,
     TIME,
@@ -26,7 +26,10 @@ from safety_harness.scenario.units import (
     parse_quantity,
 )
 
-DIMENSIONS = {"mm": LENGTH, "mm/s": SPEED, "m/s2": ACCELERATION, "deg/s2": ANGULAR_ACCELERATION, "s": TIME}
+DIMENSIONS = {
+    **{"1": NUMBER, "mm": LENGTH, "s": TIME, "mm/s": SPEED, "m/s": SPEED},
+    **{"m/s2": ACCELERATION, "deg/s2": ANGULAR_ACCELERATION},
+}
 LARGEST_COUNT = 1_000_000
 NONE = "-"
 
@@ -35,16 +38,15 @@ Maker = Callable[[re.Match[str], Scenario, Place], Property]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CatalogueEntry:
-    """One property of the catalogue.
+    """A property of the catalogue.
 
-    ``prop`` is an example of it, and ``pattern`` matches every sentence that claims one whole, in either
-    case; ``make`` turns the match into the property.  Without these two both follow from the ``words`` of the
-    example; one without fields is claimed by its own sentence alone.  ``formula`` is what it says in the
-    language of formulas, with {} for its limit, if it is one.  The rest is for people: ``rationale``,
-    ``source``, the ``margin``'s formula, the ``parameters`` that it takes from the sentence and from the
-    settings, when it is ``exercised`` (otherwise it is inconclusive), what else makes it ``inconclusive``,
-    the shipped ``scenario`` that exercises it, and what it is ``broken_by``: the controller or avoider with
-    which the tests see it violated.
+    ``prop`` is an example of it.  ``pattern`` matches every whole sentence that claims it, in either case,
+    and ``make`` turns the match into the property.  By default both follow from the ``words`` of the example;
+    without fields, only its own sentence claims it.  ``formula`` is its formula, with {} for its limit, if it
+    has one.  The other fields are for people: ``rationale``, ``source``, the ``margin``'s formula, the
+    ``parameters`` of sentence and settings, the runs in which it is ``exercised`` (else it is inconclusive),
+    other reasons to be ``inconclusive``, the shipped ``scenario`` that exercises it, and the controller or
+    avoider by which it is ``broken_by`` in the tests.
     """
 
     prop: Property
@@ -62,27 +64,38 @@ class CatalogueEntry:
 
     @property
     def example(self) -> str:
-        """A sentence that claims it."""
+        """Return a sentence that claims it."""
         return self.prop.sentence
 
     @property
+    def words(self) -> str:
+        """Return the sentence with the names of fields in place of their values, as for ``Worded``."""
+        return getattr(self.prop, "words", self.example)
+
+    @property
+    def key(self) -> str:
+        """Return the identifier: the words without values, such as "hand-distance-never-below"."""
+        return "-".join(re.sub(r"[^a-z ]", "", FIELD.sub("", self.words).lower()).split())
+
+    @property
     def unit(self) -> Unit:
-        """What its margins are shown in."""
+        """Return the unit of its margins."""
         return self.prop.unit
 
     def property_of(self, match: re.Match[str], scenario: Scenario, place: Place) -> Property:
-        """What the sentence of ``match`` claims of ``scenario``; InadmissibleError at ``place``."""
+        """Return the property that ``match`` claims of ``scenario``; InadmissibleError at ``place``."""
         if self.make is not None:
             return self.make(match, scenario, place)
-        fields = FIELD.findall(getattr(self.prop, "words", ""))
-        texts = enumerate(fields, start=1)
+        texts = enumerate(FIELD.findall(self.words), start=1)
         values = {name: _limit(match[k], unit, scenario, place) for k, (name, unit) in texts}
         return replace(self.prop, **values) if values else self.prop  # type: ignore[type-var]
 
     def understands(self, sentence: str) -> re.Match[str] | None:
-        """The match of a sentence that claims this property, whatever its case and outer spaces."""
-        words = getattr(self.prop, "words", self.example)
-        pattern = self.pattern or FIELD.sub(lambda found: "(.+)" if found[2] else r"(\S+)", words)
+        """Return the match of a sentence that claims this property, whatever its case and outer spaces."""
+        words = PLURAL.sub(r"\1s?", self.words)
+        pattern = self.pattern or FIELD.sub(
+            lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", words
+        )
         return re.fullmatch(pattern, sentence.strip(), re.IGNORECASE)
 
 
@@ -96,7 +109,7 @@ def _limit(text: str, unit: str, scenario: Scenario, place: Place) -> float:
 
 
 def quantity(text: str, dimension: Dimension, place: Place) -> float:
-    """A quantity above zero: a limit of zero or less would be kept by anything, or by nothing."""
+    """Return a quantity above zero; every run would keep a limit of zero or less, or none would."""
     value, most = parse_quantity(text, dimension, place), dimension.most_of_limits
     if not 0.0 < value <= most:
         expected = f"{dimension.expected}, above zero and at most {most:g} {dimension.si}"
@@ -106,7 +119,7 @@ def quantity(text: str, dimension: Dimension, place: Place) -> float:
 
 
 def time_within(text: str, scenario: Scenario, place: Place) -> float:
-    """A time above zero that ends within a run of ``scenario``: a later end would be kept by anything."""
+    """Return a time above zero that ends within a run of ``scenario``; every run would keep a later end."""
     value_s = quantity(text, TIME, place)
     if value_s > scenario.duration_s:
         expected = f"a time that ends within the scenario's duration, {scenario.duration_s:g} s"
@@ -115,7 +128,7 @@ def time_within(text: str, scenario: Scenario, place: Place) -> float:
 
 
 def share(text: str, place: Place) -> float:
-    """A share of at least 0 %, and less than 100 %, which anything would keep."""
+    """Return a share of at least 0 %, and less than 100 %, which every run would keep."""
     value = parse_quantity(text, FRACTION, place)
     if not 0.0 <= value < 1.0:
         expected = f"{FRACTION.expected}, of at least 0 % and less than 100 %"
@@ -124,7 +137,7 @@ def share(text: str, place: Place) -> float:
 
 
 def count(text: str, place: Place) -> int:
-    """A whole number of at least one."""
+    """Return a whole number of at least one."""
     if not (text.isascii() and text.isdigit() and 0 < int(text[:9]) <= LARGEST_COUNT and len(text) < 9):
         expected = f"a whole number from 1 to {LARGEST_COUNT}"
         raise InadmissibleError(place=place, expected=expected, got=repr(text))
@@ -132,10 +145,10 @@ def count(text: str, place: Place) -> int:
 
 
 def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
-    """(name, text) of everything that an entry says for people, in the order to read it in."""
+    """Yield (name, text) of everything that an entry has for people, in the order of reading."""
     yield "why", entry.rationale
     yield "source", entry.source
-    yield "margin", f"{entry.margin} ({_unit_words(entry)})"
+    yield "margin", f"{entry.margin} ({entry.unit.symbol or 'a number'})"
     yield "parameters", entry.parameters
     yield "exercised", entry.exercised
     also = entry.inconclusive
@@ -143,29 +156,3 @@ def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
     yield "reads", ", ".join(columns_read_by(entry.prop) or ())
     yield "tried in", f"shipped:{entry.scenario}"
     yield "broken by", entry.broken_by
-
-
-def _unit_words(entry: CatalogueEntry) -> str:
-    return entry.unit.symbol or "a number"
-
-
-def markdown_of_claims(
-    entries: Sequence[CatalogueEntry],
-    told: Callable[[CatalogueEntry], Iterable[tuple[str, str]]] = told,
-    breaks: Mapping[str, str] = MappingProxyType({}),
-) -> str:
-    """A table of all sentences, then each with everything that is ``told`` of it.
-
-    ``breaks`` has the smallest break that is caught, by sentence.
-    """
-    rows = ["| sentence | margin in | exercised when | smallest break caught |", "|---|---|---|---|"]
-    rows += [
-        f"| `{e.example}` | {_unit_words(e)} | {e.exercised} | {breaks.get(e.example, 'not measured')} |"
-        for e in entries
-    ]
-    sections = []
-    for entry in entries:
-        lines = [f"### {entry.example}", ""]
-        lines += [f"- *{name}*: {text}" for name, text in told(entry)]
-        sections.append("\n".join(lines))
-    return "\n".join(rows) + "\n\n" + "\n\n".join(sections) + "\n"

@@ -1,6 +1,6 @@
 """Doubt leads to the fallback, certainty to the answer: judged by where the arm goes.
 
-The fallback is there when it is needed, and where there is nothing to give way to the arm stops.
+The fallback is there when it is needed, and without a valid retreat position the arm stops.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from safety_harness.cell.avoidance.flaky import question_of
 from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inconclusive, is_somewhere, judged
-from safety_harness.claims.properties.entry import CatalogueEntry, count
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.giving_way import LEAST_WAY_M, Finding, worst_of
 from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.properties.positions import opposite_position, reach_m, spare_m, stopped_m
@@ -53,7 +53,7 @@ Findings = dict[str, list[Finding]]  # by the part that they judge
 
 
 def has_doubt(decision: np.void) -> bool | None:
-    """Is the spread above the avoider's threshold on any axis?  None if it gave no answer or has none."""
+    """Return whether the spread exceeds the avoider's threshold on any axis; None if one is missing."""
     spread_m, threshold_m = decision["proposed_spread_m"], decision["spread_threshold_m"]
     if not (np.isfinite(spread_m).all() and np.isfinite(threshold_m)):
         return None
@@ -61,15 +61,15 @@ def has_doubt(decision: np.void) -> bool | None:
 
 
 def outside_region(trace: Trace, decision: np.void) -> bool:
-    """Was the avoider asked something outside of the region that the gate keeps to?"""
+    """Return whether a question was outside of the gate's region."""
     region = None if trace.scenario.gate is None else trace.scenario.gate.questions_within
     return region is not None and not region.depth_m(*question_of(trace, decision)) >= 0.0
 
 
 def kept_from_possible_hands(trace: Trace, decision: np.void, failed: str) -> bool:
-    """Was a position refused for where a hand may be, as a rule of the gate has it?
+    """Return whether a rule of the gate refused a position because a hand may be there.
 
-    How sure the filter was of its hands is in no trace: only here the gate is believed.
+    No trace has the certainty of the filter about its hands, so that the gate is trusted here alone.
     """
     rule = trace.scenario.gate
     if rule is None or rule.hands_within is None:
@@ -85,7 +85,7 @@ def _add(findings: Findings, found: Findings) -> None:
 def went(
     trace: Trace, number: int, target_in_base_m: NDArray[np.float64], cycles: int, where: str
 ) -> tuple[Findings, bool]:
-    """Judge the choice and the motion of a decision by ``target_in_base_m`` (3,); was there time for any?"""
+    """Judge choice and motion of a decision by ``target_in_base_m`` (3,); was there time for any?"""
     decision = trace.decisions[number]
     found, tried = way_gone(trace, number, target_in_base_m, cycles, where)
     chosen, off_m = decision["chosen_position_in_base_m"], np.nan
@@ -104,7 +104,7 @@ def concluded(
     exercised: int,
     none: Callable[[], str],
 ) -> Evaluation:
-    """The word on the worst finding, with one on each part; ``none`` says why there is no finding."""
+    """Judge the worst finding, with an evaluation for each part; ``none`` says why there is no finding."""
     if not any(found.values()):
         return unexercised(prop, none())
     lacked = f"no repulsion had time for {LEAST_WAY_M * 1e3:g} mm of way; a longer duration exercises it"
@@ -120,13 +120,13 @@ def concluded(
 
 @dataclass(frozen=True, kw_only=True)
 class UncertainFallsBack(Worded):
-    """Where the spread is above the avoider's threshold, the arm goes to the opposite pose, or stops.
+    """Where the spread exceeds the avoider's threshold, the arm goes to the opposite pose, or stops.
 
-    The opposite pose is computed again from the predictions of the tick.  ``way_gone`` judges apart when the
-    motion begins (within ``cycles`` control ticks), its direction, its pace and its end; a chosen position
-    more than 1 mm from the pose is a violation at once.  A stop before the next decision is
-    right where the opposite pose could not be used (``spare_m``), and then has to be one (``stopped_m``);
-    where it could have been, its margin is minus what the pose had to spare.
+    The opposite pose is computed again from the predictions of the tick.  ``way_gone`` judges separately when
+    the motion begins (within ``cycles`` control ticks), its direction, its pace and its end.  A chosen
+    position more than 1 mm from the pose is a violation at once.  A stop before the next decision is right if
+    the opposite pose could not be used (``spare_m``), and then has to be a stop (``stopped_m``).  If the pose
+    could be used, the margin is minus its reserve.
     """
 
     cycles: int
@@ -162,11 +162,11 @@ class UncertainFallsBack(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class CertainIsUsed:
-    """An answer within the avoider's threshold, and the gate's region, that could be used is used.
+    """A usable answer within the avoider's threshold, and the gate's region, is used.
 
-    The other direction: a gate that always falls back would make every avoider look safe.  Asked of
-    answers that have something to spare (``spare_m``, at least 1 mm).  The arm has to go there, as for
-    an uncertain one to the opposite pose; a stop costs the whole way.
+    This is the other direction: a gate that always falls back would make every avoider look safe.  It applies
+    to answers with a reserve (``spare_m``) of at least 1 mm.  The arm has to go there, as it goes to the
+    opposite pose in doubt; the margin of a stop is minus the whole way.
     """
 
     unit: Unit = Unit.LENGTH
@@ -219,7 +219,6 @@ WAY = (
 UNCERTAIN = CatalogueEntry(
     prop=UncertainFallsBack(cycles=2),
     pattern=r"uncertain answers fall back within (\S+) cycles?",
-    make=lambda match, _, place: UncertainFallsBack(cycles=count(match[1], place)),
     rationale="the spread is worth something only if it keeps the arm from going where the network guesses",
     source="the paper, section 3.3: the opposite pose where the network is not sure",
     margin=f"the least of: cycles left at the onset, as way; {WAY}; after a stop what the opposite pose "
@@ -244,14 +243,14 @@ CERTAIN = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class FallbackPoses:
-    """At every decision the fallback pose that the gate had at hand is reachable and leads away.
+    """At every decision the gate's fallback pose is reachable and leads away.
 
-    Asked of all decisions, not only of those that fell back: a net is tested before one falls.  The
-    first of the ``parts`` is as for ``repulsive poses reachable``, from the true joints; the second is
-    the component of the way to it away from each true hand, least over hands; the margin is the least
-    of both.  Where it is violated the system has nothing left but to stop.
+    All decisions count, also those that did not fall back.  The first of the ``parts`` is as for ``repulsive
+    poses reachable``, from the true joints.  The second part is the component of the way to the pose away
+    from each true hand, least over hands.  The margin is the least of both.  Where it is violated, the system
+    can only stop.
 
-    Exercised by every decision; the second part by those made while a true hand was there.
+    Every decision exercises it; a true hand exercises the second part.
     """
 
     unit: Unit = Unit.LENGTH
@@ -318,11 +317,11 @@ FALLBACK_POSES = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class StopsWhereNothingIsReachable:
-    """Where neither the answer nor the opposite pose can be reached, the arm comes to a stop.
+    """The arm stops where it can reach neither the answer nor the opposite pose.
 
-    Both are tried again from the true joints; an avoider that gave no answer gave none that can be
-    reached.  Margin: what the TCP's way leaves of that of a protective stop from the decision on
-    (``stopped_m``), so that an arm that goes on to anywhere is violated, whatever its controller says.
+    Both are computed again from the true joints; a missing answer cannot be reached.  The margin is the
+    reserve of the TCP's way beside that of a protective stop from the decision on (``stopped_m``).  So an arm
+    that goes on is a violation, whatever its controller reports.
     """
 
     unit: Unit = Unit.LENGTH
@@ -343,7 +342,7 @@ class StopsWhereNothingIsReachable:
         ],
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge each decision that left nothing."""
+        """Judge each decision without a reachable position."""
         findings: list[Finding] = []
         least_m, when_s = np.inf, 0.0
         for decision in trace.decisions:

@@ -1,41 +1,30 @@
-"""The record itself: every number is one, and time goes forward."""
+"""The record itself: every value is a number, and time goes forward."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from typing import Any
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.compiled import compiled
 from safety_harness.claims.properties.base import (
     OF_HANDS,
     Evaluation,
     Unit,
     inconclusive,
     judged,
-    nonfinite_count,
+    unreal,
 )
 from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import only_whole
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import OF_DECISIONS
-from safety_harness.trace.records import DECISION, ENDLESS, TICK, DecisionOutcome, as_numbers, columns
+from safety_harness.trace.records import DECISION, ENDLESS, TICK, DecisionOutcome, columns
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided, without_gaps
 
 OF_IMAGES = ("features", "feature_error", "sse")
-ALWAYS, HAND, IMAGE, TRACK, ANY_TRACK = range(5)  # what has to be there for a field to be a number
-
-
-def _needs(name: str) -> int:
-    if name in OF_HANDS:
-        return HAND
-    if name in OF_IMAGES:
-        return IMAGE
-    return {"predicted_hand_in_base_m": TRACK, "predicted_distance_m": ANY_TRACK}.get(name, ALWAYS)
 
 
 THERE = (
@@ -58,11 +47,12 @@ READ = (
 
 @dataclass(frozen=True, kw_only=True)
 class FiniteTrace:
-    """Minus the number of records in which a number is none, or which are not later than the one before.
+    """Minus the number of records that have a value which is not a number, or are out of order.
 
-    What is not there is left out: a hand that is absent, the features of an image without the object,
-    the prediction of a slot that tracks nothing, the proposal of an avoider that gave none, the position
-    that a stop chose, the threshold of an avoider without one, the time of a decision that was not timed.
+    A record is out of order if it is not later than the record before.  Values of absent things do not count:
+    a hand that is not there, the features of an image without the object, the prediction of a slot that
+    tracks no hand, the proposal of an avoider without an answer, the position of a stop, the threshold of an
+    avoider without a threshold, the time of a decision that was not timed.
     """
 
     unit: Unit = Unit.COUNT
@@ -90,7 +80,7 @@ class FiniteTrace:
 
 
 def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
-    """(n,) ticks with something that was measured and is no number, or no later than the tick before."""
+    """Return whether a tick (n,) has something measured that is no number, or is not later than the last."""
     trace = without_gaps(trace, READ)
     bad = np.zeros(len(trace.ticks), np.bool_)
     ticks, time_s, lacking = trace.ticks, trace.time_s, trace.known.missing(READ)
@@ -99,49 +89,17 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
         np.zeros_like(ticks[name]) if name in lacking else ticks[name]
         for name in ("hand_present", "object_visible", "track_valid")
     )
-    kinds = _kinds(ticks.dtype, lacking)
-    _mark(as_numbers(ticks), nonfinite_count(trace), kinds, present, visible, tracked, bad)
+    there = dict.fromkeys(OF_HANDS, present) | dict.fromkeys(OF_IMAGES, visible[:, None])
+    there["predicted_hand_in_base_m"] = tracked
+    there["predicted_distance_m"] = np.asarray(tracked.any(axis=1, keepdims=True))
+    for name, wrong in unreal(trace, there):
+        if name not in lacking:
+            bad |= wrong
     return bad
 
 
-@lru_cache(maxsize=64)
-def _kinds(dtype: np.dtype[Any], lacking: tuple[str, ...]) -> NDArray[np.int64]:
-    """(f, 3) as ``_mark`` wants them, of the fields of a tick that were measured."""
-    kept = [(c.start, c.stop, _needs(name)) for name, c in columns(dtype).items() if name not in lacking]
-    return np.array(kept, np.int64).reshape(-1, 3)
-
-
-@compiled
-def _mark(
-    rows: NDArray[np.float64],  # (n, c)
-    nonfinite_count: NDArray[np.int64],  # (c,)
-    fields: NDArray[np.int64],  # (f, 3) first column, the one after the last, what has to be there
-    present: NDArray[np.bool_],  # (n, hands)
-    visible: NDArray[np.bool_],  # (n,)
-    tracked: NDArray[np.bool_],  # (n, tracks)
-    bad: NDArray[np.bool_],  # (n,), written
-) -> None:
-    """Mark the rows with a value that is not below ENDLESS in size, of something that is there."""
-    for field in range(fields.shape[0]):
-        start, stop, what = fields[field, 0], fields[field, 1], fields[field, 2]
-        for column in range(start, stop):
-            if nonfinite_count[column] == 0:
-                continue
-            hand = (column - start) * present.shape[1] // (stop - start)
-            track = (column - start) * tracked.shape[1] // (stop - start)
-            for k in range(rows.shape[0]):
-                there = (
-                    what == ALWAYS
-                    or (what == HAND and present[k, hand])
-                    or (what == IMAGE and visible[k])
-                    or (what == TRACK and tracked[k, track])
-                    or (what == ANY_TRACK and tracked[k].any())
-                )
-                bad[k] |= there and not abs(rows[k, column]) < ENDLESS
-
-
 def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
-    """(m,) decisions with something that was measured and is no number, or no later than the one before."""
+    """Return (m,) decisions with a measured value that is not a number, or out of order."""
     decisions, latency_s = trace.decisions, trace.decision_latency_s
     bad = np.zeros(len(decisions), np.bool_)
     if len(decisions) == 0:

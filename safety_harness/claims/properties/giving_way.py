@@ -1,11 +1,11 @@
 """Giving way is done, not only decided: away from every hand, as far and as fast as the arm can.
 
-How far a repulsion has got is held against how far it had time to get: a point mass as the reference.
-It begins with the TCP's true position and velocity, and heads for the chosen position with nine tenths
-of the repulsion speed and seven tenths of its acceleration, slowing down in time to stop there.  A
-system that is set to give way more slowly than 20 mm/s (or 0.1 m/s^2) is measured by these: anything
-slower is no giving way beside a hand.  In ticks in which the drives brake or a joint is at its speed
-limit, the reference moves as the TCP does.
+The progress of a repulsion is compared with a reference, a point mass.  The reference begins with the TCP's
+true position and velocity, and heads for the chosen position with nine tenths of the repulsion speed and
+seven tenths of its acceleration, slowing down in time to stop there.  A system that is set to retreat more
+slowly than 20 mm/s (or 0.1 m/s^2) is measured by these values, since a slower motion is not a retreat beside
+a hand.  In ticks in which the drives brake or a joint is at its speed limit, the reference moves as the TCP
+does.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SLACK_SHARE = 0.1  # at most this share of the whole way
 
 
 class Shares(NamedTuple):
-    """How much of the repulsion speed and, while speeding up, of its acceleration the reference takes."""
+    """The shares of the repulsion speed and, while speeding up, of its acceleration for the reference."""
 
     speed: float
     acceleration: float
@@ -52,7 +52,7 @@ MODEST = Shares(SPEED_SHARE, ACCELERATION_SHARE)
 
 @dataclass(frozen=True)
 class Finding:
-    """A margin [m] with the moment [s] and the words that belong to it."""
+    """A margin [m] with its moment [s] and words."""
 
     margin_m: float
     time_s: float
@@ -60,14 +60,17 @@ class Finding:
 
 
 def worst_of(findings: Sequence[Finding]) -> Finding:
-    """The first whose margin is not finite, else that with the least margin; there must be one."""
+    """Return the first finding whose margin is not finite, else that with the least margin.
+
+    ``findings`` is not empty.
+    """
     unknown = next((finding for finding in findings if not np.isfinite(finding.margin_m)), None)
     return unknown or min(findings, key=lambda finding: finding.margin_m)
 
 
 @dataclass(frozen=True)
 class _End:
-    """The ends of one finding's margin [m]; is it there in any case, or only where it is negative?"""
+    """The ends of a finding's margin [m]; ``always`` is False if it counts only where it is negative."""
 
     low_m: float
     high_m: float
@@ -75,7 +78,10 @@ class _End:
 
 
 def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
-    """For ``reads``, of every decision by itself; nothing of one that goes on for another hand."""
+    """Return the ends of the margin, for ``reads``: decision by decision.
+
+    They are infinite for a decision that continues for another hand.
+    """
     if trace.known.uncertain(["demanded_joint_velocity_radps"]):
         return -np.inf, np.inf, False
     ends: list[_End] = []
@@ -94,9 +100,9 @@ def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
 
 
 def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bool]:
-    """Of one decision, which may have been a tick away, or as far as it is not known; was it exercised?
+    """Return the ends for a decision, which may have been a tick away or within a gap; and if it exercised.
 
-    The reference may begin elsewhere, and faster, by as much as the TCP's place and velocity are known to.
+    The reference may begin elsewhere, and faster, by the errors of the TCP's place and velocity.
     """
     decision, count, known = trace.decisions[number], len(trace.ticks), trace.known
     first, last = int(decision["tick"]), last_tick(trace, number)
@@ -158,9 +164,9 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
 
 
 def _led_m(trace: Trace, decision: np.void, last: int, off_m: float, dv_mps: float) -> NDArray[np.float64]:
-    """(n,) how far off a reference gets that begins ``off_m`` away and ``dv_mps`` faster, and a half more.
+    """Return (n,) the error of a reference that begins ``off_m`` away and ``dv_mps`` faster, and a half more.
 
-    Along the way and back, and to four sides of it, which is the most that a beginning can do; zero at first.
+    Beginnings along the way and back, and on four sides of it, give the largest error; it is zero at first.
     """
     first = int(decision["tick"])
     way_m = decision["chosen_position_in_base_m"] - trace.ticks["transform_tcp_to_base"][first, :3, 3]
@@ -177,23 +183,22 @@ def _led_m(trace: Trace, decision: np.void, last: int, off_m: float, dv_mps: flo
 class MovesAway:
     """Giving way never brings the TCP nearer to any hand, and does take place.
 
-    Planned: the distance from a fixed point to a straight way is convex, so the way leads away
-    from a hand everywhere if it does at its start; its margin is the component of the
-    displacement away from the hand, (p - t) . (t - h)/|t - h|, least over all true hands.  A way
-    shorter than 10 mm is none; what is missing is the negative margin.
+    Planned: the distance from a fixed point to a straight way is convex, so that the way leads away from a
+    hand everywhere if it does at its start.  Its margin is the component of the displacement away from the
+    hand, (p - t) . (t - h)/|t - h|, least over all true hands.  A way shorter than 10 mm does not count; the
+    rest of the 10 mm is the negative margin.
 
-    Executed, from the decision to the next one or the end of the repulsion; each counts only
-    where it is negative: (1) the TCP must not come nearer to where the hand was by more than the
-    unavoidable, v^2/(2 a) + 2 v dt for the speed v towards the hand that it had when the decision
-    was made.  (2) It must get on as the reference says that it had time for.  (3) Where the
-    controller goes on because it has arrived, at most a tenth of the way may be left.
+    Executed, from the decision to the next decision or the end of the repulsion; each counts only where it is
+    negative: (1) The TCP must not come nearer to where the hand was by more than the unavoidable, v^2/(2 a) +
+    2 v dt for the speed v towards the hand at the decision.  (2) It must make the progress for which the
+    reference had time.  (3) Where the controller goes on because it has arrived, at most a tenth of the way
+    may remain.
 
-    ``tolerance_m`` is how much nearer to a hand the planned and the executed way (1) may lead; only hands
-    ``nearer_m`` than that to the TCP count, at the decision: one that rests far away is no hazard.
+    ``tolerance_m`` is how much nearer to a hand the planned and the executed way (1) may lead.  Only hands
+    ``nearer_m`` than that to the TCP at the decision count: a hand that rests far away is not a hazard.
 
-    Exercised by decisions, made while a true hand was there, whose repulsion lasted long enough
-    for 10 mm of way.  Source: section 4.1 of the paper ("a quarter of a sphere will lead the robot
-    to move away").
+    Decisions exercise it if a true hand was there, and the repulsion lasted long enough for 10 mm of way.
+    Source: section 4.1 of the paper ("a quarter of a sphere will lead the robot to move away").
     """
 
     nearer_m: float = np.inf
@@ -202,7 +207,7 @@ class MovesAway:
 
     @property
     def sentence(self) -> str:
-        """As the catalogue writes it."""
+        """Return the sentence of the catalogue."""
         nearer = f" nearer than {self.nearer_m * 1e3:g} mm" if np.isfinite(self.nearer_m) else ""
         within = f" to within {self.tolerance_m * 1e3:g} mm" if self.tolerance_m else ""
         return f"repulsion moves away from every hand{nearer}{within}"
@@ -262,7 +267,7 @@ class MovesAway:
 
 
 def last_tick(trace: Trace, number: int) -> int:
-    """The last tick of the repulsion that decision ``number`` began: the first that is none of it."""
+    """Return the last tick of the repulsion that decision ``number`` began: the first after it."""
     first = int(trace.decisions[number]["tick"])
     following = trace.decisions["tick"][number + 1 :]
     end = int(following[0]) if len(following) else len(trace.ticks) - 1
@@ -273,7 +278,7 @@ def last_tick(trace: Trace, number: int) -> int:
 def away_from(
     trace: Trace, decision: np.void, hand: int, last: int, tolerance_m: float = 0.0
 ) -> list[Finding]:
-    """What the planned and the executed way say about one hand, held where it was at the decision."""
+    """Judge the planned and the executed way by a hand, held where it was at the decision."""
     first, time_s = int(decision["tick"]), float(decision["time_s"])
     settings, name = trace.scenario.settings, trace.scenario.hands[hand].name
     hand_in_base = trace.ticks["hand_position_in_base_m"][first, hand]
@@ -300,7 +305,7 @@ def away_from(
 
 
 def given(trace: Trace, number: int, last: int, done: RepulsionProgress) -> list[Finding]:
-    """What is wrong with the way itself: too short, not gone, not gone to its end."""
+    """Return the faults of the way itself: too short, too slow, ended too early."""
     decision = trace.decisions[number]
     tcp_in_base = trace.ticks["transform_tcp_to_base"][:, :3, 3]
     target_in_base = decision["chosen_position_in_base_m"]
@@ -315,10 +320,10 @@ def given(trace: Trace, number: int, last: int, done: RepulsionProgress) -> list
 
 
 def arrival_claimed(trace: Trace, number: int, last: int) -> bool:
-    """Does the controller take itself to have arrived when the repulsion of a decision ends?
+    """Return whether the controller considers itself arrived when the repulsion of a decision ends.
 
-    It does if it goes back to servoing (or has lost the object), and if it decides anew for any
-    reason but another hand; not at a protective stop or at the end of the trace.
+    It does if it returns to servoing (or has lost the object), and if it decides again for any reason but
+    another hand. It does not at a protective stop or at the end of the trace.
     """
     mode = trace.ticks["mode"][last]
     if mode == Mode.PROTECTIVE_STOP and last == trace.decisions["tick"][number]:
@@ -330,7 +335,7 @@ def arrival_claimed(trace: Trace, number: int, last: int) -> bool:
 
 
 def velocity_at(trace: Trace, tick: int) -> NDArray[np.float64]:
-    """(3,) mean velocity [m/s] of the TCP over the tick before, in the base frame; zero at the start."""
+    """Return (3,) the mean velocity [m/s] of the TCP over the tick before, in base; zero at the start."""
     if tick == 0:
         return np.zeros(3)
     positions = trace.ticks["transform_tcp_to_base"][tick - 1 : tick + 1, :3, 3]
@@ -359,10 +364,10 @@ MOVES_AWAY = CatalogueEntry(
 
 @dataclass(frozen=True)
 class RepulsionProgress:
-    """What one repulsion has done of its way.
+    """The progress of a repulsion.
 
-    ``margin_m`` is the slack less the longest that the TCP was behind the reference, at
-    ``worst_tick``; ``behind_m`` is how far it is at the end; ``due_m`` is how far the reference got.
+    ``margin_m`` is the slack less the largest lag of the TCP behind the reference, at ``worst_tick``;
+    ``behind_m`` is the lag at the end; ``due_m`` is the way of the reference.
     """
 
     margin_m: float
@@ -378,11 +383,10 @@ def progress(
     before: RepulsionProgress | None,
     shares: Shares = MODEST,
 ) -> RepulsionProgress:
-    """Of the repulsion from ``decision`` to the tick ``last``, beside a reference that takes ``shares``.
+    """Return the progress from ``decision`` to the tick ``last``, beside a reference that takes ``shares``.
 
-    ``before`` is the progress of the repulsion that this one cuts short because of another hand:
-    what was due and what was behind are carried over, so that deciding again and again does not
-    take the place of moving.
+    ``before`` is the progress of the repulsion that another hand interrupts.  Its due way and its lag are
+    added, so that deciding again and again does not replace moving.
     """
     first = int(decision["tick"])
     done = _followed(trace, decision, last, shares=shares)
@@ -395,7 +399,7 @@ def progress(
 
 @dataclass(frozen=True, eq=False)
 class _Followed:
-    """A repulsion beside its reference: ``behind_m`` (n,) at each tick; was any of them ``excused``?"""
+    """A repulsion beside its reference: ``behind_m`` (n,) at each tick; ``excused`` if any tick was."""
 
     behind_m: NDArray[np.float64]
     due_m: float
@@ -411,7 +415,7 @@ def _followed(
     faster_mps: NDArray[np.float64] = NOT_OFF,  # (3,)
     shares: Shares = MODEST,
 ) -> _Followed:
-    """The repulsion from ``decision`` to the tick ``last``; the reference may begin elsewhere, and faster."""
+    """Return the repulsion from ``decision`` to the tick ``last``; the reference may begin elsewhere."""
     first = int(decision["tick"])
     settings, avoidance = trace.scenario.settings, trace.scenario.settings.avoidance
     window = trace.ticks[first : last + 1]
@@ -437,7 +441,7 @@ def _followed(
 
 
 def excused_in(trace: Trace, first: int, last: int) -> NDArray[np.bool_]:
-    """(n,) in which ticks from ``first`` to ``last`` the drives brake, or a joint is at its speed limit."""
+    """Return (n,) the ticks from ``first`` to ``last`` with braking drives, or a joint at its speed limit."""
     window, arm = trace.ticks[first : last + 1], arm_model(trace.scenario.robot)
     at_limit = np.abs(window["demanded_joint_velocity_radps"]) >= 0.999 * arm.velocity_limit_radps
     slowed = (window["limits"] & Limit.JOINT_SPEED != 0) & at_limit.any(axis=1)
@@ -455,7 +459,7 @@ def _behind(
     braking_mps2: float,
     period_s: float,
 ) -> tuple[NDArray[np.float64], float]:
-    """How much farther from the target the TCP is than the reference, each tick, and the latter's way [m].
+    """Return the TCP's lag [m] behind the reference at each tick, and the way of the reference [m].
 
     The reference x at the speed v: v <- v + min(1, a dt/|u - v|) (u - v), x <- x + v dt, with u = min(v_max,
     (2 b s)^(1/2), s/dt) towards the target, s away; in an excused tick it moves as the TCP does.
@@ -492,5 +496,5 @@ def _behind(
 
 @compiled
 def _apart(a: Array3, b: Array3) -> float:
-    """|a - b| of two points."""
+    """Return |a - b| of two points."""
     return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)

@@ -36,9 +36,10 @@ OF_DISTANCES = (*JOINTS, "transform_tcp_to_base", *OF_HANDS)
 
 
 def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
-    """For ``reads``: the way of distance and joint bend, and the resolution of what is between ticks.
+    """Return the ends of the margin, for ``reads``: by the errors of distance, joint bend and resolution.
 
-    From below at every moment, as closely as it is known there; from above by the distances at the ticks.
+    The lower end takes every moment as closely as it is known there, the upper end the distances at the
+    ticks.
     """
     at_ticks_m, between_m = distance_moved_m(trace)
     off_m, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace).nearest_m + at_ticks_m
@@ -53,15 +54,15 @@ def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, flo
 class HandDistance(Worded):
     """min over time of d(t) - ``minimum_m``, d from any hand or forearm to any link, surface to surface.
 
-    Between two ticks the margin is a guaranteed lower bound of the distance: hands turn where their
-    moves or samples turn, and joints move linearly, from which it is at most 0.1 mm below; it is
-    lower by what joints may leave the straight line while their speeds change (``joint_bend_m``),
-    and hands while theirs do (``hand_bend_m``).  It is violated if the upper end of the least distance is
-    below ``minimum_m`` too.
+    Between two ticks the margin is a guaranteed lower bound of the distance.  Hands turn where their moves or
+    samples turn, and joints move linearly; the bound is at most 0.1 mm below that distance.  It is lower by
+    how far joints may leave the straight line while their speeds change (``joint_bend_m``), and hands while
+    theirs do (``hand_bend_m``).  The property is violated if the upper end of the least distance is below
+    ``minimum_m`` too.
 
-    Rationale: contact with a moving robot is the hazard itself; ISO/TS 15066 speaks of a
-    protective separation distance, of which this is the constant form.  Exercised when a hand
-    comes within ``near_m``, by default ``occasion_m``; a run in which none did says nothing.
+    Rationale: contact with a moving robot is the hazard itself; ISO/TS 15066 has a protective separation
+    distance, of which this is the constant form.  A run exercises it when a hand comes within ``near_m``, by
+    default ``occasion_m``.
     """
 
     minimum_m: float
@@ -71,7 +72,7 @@ class HandDistance(Worded):
 
     @property
     def occasion_m(self) -> float:
-        """How near a hand has to come."""
+        """Return how near a hand has to come."""
         return occasion_m(self.minimum_m) if self.near_m is None else self.near_m
 
     @reads(*OF_DISTANCES, also=["hand_distance_capsule"], of_each_hand=True, ends=_ends)

@@ -1,4 +1,4 @@
-"""The filter's predictions come true: where it says that a hand will be, a hand then is."""
+"""Predictions of the filter beside the hands at the predicted time."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ FILLED = ("track_valid", "predicted_hand_in_base_m")  # what was told then may b
 class HandPredictions(Worded):
     """min over predictions of ``maximum_m`` less the distance to the nearest true hand at its time.
 
-    What is predicted at t is a hand's centre at t plus the horizon; it is compared with where the hands
-    truly are then, straight between two ticks.  A prediction belongs to the true hand that is nearest
-    to it.  Predictions beyond the end of the run have nothing to be compared with.
+    The prediction at t is a hand's centre at t plus the horizon.  It is compared with the true hands then,
+    straight between two ticks.  A prediction belongs to the nearest true hand.  Predictions beyond the end of
+    the run are not compared.
     """
 
     maximum_m: float
@@ -60,7 +60,7 @@ class HandPredictions(Worded):
 
 
 def _ends(prop: HandPredictions, trace: Trace) -> tuple[float, float, bool]:
-    """With the true hand anywhere that it may be at the ticks beside the time that a prediction is for."""
+    """Return the ends of the margin, with the true hand anywhere within its error at the predicted time."""
     errors_m, known, ticks = prediction_errors_m(trace), trace.known, trace.ticks
     count, ahead = len(errors_m), len(ticks) - len(errors_m)
     hand_m = known.within("hand_position_in_base_m", len(ticks))

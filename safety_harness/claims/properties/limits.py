@@ -37,7 +37,7 @@ SPEED = "tcp_speed_mps"
 
 
 def _by(off: Off, speed: str = "", place: str = "") -> Ends:
-    """For ``reads``: how far a margin moves; exercised if the column ``speed`` or ``place`` says so."""
+    """Return ``ends`` for ``reads`` by the error of a margin; ``speed`` or ``place`` exercises it."""
 
     def ends(prop: object, trace: Trace, margin: float) -> tuple[float, float, bool]:
         by = float(off(trace)[2])
@@ -69,8 +69,9 @@ class JointLimits:
 class JointSpeedLimits:
     """min over time and joints of the speed left to the velocity limit of the URDF.
 
-    Between ticks the mean speed |q_(k+1) - q_k|/dt counts as well as the speed at the ticks.  What is above a
-    limit by no more than the world's solver may miss a commanded speed (``known_to_radps``) is not certain.
+    Between ticks the mean speed |q_(k+1) - q_k|/dt counts as well as the speed at the ticks.  An excess is
+    not certain if it is at most the error of the world's solver beside a commanded speed
+    (``known_to_radps``).
     """
 
     unit: Unit = Unit.ANGULAR_SPEED
@@ -80,7 +81,7 @@ class JointSpeedLimits:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint at every tick.
 
-        A mean speed over the limit by no more than the rounding of its differences is taken for the limit.
+        A mean speed over the limit by no more than the rounding of its differences counts as the limit.
         """
         arm, (speed_radps, mean_radps) = arm_model(trace.scenario.robot), joint_speeds_radps(trace)
         limit_radps = arm.velocity_limit_radps
@@ -192,7 +193,7 @@ class JointAccelerations(Worded):
 class TcpAcceleration(Worded):
     """min over time of ``maximum_mps2`` less the mean acceleration of the TCP from tick to tick.
 
-    Its velocity at a tick is that of the joints, by the Jacobian.  Exercised by ticks at which it moves.
+    Its velocity at a tick follows from the joints, by the Jacobian.  Ticks at which it moves exercise it.
     """
 
     maximum_mps2: float

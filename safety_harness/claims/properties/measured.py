@@ -1,9 +1,9 @@
-"""What a property reads of a trace, and its word on a trace of which not all of that was measured.
+"""The columns that a property reads, and its evaluation of traces that were measured in part.
 
-It never guesses: what reads a column that nobody measured is inconclusive, and names it.  Three things can be
-said all the same.  What is violated until a column ends is violated.  What is violated by the hands that were
-measured is violated, whatever the others did, if the property says the same of each hand.  And a verdict
-stands that every value within the uncertainty of its columns gives.
+A property never guesses: if it reads a column that was not measured, it is inconclusive, and names the
+column.  Three verdicts are still possible.  A violation before a column ends is a violation.  A violation by
+measured hands is a violation, whatever other hands did, if the property is about each hand alone.  A verdict
+stands if every value within the uncertainty of its columns gives it.
 """
 
 from __future__ import annotations
@@ -52,16 +52,19 @@ def reads(
     of_each_hand: bool = False,
     ends: Ends | None = None,
 ) -> Callable[[Judge], Judge]:
-    """For ``evaluate``, which reads these columns and no others.
+    """Return a decorator for ``evaluate``, which reads these columns alone.
 
-    Those that are ``finite`` make it inconclusive where they are not; ``also`` and ``bounded`` are the rest.
-    Whether a hand is there is read with everything of hands.  ``of_each_hand``: it is violated if it is for
-    some of the hands alone.
+    Whether a hand is there is read with every column of hands.
 
-    ``ends`` says of a margin (SI) how low and how high the true one may be, as the columns are uncertain, and
-    whether the property was exercised in any case; without it nothing is said of a trace in which any is.
-    It reckons with any value of those that are ``bounded``, where they were not measured, and in the gaps of
-    those that are ``filled``.
+    Args:
+        finite: Columns that make the verdict inconclusive where they are not finite.
+        also: Other columns that it reads.
+        bounded: Columns that may not have been measured, since ``ends`` covers all their values.
+        filled: Columns whose gaps ``ends`` covers.
+        of_each_hand: Whether a violation for some of the hands alone is a violation.
+        ends: Returns the least and the largest true margin (SI) by the uncertainty of columns, and whether
+            the property was exercised in any case.  Without it, an uncertain column gives no verdict.
+
     """
     there = [PRESENCE] if {*finite} & {*OF_HANDS} else []
     names = tuple(dict.fromkeys((*finite, *filled, *also, *bounded, *there)))
@@ -84,7 +87,7 @@ def reads(
 
 
 def columns_read_by(prop: Property) -> tuple[str, ...] | None:
-    """The columns that it reads; None for one that does not say."""
+    """Return the columns that it reads; None for a property that does not state them."""
     said = getattr(prop, "reads", getattr(prop.evaluate, "reads", None))
     return None if said is None else tuple(said)
 
@@ -92,9 +95,9 @@ def columns_read_by(prop: Property) -> tuple[str, ...] | None:
 def not_measured(
     prop: Said, columns: Sequence[str], what: str = "", known: Knowledge | None = None
 ) -> Evaluation:
-    """Inconclusive for want of ``columns``; ``what`` says more exactly what of them was not measured.
+    """Return inconclusive for lack of ``columns``; ``what`` is more exact about what was not measured.
 
-    Or not reported, if all of them are what the controller of a ``known`` run does not say.
+    The reason is "not reported" if the controller of a ``known`` run does not report any of them.
     """
     words = what or ", ".join(columns)
     other = known is not None and known.unreported(columns)
@@ -104,7 +107,7 @@ def not_measured(
 
 @dataclass(frozen=True)
 class _Judging:
-    """A property by all that was measured of the columns ``names``; the fields are those of ``reads``."""
+    """A property with the columns ``names`` that it reads; the fields are those of ``reads``."""
 
     plain: Callable[[Property, Trace], Evaluation]
     names: tuple[str, ...]
@@ -114,7 +117,7 @@ class _Judging:
     ends: Ends | None
 
     def evaluate(self, prop: Property, trace: Trace) -> Evaluation:
-        """All of it, or else in parts: what one of them violates is violated."""
+        """Judge the whole trace, or else its parts: a part that violates it decides."""
         known = trace.known
         limited = [name for name in self.names if known.of(name).limited]
         lacking = [
@@ -137,7 +140,7 @@ class _Judging:
         return not_measured(prop, lacking, "; ".join(told), known)
 
     def _widened(self, found: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]) -> Evaluation:
-        """The verdict that every value within the uncertainty gives, with the margin that is certain."""
+        """Return the verdict that every possible value gives, with the margin that is certain."""
         if found.verdict is Verdict.INCONCLUSIVE and self.ends is not None and not self.filled:
             return found
         low, high, exercised = -inf, inf, False
@@ -161,7 +164,7 @@ class _Judging:
 
 
 def _lack(trace: Trace, name: str) -> str:
-    """What is lacking of a column, in words."""
+    """Return in words which part of a column is missing."""
     first = trace.known.first_gap([name])
     if trace.known.missing([name]) or first is None:
         return name
@@ -177,7 +180,7 @@ def _time_s(trace: Trace, tick: int) -> float:
 
 
 def _pieces(trace: Trace, lacking: Sequence[str], of_each_hand: bool) -> Iterator[tuple[str, Trace]]:
-    """What was measured whole: until the first gap, the hands without one, hands without their forearms."""
+    """Yield wholly measured parts: until the first gap, hands without a gap, hands without forearms."""
     known, hands = trace.known, trace.scenario.hands
     gap = known.first_gap(lacking)
     if gap is not None and gap.first > 0:
@@ -204,7 +207,7 @@ def _pieces(trace: Trace, lacking: Sequence[str], of_each_hand: bool) -> Iterato
 
 
 def _without(trace: Trace, lost: set[int]) -> Trace:
-    """The trace as if the hands ``lost`` had rested far away, and nobody else had been there."""
+    """Return the trace with the hands ``lost`` at rest far away, and no other hand."""
     hands, ticks = list(trace.scenario.hands), trace.ticks.copy()
     ticks["hand_present"] = np.arange(ticks["hand_present"].shape[1]) < len(hands)
     for k in lost:
@@ -225,7 +228,7 @@ def _without(trace: Trace, lost: set[int]) -> Trace:
 
 
 def _without_arms(trace: Trace) -> Trace:
-    """The trace as if there had been hands alone, spheres, with their distances from the arm."""
+    """Return the trace with spheres alone for hands, and their distances from the arm."""
     scenario, ticks = trace.scenario, trace.ticks.copy()
     sphere = replace(
         scenario.settings.hand,
@@ -255,10 +258,10 @@ def _without_arms(trace: Trace) -> Trace:
 
 
 def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
-    """For an ``evaluate`` that says nothing of a part of a run, as what comes later may undo it.
+    """Return a decorator for an ``evaluate`` that needs the whole run, as later ticks may undo a verdict.
 
-    It is inconclusive where any of ``columns``, or of those that it ``reads``, was not measured throughout; a
-    controller need not report all of them if the claim is ``of_any`` system.
+    It is inconclusive where any of ``columns``, or of its own ``reads``, was not measured throughout.  If the
+    claim is ``of_any`` system, a controller need not report all of them.
     """
 
     def decorate(evaluate: Judge) -> Judge:
@@ -278,5 +281,5 @@ def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
 
 
 def unexercised(prop: Said, lacked: str) -> Evaluation:
-    """Inconclusive, as the claim was never exercised; ``lacked`` says for want of what."""
+    """Return inconclusive, as the claim was never exercised; ``lacked`` is what was missing."""
     return inconclusive(prop, f"never exercised: {lacked}")

@@ -31,7 +31,7 @@ class ObstacleDistance(Worded):
 
     @reads("joint_position_rad", "joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every tick and what lies between."""
+        """Judge every tick and the time between ticks."""
         obstacles = trace.scenario.obstacles
         if not obstacles:
             return unexercised(self, "obstacles = 0; a box in the cell exercises it")

@@ -1,4 +1,4 @@
-"""What comes of a whole controller, by the motion of arm and hands alone: does it stay, and react in time?"""
+"""The outcome of a whole controller, by the motion of arm and hands alone: it stays, and reacts in time."""
 
 from __future__ import annotations
 
@@ -42,12 +42,13 @@ TINY_MPS = TINY_M = 1e-6  # nothing moves so slowly, or is so near
 class KeepsItsPlace(Worded):
     """``within_m`` less how far the TCP goes from its place, or the desired position, without a hand.
 
-    An arm holds its place once it has stayed within the limit of it for a second, with no true hand so near
-    that a right prediction of it is within the critical distance (``NoFalseAlarms``), nor as long before as
-    a retreat takes.  From there on, until a hand is as near again, two ways count: the farthest from the
-    desired position less the nearest before, and the way from where it was when it came to be as near, less
-    what that brings it nearer.  Nearer by the limit is another place: an arm that goes on towards the desired
-    position keeps its place, one that circles about it does not.  Positions alone: no angle.
+    An arm holds its place once it has stayed within the limit of it for a second.  In that second no true
+    hand is so near that a right prediction of it is within the critical distance (``NoFalseAlarms``), nor
+    before it for as long as a retreat takes.  Until a hand is as near again, two ways count.  The first is
+    the farthest distance from the desired position less the nearest before.  The second is the way from where
+    it was when it came to be as near, less its part towards the desired position.  A place nearer by the
+    limit is another place.  So an arm that goes on towards the desired position keeps its place, and an arm
+    that circles about it does not.  Positions alone count, not angles.
     """
 
     within_m: float
@@ -66,7 +67,7 @@ class KeepsItsPlace(Worded):
         return judged(self, trace, left_m, trace.time_s[tick], reason, held, lambda: lacked)
 
     def _worst(self, trace: Trace, farther_m: float = 0.0) -> tuple[float, int, int]:
-        """How far it went, when, and how often it held; with hands, and the TCP's ways, off by as much."""
+        """Return how far it went, when, and how often it held, for hands farther by their errors."""
         period_s = trace.scenario.settings.clock.control_period_s
         left, held = (round(time_s / period_s) for time_s in (retreat_s(trace), HELD_S))
         errors_m, tcp_m = position_errors_m(trace), true_motion(trace).tcp_m
@@ -92,7 +93,7 @@ class KeepsItsPlace(Worded):
         return worst_m + slack_m, worst, len(found)
 
     def ends(self, trace: Trace) -> tuple[float, float, bool]:
-        """For ``reads``: with hands as far away, and ways as long, as they may be, and as near and short."""
+        """Return the ends of the margin, for ``reads``: hands as far as possible, and as near."""
         (most_m, _, _), (least_m, _, held) = self._worst(trace, 1.0), self._worst(trace, -1.0)
         return self.within_m - most_m, self.within_m - least_m, held > 0
 
@@ -101,14 +102,14 @@ class KeepsItsPlace(Worded):
 class ReactsWithin(Worded):
     """``within_s`` less the longest time from a hand's coming near to the arm's reaction.
 
-    Of each true hand apart, each time that it comes within the critical distance of a TCP that moves.  The
-    arm reacts when its drives brake, or where its motion begins to change so that it soon has half of the
-    speed that it would have had, or leads away from that hand by half of its speed faster.  It would have
-    gone on slowing as before, and slowed as it came nearer to the desired position: who arrives does not
-    react.  Not exercised by a hand to which it has reacted in the half second before, or from which it goes
-    at half of the speed of a retreat or, more slowly, not on its way to the desired position.  A hand that
-    leaves, or a run that ends, before it could be told is no evidence; a stop or a retreat counts from where
-    it begins.
+    Each true hand counts separately, each time that it comes within the critical distance of a TCP that
+    moves.  The arm reacts when its drives brake, or when its motion begins to change so that it soon has half
+    of the speed that it would have had, or moves away from that hand by half of its speed faster.  Without a
+    hand it would have slowed as before, and slowed as it came nearer to the desired position: an arrival is
+    not a reaction.  A hand does not count if the arm has reacted to it in the half second before.  It does
+    not count either if the arm leaves it at half of the speed of a retreat, or more slowly while not on its
+    way to the desired position.  A hand that leaves, or a run that ends, too early is not evidence; a stop or
+    a retreat counts from its beginning.
     """
 
     within_s: float
@@ -138,7 +139,7 @@ class ReactsWithin(Worded):
         return inconclusive(self, why, exercised=len(decided))
 
     def _encounters(self, trace: Trace, hand: int) -> Iterator[tuple[int, int, bool]]:
-        """(ticks until the reaction, tick at which the hand came, is it told?) of each that counts."""
+        """Yield (ticks until the reaction, tick at which the hand came, is it known?) of each encounter."""
         settings, ticks = trace.scenario.settings, trace.ticks
         period_s, tcp_m = settings.clock.control_period_s, true_motion(trace).tcp_m
         last, halved = len(ticks) - 1, round(HALVED_S / period_s)
@@ -176,9 +177,10 @@ class ReactsWithin(Worded):
 
 
 def _began(change: NDArray[np.float64], soon: int) -> int | None:
-    """The tick at which a ``change`` (n,) begins that becomes HALF: the knee below its chord; else None.
+    """Return the tick at which a ``change`` (n,) to HALF begins, the knee below its chord; else None.
 
-    But no sooner than ``soon`` before it is HALF: what takes longer, such as a wide curve, is no answer.
+    The tick is at most ``soon`` before HALF is reached: a slower change, such as a wide curve, is not a
+    reaction.
     """
     end = int(np.argmax(change >= HALF))
     if not change[end] >= HALF:

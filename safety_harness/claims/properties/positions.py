@@ -1,7 +1,7 @@
-"""What a position to give way to was worth, and whether the arm went there or stopped: from the truth alone.
+"""Positions to retreat to: whether the arm can reach them, and whether it went there or stopped.
 
-Nothing here believes what the gate noted down: the opposite pose is computed again, and so is whether
-a position could have been used: whether it can be reached is a claim of its own.
+The gate's own notes are not trusted.  The opposite pose is computed again, and so is whether a position was
+usable. Reachability is a claim of its own.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ BEYOND_M = 0.100  # how far beyond the position reachability is looked for
 
 
 def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
-    """(3,) the radius of the settings from the TCP, away from the nearest predicted hand; NaN without one."""
+    """Return (3,) the position a radius from the TCP, away from the nearest predicted hand; NaN without.
+
+    The radius is that of the settings.
+    """
     tick = trace.ticks[decision["tick"]]
     tcp_in_base = tick["transform_tcp_to_base"][:3, 3]
     hands = tick["predicted_hand_in_base_m"][tick["track_valid"]]
@@ -54,11 +57,12 @@ def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
 
 
 def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
-    """The least that a position to give way to has to spare; negative for what it lacks to be usable.
+    """Return the least reserve of a retreat position; negative if the position cannot be used.
 
-    Reach beyond the gate's 10 mm; height above the least of a TCP; component of the way away from each
-    predicted hand; clearance along the way, of the wrist from the body and of the arm from the cell's boxes,
-    beyond the gate's 20 mm, or beyond that of its start.  NaN if a prediction is not finite.
+    It is the least of four reserves.  The reach counts beyond the gate's 10 mm, the height above the least of
+    a TCP.  The way counts by its component away from each predicted hand.  The clearance along the way, of
+    the wrist from the body and of the arm from the cell's boxes, counts beyond the gate's 20 mm, or beyond
+    that of its start.  NaN if a prediction is not finite.
 
     ``position_in_base_m`` (3,).
     """
@@ -92,9 +96,9 @@ def gone_towards(
     after_ticks: int,
     shares: Shares = MODEST,
 ) -> RepulsionProgress | None:
-    """How well the repulsion of decision ``number`` keeps up with the reference that heads for a target.
+    """Return the progress of the repulsion of decision ``number`` beside a reference that heads for a target.
 
-    The reference begins ``after_ticks`` after the decision, with the TCP's place and speed of then; None
+    The reference begins ``after_ticks`` after the decision, with the TCP's place and speed at that time; None
     if the repulsion was over by then.
 
     ``target_in_base_m`` (3,).
@@ -109,10 +113,10 @@ def gone_towards(
 
 
 def stopped_m(trace: Trace, tick: int) -> float:
-    """What the TCP's way from ``tick`` on leaves of that of a protective stop which begins there.
+    """Return the reserve of the TCP's way from ``tick`` on, beside that of a protective stop from there.
 
-    Allowed are v T_r + v T_s/2 at the speed v of then, one control period's way and 2 mm; counted is
-    the way in T_r + T_s, and for as long as the controller calls it a stop.
+    The allowance is v T_r + v T_s/2 at the speed v of that tick, a control period's way and 2 mm.  The way
+    counts in T_r + T_s, and as long as the controller reports a stop.
     """
     braking, period_s = trace.scenario.settings.braking, trace.scenario.settings.clock.control_period_s
     speed_mps = float(trace.ticks["tcp_speed_mps"][tick])
@@ -128,13 +132,12 @@ def stopped_m(trace: Trace, tick: int) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class RepulsivePosesReachable:
-    """Every repulsive position can be reached by inverse kinematics along the straight way there.
+    """Inverse kinematics can reach every repulsive position along the straight way there.
 
-    Margin of one decision: how much farther along the line from the TCP through the position the
-    arm could go, continuously, within its joint limits and away from singularities (at most
-    100 mm is looked for); negative by what is missing to the position.  ``proposed`` judges what the
-    avoider said, otherwise what the system chose after its checks.  The way begins where the arm
-    truly was.
+    The margin of a decision is how much farther along the line from the TCP through the position the arm
+    could go, continuously, within its joint limits and away from singularities (the search ends at 100 mm).
+    It is negative by the distance missing to the position.  ``proposed`` judges the avoider's proposal,
+    otherwise the choice of the system after its checks.  The way begins where the arm truly was.
 
     Source: table 4 of the paper, which counts positions "out of the reach range of the robot".
     """
@@ -144,12 +147,12 @@ class RepulsivePosesReachable:
 
     @property
     def sentence(self) -> str:
-        """As the catalogue writes it."""
+        """Return the sentence of the catalogue."""
         return "proposed repulsive poses reachable" if self.proposed else "repulsive poses reachable"
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """What was chosen is not asked for where proposals are judged, nor the other way round."""
+        """Return the columns: the choice is not read where proposals are judged, nor the other way round."""
         positions = (
             ("proposed_position_in_base_m",) if self.proposed else ("chosen_position_in_base_m", "outcome")
         )
@@ -182,9 +185,9 @@ def _judging(names: tuple[str, ...]) -> Callable[[RepulsivePosesReachable, Trace
 
 
 def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
-    """How much farther than a position the straight way there goes; minus the radius for no position.
+    """Return how much farther than a position the straight way goes; minus the radius without a position.
 
-    The way begins where the arm truly was at the decision.  Several claims ask for the same ways.
+    The way begins where the arm truly was at the decision.  Results are shared by several claims.
 
     ``position_in_base_m`` (3,).
     """
@@ -200,14 +203,14 @@ def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
 
 @once_a_trace
 def _reaches_m(_: Trace) -> dict[tuple[int, bytes], float]:
-    """By tick and position, those that somebody has asked for."""
+    """Return the known results, by tick and position."""
     return {}
 
 
 def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], way: NDArray[np.float64]) -> float:
-    """How far beyond (or, negative, short of) its end ``way`` (3,) can be gone from ``joints_rad`` (6,).
+    """Return how far beyond (negative: short of) its end ``way`` (3,) can be gone from ``joints_rad`` (6,).
 
-    At most 0.1 mm too little, but never below zero for a way that can be gone to its end.
+    The result is at most 0.1 mm too small, but never below zero for a way that can be gone to its end.
     """
     length_m = float(np.linalg.norm(way))
     if length_m == 0.0:

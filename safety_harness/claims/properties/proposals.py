@@ -1,8 +1,8 @@
-"""What the avoider itself proposed, judged before the gate: a good gate makes a bad avoider look safe.
+"""The avoider's own proposals, judged before the gate: a good gate makes a bad avoider look safe.
 
-Each answer is judged against the question that the avoider was really asked: where its answer counts later
-than at once (a decision time, or a fault of the scenario that delays it) those are the hand and the TCP of
-the tick at which it was asked.  No answer is no proposal: "the avoider answered" is a claim of its own.
+Each answer is judged against its question.  If the answer counts later (a decision time, or a fault of the
+scenario that delays it), that is the hand and the TCP of the tick of the question.  A missing answer is not a
+proposal: "the avoider answered" is a separate claim.
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ from safety_harness.claims.properties.base import (
     is_somewhere,
     judged,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.signals.occasions import no_answer, spread_beside_threshold
-from safety_harness.scenario.units import LENGTH, NUMBER
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.overruling import Overruling, answered, overruled
 from safety_harness.trace.records import ENDLESS
@@ -48,9 +47,9 @@ SURENESS = ("decision.proposed_spread_m", "decision.spread_threshold_m")
 
 @once_a_trace
 def proposals(trace: Trace) -> NDArray[np.void]:
-    """(m,) DECISION: those with a usable answer, their hand and TCP as they were when the avoider was asked.
+    """Return (m,) DECISION: usable answers, with hand and TCP at the time of the question.
 
-    Left out is an answer to an earlier question of which the trace does not tell the hand.
+    An answer to an earlier question is omitted if the trace does not have the hand of that time.
     """
     found: NDArray[np.void] = trace.decisions[answered(trace)]  # a copy
     told = (found["asked_tick"] == found["tick"]) | trace.ticks["track_valid"][found["asked_tick"]].any(
@@ -64,7 +63,7 @@ def proposals(trace: Trace) -> NDArray[np.void]:
 
 
 def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
-    """For ``reads``: what decisions say of themselves is exact; only earlier questions take it from ticks."""
+    """Return the ends of the margin, for ``reads``: decisions are exact, but not earlier questions."""
     decisions, known = trace.decisions, trace.known
     own = bool((decisions["asked_tick"] == decisions["tick"]).all())
     if not own or known.uncertain([name for name in (*PROPOSAL, *SURENESS) if name.startswith(OF_DECISIONS)]):
@@ -73,7 +72,7 @@ def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
 
 
 def optima_in_base_m(trace: Trace, found: NDArray[np.void]) -> NDArray[np.float64]:
-    """(m, 3) the closed-form optimum of the questions of ``found`` (m,)."""
+    """Return (m, 3) the closed-form optimum of the questions of ``found`` (m,)."""
     hands, tcps = found["hand_position_in_base_m"], found["tcp_position_in_base_m"]
     return np.asarray(optimum_in_base_m(trace.scenario.settings, hands, tcps))
 
@@ -86,9 +85,9 @@ def worst(
     shown_m: NDArray[np.float64],  # (m,)
     what: str,
 ) -> Evaluation:
-    """The word on the proposal with the least margin, or on the first that has none.
+    """Judge the proposal with the least margin, or the first without a margin.
 
-    The reason is ``shown_m`` of it, in mm, and ``what`` that is.
+    The reason is its ``shown_m``, in mm, and ``what``, the meaning of that number.
     """
     if len(found) == 0:
         return unexercised(prop, no_answer(trace))
@@ -99,11 +98,11 @@ def worst(
 
 @dataclass(frozen=True, kw_only=True)
 class ProposalsLeadAway(Worded):
-    """The straight way from the TCP to a proposal leads away from the hand that the avoider was asked about.
+    """The straight way from the TCP to a proposal leads away from the hand of the question.
 
-    Margin of one proposal: the component of the way away from the hand, (p - t) . (t - h)/|t - h|, and the
-    tolerance.  An avoider is asked about one hand, the nearest: what the way does to another is for the gate
-    to see, and for "repulsion moves away from every hand".
+    The margin of a proposal is the component of the way away from the hand, (p - t) . (t - h)/|t - h|, and
+    the tolerance. An avoider is asked about the nearest hand alone.  The gate, and "repulsion moves away from
+    every hand", judge the way beside other hands.
     """
 
     tolerance_m: float
@@ -139,22 +138,18 @@ class NearOptimum(Worded):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WithinSpread:
+class WithinSpread(Worded):
     """A proposal is within ``spreads`` of its own spreads, and an allowance, of the optimum, axis by axis.
 
-    Margin of one proposal: the least over axes of k s_i + allowance - |p_i - o_i|.  The allowance is for what
-    a spread of passes or members does not know of: the noise of the labels that the network learnt from.
+    The margin of a proposal is the least over axes of k s_i + allowance - |p_i - o_i|.  The allowance is for
+    an error that a spread of passes or members does not include: the noise of the labels from which the
+    network learnt.
     """
 
     spreads: float
     allowance_m: float
     unit: Unit = Unit.LENGTH
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        spreads = f"{self.spreads:g} {'spread' if self.spreads == 1.0 else 'spreads'}"
-        return f"proposals within {spreads} and {self.allowance_m * 1e3:g} mm of the optimum"
+    words: ClassVar[str] = "proposals within {spreads:1} spread(s) and {allowance_m:mm} of the optimum"
 
     @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -174,8 +169,8 @@ class WithinSpread:
 class NeverSureAndOff(Worded):
     """No proposal that is sure is farther than ``within_m`` from the closed-form optimum of its question.
 
-    Sure is one whose largest spread is at most the avoider's own threshold; of an avoider without a threshold
-    every one is.
+    A proposal is sure if its largest spread is at most the avoider's own threshold; without a threshold,
+    every proposal is sure.
     """
 
     within_m: float
@@ -195,9 +190,9 @@ class NeverSureAndOff(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class FewOverruled(Worded):
-    """At most a share of a run's proposals is overruled: replaced by the opposite pose, or the arm stops.
+    """At most a share of a run's proposals is overruled: replaced by the opposite pose or a stop.
 
-    All answers in time count, also those to a question that a fault of the scenario made an old one.
+    All answers in time count, also answers to a question that a fault of the scenario made old.
     """
 
     most: float
@@ -239,7 +234,6 @@ LEAD_AWAY = CatalogueEntry(
 NEAR_OPTIMUM = CatalogueEntry(
     prop=NearOptimum(within_m=0.06),
     pattern=r"proposals within (\S+(?: \S+)?) of the optimum",
-    make=lambda match, _, place: NearOptimum(within_m=quantity(match[1], LENGTH, place)),
     rationale=f"a network that is wrong in a region, a frame or a unit shows here first. {YARDSTICK}",
     source="eq. 13 of the paper, with the nearest point of the candidates' cap in closed form",
     margin="the length less the distance from a proposal to its question's optimum, least over proposals",
@@ -250,10 +244,6 @@ NEAR_OPTIMUM = CatalogueEntry(
 )
 WITHIN_SPREAD = CatalogueEntry(
     prop=WithinSpread(spreads=3.0, allowance_m=0.03),
-    pattern=r"proposals within (\S+) spreads? and (.+) of the optimum",
-    make=lambda match, _, place: WithinSpread(
-        spreads=quantity(match[1], NUMBER, place), allowance_m=quantity(match[2], LENGTH, place)
-    ),
     rationale="the gate trusts the spread: an error that it does not announce passes. The spread of dropout "
     f"or of an ensemble is that of the network alone: an allowance stands for its labels' noise. {YARDSTICK}",
     source="the paper, section 3.3, and eqs. 10 and 11: the spread of a network's answers",

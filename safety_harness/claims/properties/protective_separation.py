@@ -1,4 +1,4 @@
-"""The claim that the arm keeps the protective separation distance of ``separation``, with its entries."""
+"""The claim that the arm maintains the protective separation distance of ``separation``, with its entries."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from safety_harness.claims.properties.base import (
     OF_HANDS,
     Evaluation,
     Unit,
+    Worded,
     judged,
     runs_of,
     times_begun,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.signals.occasions import OFF_THE_GOAL, nearest_of, no_hand
 from safety_harness.claims.signals.separation import (
@@ -31,7 +32,6 @@ from safety_harness.claims.signals.separation import (
 )
 from safety_harness.claims.signals.speeds import arm_speeds_mps
 from safety_harness.claims.signals.true_motion import JOINTS, arm_of, capsules_of, true_motion
-from safety_harness.scenario.units import SPEED
 from safety_harness.trace.known import UNMEASURED
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace, history, once_a_trace
@@ -40,10 +40,10 @@ GRACE_TICKS = 2  # by which the drives may come to rest after the end of their r
 
 
 def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
-    """For ``reads``, with the true distances at the ticks, and any speed that the arm's points may have.
+    """Return the ends of the margin, for ``reads``: true distances at the ticks, and any speed of points.
 
-    Which points are nearest may change at once, and their speeds with them.  Where braking is unknown, or
-    when it is over, a stop excuses no more than as many ticks in a row as it may take.
+    The nearest points may change at once, and their speeds with them.  Where braking is unknown, or its end,
+    a stop excuses at most as many ticks in a row as it may take.
     """
     known, true, settings = trace.known, true_motion(trace), trace.scenario.settings
     braking, period_s, reach_m = settings.braking, settings.clock.control_period_s, arm_of(trace).reach_m
@@ -88,34 +88,34 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
 
 
 def _may_be_stopping(trace: Trace) -> NDArray[np.bool_]:
-    """(n,) the ticks at which a protective stop is carried out, or may be."""
+    """Return (n,) the ticks of a protective stop, or of a possible one."""
     braking: NDArray[np.bool_] = trace.ticks["limits"] & int(Limit.BRAKING) != 0
     return braking | ~trace.known.measured("limits", trace.ticks)
 
 
 def _fastest_mps(trace: Trace) -> float:
-    """No hand or elbow is faster, by what is known of them."""
+    """Return the largest possible speed of a hand or elbow, by what is known of them."""
     rates = [trace.known.of(name).at_most_per_s for name in OF_HANDS[:2]]
     return max(np.inf if rate is None else rate for rate in rates)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProtectiveSeparation:
+class ProtectiveSeparation(Worded):
     """min over time, hands and links of d - S_p while the arm moves (any joint above 1 mrad/s).
 
-    ``hand_speed_mps`` is the v_h of every human, towards the arm; None for ``default_mps``.  With
-    ``own_speeds`` it is that of each hand's and forearm's own nearest point at that tick.  The robot's
-    v_r is that of the link's nearest point towards the human, never below zero.  Both are those of
-    the nearest pair of each link, not only of the nearest link: a slow link may be nearer than a fast
-    one that should be farther away.
+    ``hand_speed_mps`` is the v_h of every human, towards the arm; None is ``default_mps``.  With
+    ``own_speeds`` v_h is that of each hand's and forearm's own nearest point at that tick.  The robot's v_r
+    is that of the link's nearest point towards the human, never below zero.  Both belong to the nearest pair
+    of each link, not only of the nearest link: a slow link may be nearer than a fast link that should be
+    farther away.
 
-    T_r and T_s are the settings', T_s at the TCP's speed of that tick or, where that is larger, at that of
-    the arm's fastest point: all joints brake together, and a link stops no sooner than the fastest.  With
-    ``tcp_alone``, or where joints are known to within some uncertainty only, it is the TCP's.  Once a
-    protective stop is under way only what is left of them counts: a stop that begins in time is no violation
-    later on.
+    T_r and T_s are the settings'.  T_s belongs to the TCP's speed of that tick or, if it is larger, to the
+    speed of the arm's fastest point.  All joints brake together, so that a link stops no sooner than the
+    fastest.  With ``tcp_alone``, or where joints are uncertain, T_s belongs to the TCP's speed.  During a
+    protective stop only the rest of both times counts, so that a stop that begins in time is not a violation
+    later.
 
-    Exercised when a hand comes as near to the moving arm as S_p can be for an arm at its speed limit.
+    A hand exercises it that comes as near to the moving arm as S_p can be for an arm at its speed limit.
     """
 
     hand_speed_mps: float | None = None
@@ -125,28 +125,26 @@ class ProtectiveSeparation:
     unit: Unit = Unit.LENGTH
 
     @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
+    def words(self) -> str:
+        """Return the sentence, with the speed of hands where it is not the usual speed."""
         if self.own_speeds:
             return "protective separation kept from hands at their own speeds"
-        if self.hand_speed_mps is None:
-            return "protective separation kept"
-        return f"protective separation kept at {self.hand_speed_mps:g} m/s"
+        return "protective separation kept" + " at {hand_speed_mps:m/s}" * (self.hand_speed_mps is not None)
 
     @property
     def assumed_mps(self) -> float:
-        """The v_h that is taken where the hands' own speeds are not."""
+        """Return the v_h that replaces the hands' own speeds."""
         return self.default_mps if self.hand_speed_mps is None else self.hand_speed_mps
 
     def stopped_from_mps(self, trace: Trace) -> NDArray[np.float64]:
-        """Return the speed (n,) [m/s] that T_s is taken at."""
+        """Return the speed (n,) [m/s] for T_s."""
         tcp_mps: NDArray[np.float64] = trace.ticks["tcp_speed_mps"]
         alone = self.tcp_alone or trace.known.uncertain(JOINTS)
         return tcp_mps if alone else np.maximum(tcp_mps, arm_speeds_mps(trace)[:, 0])
 
     @reads(*JOINTS, "tcp_speed_mps", *OF_HANDS, bounded=["limits"], of_each_hand=True, ends=_ends)
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge the pair that has least to spare."""
+        """Judge the pair with the least margin."""
         if not trace.scenario.hands:
             return unexercised(self, no_hand(trace))
         worst = self.worst(trace)
@@ -165,7 +163,7 @@ class ProtectiveSeparation:
         return judged(self, trace, worst.margin_m, trace.time_s[worst.tick], reason, times, lacked)
 
     def worst(self, trace: Trace) -> Separation | None:
-        """The pair and tick with the least margin; None if the arm never moved while a hand was there."""
+        """Return the pair and tick with the least margin; None if the arm never moved beside a hand."""
         settings, true, turns = trace.scenario.settings, true_motion(trace), moving(trace)
         if trace.ended == UNMEASURED:  # speeds at its last tick are not those of the whole run
             turns = turns & (np.arange(len(turns)) < len(turns) - 1)
@@ -204,7 +202,7 @@ class ProtectiveSeparation:
         )
 
     def largest_m(self, settings: Settings) -> float:
-        """S_p for an arm that heads for a human at its speed limit: how near is near."""
+        """Return S_p for an arm that heads for a human at its speed limit: how near is near."""
         fastest_mps = max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
         braking = settings.braking
         stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps
@@ -213,31 +211,31 @@ class ProtectiveSeparation:
 
 @once_a_trace
 def _steps_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) and (n,) of ``farthest_steps``."""
+    """Return (n,) and (n,) as ``farthest_steps`` does."""
     true = true_motion(trace)
     return farthest_steps(arm_of(trace), true.joints_rad, true.hands_m, true.present)
 
 
 @once_a_trace
 def moving(trace: Trace) -> NDArray[np.bool_]:
-    """(n,) does any joint turn, by the controller's own bound for a standstill?"""
+    """Return (n,) whether any joint turns, by the controller's own bound for a standstill."""
     turns: NDArray[np.bool_] = (np.abs(history(trace, JOINTS[1])) >= STANDSTILL_RADPS).any(axis=1)
     return turns
 
 
 @once_a_trace
 def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) of reaction time and (n,) of stop time that an arm needs to stop from now on, or has left.
+    """Return (n,) reaction time and (n,) stop time that an arm needs to stop from now on, or has left.
 
-    All of both, but while a protective stop is carried out (the BRAKING flag of the drives): of an
-    arm that still moves when its ramp has been over for two ticks again all of both.  None is carried out
-    in a trace that does not know of all its flags.
+    Both are whole, except while a protective stop is under way (the BRAKING flag of the drives).  They are
+    whole again for an arm that still moves when its ramp has been over for two ticks, and in a trace that
+    does not know all its flags.
     """
     return _times_s(trace, trace.ticks["tcp_speed_mps"])
 
 
 def _times_s(trace: Trace, speed_mps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """As ``times_left_s``, of stops from a speed (n,) that is no less than the TCP's."""
+    """Return the times of stops from a speed (n,) that is at least the TCP's, as ``times_left_s``."""
     known = not trace.known.of("limits").limited
     return (_times_left_s if known else _full_times_s)(trace, speed_mps, 0.0)
 
@@ -245,7 +243,7 @@ def _times_s(trace: Trace, speed_mps: NDArray[np.float64]) -> tuple[NDArray[np.f
 def _full_times_s(
     trace: Trace, speed_mps: NDArray[np.float64], off_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) and (n,) of all of both; ``speed_mps`` (n,)."""
+    """Return (n,) and (n,) the whole times; ``speed_mps`` (n,)."""
     braking = trace.scenario.settings.braking
     stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps + off_s
     return np.full(len(speed_mps), braking.reaction_time_s), stop_s
@@ -254,10 +252,10 @@ def _full_times_s(
 def _times_left_s(
     trace: Trace, speed_mps: NDArray[np.float64], off_s: float, longest_s: float = 0.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) and (n,) at most, where the stop time that a speed gives may be ``off_s`` more or less.
+    """Return (n,) and (n,) upper bounds, where the stop time of a speed may be ``off_s`` more or less.
 
-    Less than all of both only of a stop whose beginning is known, and whose ramp is not over for certain;
-    ``longest_s`` where nothing is known of stops.
+    The times are less than whole only for a stop with a known beginning, whose ramp is not certainly over.
+    ``longest_s`` is the stop time where stops are not known.
     """
     period_s, time_s = trace.scenario.settings.clock.control_period_s, trace.time_s
     reaction_s, stop_s = _full_times_s(trace, speed_mps, off_s)
@@ -281,7 +279,7 @@ def _times_left_s(
 
 
 def described(trace: Trace, found: Separation) -> str:
-    """The pair and its terms in a sentence."""
+    """Return a sentence on the pair and its terms."""
     part = capsules_of(trace).names[found.capsule].replace("_", " ")
     whose = trace.scenario.hands[found.hand].name + ("'s forearm" if found.forearm else "")
     terms = " + ".join(f"{term.symbol} {term.length_m * 1e3:.1f}" for term in found.terms)
@@ -312,8 +310,6 @@ PROTECTIVE_SEPARATION = CatalogueEntry(
 PROTECTIVE_SEPARATION_AT = replace(
     PROTECTIVE_SEPARATION,
     prop=ProtectiveSeparation(hand_speed_mps=1.6),
-    pattern=r"protective separation kept at (.+)",
-    make=lambda match, _, place: ProtectiveSeparation(hand_speed_mps=quantity(match[1], SPEED, place)),
     parameters=f"v_h as written, in place of {REACHING_MPS:g} m/s; {_TIMES}",
 )
 PROTECTIVE_SEPARATION_OWN = replace(

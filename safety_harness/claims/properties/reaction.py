@@ -1,6 +1,6 @@
-"""A hand near the TCP makes the arm give way or stop, and soon: one that is predicted, one that is there.
+"""A hand near the TCP makes the arm give way or stop, and soon: a predicted hand, and a true one.
 
-Where nobody is it does not, nor does it go to and fro between giving way and its task.
+Without a hand the arm does not, nor does it alternate between giving way and its task.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from safety_harness.claims.properties.base import (
     time_left_s,
     times_begun,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, count, quantity
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.signals.occasions import (
     NEAR_M,
@@ -39,23 +39,22 @@ from safety_harness.claims.signals.occasions import (
 from safety_harness.claims.signals.true_motion import nearest_hand_m, true_motion
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import REACHING_MPS
-from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import Limit, Mode
 from safety_harness.trace.trace import Trace, once_a_trace
 
 
 @once_a_trace
 def gives_way(trace: Trace) -> NDArray[np.bool_]:
-    """(n,) is the controller repulsing, or stopped for protection?"""
+    """Return (n,) whether the controller repulses, or is in a protective stop."""
     mode = trace.ticks["mode"]
     given: NDArray[np.bool_] = (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP)
     return given
 
 
 def predicted_near(trace: Trace, within_m: float = np.inf) -> tuple[NDArray[np.bool_], int]:
-    """(n,) is any predicted hand within the critical distance of the true TCP, and within ``within_m``?
+    """Return (n,) whether a predicted hand is within the critical distance of the true TCP, and ``within_m``.
 
-    And the first tick with a prediction that is nowhere, or -1.
+    Return also the first tick with a prediction that is nowhere, or -1.
     """
     near_m = min(trace.scenario.settings.avoidance.critical_distance_m, within_m)
     apart_m, nowhere = predicted_apart_m(trace)
@@ -64,9 +63,9 @@ def predicted_near(trace: Trace, within_m: float = np.inf) -> tuple[NDArray[np.b
 
 @once_a_trace
 def predicted_apart_m(trace: Trace) -> tuple[NDArray[np.float64], int]:
-    """(n,) distance of the nearest prediction from the true TCP, infinite where nothing is tracked.
+    """Return (n,) the distance of the nearest prediction from the true TCP, infinite without a track.
 
-    And the first tick with a prediction that is nowhere, or -1.
+    Return also the first tick with a prediction that is nowhere, or -1.
     """
     ticks = trace.ticks
     return _predicted_apart(true_motion(trace).tcp_m, ticks["track_valid"], ticks["predicted_hand_in_base_m"])
@@ -78,7 +77,7 @@ def _predicted_apart(
     tracked: NDArray[np.bool_],  # (n, tracks)
     predicted_m: NDArray[np.float64],  # (n, tracks, 3)
 ) -> tuple[NDArray[np.float64], int]:
-    """(n,) least over tracks of |predicted - tcp|, and the first tick at which a prediction is nowhere."""
+    """Return (n,) least over tracks of |predicted - tcp|, and the first tick whose prediction is nowhere."""
     found, nowhere = np.full(tcp_m.shape[0], np.inf), -1
     for k in range(found.shape[0]):
         for track in range(tracked.shape[1]):
@@ -96,7 +95,7 @@ def _predicted_apart(
 
 
 def may_give_way(trace: Trace) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(n,) the ticks at which the arm gives way for certain, and (n,) those at which it may."""
+    """Return (n,) the ticks at which the arm certainly gives way, and (n,) those at which it may."""
     told = trace.known.measured("mode", trace.ticks)
     return gives_way(trace) & told, gives_way(trace) | ~told
 
@@ -108,10 +107,11 @@ def _answer_ends(
     maybe: NDArray[np.bool_],
     whole_stretch: bool,
 ) -> tuple[float, float, bool]:
-    """For ``reads``: a hand is near for certain where ``sure`` (n,), and else at most where ``maybe`` (n,).
+    """Return the ends of the margin, for ``reads``, by the ticks at which a hand is near, or may be.
 
-    The longest time for which it may have been near unanswered, and that for which it was; when a mode and a
-    hand changed between two ticks is not known, so that the one is a period more and the other one less.
+    They follow from the longest time for which it may have been near unanswered, and for which it certainly
+    was.  Mode and hand may have changed anywhere between two ticks, so that the first time is a period
+    longer, and the second shorter. ``sure`` and ``maybe`` (n,).
     """
     gives, may = may_give_way(trace)
     last, longest, open_from, too_long = len(sure) - 1, [0, 0], len(sure), False
@@ -151,7 +151,7 @@ def _true_ends(prop: GivesWayToTrueHand, trace: Trace) -> tuple[float, float, bo
 
 
 def nearest_off_m(trace: Trace) -> NDArray[np.float64]:
-    """(n,) by how much the distance of the nearest hand from the TCP may be off."""
+    """Return (n,) the error of the distance of the nearest hand from the TCP."""
     count = len(trace.ticks)
     return trace.known.within("transform_tcp_to_base", count) + trace.known.within(
         "hand_position_in_base_m", count
@@ -162,14 +162,14 @@ def nearest_off_m(trace: Trace) -> NDArray[np.float64]:
 class GivesWay(Worded):
     """``within_s`` less the longest time for which a predicted hand was near and the arm did not give way.
 
-    Near: within the critical distance of the true TCP, centre to TCP, as the controller's own rule has
-    it.  The time runs from the first such tick in a stretch without giving way to that stretch's end,
-    also if the hand leaves meanwhile: what was predicted has to be answered.  A stretch that the end of
-    the run cuts short counts only if it was too long already.
+    Near means within the critical distance of the true TCP, centre to TCP, as in the controller's own rule.
+    The time runs from the first such tick in a stretch without giving way to that stretch's end, also if the
+    hand leaves meanwhile: a prediction has to be answered.  A stretch that the end of the run cuts short
+    counts only if it was too long already.
 
-    Giving way is what the controller says it does, repulsion or protective stop; that it then does it
-    is for the claims about ways and stops.  Exercised each time that a predicted hand comes near, and within
-    NEAR_M: a longer critical distance makes no more occasions.
+    The controller's report of repulsion or protective stop counts as giving way; claims about ways and stops
+    check its motion.  Each predicted hand that comes near, and within NEAR_M, exercises it: a longer critical
+    distance makes no more occasions.
     """
 
     within_s: float
@@ -198,14 +198,14 @@ class GivesWay(Worded):
 class GivesWayToTrueHand(Worded):
     """``within_s`` less the longest time for which a true hand was near and the arm did not give way.
 
-    Near: its centre within the critical distance of the TCP, whatever the controller sees, tracks or
-    predicts.  The time is that of consecutive ticks at which a hand is near and the controller neither
-    repulses nor is stopped.  A hand that has left sooner, and to which it never gave way, makes the claim
-    inconclusive: nobody knows if it would have.  A hand that is near when the run ends counts only if that
-    was too long already.
+    Near means that its centre is within the critical distance of the TCP, whatever the controller sees,
+    tracks or predicts.  The time is that of consecutive ticks at which a hand is near and the controller
+    neither repulses nor is stopped.  A hand that left sooner, and to which it never gave way, makes the claim
+    inconclusive: its answer is unknown. A hand that is near when the run ends counts only if the time was too
+    long already.
 
-    Giving way is what the controller says it does.  Exercised each time that a true hand comes near, and
-    within NEAR_M.
+    The controller's report counts as giving way.  Each true hand that comes near, and within NEAR_M,
+    exercises it.
     """
 
     within_s: float
@@ -236,7 +236,7 @@ def _judged(
     whose: str,
     ignored: Sequence[slice] = (),  # encounters in which the arm never gave way
 ) -> Evaluation:
-    """By the longest of the stretches in which a hand that came near was not answered."""
+    """Judge the longest stretch in which a near hand was not answered."""
     occasions = times_begun(near)
     longest, since, open_from = 0, int(np.argmax(near)), len(near)  # in ticks
     for first, end in unanswered:
@@ -293,20 +293,16 @@ GIVES_WAY_TO_TRUE_HAND = replace(
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivesWayAtMost:
-    """``most`` less how often the arm went from its task to giving way.
+class GivesWayAtMost(Worded):
+    """``most`` less how often the arm left its task to give way.
 
-    From servoing, or from standing without the object, to repulsing or to a protective stop.  What is
-    decided anew while it gives way counts as one.
+    It leaves its task from servoing, or from standing without the object, to repulsing or to a protective
+    stop.  A decision while it gives way does not count again.
     """
 
     most: int
     unit: Unit = Unit.COUNT
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"gives way at most {self.most} {'time' if self.most == 1 else 'times'}"
+    words: ClassVar[str] = "gives way at most {most:} time(s)"
 
     @reads(also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -321,14 +317,12 @@ class GivesWayAtMost:
 
 
 def gives_way_at(trace: Trace) -> NDArray[np.int64]:
-    """The ticks at which the arm leaves its task to give way; every run begins with its task."""
+    """Return the ticks at which the arm leaves its task to give way; every run begins with its task."""
     return np.flatnonzero(begins_at(gives_way(trace)))
 
 
 GIVES_WAY_AT_MOST = CatalogueEntry(
     prop=GivesWayAtMost(most=3),
-    pattern=r"gives way at most (\S+) times?",
-    make=lambda match, _, place: GivesWayAtMost(most=count(match[1], place)),
     rationale="an arm that goes to and fro before a hand is of no use, and nobody can foresee it",
     source="hysteresis, a common demand on switched controllers",
     margin="the times allowed less those at which the arm leaves its task to repulse or to stop",
@@ -340,26 +334,25 @@ GIVES_WAY_AT_MOST = CatalogueEntry(
 
 
 @dataclass(frozen=True, kw_only=True)
-class NoFalseAlarms:
+class NoFalseAlarms(Worded):
     """The limit less the distance of the nearest true hand from the TCP whenever the arm gives way.
 
-    Asked where repulsion or a protective stop begins, and at every decision; not while they last, for
-    a hand may leave before they end, nor of stops at a singularity.  The limit is ``within_m``, else the
-    critical distance and what a hand at 2 m/s covers within the prediction horizon: a right prediction
-    can be that far ahead.  A hand farther than twice the limit, or none, counts as twice the limit;
-    where the arm never gave way the margin is the limit.
+    The beginnings of repulsion and protective stop count, and every decision.  Their duration does not, as a
+    hand may leave before they end, nor do stops at a singularity.  The limit is ``within_m``, else the
+    critical distance and the way of a hand at 2 m/s within the prediction horizon: a right prediction can be
+    that far ahead.  A hand farther than twice the limit, or a missing hand, counts as twice the limit.  Where
+    the arm never gave way the margin is the limit.
 
-    Exercised by every tick without a true hand within the limit.
+    Every tick without a true hand within the limit exercises it.
     """
 
     within_m: float | None = None
     unit: Unit = Unit.LENGTH
 
     @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        words = "never gives way without a hand"
-        return words if self.within_m is None else f"{words} within {self.within_m * 1e3:g} mm"
+    def words(self) -> str:
+        """Return the sentence, with the limit where it is stated."""
+        return "never gives way without a hand" + " within {within_m:mm}" * (self.within_m is not None)
 
     @reads(
         "transform_tcp_to_base",
@@ -390,7 +383,7 @@ class NoFalseAlarms:
         return judged(self, trace, margin_m, trace.time_s[worst], reason, exercised, lacked)
 
     def limit_m(self, settings: Settings) -> float:
-        """How far a hand may be that the arm gives way to."""
+        """Return how far a hand may be to which the arm gives way."""
         if self.within_m is not None:
             return self.within_m
         horizon_s = settings.hand_filter.prediction_horizon_s
@@ -399,7 +392,7 @@ class NoFalseAlarms:
 
 @once_a_trace
 def beginnings(trace: Trace) -> NDArray[np.int64]:
-    """The ticks (k,) at which the arm begins to give way or decides to, stops at a singularity apart."""
+    """Return the ticks (k,) at which the arm begins or decides to give way, but not at a singularity."""
     begins = begins_at(gives_way(trace))
     begins &= trace.ticks["limits"] & int(Limit.SINGULARITY) == 0
     begins[trace.decisions["tick"]] = True
@@ -407,9 +400,9 @@ def beginnings(trace: Trace) -> NDArray[np.int64]:
 
 
 def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
-    """With the nearest hand as far as it may be where the arm may have begun, and as near where it did.
+    """Return the ends of the margin: the nearest hand as far as possible at possible beginnings, and as near.
 
-    A beginning is known to the tick before, and a decision to a tick either way or the gap that it lies in.
+    A beginning is known to the tick before, and a decision to a tick either way or to its gap.
     """
     limit_m, nearest_m, off_m = (
         prop.limit_m(trace.scenario.settings),
@@ -450,7 +443,5 @@ FALSE_ALARMS = CatalogueEntry(
 FALSE_ALARMS_WITHIN = replace(
     FALSE_ALARMS,
     prop=NoFalseAlarms(within_m=0.6),
-    pattern=r"never gives way without a hand within (.+)",
-    make=lambda match, _, place: NoFalseAlarms(within_m=quantity(match[1], LENGTH, place)),
     parameters="the limit",
 )

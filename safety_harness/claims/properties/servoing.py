@@ -1,9 +1,9 @@
-"""Servoing gets there once the hands have left: gain switch reached, and converged.
+"""Servoing reaches its goal once the hands have left: gain switch reached, and converged.
 
-On the way the task never starves, and the camera keeps the object in view.  The first two are judged
-against the closed form of eq. 1 with the right interaction matrix: the error decays as exp(-lambda t), so
-from an error d the threshold c takes ln(d/c)/lambda seconds.  A run that ends before the time allowed is
-no evidence.
+Meanwhile the task never starves, and the camera has the object in view.  The first two claims compare with
+the closed form of eq. 1 with the right interaction matrix.  Its error decays as exp(-lambda t), so that from
+an error d the threshold c takes ln(d/c)/lambda seconds.  A run that ends before the time allowed is not
+evidence.
 """
 
 from __future__ import annotations
@@ -26,14 +26,13 @@ from safety_harness.claims.properties.base import (
     runs_of,
     time_left_s,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import columns_read_by, only_whole, reads
 from safety_harness.claims.properties.reaction import nearest_off_m
 from safety_harness.claims.signals.occasions import MOVES, OFF_THE_GOAL, millimetres, tcp_stood
 from safety_harness.claims.signals.poses import pose_errors, position_errors_m
 from safety_harness.claims.signals.true_motion import nearest_hand_m
 from safety_harness.scenario.model import Verdict
-from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace, history, once_a_trace
 
@@ -47,7 +46,7 @@ LEAST_SHARE = 0.1  # of the closed form's rate, with which servoing gets on
 
 
 def retreat_s(trace: Trace) -> float:
-    """For how long an arm may still retreat, or stand, once the last hand has left."""
+    """Return how long an arm may still retreat, or stand, once the last hand has left."""
     avoidance = trace.scenario.settings.avoidance
     speed_mps, most_mps2 = avoidance.repulsion_speed_mps, avoidance.repulsion_acceleration_mps2
     return avoidance.restart_delay_s + avoidance.radius_m / speed_mps + speed_mps / most_mps2
@@ -55,11 +54,11 @@ def retreat_s(trace: Trace) -> float:
 
 @once_a_trace
 def left_at(trace: Trace) -> int | None:
-    """The tick from which on the arm is free for its task, by motion, whatever mode is reported; else None.
+    """Return the tick from which the arm is free for its task, by motion, whatever the mode; else None.
 
-    No true hand is within the critical distance of the TCP, nor does it go away from the desired pose while
-    one is within ABOUT of that.  Then it may stand or go on, for ``retreat_s``: the last tick of those
-    counts at which it is as far off as at any.
+    No true hand is within the critical distance of the TCP, and the TCP does not leave the desired pose while
+    a hand is within ABOUT of that distance.  Then it may stand or go on, for ``retreat_s``: the result is the
+    last tick of that time at which it is as far off as at any.
     """
     settings, error = trace.scenario.settings, np.hypot(*pose_errors(trace))
     nearest_m, critical_m = nearest_hand_m(trace), settings.avoidance.critical_distance_m
@@ -75,7 +74,7 @@ def left_at(trace: Trace) -> int | None:
 
 
 def busy_to_the_end(trace: Trace) -> str:
-    """Why servoing was not free to go on."""
+    """Return why servoing was not free to go on."""
     critical_m, left_m = trace.scenario.settings.avoidance.critical_distance_m, nearest_hand_m(trace)[-1]
     near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
     beyond_m = critical_m if left_m < critical_m else ABOUT * critical_m  # from where the arm still goes away
@@ -83,24 +82,24 @@ def busy_to_the_end(trace: Trace) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GainSwitchReached:
+class GainSwitchReached(Worded):
     """Eq. 15 falls below the switch within the allowed time after the last hand has left.
 
-    Margin: time left when it does, or minus the time that had been overrun at the end of the run.
-    Allowed: ``within_s``, else 1.25 times the closed form ln(|e|/sqrt(c))/lambda plus 1 s.  An
-    object that is not seen is not below the switch.
+    The margin is the time left at that moment, or minus the time overrun at the end of the run.  The allowed
+    time is ``within_s``, else 1.25 times the closed form ln(|e|/sqrt(c))/lambda plus 1 s.  An object that is
+    not seen is not below the switch.
 
-    Exercised when the error is above the switch after the last hand has left: one that is below
-    already then has been brought there by something else, by the start or while the hand was near.
+    A run exercises it if the error is above the switch after the last hand has left: a smaller error has
+    another cause, the start or the time while the hand was near.
     """
 
     within_s: float | None = None
     unit: Unit = Unit.TIME
 
     @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return "gain switch reached" + ("" if self.within_s is None else f" within {self.within_s:g} s")
+    def words(self) -> str:
+        """Return the sentence, with the time allowed where it is stated."""
+        return "gain switch reached" + " within {within_s:s}" * (self.within_s is not None)
 
     @only_whole()
     @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["sse"])
@@ -139,7 +138,7 @@ class GainSwitchReached:
 
 
 def longer(trace: Trace, lacked_s: float) -> str:
-    """The duration that would decide it."""
+    """Return the duration that would decide it."""
     duration_s = trace.scenario.duration_s + lacked_s + ROUNDED_UP_S
     return f"a duration of {duration_s:.1f} s exercises it if no hand comes near again"
 
@@ -148,13 +147,13 @@ def longer(trace: Trace, lacked_s: float) -> str:
 class Converged:
     """The TCP ends within 1 mm and 0.1 degree of the desired pose, judged by pose, not by features.
 
-    Margin: 1 mm less the distance at the end; where the angle is too large, minus the distance
-    that the excess angle means at the camera's desired depth.  A run shorter than the closed form
-    needs (both gains) is inconclusive unless it has converged already, or has hardly come nearer in the
-    last 5 s.  By motion alone: what mode is reported does not matter.
+    The margin is 1 mm less the distance at the end.  Where the angle is too large, it is minus the distance
+    that the excess angle means at the camera's desired depth.  A run shorter than the closed form needs (both
+    gains) is inconclusive unless it has converged already, or has hardly come nearer in the last 5 s.  Motion
+    alone counts, not the reported mode.
 
-    Exercised when the TCP was farther off at any tick of the run, so that servoing has brought it
-    here; a TCP that began there and was never pushed away says nothing.
+    A run exercises it if the TCP was farther off at any tick, so that servoing has brought it here.  A TCP
+    that began there and stayed is not evidence.
     """
 
     unit: Unit = Unit.LENGTH
@@ -189,7 +188,7 @@ class Converged:
         return judged(self, trace, margin, trace.time_s[-1], reason, off, lambda: lacked, revocable=True)
 
     def _needed_s(self, trace: Trace, distance_m: float) -> float:
-        """Closed form from ``distance_m``, angle included: fast until the gain switch, slow on to 1 mm."""
+        """Return the closed form from ``distance_m``: fast until the gain switch, slow on to 1 mm."""
         servo = trace.scenario.settings.servo
         switch_m = float(np.sqrt(servo.gain_switch_sse))
         far_s = np.log(max(distance_m, switch_m) / switch_m) / servo.gain_far
@@ -198,7 +197,7 @@ class Converged:
 
 
 def _stands(trace: Trace, first: int) -> bool:
-    """Has it hardly come nearer in the last STANDS_S since ``first``: by less than half of its rate does?"""
+    """Return whether it came nearer in the last STANDS_S since ``first`` by less than at half of its rate."""
     begin = len(trace.ticks) - 1 - round(STANDS_S / trace.scenario.settings.clock.control_period_s)
     error = np.hypot(*pose_errors(trace))
     rate_per_s = 0.5 * trace.scenario.settings.servo.gain_near
@@ -206,7 +205,10 @@ def _stands(trace: Trace, first: int) -> bool:
 
 
 def _converged_ends(trace: Trace, margin: float) -> tuple[float, float, bool]:
-    """For ``reads``: as the last pose is uncertain; not violated if a hand may have come near after all."""
+    """Return the ends of the margin, for ``reads``, by the error of the last pose.
+
+    A violation is not certain if a hand may have come near after all.
+    """
     off_m, first = trace.known.within("transform_tcp_to_base", len(trace.ticks)), left_at(trace) or 0
     apart_m = (nearest_hand_m(trace) - nearest_off_m(trace))[first:]
     left = bool((apart_m >= trace.scenario.settings.avoidance.critical_distance_m).all())
@@ -230,7 +232,6 @@ GAIN_SWITCH_WITHIN = replace(
     GAIN_SWITCH,
     prop=GainSwitchReached(within_s=5.0),
     pattern=r"gain switch reached within (?!.* iterations$)(.+)",
-    make=lambda match, _, place: GainSwitchReached(within_s=quantity(match[1], TIME, place)),
     rationale="the same, for a cell with a cycle time",
     margin="time left of the time allowed",
     parameters="the time allowed",
@@ -259,7 +260,7 @@ class GainSwitchIterations(Worded):
 
     @property
     def reads(self) -> tuple[str, ...] | None:
-        """What the claim in seconds does."""
+        """Return the columns of the claim in seconds."""
         return columns_read_by(GainSwitchReached())
 
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -293,11 +294,11 @@ GAIN_SWITCH_ITERATIONS = replace(
 class NeverStarved(Worded):
     """``longest_s`` less the longest time that the task was starved.
 
-    The error is eq. 15's for the true pose, (distance^2 + angle^2)^(1/2) in metres and radians; below the
-    root of the gain switch the task is done.  Time is lost at every tick at which it is not done and the
-    controller does not servo, or does with less than a tenth of the closed form's rate lambda |e|.  What
-    was lost is made good when the error is 1 mm smaller than ever since the task was last done: so a
-    system that servoes and gives way in turns, without ever getting nearer, starves.
+    The error is eq. 15's for the true pose, (distance^2 + angle^2)^(1/2) in metres and radians.  Below the
+    root of the gain switch the task is done.  A tick is lost if the task is not done and the controller does
+    not servo, or servoes with less than a tenth of the closed form's rate lambda |e|.  The loss is recovered
+    when the error is 1 mm smaller than ever since the task was last done.  So a system that servoes and gives
+    way in turns, without coming nearer, starves.
     """
 
     longest_s: float
@@ -328,7 +329,7 @@ class NeverStarved(Worded):
 
 
 def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """(n,) for how many ticks the task has been starved at each tick, and (n,) whether it is not done."""
+    """Return (n,) how many ticks the task has been starved at each tick, and (n,) whether it is not done."""
     settings = trace.scenario.settings
     distance_m, angle_rad = pose_errors(trace)
     error = np.hypot(distance_m, angle_rad)
@@ -345,7 +346,7 @@ def _lost(
     done_below: float,
     least_share: float,  # of the error, in one tick
 ) -> NDArray[np.int64]:
-    """(n,) the ticks lost in a row: 0 at a new best error, one more without a gain of ``least_share``."""
+    """Return (n,) the ticks lost in a row: 0 at a new best error, else one more unless it gains enough."""
     best, lost = error[0], np.zeros(error.shape[0], np.int64)
     for k in range(1, error.shape[0]):
         if error[k] < done_below:
@@ -376,8 +377,8 @@ class ObjectInView(Worded):
     """``within_s`` less the longest time in which the last image did not show the whole object.
 
     Before the first image it is not in view.  A run that is no longer than the limit could not violate it,
-    and says nothing.  A loss that lasts to the end of the run, and not yet
-    longer than the limit, leaves open whether the object is recovered in time.
+    and is not evidence.  A loss that lasts to the end of the run, and is not yet longer than the limit,
+    leaves open whether the object is recovered in time.
     """
 
     within_s: float

@@ -1,7 +1,7 @@
-"""Which assumptions of docs/shield.md did not hold in a run, as far as its trace tells: 1 to 5, 7 and 9.
+"""The assumptions of docs/shield.md that did not hold in a run, as far as its trace shows: 1 to 5, 7 and 9.
 
-A time stamp that is wrong (6) puts a hand where it was not (5), and drives that brake late or less than they
-are told (8) do not do what they are told (7).  A trace does not tell whether a capsule encloses its link.
+A wrong time stamp (6) puts a hand in a wrong place (5), and drives that brake late or less than commanded (8)
+do not follow commands (7).  A trace does not show whether a capsule encloses its link.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class BrokenAssumption(NamedTuple):
 
 @once_a_trace
 def broken_assumptions(trace: Trace) -> list[BrokenAssumption]:
-    """What did not hold of each, at first, in the order of their numbers; NOT_KNOWN alone in old traces.
+    """Return the first break of each assumption, in their order; NOT_KNOWN alone for old traces.
 
-    Of a run with a shield.
+    The run has a shield.
     """
     shield = trace.scenario.shield
     assert shield is not None
@@ -56,9 +56,9 @@ def _broken(trace: Trace, n: int, tick: int, why: str) -> BrokenAssumption:
 
 
 def counts_words(runs: Iterable[tuple[int, int]]) -> str:
-    """How the theorem stands after runs, in a line; empty where none has a shield.
+    """Return a line on the theorem after runs; empty where no run has a shield.
 
-    ``runs`` are pairs of ``theorem_bits`` and how many runs have them.
+    ``runs`` are pairs of ``theorem_bits`` and the number of runs with these.
     """
     there = list(runs)
 
@@ -75,7 +75,7 @@ def counts_words(runs: Iterable[tuple[int, int]]) -> str:
 
 
 def _of_hands(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
-    """Assumptions 1 to 5."""
+    """Check assumptions 1 to 5."""
     ticks, done, hands = trace.ticks, trace.interventions, trace.scenario.hands
     period_s, size = trace.scenario.settings.clock.control_period_s, trace.scenario.settings.hand
     there = ticks["hand_present"][:, : len(hands)]
@@ -119,9 +119,9 @@ def _of_hands(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
 
 
 def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
-    """Assumption 7: the joints' velocity is a mean of what was sent in the last reaction time, or less.
+    """Check assumption 7: the joints' velocity is a mean of the commands in the last reaction time, or less.
 
-    And no command turns a joint farther than it says.
+    A command turns no joint farther than its own angle.
     """
     period_s = trace.scenario.settings.clock.control_period_s
     held = delay_ticks(shield.reaction_time_s, period_s)
@@ -147,7 +147,7 @@ def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
 
 
 def _mean(sent: Floats, turned: Floats) -> float:
-    """How far ``turned`` (joints,) is from every mean of the rows of ``sent`` (n, joints) and zero."""
+    """Return how far ``turned`` (joints,) is from every mean of zero and the rows of ``sent`` (n, joints)."""
     from scipy.optimize import nnls  # takes long to import, and few drives need it
 
     if not np.isfinite(turned).all():

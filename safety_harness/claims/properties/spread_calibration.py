@@ -1,7 +1,7 @@
-"""Is an avoider as sure as it may be?  A property of many runs: how often its intervals hold the target.
+"""Calibration of an avoider's spread: a property of many runs, how often its intervals hold the target.
 
-One run says nothing about it: one decision is either covered or not.  The runs have to be drawn
-independently of what came out (draws of a space, say); runs that a search picked are no evidence.
+A single run does not show it, since one decision is either covered or not.  The runs have to be drawn
+independently of their outcomes, for example as draws of a space; runs that a search picked are not evidence.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ AT_LEAST = 0.90  # what intervals of 95 % must cover: the difference is what som
 
 
 class Target(Enum):
-    """What intervals are to hold."""
+    """The target of intervals."""
 
     LABEL = "eq. 13 with candidates drawn afresh"  # what most networks are trained and calibrated for
     OPTIMUM = "eq. 13 with the continuous optimum"  # exact: no label is nearer to the desired position
@@ -41,7 +41,7 @@ class Target(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalRule:
-    """prediction +- ``multiplier`` (spread^2 + residual^2)^(1/2) by axis [m], and what for."""
+    """prediction +- ``multiplier`` (spread^2 + residual^2)^(1/2) by axis [m], and its target."""
 
     multiplier: float
     residual_std_m: Vector3
@@ -49,7 +49,7 @@ class IntervalRule:
 
     @classmethod
     def of(cls, model: Model) -> IntervalRule | None:
-        """Those of a model's calibration, for the target that its card names; None without a calibration."""
+        """Return the rule of a model's calibration for the target of its card; None without a calibration."""
         if model.calibration is None:
             return None
         recipe = model.card.get("recipe")
@@ -65,13 +65,12 @@ class IntervalRule:
 class SpreadCalibration:
     """At least ``at_least`` of decisions have their target within the interval, on all axes at once.
 
-    The first answered decision of each run counts, by the question that was asked: later ones of a run are
-    not independent of it.  The verdict is by the exact 95 % interval (Clopper and Pearson) of the share:
-    holds if all of it is at least ``at_least``, violated if none of it is, else inconclusive, as with fewer
-    than 100 decisions.
+    The first answered decision of each run counts, by its question; later decisions of a run depend on it.
+    The verdict is by the exact 95 % interval (Clopper and Pearson) of the share: holds if all of it is at
+    least ``at_least``, violated if all of it is less, else inconclusive, as with fewer than 100 decisions.
     The margin is from the nearer end of that interval to ``at_least``.
 
-    ``intervals``: without them those of the shipped network that the runs name.
+    ``intervals`` are by default those of the shipped network that the runs name.
     """
 
     at_least: float = AT_LEAST
@@ -80,7 +79,7 @@ class SpreadCalibration:
 
     @property
     def sentence(self) -> str:
-        """As reports write it."""
+        """Return the sentence of reports."""
         return f"95 % intervals hold the target in at least {self.at_least * 100.0:g} % of decisions"
 
     def evaluate(self, traces: Iterable[Trace]) -> Evaluation:
@@ -119,7 +118,7 @@ def _shipped(avoider: str) -> IntervalRule | None:
 
 
 def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
-    """Is the target of a run's first answered decision within its interval?  None without such a decision."""
+    """Return whether the target of a run's first answered decision is within its interval; may be None."""
     answered = proposals(trace)
     if not len(answered):
         return None
@@ -131,7 +130,7 @@ def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
 
 
 def target_in_base_m(decision: np.void, settings: Settings, target: Target) -> NDArray[np.float64]:
-    """(3,) eq. 13 for the question of a decision; candidates are drawn from a seed below the decision's."""
+    """Return (3,) eq. 13 for the question of a decision; candidates come from a seed below the decision's."""
     oracle = NearestCandidate.for_cell(settings)
     hand, tcp = decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]
     if target is Target.LABEL:

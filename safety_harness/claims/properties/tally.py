@@ -1,4 +1,4 @@
-"""How often each claim of a suite was really put to the test: what never was is no evidence of anything."""
+"""How often the runs of a suite exercised each claim; a claim that was never exercised is not evidence."""
 
 from __future__ import annotations
 
@@ -49,10 +49,13 @@ A_LOG, NO_WORLD = "a log", "no world"
 def basis(
     worlds: Iterable[str], exercised: Iterable[tuple[int, int]] | str, unwatched: Iterable[str] = UNWATCHED
 ) -> str:
-    """Say in one sentence what verdicts rest on: world, exercised runs, and what nothing watched.
+    """Return a sentence on the basis of verdicts: world, exercised runs, and what was not watched.
 
-    ``worlds`` are names such as "PyBullet"; ``exercised`` has for each claim in how many of how many runs it
-    was exercised, or is words on the runs; ``unwatched`` are assumptions, whose names are shown.
+    Args:
+        worlds: Names such as "PyBullet".
+        exercised: For each claim the number of runs that exercised it and of all runs; or words on the runs.
+        unwatched: Assumptions, whose names are shown.
+
     """
     if not isinstance(exercised, str):
         counts = sorted(exercised, key=lambda one: (one[0] / max(one[1], 1), one))
@@ -73,13 +76,13 @@ def short_basis(basis: str) -> str:
 
 
 def made_in(trace: Trace) -> str:
-    """Return the world in words in which a trace was made: "PyBullet", "a log" for one of a cell."""
+    """Return the name of the world in which a trace was made: "PyBullet", or "a log" for a real cell."""
     name = trace.provenance.world
     return A_LOG if trace.known.recorded else next((str(one) for one in WORLDS if one.name == name), name)
 
 
 def basis_of_tallies(worlds: Iterable[str], tallies: Iterable[ClaimTally]) -> str:
-    """Say it of judged runs: what nothing watched follows from the ``worlds``."""
+    """Return the basis of judged runs; the ``worlds`` decide what was not watched."""
     found = list(dict.fromkeys(worlds))
     simulated = UNWATCHED if not found or set(found) != {A_LOG} else ()
     of_logs = UNWATCHED_IN_LOGS if A_LOG in found else ()
@@ -93,10 +96,10 @@ BASIS_OF_ANSWERS = basis([NO_WORLD], "no run was made", ("what a run does with t
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
-    """One claim's outcome in one run.
+    """The outcome of a claim in a run.
 
-    ``run`` is what people call the run (its scenario's name); ``expected`` is the verdict that the
-    author of the claim expects.
+    ``run`` is the name that people use, its scenario's; ``expected`` is the verdict that the author of the
+    claim expects.
     """
 
     run: str
@@ -106,15 +109,13 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimTally:
-    """One sentence over all runs of a suite.
+    """A sentence over all runs of a suite.
 
-    In ``unmeasured`` of them it is inconclusive since columns that it reads were not measured: those are no
-    tests, on whatever occasions.
-    ``runs`` judged it, in ``exercised`` of them it was put to the test, on ``occasions`` altogether;
-    ``worst`` is the outcome with the least margin, None where no run gave one.  ``untested``: some author
-    expected a verdict that says something (holds or violated), and in none of those runs was there
-    anything to say; ``nearest`` is then the one of them with the least margin, else the first by name.
-    A violation counts as a test, whatever the occasions.
+    ``runs`` judged it, ``exercised`` of them exercised it, on ``occasions`` altogether.  ``unmeasured`` runs
+    are inconclusive since columns were not measured; they are not tests, on whatever occasions.  ``worst`` is
+    the outcome with the least margin, None without a margin.  It is ``untested`` if some author expected a
+    verdict other than inconclusive, and none of those runs tested it.  Then ``nearest`` is the run among them
+    with the least margin, else the first by name.  A violation counts as a test, whatever the occasions.
     """
 
     sentence: str
@@ -131,18 +132,18 @@ class ClaimTally:
 
     @property
     def untested(self) -> bool:
-        """Was it expected to tell something, and never exercised?"""
+        """Return whether an author expected a verdict, and no run exercised it."""
         return self.nearest is not None
 
     @property
     def never(self) -> str:
-        """What was lacking where it is ``untested``: measurement, or an occasion."""
+        """Return what was missing where it is ``untested``: a measurement, or an occasion."""
         unmeasured = self.nearest is not None and self.nearest.evaluation.unmeasured
         return "not measured" if unmeasured else "never exercised"
 
     @property
     def worst_words(self) -> str:
-        """The least margin with its moment and run, or a dash."""
+        """Return the least margin with its moment and run, or a dash."""
         if self.worst is None:
             return "-" if self.applicable else "not applicable"
         time_s = self.worst.evaluation.worst_time_s
@@ -151,7 +152,7 @@ class ClaimTally:
 
 
 def tally_claims(judged: Iterable[Judged]) -> tuple[ClaimTally, ...]:
-    """One tally for each sentence, in the order in which they first occur."""
+    """Return a tally for each sentence, in the order of their first runs."""
     by_sentence: dict[str, list[Judged]] = {}
     for one in judged:
         by_sentence.setdefault(one.evaluation.sentence, []).append(one)
@@ -194,14 +195,14 @@ def _margin(one: Judged) -> float:
 
 
 def _nearness(one: Judged) -> tuple[float, str, str, str, str]:
-    """Sorts outcomes by their margins, if they have one, and others by what they say."""
+    """Return a key that sorts outcomes by their margins, or else by their texts."""
     found = one.evaluation
     margin = _margin(one) if isfinite(_margin(one)) else inf
     return margin, one.run, found.reason, found.verdict.value, one.expected.value
 
 
 def far_lines(tallies: Sequence[ClaimTally]) -> list[str]:
-    """A note on every claim that held, and whose limit no run came near to."""
+    """Return a note on every claim that held, and whose limit no run came near to."""
     worst = [tally.worst.evaluation for tally in tallies if tally.worst is not None]
     found = [
         (one.sentence, far_words(one.close, one.margin)) for one in worst if one.verdict is Verdict.HOLDS
@@ -210,7 +211,7 @@ def far_lines(tallies: Sequence[ClaimTally]) -> list[str]:
 
 
 def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:
-    """How many claims were never exercised or not measured, and of each what the nearest run lacked."""
+    """Return how many claims were never exercised or not measured, and what the nearest run lacked."""
     lines = []
     for never in ("never exercised", "not measured"):
         untested = [(t.sentence, t.nearest) for t in tallies if t.nearest is not None and t.never == never]
@@ -223,7 +224,7 @@ def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:
 
 
 def table_lines(tallies: Sequence[ClaimTally], most: int | None = None) -> list[str]:
-    """The tallies as a ``table``; what was never put to the test is marked."""
+    """Return the tallies as a ``table``, with a mark for claims that were never exercised."""
     return table(HEADINGS, map(_cells, tallies), most, named_by=1, right=range(1, 7))
 
 
@@ -243,10 +244,10 @@ def table(
     named_by: int = 2,
     right: range = range(0),
 ) -> list[str]:
-    """Columns as wide as they need be, those in ``right`` to the right; no lines without rows.
+    """Return lines with columns as wide as needed, those in ``right`` aligned to the right.
 
-    Where they are wider than ``most`` characters, each row is what it is ``named_by``, its first cells, and
-    below it a list of the others.
+    There are no lines without rows.  If the columns are wider than ``most`` characters, each row becomes its
+    ``named_by`` first cells, and below them a list of the other cells.
     """
     cells = [tuple(head), *map(tuple, rows)]
     if len(cells) == 1:

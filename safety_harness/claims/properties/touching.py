@@ -40,9 +40,9 @@ from safety_harness.trace.trace import Trace, once_a_trace
 
 
 def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
-    """For ``reads``: from below as of any part, for a part may move that seems to stand.
+    """Return the ends of the margin, for ``reads``: the lower end by any part, for a part may move unseen.
 
-    From above by the parts that are nearest at a tick and surely turn in the one that begins there.
+    The upper end takes the parts that are nearest at a tick and surely turn in the tick that begins there.
     """
     at_ticks_m, between_m = distance_moved_m(trace)
     off_m, true, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace), np.inf
@@ -59,7 +59,7 @@ def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[flo
 
 
 def _nearest_links(trace: Trace, hand: int) -> NDArray[np.int64]:
-    """(n,) the link whose part is nearest to a hand at each tick; -1 for none, as in an edited trace."""
+    """Return (n,) the link whose part is nearest to a hand at each tick; -1 in an edited trace without it."""
     links, part = capsules_of(trace).link_index, trace.ticks["hand_distance_capsule"][:, hand]
     there = (part >= 0) & (part < len(links))
     nearest: NDArray[np.int64] = np.where(there, links[np.where(there, part, 0)], -1)
@@ -71,10 +71,11 @@ class NoMovingPartTouches:
     """min over hands, and over the ticks in which a part of the arm moves, of the distance to that part.
 
     A part moves in a tick if any joint between it and the base turns by at least STANDSTILL_RADPS times the
-    period: the base never does.  Distances are surface to surface, and bounded between ticks, as those of
-    ``HandDistance``; zero is a touch, and the margin is below zero inside.
+    period; the base never does.  Distances are surface to surface, and bounded between ticks, as for
+    ``HandDistance``.  Zero is a touch, and the margin is below zero inside.
 
-    Exercised when a hand comes within ``near_m`` of the arm, moving or not, in a run in which the arm moves.
+    A run exercises it when a hand comes within ``near_m`` of the arm, moving or not, and the arm moves in
+    that run.
     """
 
     near_m: float
@@ -96,9 +97,9 @@ class NoMovingPartTouches:
 
 
 def theorem_words(trace: Trace, said: Evaluation) -> str:
-    """What a run says of its shield's theorem beside the verdict on touches; empty for nothing.
+    """Return what a run shows of its shield's theorem beside the verdict on touches; may be empty.
 
-    A touch is a touch: whether the theorem applies changes no verdict.
+    Whether the theorem applies changes no verdict.
     """
     if trace.scenario.shield is None or len(trace.ticks) == 0:
         return ""
@@ -111,7 +112,7 @@ def theorem_words(trace: Trace, said: Evaluation) -> str:
 
 
 def refutes_theorem(trace: Trace, said: Evaluation) -> bool:
-    """Whether a moving part was touched before any assumption of the shield's theorem was seen broken."""
+    """Return whether a moving part was touched before any assumption of the shield's theorem broke."""
     if trace.scenario.shield is None or said.verdict is not Verdict.VIOLATED:
         return False
     broken = broken_assumptions(trace)
@@ -123,7 +124,7 @@ def refutes_theorem(trace: Trace, said: Evaluation) -> bool:
 
 
 def theorem_bits(trace: Trace) -> int:
-    """How a run with a shield stands to its theorem, for ``counts_words``; 0 without a shield."""
+    """Return the bits of a run with a shield for ``counts_words``; 0 without a shield."""
     if trace.scenario.shield is None or len(trace.ticks) == 0:
         return 0
     refuted = refutes_theorem(trace, NO_MOVING_PART_TOUCHES.prop.evaluate(trace))
@@ -137,7 +138,7 @@ def _nearest_moving(trace: Trace) -> Nearest:
 
 @once_a_trace
 def first_turning(trace: Trace) -> NDArray[np.int64]:
-    """(n - 1,) the first joint, from the base on, that turns in each tick; as many as there are for none."""
+    """Return (n - 1,) the first joint, from the base on, that turns in each tick; else their number."""
     joints_rad = true_motion(trace).joints_rad
     period_s = trace.scenario.settings.clock.control_period_s
     turns = np.abs(np.diff(joints_rad, axis=0)) >= STANDSTILL_RADPS * period_s
@@ -146,7 +147,7 @@ def first_turning(trace: Trace) -> NDArray[np.int64]:
 
 
 def closest_moving(trace: Trace, paths: HandPaths) -> Nearest:
-    """The closest approach of a hand to a moving part; inf: none."""
+    """Return the closest approach of a hand to a moving part; inf without a moving part."""
     best = Nearest()
     hand_size = trace.scenario.settings.hand
     for hand in range(len(trace.scenario.hands)):
@@ -192,7 +193,7 @@ def _lower_bounds(
     distance_m: NDArray[np.float64],  # (n,) infinite where it is not known
     slack_m: NDArray[np.float64],  # (n - 1,)
 ) -> NDArray[np.float64]:
-    """(n - 1,) what no distance from an instant to the next is below, as ``closest_between`` gives it."""
+    """Return (n - 1,) lower bounds of the distances of ``closest_between`` from an instant to the next."""
     lower_m, left_m = np.empty(slack_m.shape[0]), -np.inf
     for k in range(slack_m.shape[0]):
         if distance_m[k] != np.inf:  # it is known
@@ -203,13 +204,13 @@ def _lower_bounds(
 
 
 def _runs(first: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """Where each stretch of equal values begins, and the first after its end."""
+    """Return the beginning of each stretch of equal values, and the first after its end."""
     cuts = (np.flatnonzero(np.diff(first)) + 1).tolist()
     return list(zip([0, *cuts], [*cuts, len(first)], strict=True)) if len(first) else []
 
 
 def _beyond(arm: Arm, joint: int) -> Arm:
-    """The arm with the capsules alone that the joint moves."""
+    """Return the arm with only the capsules that the joint moves."""
     return Arm(arm.chain, _moved(arm.capsules.tobytes(), arm.capsules.dtype, joint), arm.reach_m)
 
 
@@ -224,9 +225,9 @@ def _moved(capsules: bytes, dtype: np.dtype[np.void], joint: int) -> NDArray[np.
 def _known(
     distance_m: NDArray[np.float64], at: NDArray[np.float64], moves: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """The distance at an instant whose nearest part is one that moves, else infinite: to be worked out.
+    """Return the distance at an instant whose nearest part moves, else infinite: to be computed.
 
-    In memory as ``distance_m`` (k,) is, for compiled code knows arrays by that.
+    The memory layout is that of ``distance_m`` (k,), since compiled code distinguishes arrays by it.
     """
     whole = at == np.floor(at)
     found = np.empty((len(at), 1 if distance_m.flags.c_contiguous else 2))[:, 0]

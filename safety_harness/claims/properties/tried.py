@@ -1,7 +1,7 @@
-"""What runs left untried of what their scenarios hold: moves that never began, faults that never acted.
+"""Parts of scenarios that runs did not exercise: moves that never began, faults that never acted.
 
-And of a space the values that vary in these alone.  A verdict says nothing of them.  What a hand sensor does
-wrongly counts while a hand is there for whom it matters, within twice NEAR_M of the TCP.
+For a space, also the values that vary only in these parts.  A verdict does not cover them.  A fault of a hand
+sensor counts while a hand is there for which it matters, within twice NEAR_M of the TCP.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ _NAMES = {table.kind: table.name for table in MOVES}
 
 @dataclass(eq=False)
 class TriedParts:
-    """Of runs by their scenarios' titles: each move and each fault, and whether any run tried it."""
+    """Each move and each fault of runs, by scenario title, and whether any run exercised it."""
 
     runs: dict[str, int] = field(default_factory=dict)
     parts: dict[str, dict[str, bool]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, *traces: Trace) -> TriedParts:
-        """What ``traces`` tried."""
+        """Return the parts that ``traces`` exercised."""
         tried = cls()
         for trace in traces:
             tried.add(trace)
         return tried
 
     def add(self, trace: Trace) -> None:
-        """One run more; one that was cut short says nothing."""
+        """Add a run; a run that was cut short does not count."""
         scenario, parts = trace.scenario, dict(_parts(trace.scenario))
         if not (parts and trace.complete):
             return
@@ -61,7 +61,7 @@ class TriedParts:
         self.join(scenario.title, dict(zip(parts, [*begun, *faults], strict=True)))
 
     def suppose(self, scenario: Scenario, tcp_in_base_m: NDArray[np.float64]) -> None:
-        """What a run would try with the TCP at ``tcp_in_base_m`` (3,) throughout, or if that is not told."""
+        """Add a possible run, with the TCP at ``tcp_in_base_m`` (3,) throughout."""
         times_s = np.arange(0.0, scenario.duration_s + STEP_S, STEP_S)
         begun, nearest_m = moves_begun(scenario, np.tile(tcp_in_base_m, (len(times_s), 1)), STEP_S)
         near_s = times_s[nearest_m < 2.0 * NEAR_M]
@@ -75,15 +75,15 @@ class TriedParts:
         self.join(scenario.title, dict(zip(dict(_parts(scenario)), [*begun, *faults], strict=True)))
 
     def join(self, title: str, parts: dict[str, bool], runs: int = 1) -> None:
-        """As many runs more, of that title."""
+        """Add so many runs of a title."""
         known = self.parts.setdefault(title, {})
         known |= {part: tried or known.get(part, False) for part, tried in parts.items()}
         self.runs[title] = self.runs.get(title, 0) + runs
 
     def lines(self, *spaces: ScenarioSpace, of: str = "runs") -> list[str]:
-        """What no run tried, a line for each title; with the values of ``spaces`` that vary in that alone.
+        """Return a line for each title on the parts that no run exercised.
 
-        ``of``: what kind of runs they are.
+        The values of ``spaces`` that vary in these parts alone follow.  ``of`` is the kind of runs.
         """
         titled, lines = {space.title: space for space in spaces}, []
         for title, parts in self.parts.items():
@@ -97,7 +97,7 @@ class TriedParts:
 
 
 def _parts(scenario: Scenario) -> Iterator[tuple[str, object]]:
-    """Every move and every fault, in words that the draws of a space share; each with what it is."""
+    """Yield every move and every fault, in words that the draws of a space share, with the object."""
     for hand in scenario.hands:
         for number, move in enumerate(hand.moves if isinstance(hand, MovingHand) else (), start=1):
             yield f"move {number} of {hand.name} ({_NAMES[type(move)]})", move
@@ -109,9 +109,9 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, object]]:
 def moves_begun(
     scenario: Scenario, tcp_in_base_m: NDArray[np.float64], period_s: float
 ) -> tuple[list[bool], NDArray[np.float64]]:
-    """Of every move, hand by hand, whether it began with the TCP at ``tcp_in_base_m`` (n, 3) every period.
+    """Return whether each move began, hand by hand, with the TCP at ``tcp_in_base_m`` (n, 3) every period.
 
-    And (n,) how far the nearest hand was from it.
+    Return also (n,) the distance of the nearest hand from the TCP.
     """
     hands = hands_at_start(scenario)
     tcp_m = np.ascontiguousarray(tcp_in_base_m)
@@ -137,7 +137,7 @@ def _follow(
     tcp_in_base_m: NDArray[np.float64],  # (n, 3)
     period_s: float,
 ) -> NDArray[np.float64]:
-    """(n,) the distance of the nearest hand from the TCP, while the hands go on by n - 1 periods."""
+    """Return (n,) the distance of the nearest hand from the TCP, while the hands go on by n - 1 periods."""
     nearest_m = np.full(tcp_in_base_m.shape[0], np.inf)
     for k in range(tcp_in_base_m.shape[0]):
         for hand in range(hands.shape[0]):
@@ -152,7 +152,7 @@ def _follow(
 
 
 def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
-    """The names of the values of a space that change nothing but the parts ``idle``."""
+    """Return the names of the values of a space that change only the parts ``idle``."""
     rows, found = space.values_of_draws(range(LOOKED_AT), 0), []
     for parameter, used in zip(space.parameters, space.used_by(rows), strict=True):
         changed: set[str] = set()
@@ -167,13 +167,13 @@ def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
 
 
 def _differing(one: Scenario, other: Scenario) -> set[str]:
-    """The moves and faults in which two scenarios differ, and an empty word if they do in anything else."""
+    """Return the moves and faults in which two scenarios differ; an empty word is any other difference."""
     (mine, rest), (others, of_other) = (_split(scenario) for scenario in (one, other))
     changed = {part for part in mine.keys() | others.keys() if mine.get(part) != others.get(part)}
     return changed if rest == of_other else {*changed, ""}
 
 
 def _split(scenario: Scenario) -> tuple[dict[str, object], str]:
-    """Moves and faults, and what the scenario is without them."""
+    """Return moves and faults, and the scenario without them."""
     hands = (replace(h, moves=()) if isinstance(h, MovingHand) else h for h in scenario.hands)
     return dict(_parts(scenario)), write_scenario(replace(scenario, hands=tuple(hands), faults=()))

@@ -1,9 +1,9 @@
-"""When a repulsion began, in which direction it went, how fast, and where it ended: each judged by itself.
+"""The onset, direction, speed and end of a repulsion, each judged by itself.
 
 The resolution of each is the smallest that raises no alarm over the twelve harmless changes of
-``tests/claims/properties/harmless.py``, in both worlds.  Where the scenario states that its drives are late,
-their
-dead time and lag count as cycles, and the cone of the direction is wider by the turn of the arm meanwhile.
+``tests/claims/properties/harmless.py``, in both worlds.  If the scenario states that its drives are late,
+their dead time and lag count as cycles, and the cone of the direction is wider by the turn of the arm
+meanwhile.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _delays_s(trace: Trace) -> tuple[float, ...]:
 
 
 def _change(trace: Trace, tick: int, target_in_base_m: Vector) -> tuple[Vector, float, float]:
-    """The change of velocity (3,) that the way asks for, how much a tick allows, and the speed aside."""
+    """Return the change of velocity (3,) that the way needs, that allowed in a tick, and the speed aside."""
     avoidance, period_s = trace.scenario.settings.avoidance, trace.scenario.settings.clock.control_period_s
     way = target_in_base_m - trace.ticks["transform_tcp_to_base"][tick, :3, 3]
     along, velocity = way / max(float(np.linalg.norm(way)), 1e-9), velocity_at(trace, tick)
@@ -99,7 +99,10 @@ def _onset(trace: Trace, first: int, last: int, target_in_base_m: Vector, allowe
 
 
 def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, where: str) -> list[Finding]:
-    """How far the way leaves the cone to the target, which begins after 10 mm and once the TCP has turned."""
+    """Return how far the way leaves the cone to the target.
+
+    The cone begins after 10 mm and once the TCP has turned.
+    """
     tcp_in_base = trace.ticks["transform_tcp_to_base"][start : last + 1, :3, 3]
     change, step_mps, aside_mps = _change(trace, start, target_in_base_m)
     turning = ceil(min(len(tcp_in_base), float(np.linalg.norm(change)) / (PACE.acceleration * step_mps)))
@@ -130,7 +133,7 @@ def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, wh
 
 
 def _end(trace: Trace, number: int, last: int, target_in_base_m: Vector, where: str) -> list[Finding]:
-    """How far from the target the TCP is where its controller goes on because it has arrived."""
+    """Return how far from the target the TCP is where its controller goes on because it has arrived."""
     if not arrival_claimed(trace, number, last):
         return []
     tcp_in_base = trace.ticks["transform_tcp_to_base"][last, :3, 3]

@@ -1,4 +1,4 @@
-"""Whatever is proven of a network's answers is proven of a region: no other answer is acted on."""
+"""A proof about a network's answers covers a region; the arm acts on no other answer."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True, kw_only=True)
 class ActedWithinRegion:
-    """Each answer that the arm acted on is one to a question within the region that the gate is to keep to.
+    """Each answer that the arm acted on is one to a question within the region of the gate.
 
-    Margin: how far the hand and the TCP that the avoider was asked about are within their boxes, by axis.
+    The margin is how far hand and TCP of the question are within their boxes, by axis.
     """
 
     unit: Unit = Unit.LENGTH

@@ -1,1 +1,1 @@
-"""Signals of a trace: values at the ticks, bounds between them, and what their uncertainty makes of both."""
+"""Signals of a trace: values at the ticks, bounds between them, and the errors of both."""

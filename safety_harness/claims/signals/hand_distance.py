@@ -1,9 +1,8 @@
-"""The distance of hands from the robot, at the ticks and between them, and how far it may be off."""
+"""The distance of hands from the robot, at the ticks and between them, and its error."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +32,7 @@ from safety_harness.claims.signals.true_motion import (
 )
 from safety_harness.trace.trace import Trace, history
 
-NONE_M = np.empty((2, 0))
+POINT = (0.0, 0.0)  # radii of a hand that is a point
 FASTEST_RADPS = 1e4  # no joint turns so fast: such a speed says nothing
 SATURATED_RADPS = 1e-3  # a mean speed this far from that of the tick's end is of motors that may saturate
 ROUNDING_RADPS = 1e-6  # by which a mean speed may be beyond what is recorded: a nanometre or two
@@ -41,9 +40,9 @@ TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, i
 
 
 def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) and (n,) by how much [m] the distances of hands may be off, at the ticks and between them.
+    """Return (n,) and (n,) the errors [m] of the distances of hands, at the ticks and between them.
 
-    Infinite if a hand heads for a TCP that was not measured everywhere and exactly.
+    They are infinite if a hand heads for a TCP that was not measured everywhere and exactly.
     """
     known, count = trace.known, len(trace.ticks)
     if follows_unknown(trace):
@@ -56,7 +55,7 @@ def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 class Nearest(NamedTuple):
-    """The ends [m] of a least distance, when [s] the lower one was, and of which hand; ``inf``: of none."""
+    """Both ends [m] of a least distance, the time [s] of the lower end, and its hand; ``inf``: no hand."""
 
     low_m: float = np.inf
     time_s: float = 0.0
@@ -64,7 +63,7 @@ class Nearest(NamedTuple):
     high_m: float = np.inf
 
     def or_nearer(self, other: Nearest) -> Nearest:
-        """The least of two."""
+        """Return the smaller of two."""
         low = self if other.low_m >= self.low_m else other  # a NaN comes out
         return low._replace(high_m=min(self.high_m, other.high_m))
 
@@ -72,13 +71,13 @@ class Nearest(NamedTuple):
 def known_to(
     limit_m: float, nearest: Callable[[Trace, HandPaths], Nearest], trace: Trace, paths: HandPaths
 ) -> Nearest:
-    """What is nearest, with the hands followed in parts of a tick if that may decide about a limit."""
+    """Return the nearest approach, with hands followed in parts of a tick if that may decide."""
     found = nearest(trace, paths)
     return nearest(trace, finer_paths(trace)) if found.low_m < limit_m <= found.high_m else found
 
 
 def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
-    """The ways of the hands, or why no distance from them can be judged in this trace."""
+    """Return the paths of the hands, or the reason why no distance from them can be judged in this trace."""
     if not trace.scenario.hands:
         return None, f"never exercised: {no_hand(trace)}"
     if (np.abs(history(trace, "joint_position_rad")) > TURNED_RAD).any():
@@ -90,16 +89,16 @@ def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
 
 
 def capsule_name(trace: Trace, tick: int, hand: int) -> str:
-    """Which part of the robot is nearest to a hand at a tick."""
+    """Return the part of the robot that is nearest to a hand at a tick."""
     names = capsules_of(trace).names
     number = int(trace.ticks["hand_distance_capsule"][tick, hand])
     return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
 
 
 def closest_approach(trace: Trace, paths: HandPaths, off_m: NDArray[np.float64] | None = None) -> Nearest:
-    """The closest approach of any hand, at the ticks and between them.
+    """Return the closest approach of any hand, at the ticks and between them.
 
-    Less ``off_m`` (n,), by which the distance may be off at each tick, and the larger of two between them.
+    The error ``off_m`` (n,) of the distance at each tick is subtracted, between two ticks the larger error.
     """
     settings = trace.scenario.settings
     best = Nearest()
@@ -128,12 +127,8 @@ def closest_between(
     slack_m: NDArray[np.float64],  # (n - 1,)
     size: Hand,
     paths: HandPaths,
-    each_m: NDArray[np.float64] = NONE_M,
 ) -> tuple[tuple[float, float], float]:
-    """Both ends of the least distance [m] over ``instants`` of one hand, and where the lower is, in ticks.
-
-    ``each_m`` (2, n - 1), if it is wanted, is filled with both ends from each instant to the next.
-    """
+    """Return both ends of a hand's least distance [m] over ``instants``, and when the lower is, in ticks."""
     low_m, index, fraction, high_m = _closest_in_trace(
         arm,
         joints_rad,
@@ -144,44 +139,81 @@ def closest_between(
         size.radius_m,
         size.forearm_radius_m,
         paths.resolution_m,
-        each_m,
     )
     later = at[min(index + 1, len(at) - 1)]
     return (low_m, high_m), float(at[index] + fraction * (later - at[index]))
 
 
-def ends_between(trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False) -> NDArray[np.float64]:
-    """(2, n-1) both ends of one hand's least distance [m] from each tick to the next; NaN where not known.
-
-    From the arm, surface to surface, or ``from_tcp``: of the hand's centre.
-    """
-    seen = instants(trace, paths, hand, from_tcp=from_tcp)
-    at, joints_rad, hand_m, elbow_m, distance_m, slack_m = seen
-    arm, size, ends_m = arm_of(trace), trace.scenario.settings.hand, np.empty((2, len(slack_m)))
-    if from_tcp:
-        arm, size = tcp_of(trace), replace(size, radius_m=0.0, forearm_radius_m=0.0)
-    closest_between(arm, at, joints_rad, hand_m, elbow_m, distance_m, slack_m, size, paths, ends_m)
-    least_m = np.full((2, max(len(trace.ticks) - 1, 0)), np.inf)
-    tick = np.minimum(at[:-1].astype(int), max(least_m.shape[1] - 1, 0))
-    for least, ends in zip(least_m, ends_m, strict=True):
-        np.minimum.at(least, tick, ends)
-    return least_m
-
-
-def instants(
+def ends_between(
     trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False
-) -> tuple[NDArray[np.float64], ...]:
-    """Ticks and the hand's corners between them, in order of time.
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return both ends of a hand's least distance [m] from tick to tick, and the ways of hand and elbow.
 
-    (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance or, at a corner,
-    inf, and (n - 1,) how far the distance may be below that of straight ways after each [m].  ``from_tcp``:
-    the elbow is where the hand is, and no distance is known.
+    Both are (2, n-1); NaN is unknown.  The distance is from the arm, surface to surface, or with ``from_tcp``
+    from the TCP to the hand's centre.
     """
-    true, body = true_motion(trace), 0 if from_tcp else 1
-    joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, body]
-    distance_m = np.full(len(hand_m), np.inf) if from_tcp else trace.ticks["hand_distance_m"][:, hand]
-    slack_m = joint_bend_m(trace, tcp_of(trace)) if from_tcp else joint_bend_m(trace)
-    slack_m = slack_m + hand_bend_m(trace, paths, hand, centre=from_tcp)
+    own, bodies, size = paths.corner_hand == hand, [0, 0 if from_tcp else 1], trace.scenario.settings.hand
+    true, arm = true_motion(trace), tcp_of(trace) if from_tcp else arm_of(trace)
+    return between_ticks(
+        arm,
+        np.empty((MAX_BISECTIONS + 1, len(arm.capsules), 2, 3)),
+        np.array(true.joints_rad, order="C"),
+        np.array(true.hands_m[:, hand][:, bodies], order="C"),
+        paths.corner_at[own],
+        np.array(paths.corners_in_base_m[own][:, bodies], order="C"),
+        joint_bend_m(trace, arm) + hand_bend_m(trace, paths, hand, centre=from_tcp),
+        POINT if from_tcp else (size.radius_m, size.forearm_radius_m),
+        paths.resolution_m,
+    )
+
+
+@compiled
+def between_ticks(
+    arm: Arm,
+    space: NDArray[np.float64],  # (MAX_BISECTIONS + 1, capsules, 2, 3), overwritten
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    bodies_m: NDArray[np.float64],  # (n, 2, 3) a hand and its elbow
+    corner_at: NDArray[np.float64],  # (c,) in ticks, rising
+    corners_m: NDArray[np.float64],  # (c, 2, 3) both there
+    slack_m: NDArray[np.float64],  # (n - 1,) by which arm and hand may leave straight ways
+    radii_m: tuple[float, float],  # of hand and forearm
+    tolerance_m: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return both ends of a hand's least distance [m] from tick to tick, and the ways [m] of hand and elbow.
+
+    Both are (2, n - 1).  Arm and hand go straight from corner to corner.
+    """
+    ends_m, ways_m, c = np.full((2, len(slack_m)), np.inf), np.zeros((2, len(slack_m))), 0
+    radius_m, arm_radius_m = radii_m
+    for k in range(len(slack_m)):
+        begin, corner, (hand, elbow) = joints_rad[k], True, bodies_m[k]
+        while corner:
+            corner = c < len(corner_at) and min(int(corner_at[c]), len(slack_m) - 1) <= k
+            end, after = joints_rad[k + 1], bodies_m[k + 1]
+            if corner:
+                end, after = joints_rad[k] + (corner_at[c] - k) * (end - joints_rad[k]), corners_m[c]
+                c += 1
+            to, elbow_to = after
+            bound_m, _, sampled_m, _ = closest_approach_between(
+                arm, space, begin, end, hand, to, elbow, elbow_to, radius_m, arm_radius_m, tolerance_m, np.inf
+            )
+            ends_m[0, k] = np.minimum(ends_m[0, k], bound_m - slack_m[k])  # a NaN comes out
+            ends_m[1, k] = np.minimum(ends_m[1, k], sampled_m + slack_m[k])
+            ways_m[0, k] += np.sqrt(((to - hand) ** 2).sum())
+            ways_m[1, k] += np.sqrt(((elbow_to - elbow) ** 2).sum())
+            begin, hand, elbow = end, to, elbow_to
+    return ends_m, ways_m
+
+
+def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
+    """Return ticks, and the hand's corners between them, in order of time.
+
+    These are (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance (inf at a
+    corner), and (n - 1,) how far the distance may be below that of straight ways after each [m].
+    """
+    true, distance_m = true_motion(trace), trace.ticks["hand_distance_m"][:, hand]
+    joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, 1]
+    slack_m = joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
     ticks = np.arange(len(joints_rad), dtype=np.float64)
     own = paths.corner_hand == hand
     if not own.any():
@@ -195,22 +227,22 @@ def instants(
         at,
         np.column_stack([np.interp(at, ticks, column) for column in joints_rad.T]),
         np.insert(hand_m, after, corners[:, 0], axis=0),
-        np.insert(elbow_m, after, corners[:, body], axis=0),
+        np.insert(elbow_m, after, corners[:, 1], axis=0),
         np.insert(distance_m, after, np.inf),
         np.insert(slack_m, after - 1, slack_m[after - 1]) if len(slack_m) else slack_m,
     )
 
 
 def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
-    """(n-1,) how far any point of the arm may leave the way of joints that move linearly, within each tick.
+    """Return (n-1,) how far the arm may leave the path of joints that move linearly within each tick.
 
-    A joint whose speed changes by at most dv, between the values at the two ticks, leaves the
-    straight line by at most dv dt/4; a point is displaced by no more than that angle times the
-    length of the chain of links that the joint moves.  Of a mean speed between them, at a and b from
-    either, it is dt a b/(a + b): nothing where a whole tick went at the speed of its end, as in both worlds.
+    A joint whose speed changes by at most dv, between the values at the two ticks, leaves the straight line
+    by at most dv dt/4.  A point is displaced by at most that angle times the length of the chain of links
+    that the joint moves.  If the mean speed differs by a and b from the two values, the angle is dt a b/(a +
+    b).  So it is 0 where a whole tick went at the speed of its end, as in both worlds.
 
-    Motors that saturate go beyond both.  That is without end where an engine did not record by how much, and
-    the mean speed of a joint is not that of the end.
+    Motors that saturate exceed both speeds.  If an engine did not record by how much, the result is infinite
+    unless the mean speed of a joint is that of the end.
     """
     true, world = true_motion(trace), trace.provenance.world
     period_s, known = trace.scenario.settings.clock.control_period_s, trace.known
@@ -235,7 +267,7 @@ def _joint_bends(
     exact: bool,  # positions and speeds are known exactly
     engine: bool,  # the world has motors, which may saturate
 ) -> NDArray[np.float64]:
-    """(n-1,) dt times the sum over joints of l a b/(a + b) [m], with l of ``chain_lengths``; else dv/4."""
+    """Return (n-1,) dt times the sum over joints of l a b/(a + b) [m], l of ``chain_lengths``; else dv/4."""
     found, recorded = np.zeros(max(rates_radps.shape[0] - 1, 0)), len(overshoot_radps) >= len(rates_radps)
     for k in range(found.shape[0]):
         for joint in range(arm.chain[0].joint_axes.shape[0]):
@@ -266,13 +298,11 @@ def _closest_in_trace(
     hand_radius_m: float,
     forearm_radius_m: float,
     tolerance_m: float,
-    each_m: NDArray[np.float64],  # (2, n - 1) written: both ends between two instants; or (2, 0)
 ) -> tuple[float, int, float, float]:
-    """Least distance over a trace: (distance, tick before it, fraction of the way to the next, upper end).
+    """Return the least distance of a trace, the tick before it, part of the way to the next, and upper end.
 
-    Where ``each_m`` is wanted, every stretch is looked at.  Else, from where the distance is known, stretches
-    are passed over in which nothing can come as near as the best so far: a joint moves no point farther than
-    by its angle times its chain of links, and distances change by no more than points move.
+    Stretches that cannot be nearer than the least distance so far are skipped: a joint moves no point farther
+    than its angle times its chain of links, and distances change by no more than points move.
     """
     best = np.inf
     index, fraction = 0, 0.0
@@ -292,7 +322,7 @@ def _closest_in_trace(
                 arm.capsules, ends, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m
             )
         first, known = k, False
-        while each_m.shape[1] == 0 and k < distance_m.shape[0] - 1:
+        while k < distance_m.shape[0] - 1:
             left_m -= displacement_m(arm.reach_m, joints_rad, hands_m, elbows_m, k)
             if not left_m - slack_m[k] > high + tolerance_m:  # a NaN must come out, not be passed over
                 break
@@ -311,12 +341,10 @@ def _closest_in_trace(
             hand_radius_m,
             forearm_radius_m,
             tolerance_m,
-            np.inf if each_m.shape[1] else high + slack_m[k],
+            high + slack_m[k],
         )
         bound, known = bound - slack_m[k], True
         high = min(high, sampled + slack_m[k])  # between two ticks, at a corner too, joints may be elsewhere
-        if each_m.shape[1]:
-            each_m[0, k], each_m[1, k] = bound, sampled + slack_m[k]
         if not bound >= best:
             best, index, fraction = bound, k, where
         k += 1
@@ -331,7 +359,7 @@ def displacement_m(
     elbows_m: NDArray[np.float64],  # (n, 3)
     k: int,
 ) -> float:
-    """By how much [m] a distance can change from instant k to the next, at most."""
+    """Return the largest change [m] of a distance from instant k to the next."""
     moved, hand, elbow = 0.0, 0.0, 0.0
     for i in range(reach_m.shape[0]):
         moved += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]

@@ -1,7 +1,7 @@
-"""What a run lacked for a claim to be exercised: how near it came, and what would have been enough.
+"""Reasons why a run did not exercise a claim: how near it came, and what would have been enough.
 
-Each function returns words for the reason of an inconclusive verdict.  Every number in them is of the trace
-or of its scenario's settings.
+Each function returns words for the reason of an inconclusive verdict.  Every number in them comes from the
+trace or from its scenario's settings.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ OFF_THE_GOAL = "a TCP start farther from the desired pose"
 
 
 def beside(value: float, limit: float, unit: str, per_si: float) -> str:
-    """``value`` (SI) in ``unit``, with so many digits that it is seen to differ from ``limit``."""
+    """Return ``value`` (SI) in ``unit``, with enough digits to differ from ``limit``."""
     shown = value * per_si
     digits = 1
     while digits < 9 and value != limit and round(shown, digits) == round(limit * per_si, digits):
@@ -32,7 +32,7 @@ def beside(value: float, limit: float, unit: str, per_si: float) -> str:
 
 
 def millimetres(value_m: float, limit_m: float) -> str:
-    """A length in mm, told from ``limit_m``."""
+    """Return a length in mm, with enough digits to differ from ``limit_m``."""
     return beside(value_m, limit_m, "mm", 1e3)
 
 
@@ -43,7 +43,7 @@ def nearest_of(
     whose: str,
     what: str = "the TCP",
 ) -> str:
-    """How near a hand came to ``what``, when, and how near is near enough; empty if none was there."""
+    """Return how near a hand came to ``what``, when, and how near is enough; empty if no hand was there."""
     there_m = np.where(np.abs(distance_m) < ENDLESS, distance_m, np.inf)
     tick = int(np.argmin(there_m))
     if not np.isfinite(there_m[tick]):
@@ -53,27 +53,27 @@ def nearest_of(
 
 
 def _near_m(trace: Trace) -> float:
-    """How near a hand has to come that has to be answered, and that counts."""
+    """Return the distance within which a hand counts and has to be answered."""
     return min(trace.scenario.settings.avoidance.critical_distance_m, NEAR_M)
 
 
 def no_near_hand(trace: Trace) -> str:
-    """Why no true hand was near the TCP."""
+    """Return why no true hand was near the TCP."""
     near_m = _near_m(trace)
     return nearest_of(trace, nearest_hand_m(trace), near_m, "hand") or no_hand(trace)
 
 
 def no_hand(trace: Trace) -> str:
-    """There is nobody."""
+    """Return that no hand was there."""
     near_m = _near_m(trace)
     enough = f"one within {near_m * 1e3:g} mm of the TCP exercises it"
     return f"{'no hand was there' if trace.scenario.hands else 'there is no hand in this scenario'}; {enough}"
 
 
 def no_predicted_hand(trace: Trace) -> str:
-    """Why no predicted hand was within the critical distance of the TCP: none near, or none seen.
+    """Return why no predicted hand was within the critical distance of the TCP: too far away, or not seen.
 
-    Where not all of that was measured, only what would have been enough.
+    The reason has only the sufficient distance if measurements are missing.
     """
     near_m = _near_m(trace)
     if _not_all_seen(trace):
@@ -86,12 +86,12 @@ def no_predicted_hand(trace: Trace) -> str:
 
 
 def _not_all_seen(trace: Trace) -> bool:
-    """Are the words on hands that came near, predicted or true, more than is known?"""
+    """Return whether a statement on near hands, predicted or true, would exceed what is known."""
     return not trace.known.whole and any(trace.known.of(name).limited for name in SEEN)
 
 
 def no_decision(trace: Trace) -> str:
-    """Why the controller never had to decide."""
+    """Return why the controller never had to decide."""
     if _not_all_seen(trace):
         return no_predicted_hand(trace)
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
@@ -103,7 +103,7 @@ def no_decision(trace: Trace) -> str:
 
 
 def no_position(trace: Trace) -> str:
-    """Why no position to give way to was ever chosen."""
+    """Return why no position to retreat to was chosen."""
     stops = len(trace.decisions)
     if stops == 0:
         return no_decision(trace)
@@ -111,7 +111,7 @@ def no_position(trace: Trace) -> str:
 
 
 def no_answer(trace: Trace) -> str:
-    """Why the avoider never gave a usable answer."""
+    """Return why the avoider never gave a usable answer."""
     asked = len(trace.decisions)
     if asked == 0:
         return no_decision(trace)
@@ -119,15 +119,15 @@ def no_answer(trace: Trace) -> str:
 
 
 def no_time(due_m: float, least_m: float) -> str:
-    """No repulsion had time for a way that shows anything."""
+    """Return that no repulsion had time for a way that shows anything."""
     had = f"a repulsion had time for {millimetres(due_m, least_m)} of way at most"
     return f"{had}; {least_m * 1e3:g} mm exercise it: a hand that comes earlier, or a longer duration"
 
 
 def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
-    """Of the answers with a spread and a threshold, that which is nearest to being above it, or within it.
+    """Return the spread of the answer that is nearest to being above its threshold, or within it.
 
-    It says so too if no answer has both.
+    Return another reason if no answer has both a spread and a threshold.
     """
     if len(trace.decisions) == 0:
         wanted = "in doubt, above its threshold" if above else "sure of an answer that can be used"
@@ -146,9 +146,9 @@ def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
 
 
 def went(trace: Trace, place: str, asked: NDArray[np.bool_]) -> bool:
-    """Whether the column ``place`` moves for certain: between two ticks by more than it is uncertain.
+    """Return whether the column ``place`` certainly moves: between two ticks by more than its uncertainty.
 
-    Only along ticks that are all ``asked`` (n,) of.
+    Only stretches whose ticks are all ``asked`` (n,) count.
     """
     values = trace.ticks[place] if trace.ticks[place].ndim == 2 else trace.ticks[place][:, :3, 3]
     off, slow = 2.0 * trace.known.of(place).uncertainty, MOVES * trace.time_s[:, None]
@@ -160,17 +160,17 @@ def went(trace: Trace, place: str, asked: NDArray[np.bool_]) -> bool:
 
 
 def tcp_stood(trace: Trace) -> str:
-    """The TCP did not move."""
+    """Return that the TCP did not move."""
     fastest = millimetres(float(trace.ticks["tcp_speed_mps"].max()), MOVES)
     return f"the TCP moved at {fastest}/s at most; above {MOVES * 1e3:g} mm/s exercises it: {OFF_THE_GOAL}"
 
 
 def joints_stood(trace: Trace) -> str:
-    """No joint turned."""
+    """Return that no joint turned."""
     fastest = beside(float(np.abs(true_motion(trace).rates_radps).max()), MOVES, "mrad/s", 1e3)
     return f"a joint turned at {fastest} at most; above {MOVES * 1e3:g} mrad/s exercises it: {OFF_THE_GOAL}"
 
 
 def occasion_m(limit_m: float = 0.0) -> float:
-    """How near a hand has to come to put a limit of its distance to the test: twice the limit, or NEAR_M."""
+    """Return how near a hand has to come to exercise a limit of its distance: twice the limit, or NEAR_M."""
     return max(NEAR_M, 2.0 * limit_m)

@@ -1,4 +1,4 @@
-"""How far predictions of hands are from where hands then are."""
+"""Errors of predicted hands: their distance from the true hands at the predicted time."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from safety_harness.trace.trace import Trace
 
 
 def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
-    """(k, tracks) distance of each prediction from the nearest true hand at the time that it is for.
+    """Return (k, tracks) the distance of each prediction from the nearest true hand at the predicted time.
 
-    k is the number of ticks whose predictions are for times within the trace; NaN where a slot tracks
-    nothing.
+    k is the number of ticks whose predictions are for times within the trace; NaN where a slot tracks no
+    hand.
     """
     settings = trace.scenario.settings
     ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s  # in ticks
@@ -29,7 +29,7 @@ def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
 
 
 def tracked_errors_m(trace: Trace) -> NDArray[np.float64]:
-    """(k, tracks) the same; minus infinity where a slot tracks nothing."""
+    """Return (k, tracks) the same distances, with minus infinity where a slot tracks no hand."""
     errors_m = prediction_errors_m(trace)
     return np.where(trace.ticks["track_valid"][: len(errors_m)], errors_m, -np.inf)
 

@@ -1,16 +1,18 @@
 """Speed and separation monitoring: while the arm moves, every human is far enough away for it to stop.
 
-That is the protective separation distance of ISO/TS 15066, term by term, of every pair of robot and human.
+The distance is the protective separation distance of ISO/TS 15066, term by term, for every pair of robot and
+human.
 
-S_p = S_h + S_r + S_s + C + Z_d + Z_r: what the human covers until the robot stands (S_h), what the
-robot covers in its reaction time (S_r) and while it brakes (S_s), how far a body reaches in before it
-is noticed (C), and how uncertain the places of human (Z_d) and robot (Z_r) are.
+S_p = S_h + S_r + S_s + C + Z_d + Z_r: the way of the human until the robot stands (S_h), the ways of the
+robot in its reaction time (S_r) and while it brakes (S_s), how far a body reaches in before it is noticed
+(C), and the uncertainty of the places of human (Z_d) and robot (Z_r).
 
-A pair is one capsule of the arm and one body of one hand, its sphere or its forearm.  Each has its
-own speeds, those of its two nearest points along the line between them: the robot's is the rate at
-which the distance would shrink if the human stood still.  Receding counts as standing.
+A pair is one capsule of the arm and one body of one hand, its sphere or its forearm.  Each has its own
+speeds, those of its two nearest points along the line between them.  The robot's speed is the rate at which
+the distance would shrink if the human stood still.  Receding counts as standing.
 
-``least_separation`` finds the pair with least to spare in a run, compiled: every pair, or a bound of it.
+``least_separation`` finds the pair with the least margin in a run, in compiled code: every pair, or a bound
+of it.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ ASSUMED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """One term of S_p [m] and what it takes for granted."""
+    """A term of S_p [m] and its assumption."""
 
     symbol: str
     length_m: float
@@ -50,11 +52,11 @@ class Term:
 
 @dataclass(frozen=True, kw_only=True)
 class Separation:
-    """One pair at one tick: how far apart it is and has to be.
+    """A pair at a tick: its distance, and the distance that it needs.
 
-    ``robot_speed_mps`` and ``hand_speed_mps`` are those towards each other that the terms use;
-    ``reaction_time_s`` and ``stop_time_s`` what is left of them; ``hand_moves_m`` and ``robot_moves_m``
-    how far the nearest points move within half a tick.
+    ``robot_speed_mps`` and ``hand_speed_mps`` are the speeds towards each other in the terms.
+    ``reaction_time_s`` and ``stop_time_s`` are the remaining times.  ``hand_moves_m`` and ``robot_moves_m``
+    are the ways of the nearest points within half a tick.
     """
 
     tick: int
@@ -71,7 +73,7 @@ class Separation:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """The six of S_p, in the order of ``ASSUMED``."""
+        """Return the six terms of S_p, in the order of ``ASSUMED``."""
         found = lengths(
             self.hand_speed_mps,
             self.robot_speed_mps,
@@ -87,12 +89,12 @@ class Separation:
 
     @property
     def required_m(self) -> float:
-        """S_p."""
+        """Return S_p."""
         return sum(term.length_m for term in self.terms)
 
     @property
     def margin_m(self) -> float:
-        """How much farther apart the pair is than it has to be."""
+        """Return the distance of the pair less S_p."""
         return self.distance_m - self.required_m
 
 
@@ -105,7 +107,7 @@ def lengths(
     hand_moves_m: float,
     robot_moves_m: float,
 ) -> tuple[float, float, float, float, float, float]:
-    """The six lengths [m], in the order of ``ASSUMED``."""
+    """Return the six lengths [m], in the order of ``ASSUMED``."""
     return (
         hand_speed_mps * (reaction_time_s + stop_time_s),
         robot_speed_mps * reaction_time_s,
@@ -133,14 +135,14 @@ def least_separation(
     hand_step_m: NDArray[np.float64],  # (n,)
     first_look: int,  # a tick whose margin is likely to be small: for less work, the answer is the same
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The pair with the least margin, the first of equals.
+    """Return the pair with the least margin, the first of equals.
 
-    (4,) tick, hand, capsule, body (1 the forearm), with tick -1 if there is no pair at all; and (5,)
-    distance [m], v_r, v_h, and how far the nearest points of hand and robot move in half a tick.
+    These are (4,) tick, hand, capsule and body (1 is the forearm), with tick -1 if there is no pair, and (5,)
+    distance [m], v_r, v_h, and the ways of the nearest points of hand and robot in half a tick.
 
-    Ticks and pairs are passed over that cannot have as little to spare as the best so far: distances
-    change by no more than points move, and no point of a capsule or of a hand is faster than an end.
-    The trace's own distances are not believed.
+    The search skips ticks and pairs that cannot have as small a margin as the least so far: distances change
+    by no more than points move, and no point of a capsule or of a hand is faster than an end.  The trace's
+    own distances are not trusted.
     """
     which, what = np.full(4, -1), np.full(5, np.nan)
     joints, capsules = arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
@@ -235,9 +237,10 @@ def farthest_steps(
     hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
     present: NDArray[np.bool_],  # (n, hands)
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) and (n,) how far [m], at most, any point of the arm and of a hand goes from each tick to the next.
+    """Return (n,) and (n,) the largest way [m] of a point of the arm and of a hand from tick to tick.
 
-    Without end where a hand comes or goes.  At the last tick that of the one before, as for velocities.
+    The way is infinite where a hand appears or leaves.  The last tick has that of the tick before, as for
+    velocities.
     """
     n, joints = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0]
     arm_step_m, hand_step_m = np.zeros(n), np.zeros(n)
@@ -264,7 +267,7 @@ def farthest_steps(
 
 @inlined
 def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, body: int, i: int) -> float:
-    """One component of a mean velocity [m/s] over the tick that follows; at the last one over that before.
+    """Return a component of the mean velocity [m/s] over the next tick; at the last, over the tick before.
 
     ``hands_m`` (n, hands, 2, 3).
     """
@@ -283,11 +286,11 @@ def faster_mps(
     a: int,
     b: int,
 ) -> float:
-    """By how much [m/s] a point of the arm can be faster at tick b than the same point at tick a.
+    """Return how much faster [m/s] a point of the arm can be at tick b than the same point at tick a.
 
-    sum over j of |q'_j(b) - q'_j(a)| l_j + |q'_j(b)| sum over i of |q_i(b) - q_i(a)| l_max(i, j).
-    Its velocity is the sum of rate_j dp/dq_j; |dp/dq_j| and |d^2 p/dq_i dq_j| are at most the lengths of
-    the chains of links from j, and from the farther out of i and j, to p.
+    sum over j of |q'_j(b) - q'_j(a)| l_j + |q'_j(b)| sum over i of |q_i(b) - q_i(a)| l_max(i, j).  The
+    point's velocity is the sum of rate_j dp/dq_j.  |dp/dq_j| and |d^2 p/dq_i dq_j| are at most the lengths of
+    the chains of links to p from j, and from the outer joint of i and j.
     """
     faster, beyond, before = 0.0, 0.0, 0.0  # the sums of turns times lengths beyond j, and of turns up to j
     joints, reach_m = arm.chain[0].joint_axes.shape[0], arm.reach_m
@@ -304,7 +307,7 @@ def faster_mps(
 
 @compiled
 def _along(velocity: NDArray[np.float64], way: NDArray[np.float64], length: float) -> float:
-    """The component of a velocity along ``way``/``length``, never below zero; all of it if there is none.
+    """Return the component of a velocity along ``way``/``length``, at least 0; the speed if the length is 0.
 
     ``velocity`` and ``way`` (3,).
     """

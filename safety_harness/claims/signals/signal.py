@@ -1,7 +1,7 @@
-"""A signal: a name for something that a trace knows at every control tick, with its unit.
+"""A signal: a name for a value that a trace has at every control tick, with its unit.
 
-Between its ticks it is held, bounded by ways, or nothing is known of it.  The cell of a tick lasts until
-the next one; that of the last tick is the tick.
+Between its ticks a signal keeps its value, stays within bounds, or is not known.  The cell of a tick lasts
+until the next tick; the cell of the last tick is the tick itself.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ Values = NDArray[np.float64]
 
 
 class Interpolation(Enum):
-    """What is known of a signal from one tick to the next.
+    """The knowledge of a signal from one tick to the next.
 
-    HELD: it keeps its value until the next tick.  BOUNDED: it stays within bounds.  TICKS_ONLY: nothing,
-    and a formula speaks of the ticks alone.
+    HELD: the signal keeps its value until the next tick.  BOUNDED: it stays within bounds.  TICKS_ONLY: it is
+    not known, and a formula judges the ticks alone.
     """
 
     HELD = "held"
@@ -36,16 +36,16 @@ class Interpolation(Enum):
 class Sampled:
     """A signal along a trace of n ticks, in SI; a truth is 1.0 or 0.0; NaN is unknown, inf a value.
 
-    ``value`` (n,) at each tick; ``low`` and ``high`` (n,) bound it from that tick to the next one.
-    ``surely`` (n,): between that tick and the next it is at most that at least once (None: nobody asked).
-    ``absent`` says why there is no such signal in this run at all, else it is empty.  ``tried`` (n,) are
-    bounds of a number, above 0 where the run puts a claim on it to the test (None: every tick does), and
-    ``untried`` says what it is that did not happen.  Of a distance both are of somebody who ``comes`` near to
-    something: it counts as often as that begins, and its limit says how near is near.
+    ``value`` (n,) is the value at each tick; ``low`` and ``high`` (n,) bound it from that tick to the next.
+    ``surely`` (n,) is a value that the signal does not exceed at some moment between a tick and the next
+    (None: not computed).  ``absent`` is the reason why the run has no such signal, else it is empty.
+    ``tried`` (n,) are bounds of a number that is above 0 where the run exercises a claim on the signal (None:
+    every tick does).  ``untried`` is the event that did not happen.  For a distance, both are about somebody
+    who ``comes`` near to something: each approach counts, and the claim's limit says how near is near.
 
-    Of a trace that was measured in part, ``lost`` (n,) are the ticks at which it is not known, and
-    ``value_low`` and ``value_high`` (n,) bound it at the ticks (None: it is ``value``).  ``value`` at a lost
-    tick is of the hands that were measured, NaN without one; it is at most that.
+    In a trace that was measured in part, the signal is not known at the ticks ``lost`` (n,).  Then
+    ``value_low`` and ``value_high`` (n,) bound it at the ticks (None: both are ``value``).  At a lost tick
+    ``value`` is that of the hands that were measured, or NaN; the signal is at most as large.
     """
 
     value: Values
@@ -63,12 +63,13 @@ class Sampled:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signal:
-    """``words`` name it in sentences; ``dimension`` is None for one that is true or false.
+    """A named signal, and the way to sample it from a trace.
 
-    ``sample`` takes it from a trace, of which it ``reads`` these columns and no others.  ``off`` says by how
-    much it may be off as they are uncertain (SI), at the ticks, and below and above its bounds between them;
-    without it nothing is said of a trace in which any is.  ``finer`` takes it with closer bounds, for more
-    work.  ``place`` is the column of which it is the speed.  Two signals are the same only if they are one
+    ``words`` is its name in sentences; ``dimension`` is None for a signal that is true or false.  ``sample``
+    computes it from a trace, and reads only the columns ``reads``.  ``off`` returns its error (SI) where
+    columns are uncertain: at the ticks, and below and above its bounds between them.  Without ``off``, no
+    verdict is given on a trace with an uncertain column.  ``finer`` samples it with closer bounds, for more
+    work.  ``place`` is the column whose speed the signal is.  Two signals are equal only if they are the same
     object.
     """
 
@@ -84,7 +85,7 @@ class Signal:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Of what has no limit: none."""
+        """Return 0 and 0, for a signal without a limit."""
         return 0.0, 0.0
 
     def __str__(self) -> str:
@@ -92,18 +93,18 @@ class Signal:
 
 
 def at_ticks(value: Values) -> Sampled:
-    """A signal that keeps its value until the next tick, or of which no more is asked.  ``value`` (n,)."""
+    """Return a signal ``value`` (n,) that keeps its value until the next tick, or whose ticks alone count."""
     return Sampled(value=value, low=value, high=value)
 
 
 def absent(trace: Trace, why: str) -> Sampled:
-    """A signal that there is not in this run."""
+    """Return a signal that this run does not have."""
     nothing = np.full(len(trace.ticks), np.nan)
     return Sampled(value=nothing, low=nothing, high=nothing, absent=why)
 
 
 def bounded(value: Values, way: Values) -> Sampled:
-    """A signal ``value`` (n,) that changes by at most ``way`` (n-1,) within each cell."""
+    """Return a signal ``value`` (n,) that changes by at most ``way`` (n-1,) within each cell."""
     low, high = value.copy(), value.copy()
     low[:-1], high[:-1] = tent(value[:-1], value[1:], way, 0.0)
     return Sampled(value=value, low=low, high=high)

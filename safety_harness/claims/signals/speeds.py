@@ -1,4 +1,4 @@
-"""How fast TCP and joints are, and how far they go and turn from tick to tick."""
+"""Speeds of TCP and joints, and their ways from tick to tick."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from safety_harness.cell.robot.capsules import Arm
 from safety_harness.cell.robot.distance import place_capsules
 from safety_harness.cell.robot.kinematics import fastest_end, forward_kinematics, link_twists, tcp_velocity
 from safety_harness.cell.simulation.worlds import WORLDS
+from safety_harness.claims.signals.bounds import speed_cells
 from safety_harness.claims.signals.occasions import MOVES
 from safety_harness.claims.signals.signal import Sampled, Values
 from safety_harness.claims.signals.true_motion import arm_of, true_motion
@@ -19,18 +20,12 @@ from safety_harness.trace.trace import Trace, history, once_a_trace
 
 
 def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
-    """Speeds at the ticks with the mean ones from tick to tick; the largest of each row.
+    """Sample the fastest of some speeds, with bounds between the ticks as ``speed_cells`` has them.
 
-    Within a cell each is taken to lie between its least and its largest value at both ends and in
-    the mean.  Occasions: the ticks from which on it moves.
-
-    ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
+    Occasions are the ticks from which on it moves.  ``at_tick`` is of shape (n, joints) and ``mean``, from
+    tick to tick, of shape (n-1, joints).
     """
-    low, high = at_tick.copy(), at_tick.copy()
-    low[:-1] = np.minimum(np.minimum(at_tick[:-1], at_tick[1:]), mean)
-    high[:-1] = np.maximum(np.maximum(at_tick[:-1], at_tick[1:]), mean)
-    within_a_row = tuple(range(1, at_tick.ndim))
-    value, low, high, mean = (a.max(axis=within_a_row) for a in (at_tick, low, high, mean))
+    value, low, high, mean = speed_cells(at_tick, mean)
     moves = value - MOVES
     moves[:-1] = np.fmax(moves[:-1], mean - MOVES)
     return Sampled(value=value, low=low, high=high, tried=(moves, moves), untried=f"{of} never moves")
@@ -38,13 +33,13 @@ def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
 
 @once_a_trace
 def tcp_steps_m(trace: Trace) -> Values:
-    """(n-1,) how far the TCP is at each tick from where it was at the one before."""
+    """Return (n-1,) the distance of the TCP at each tick from its place at the tick before."""
     steps = np.diff(np.ascontiguousarray(true_motion(trace).tcp_m.T))
     return np.asarray(np.sqrt((steps * steps).sum(axis=0)))
 
 
 def tcp_way_m(trace: Trace) -> Values:
-    """(n-1,) how far the TCP goes within each tick: its largest speed, at the ends or in the mean."""
+    """Return (n-1,) the TCP's way within each tick, at its largest speed: at either end, or in the mean."""
     speed = trace.ticks["tcp_speed_mps"]
     steps = tcp_steps_m(trace)
     way: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
@@ -52,7 +47,7 @@ def tcp_way_m(trace: Trace) -> Values:
 
 
 def turned_rad(trace: Trace) -> Values:
-    """(n-1,) by what angle the TCP can turn within each tick: those of all joints together."""
+    """Return (n-1,) the angle by which the TCP can turn within each tick: the sum over all joints."""
     speed = np.abs(trace.ticks["joint_velocity_radps"])
     steps = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
     most = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s)[:, None], steps)
@@ -61,23 +56,23 @@ def turned_rad(trace: Trace) -> Values:
 
 
 def known_to_radps(trace: Trace) -> float:
-    """By how much [rad/s] the recorded speed of a joint may miss the commanded one in the trace's world."""
+    """Return the largest difference [rad/s] of recorded and commanded joint speeds in the trace's world."""
     return sum(world.known_to_radps for world in WORLDS if world.name == trace.provenance.world)
 
 
 def tcp_speeds_mps(trace: Trace) -> tuple[Values, Values]:
-    """(n,) of the TCP at the ticks, and (n-1,) the mean ones from tick to tick."""
+    """Return (n,) the TCP's speed at the ticks, and (n-1,) its mean from tick to tick."""
     return history(trace, "tcp_speed_mps"), tcp_steps_m(trace) / np.diff(trace.time_s)
 
 
 def joint_speeds_radps(trace: Trace) -> tuple[Values, Values]:
-    """(n, joints) of the joints at the ticks, and (n-1, joints) the mean ones from tick to tick."""
+    """Return (n, joints) the joints' speeds at the ticks, and (n-1, joints) their means from tick to tick."""
     steps = np.abs(np.diff(history(trace, "joint_position_rad"), axis=0))
     return np.abs(history(trace, "joint_velocity_radps")), steps / np.diff(trace.time_s)[:, None]
 
 
 def larger(at_tick: Values, mean: Values) -> Values:
-    """(n, ...) the speed at each tick, or the mean one to the next where that is larger.
+    """Return (n, ...) the speed at each tick, or the mean speed to the next tick if that is larger.
 
     ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
     """
@@ -87,12 +82,13 @@ def larger(at_tick: Values, mean: Values) -> Values:
 
 
 def sample_tcp_speed(trace: Trace) -> Sampled:
-    """Of the TCP; between ticks the mean speed counts too."""
-    return speeds(*tcp_speeds_mps(trace), of="the TCP")
+    """Sample the TCP's speed; between ticks its mean counts too."""
+    at_ticks, mean = tcp_speeds_mps(trace)
+    return speeds(at_ticks[:, None], mean[:, None], of="the TCP")
 
 
 def sample_joint_speed(trace: Trace) -> Sampled:
-    """Of the fastest joint, likewise; it may be lower by what motors miss (``known_to_radps``)."""
+    """Sample the fastest joint's speed; the commanded speed may be lower by ``known_to_radps``."""
     found, off_radps = speeds(*joint_speeds_radps(trace), of="the arm"), known_to_radps(trace)
     return replace(
         found, low=found.low - off_radps, value_low=found.value - off_radps, value_high=found.value
@@ -101,7 +97,7 @@ def sample_joint_speed(trace: Trace) -> Sampled:
 
 @once_a_trace
 def arm_speeds_mps(trace: Trace) -> Values:
-    """(n, 4) speed of the fastest end of any capsule's axis, and the TCP's velocity in base, at each tick.
+    """Return (n, 4) the speed of the fastest end of any capsule's axis, and the TCP's velocity in base.
 
     No point of an axis is faster than an end.
     """
@@ -115,7 +111,7 @@ def _arm_speeds_mps(
     joints_rad: NDArray[np.float64],  # (n, joints)
     rates_radps: NDArray[np.float64],  # (n, joints)
 ) -> NDArray[np.float64]:
-    """(n, 4) of ``arm_speeds_mps``."""
+    """Return (n, 4) as ``arm_speeds_mps`` does."""
     n, joints, capsules = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
     transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
     twists, found = np.empty((joints + 1, 6)), np.zeros((n, 4))

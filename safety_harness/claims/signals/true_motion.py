@@ -1,12 +1,13 @@
-"""What many properties ask of the same trace: where arm and hands truly were, at the ticks and between.
+"""The true motion of arm and hands in a trace, at the ticks and between them, for many properties.
 
-At a tick a trace says where a hand is.  Between two the scenario's own moves are followed again.  Within
-a tick a recorded hand may have turned, at a sample: on the chord from tick to tick such a corner is lost,
-by up to half the way of a tick (8 mm at 2 m/s and 8 ms).  Other hands have no corners, as their
-acceleration is bounded, but leave the chord by what that bound lets them.  Followed in parts of a tick
-(``finer_paths``), they leave shorter chords by less.
+A trace has the place of a hand at each tick.  Between two ticks the scenario's own moves are followed again.
+Within a tick a recorded hand may have turned, at a sample.  On the chord from tick to tick such a corner is
+lost, by up to half the way of a tick (8 mm at 2 m/s and 8 ms).  Other hands have no corners, as their
+acceleration is bounded, but they leave the chord by as much as that bound allows.  If they are followed in
+parts of a tick (``finer_paths``), they leave the shorter chords by less.
 
-And whether a trace's truth agrees with itself: poses, speeds and distances follow from joints and hands.
+The module also checks whether a trace agrees with itself: poses, speeds and distances follow from joints and
+hands.
 """
 
 from __future__ import annotations
@@ -49,9 +50,10 @@ TOLERANCE = 1e-9  # metres, metres a second and entries of rotations: another ma
 
 
 class TrueMotion:
-    """Of each of n ticks; positions in the base frame [m]: read-only views, for copies would take longer.
+    """The motion at each of n ticks; positions in the base frame [m].
 
-    Each is made when it is asked for, so that nobody reads what he does not say.
+    The arrays are read-only views, since copies would take longer.  Each is made on first use, so that a
+    property reads only the columns that it states.
     """
 
     def __init__(self, ticks: NDArray[np.void]) -> None:
@@ -101,7 +103,7 @@ def true_motion(trace: Trace) -> TrueMotion:
 
 @once_a_trace
 def nearest_hand_m(trace: Trace) -> NDArray[np.float64]:
-    """(n,) distance of the nearest true hand's centre from the TCP; infinite without one."""
+    """Return (n,) the distance of the nearest true hand's centre from the TCP; infinite without a hand."""
     true = true_motion(trace)
     apart_m = np.linalg.norm(np.ascontiguousarray(true.hands_m[:, :, 0]) - true.tcp_m[:, None], axis=2)
     return np.asarray(np.where(true.present, apart_m, np.inf).min(axis=1))
@@ -109,31 +111,31 @@ def nearest_hand_m(trace: Trace) -> NDArray[np.float64]:
 
 @once_a_trace
 def capsules_of(trace: Trace) -> CapsuleSet:
-    """The arm's and the camera's."""
+    """Return the capsules of arm and camera."""
     return cell_capsules(arm_capsules(trace.scenario.robot), trace.scenario.settings)
 
 
 @once_a_trace
 def arm_of(trace: Trace) -> Arm:
-    """The arm of a trace with its capsules and the camera's, for compiled code."""
+    """Return the arm of a trace with its capsules and the camera's, for compiled code."""
     return arm_with(arm_model(trace.scenario.robot), capsules_of(trace))
 
 
 def tcp_of(trace: Trace) -> Arm:
-    """Its TCP alone."""
+    """Return the TCP of that arm alone."""
     return tcp_alone(arm_model(trace.scenario.robot))
 
 
 @dataclass(frozen=True, eq=False)
 class HandPaths:
-    """What the scenario's hands do along the arm's true way.
+    """The paths of the scenario's hands along the arm's true way.
 
-    ``positions_in_base_m`` (n, hands, 2, 3): hand and elbow at each tick.  ``moving`` (n-1, hands):
-    False where a hand rests from one tick to the next.  ``corner_hand`` and ``corner_at`` (m,):
-    whose corner, and when, in ticks (3.25: a quarter of the way from tick 3 to 4), rising for each
-    hand; ``corners_in_base_m`` (m, 2, 3): hand and elbow there.  ``parts`` (n-1, hands): into how many parts
-    corners divide the way of a hand that its own moves lead.  ``resolution_m`` is how closely a least
-    distance between two instants is to be found.
+    ``positions_in_base_m`` (n, hands, 2, 3) are hand and elbow at each tick.  ``moving`` (n-1, hands) is
+    False where a hand rests from one tick to the next.  ``corner_hand`` and ``corner_at`` (m,) are the hand
+    of a corner and its time in ticks, rising for each hand (3.25 is a quarter of the way from tick 3 to 4);
+    ``corners_in_base_m`` (m, 2, 3) are hand and elbow there.  ``parts`` (n-1, hands) is the number of parts
+    into which corners divide the way of a hand that its own moves lead.  ``resolution_m`` is the resolution
+    of a least distance between two instants.
     """
 
     positions_in_base_m: NDArray[np.float64]
@@ -147,13 +149,13 @@ class HandPaths:
 
 @once_a_trace
 def hand_paths(trace: Trace) -> HandPaths:
-    """Follow the moves again; hands that head for the TCP see the trace's."""
+    """Follow the moves again; hands that head for the TCP see the trace's TCP."""
     return _paths(trace, 1)
 
 
 @once_a_trace
 def finer_paths(trace: Trace) -> HandPaths:
-    """Follow them in PARTS of each tick, for whoever has to know more exactly."""
+    """Follow the moves in PARTS of each tick, for a closer bound."""
     return _paths(trace, PARTS)
 
 
@@ -184,10 +186,10 @@ def _paths(trace: Trace, most_parts: int) -> HandPaths:
 
 @once_a_trace
 def first_stray(trace: Trace) -> int | None:
-    """The first tick at which a hand or elbow of the trace is not where its scenario moves it.
+    """Return the first tick at which a hand or elbow is not where its scenario moves it; None without one.
 
-    Within their uncertainty, and where they were measured; nothing is said of hands that follow a TCP of
-    which not all is known.
+    Positions are compared to within their uncertainty, and where they were measured.  Hands that follow a TCP
+    that is not wholly known are not compared.
     """
     moved_m, known = hand_paths(trace).positions_in_base_m, trace.known
     stored_m = true_motion(trace).hands_m[:, : moved_m.shape[1]].copy()
@@ -204,36 +206,36 @@ def first_stray(trace: Trace) -> int | None:
 
 
 def follows_unknown(trace: Trace) -> bool:
-    """Does a hand head for the TCP, and was that not measured everywhere and exactly?"""
+    """Return whether a hand heads for a TCP that was not measured everywhere and exactly."""
     moves = [move for hand in trace.scenario.hands if isinstance(hand, MovingHand) for move in hand.moves]
     seeks = any(isinstance(move, ReachForTcp | FollowTcp) for move in moves)
     return seeks and trace.known.of("transform_tcp_to_base").limited
 
 
 def apart_moved_m(trace: Trace) -> NDArray[np.float64]:
-    """(n,) by how much [m] a distance from hand to arm may be off, as hands and joints are uncertain."""
+    """Return (n,) the error [m] of a distance from hand to arm, by the uncertainty of hands and joints."""
     known, count = trace.known, len(trace.ticks)
     hands, elbows = (known.within(name, count) for name in BODIES)
     return np.maximum(hands, elbows) + known.within(JOINTS[0], count) * float(arm_of(trace).reach_m.sum())
 
 
 def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
-    """(n,) by how much [m/s] the TCP's velocity at each tick may be off, as the joints are uncertain."""
+    """Return (n,) the error [m/s] of the TCP's velocity at each tick, by the uncertainty of the joints."""
     turned_rad, faster_radps = (trace.known.within(name, len(trace.ticks)) for name in JOINTS)
     rates_radps = np.nan_to_num(true_motion(trace).rates_radps, nan=0.0, posinf=0.0, neginf=0.0)
     return np.asarray(velocity_off(arm_of(trace).reach_m, turned_rad, faster_radps, rates_radps))
 
 
 def hand_bend_m(trace: Trace, paths: HandPaths, hand: int, *, centre: bool = False) -> NDArray[np.float64]:
-    """(n-1,) how far a hand or its elbow, or its ``centre`` alone, may leave its chord within a tick.
+    """Return (n-1,) how far a hand or its elbow, or its ``centre`` alone, may leave its chord within a tick.
 
-    A way whose second derivative is at most b leaves its chord by at most b dt^2/8.  For a hand that
-    is its acceleration a, its tremor's included.  The elbow is a forearm's length L from the hand
-    towards a fixed point; at the speed v, at least r away from that point, b is at most
-    a (1 + L/r) + L (4/3)^(1/2) (v/r)^2.  However it turns, no point of a forearm is farther than L from the
-    hand's centre, so that a distance is off by at most L and the forearm's radius less the hand's beside what
-    the hand's bend makes.  Where corners divide a tick, dt is the time from one to the next.  A hand of a
-    recording, and its elbow, go straight from corner to corner.
+    A path whose second derivative is at most b leaves its chord by at most b dt^2/8.  For a hand, b is its
+    acceleration a, with its tremor's.  The elbow is a forearm's length L from the hand towards a fixed point.
+    At the speed v, at least r away from that point, b is at most a (1 + L/r) + L (4/3)^(1/2) (v/r)^2.
+    However the forearm turns, its points are at most L from the hand's centre.  So a distance is wrong by at
+    most L and the forearm's radius less the hand's, beside the part that the hand's bend makes.  Where
+    corners divide a tick, dt is the time from one to the next.  A recorded hand, and its elbow, go straight
+    from corner to corner.
     """
     scenario = trace.scenario
     trajectory, period_s = scenario.hands[hand], scenario.settings.clock.control_period_s
@@ -276,9 +278,10 @@ def _hand_bends(
     turned_m: float,
     period_s: float,
 ) -> NDArray[np.float64]:
-    """(n-1,) b dt^2/8 [m] with b = a (1 + L/r) + L (4/3)^(1/2) (v/r)^2, as ``hand_bend_m`` has it.
+    """Return (n-1,) b dt^2/8 [m] with b = a (1 + L/r) + L (4/3)^(1/2) (v/r)^2, as for ``hand_bend_m``.
 
-    dt is the period divided by the parts; ``turned_m`` is what an elbow that turns anywhere adds to a hand's.
+    dt is the period divided by the parts; ``turned_m`` is added to a hand's bend for an elbow that turns
+    anywhere.
     """
     bends, after = np.zeros(moving.shape[0]), np.nan
     for k in range(hand_m.shape[0]):
@@ -310,7 +313,7 @@ def _follow(
     corners: NDArray[np.float64],  # (c, 2, 3)
     parts: NDArray[np.int64],  # (n - 1, hands) wanted; 1 is written where the way is not known in parts
 ) -> int:
-    """Positions at the ticks and corners between them; returns the number of corners."""
+    """Write positions at the ticks and corners between them; return the number of corners."""
     found = 0
     before, even = hands.copy(), np.zeros(positions.shape[1], np.bool_)
     for k in range(positions.shape[0]):
@@ -381,7 +384,7 @@ def _follow(
 
 @njit_no_nrt
 def _evenly(before: Any, after: Any, period_s: float) -> bool:
-    """Whether a hand's way within a tick is that of a velocity that changes evenly."""
+    """Return whether a hand's way within a tick is that of a velocity that changes evenly."""
     even = True
     for j in range(3):
         mean_mps = 0.5 * (before.velocity_in_base_mps[j] + after.velocity_in_base_mps[j])
@@ -392,7 +395,7 @@ def _evenly(before: Any, after: Any, period_s: float) -> bool:
 
 @njit_no_nrt
 def _heads_for_tcp(before: Any, after: Any, moves: Any) -> bool:
-    """Whether a move of a hand within a tick heads for the TCP; the others can be followed to any time."""
+    """Return whether a move of a hand within a tick heads for the TCP; others can be followed to any time."""
     heads = False
     for row in range(before.current, min(after.current + 1, after.count)):
         heads = heads or moves[before.first + row].kind >= REACH_FOR_TCP
@@ -400,7 +403,7 @@ def _heads_for_tcp(before: Any, after: Any, moves: Any) -> bool:
 
 
 def refuse_contradictions(trace: Trace, file: Path | None = None) -> None:
-    """TraceError with field and tick if no run can have written ``trace``; ``file`` is what it names."""
+    """Raise TraceError with field and tick if no run can have written ``trace``; it names ``file``."""
     wrong = first_inconsistency(trace) or first_untruth(trace)
     if wrong is not None:
         where = wrong.where if file is not None else f"trace of {trace.scenario.name}: {wrong.where}"
@@ -408,11 +411,11 @@ def refuse_contradictions(trace: Trace, file: Path | None = None) -> None:
 
 
 def first_untruth(trace: Trace) -> Inconsistency | None:
-    """The first tick whose pose, speed or hand distances are not those of its joints and hands.
+    """Return the first tick whose pose, speed or hand distances do not follow from its joints and hands.
 
-    What is NaN must be NaN because joints or hands are; whether that can be judged is for the
-    properties to say.  What was not measured is not compared, and nothing more closely than it is known.
-    The order of the fields counts before that of the ticks.
+    A NaN must follow from a NaN of joints or hands; the properties decide whether that can be judged.  Values
+    that were not measured are not compared, and measured values only to within their uncertainty.  The order
+    of the fields counts before that of the ticks.
     """
     found, known = derived(trace), trace.known
     for name, by in DERIVED.items():
@@ -438,7 +441,7 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
 
 
 def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
-    """(n,) by how much one of ``DERIVED`` may be off from the others, as all of them are uncertain."""
+    """Return (n,) the largest error of one of ``DERIVED``, by the uncertainty of all its columns."""
     off = trace.known.within(name, len(trace.ticks))
     if name == "tcp_speed_mps":
         return off + tcp_velocity_moved_mps(trace)
@@ -449,7 +452,7 @@ def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
 
 
 def derived(trace: Trace) -> NDArray[np.void]:
-    """(n,) ticks with the truth of every tick again, from its joints and hands."""
+    """Return (n,) ticks with the truth of every tick computed again from its joints and hands."""
     capsules = capsules_of(trace)
     found = np.zeros(len(trace.ticks), trace.ticks.dtype)
     _derive(
@@ -472,7 +475,7 @@ def _derive(
     stored: NDArray[np.void],  # (n,) ``as_compiled``
     derived: NDArray[np.void],  # (n,) ``as_compiled``, its truth written
 ) -> None:
-    """The truth of every tick again, from its joints and hands."""
+    """Write the truth of every tick again, from its joints and hands."""
     for k in range(stored.shape[0]):
         tick = stored[k]
         for i in range(hands.shape[0]):

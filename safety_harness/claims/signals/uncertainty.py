@@ -1,4 +1,4 @@
-"""What is known of a signal in a trace of which not all was measured: the ends of what it can have been."""
+"""Bounds of a signal in a trace that was measured in part, or not exactly."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ blanked = once_a_trace(as_measured)
 
 
 def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tuple[str, ...]:
-    """Those that were measured, but not always: at ``tick``, or at any."""
+    """Return the columns that were measured, but not always: with a gap at ``tick``, or at any tick."""
     known = trace.known
     return tuple(
         name
@@ -35,7 +35,7 @@ def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tu
 
 
 def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
-    """(n, hands) the ticks at which one of ``columns`` was not measured, of each hand that there may be."""
+    """Return (n, hands) the ticks at which one of ``columns`` was not measured, for each possible hand."""
     found = np.zeros((len(trace.ticks), *trace.ticks.dtype["hand_present"].shape), np.bool_)
     for name in columns:
         for gap in trace.known.of(name).gaps:
@@ -44,24 +44,24 @@ def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
 
 
 def lost(trace: Trace, columns: Iterable[str]) -> Truths:
-    """(n,) the ticks at which one of ``columns`` was not measured, of any hand."""
+    """Return (n,) the ticks at which one of ``columns`` was not measured, of any hand."""
     if trace.known.whole:
         return np.zeros(len(trace.ticks), np.bool_)
     return np.asarray(lost_of_hands(trace, columns).any(axis=1))
 
 
 def or_next(state: Truths) -> Truths:
-    """(n, ...) from each tick to the next: at the one or at the other.  ``state`` (n, ...)."""
+    """Return (n, ...) whether a state holds at a tick or at the next.  ``state`` (n, ...)."""
     either = state.copy()
     either[:-1] |= state[1:]
     return either
 
 
 def as_known(signal: Signal, one: Sampled, trace: Trace) -> Sampled:
-    """The bounds within which ``signal`` was, where ``one`` is what was measured of it.
+    """Return the bounds of ``signal``, where ``one`` is its measured part.
 
-    Unknown at lost ticks, and in the cells that touch them; but at most as large where it has a value
-    there, which is then that of the hands that were measured.
+    The signal is unknown at lost ticks and in the cells that touch them.  A value of the measured hands
+    bounds it from above there.
     """
     columns = [name for name in signal.reads if trace.known.of(name).limited]
     if not columns or one.absent:
@@ -97,7 +97,7 @@ def as_known(signal: Signal, one: Sampled, trace: Trace) -> Sampled:
 
 
 def by_uncertainty_of(*columns: str) -> Off:
-    """By that of ``columns`` together."""
+    """Return the errors of a signal that is as uncertain as ``columns`` together."""
 
     def off(trace: Trace) -> tuple[float, float, float]:
         together = sum(trace.known.of(name).uncertainty for name in columns)
@@ -107,7 +107,7 @@ def by_uncertainty_of(*columns: str) -> Off:
 
 
 def of_change(column: str) -> Off:
-    """Of the mean change of ``column`` from tick to tick, in its unit a second."""
+    """Return the errors of the mean change of ``column`` from tick to tick, in its unit per second."""
 
     def off(trace: Trace) -> tuple[float, float, float]:
         by = 2.0 * trace.known.of(column).uncertainty / trace.scenario.settings.clock.control_period_s
@@ -117,14 +117,14 @@ def of_change(column: str) -> Off:
 
 
 def of_tcp_acceleration(trace: Trace) -> tuple[float, float, float]:
-    """Of the mean change of the TCP's velocity, as joints and their speeds are uncertain."""
+    """Return the errors of the mean change of the TCP's velocity, by those of joints and their speeds."""
     off_mps = float(tcp_velocity_moved_mps(trace).max())
     by = 2.0 * off_mps / trace.scenario.settings.clock.control_period_s
     return by, by, by
 
 
 def of_speed(speed: str, position: str) -> Off:
-    """Of a speed; the mean ones between ticks are off by both positions over the period."""
+    """Return the errors of a speed; a mean between ticks has those of both positions over the period."""
 
     def off(trace: Trace) -> tuple[float, float, float]:
         at, place = (trace.known.of(name).uncertainty for name in (speed, position))
@@ -135,14 +135,18 @@ def of_speed(speed: str, position: str) -> Off:
 
 
 def of_place(trace: Trace) -> tuple[float, float, float]:
-    """Of a place of the TCP: beside its own, half of what its way within a tick is off by."""
+    """Return the errors of a place of the TCP: its own, and between ticks half of the error of its way."""
     at, speed = (trace.known.of(name).uncertainty for name in (TCP, TCP_SPEED))
     between = float(place_between(at, speed, trace.scenario.settings.clock.control_period_s))
     return at, between, between
 
 
 def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
-    """Of the TCP from a hand: both places; below by joints and their bend, above by half of both ways."""
+    """Return the errors of the TCP's distance from a hand.
+
+    At the ticks they are those of both places, below also of the joints and their bend, above also half of
+    those of both ways.
+    """
     if follows_unknown(trace):
         return np.inf, np.inf, np.inf
     tcp, between, _ = of_place(trace)
@@ -154,12 +158,12 @@ def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
 
 
 def of_hand_distance(trace: Trace) -> tuple[Bound, Bound, Bound]:
-    """Below as far as the catalogue's bound; above by that beside the distances at the ticks."""
+    """Return the errors of the hand distance: below by the catalogue's bound, above also by that at ticks."""
     at, moved = distance_moved_m(trace)
     between, beside = np.maximum(at, moved), at + moved
     return at, np.maximum(between, _next(between)), np.maximum(beside, _next(beside))
 
 
 def _next(value: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,) of each tick that of the one after."""
+    """Return (n,) the value of the next tick for each tick."""
     return np.append(value[1:], value[-1:])

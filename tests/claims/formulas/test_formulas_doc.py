@@ -10,7 +10,7 @@ import pytest
 from safety_harness.claims.formulas import language
 from safety_harness.claims.formulas.claim import FormulaClaim
 from safety_harness.claims.formulas.parse import parse_formula
-from safety_harness.claims.formulas.signals import SIGNALS, python_name
+from safety_harness.claims.formulas.signals import SIGNALS
 from safety_harness.trace.trace import Trace
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -46,5 +46,5 @@ def test_the_words_of_the_table_are_what_python_says() -> None:
 
 def test_python_has_every_signal_by_the_name_on_the_page() -> None:
     for signal in SIGNALS:
-        assert getattr(language, python_name(signal)) is signal
+        assert getattr(language, signal.words.lower().replace(" ", "_")) is signal
     assert set(language.__all__) <= set(vars(language))

@@ -15,6 +15,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.base.exceptions import StatisticsError, described
 from safety_harness.base.proportions import LEVEL
 from safety_harness.claims.properties.answered import is_claimed
+from safety_harness.claims.properties.catalogue import entry_claimed
 from safety_harness.extensions.assurance.campaign.episodes import random_episodes
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.overruled import overruled_episodes, overruling_in
@@ -32,7 +33,7 @@ from safety_harness.extensions.assurance.certification.evidence import (
     Quantile,
     StratumResult,
 )
-from safety_harness.extensions.assurance.certification.standards import entry_of, traced
+from safety_harness.extensions.assurance.certification.standards import traced
 from safety_harness.extensions.assurance.certification.stored import Stored, came_nearest
 from safety_harness.extensions.assurance.certification.verdicts import overall, standing_of
 from safety_harness.extensions.assurance.statistics.binomial import (
@@ -79,7 +80,8 @@ def _claim(
     plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, claim: PlannedClaim
 ) -> ClaimEvidence:
     """Return the evidence on the claim number ``place``."""
-    entry, tracing = entry_of(claim.sentence), traced(claim.sentence)
+    entry, _ = entry_claimed(claim.sentence) or (None, None)
+    tracing = traced(entry)
     prop = property_of(claim.claim, plan.strata[0].space.simplest)
     outcomes = tuple(_outcome(plan, ledger, stored, stratum, place) for stratum in range(len(plan.strata)))
     standing, why = overall(outcomes)

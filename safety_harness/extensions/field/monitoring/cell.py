@@ -1,4 +1,4 @@
-"""The cell that is watched: what a LOG.yaml says of one beside its streams, which a monitor does not open."""
+"""The watched cell: the content of a LOG.yaml beside its streams, which a monitor does not open."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ NO_HANDS = HandFacts(known_to_m=0.0, moves_at_most_mps=0.0, longest_gap_s=0.2)
 
 @dataclass(frozen=True)
 class WatchedHand:
-    """A hand's name, and whether its elbow is measured, or there is no forearm, or neither."""
+    """A hand's name, and whether its elbow is measured, or it has no forearm."""
 
     name: str
     elbow: bool
@@ -60,7 +60,7 @@ class WatchedHand:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WatchedCell:
-    """Arm and settings (of ``scenario``), hands by name, and how well all that is known, as of a log."""
+    """Arm and settings (of ``scenario``), hands by name, and how well all are known, as for a log."""
 
     said: Field
     scenario: Scenario
@@ -73,16 +73,16 @@ class WatchedCell:
 
     @cached_property
     def arm(self) -> ArmModel:
-        """The arm without its capsules."""
+        """Return the arm without its capsules."""
         return arm_model(self.scenario.robot)
 
     @property
     def period_s(self) -> float:
-        """From tick to tick."""
+        """Return the time from tick to tick."""
         return self.period_ns / NS
 
     def log_text(self, joints: str, hands: Sequence[str], claims: Sequence[str]) -> str:
-        """The LOG.yaml of ``joints`` and ``hands``, tables of what came, judged by ``claims``."""
+        """Return the LOG.yaml of ``joints`` and ``hands``, tables of the samples, judged by ``claims``."""
         said = _tree_of(self.said.node)
         assert isinstance(said, dict)
         file = log_file(self.said)
@@ -113,15 +113,15 @@ class WatchedCell:
 
 
 def read_cell(path: Path, claims: Sequence[str] = ()) -> WatchedCell:
-    """The cell of a LOG.yaml, whose streams are not opened; ``claims`` in place of its own.
+    """Return the cell of a LOG.yaml, whose streams are not opened; ``claims`` replace its own.
 
-    InputError with its place for what cannot be used.
+    InputError has the place of a mistake.
     """
     return _cell_of(said_in(path), claims)
 
 
 def cell_taken(robot: str, hands: Sequence[str], period: str, claims: Sequence[str]) -> WatchedCell:
-    """One of which nobody said how well it is known: ``taken`` says it."""
+    """Return a cell with the uncertainties of ``taken``."""
     streams = ", ".join(f"{scalar_text(name)}: none" for name in hands)
     streams = f"hands: {{{streams}}}, " if hands else ""
     text = f"log: {{joints: none, {streams}period: {scalar_text(period)}}}\n"
@@ -130,7 +130,7 @@ def cell_taken(robot: str, hands: Sequence[str], period: str, claims: Sequence[s
 
 
 def taken(hands: Sequence[str]) -> str:
-    """What is taken of joints and hands, where nobody says it."""
+    """Return the assumptions about joints and hands without a LOG.yaml."""
     return TAKEN_OF_JOINTS + TAKEN_OF_HANDS * bool(hands)
 
 
@@ -185,7 +185,7 @@ def _hands(field: Field, forearm: Field) -> tuple[WatchedHand, ...]:
 
 
 def _scenario(given: Fields, period_s: float, said: Field) -> Scenario:
-    """Arm, settings and claims as a scenario has them."""
+    """Return arm, settings and claims as a scenario."""
     robot = given.optional("robot")
     arm = arm_model(read_robot(robot, {})) if robot is not None else None
     start: Tree = ["0 deg"] * (len(arm.joint_names) if arm else 6)
@@ -205,7 +205,7 @@ def _scenario(given: Fields, period_s: float, said: Field) -> Scenario:
 
 
 def _seen_from_anywhere(robot: Tree, folder: Path) -> Tree:
-    """A robot as a file in another folder has to say it."""
+    """Return a robot as a file in another folder has to name it."""
     if isinstance(robot, str):
         text = robot.strip('"')
         return (

@@ -1,9 +1,9 @@
-"""The monitor's own log: what it used, as tables with a LOG.yaml beside them, in folders of a bounded size.
+"""The monitor's own log: tables of the samples that it used, and a LOG.yaml, in folders of bounded size.
 
     OUT/0001/{LOG.yaml, joints.csv, hand-1.csv}, OUT/0002/...
 
-Each row is written at once and whole, so that what a kill leaves can be judged.  A new folder begins with the
-latest samples of the one before, so that the way between them is in one of both.
+Each row is written at once and whole, so that the log can be judged after a kill.  A new folder begins with
+the latest samples of the folder before, so that the way between them is in one of both.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ JOINTS = "joints.csv"
 class Journal:
     """Writes below ``folder``, at most ``most_bytes`` a part, and keeps the last ``keep`` parts.
 
-    OutputError for a folder with parts in it, or one that takes no more.
+    OutputError for a folder with parts in it, or a folder that cannot be written.
     """
 
     cell: WatchedCell
@@ -47,25 +47,25 @@ class Journal:
     def joints(
         self, time_ns: int, position_rad: Sequence[float], rates_radps: Sequence[float] | None
     ) -> None:
-        """A sample of the joints."""
+        """Write a sample of the joints."""
         known = self.cell.joint_facts.speeds_known_to_radps is not None
         self._write(JOINTS, time_ns, (*position_rad, *((rates_radps or ()) if known else ())))
 
     def hand(self, name: str, time_ns: int, hand_m: Place, elbow_m: Place) -> None:
-        """A sample of a hand; an elbow that was not measured is left empty."""
+        """Write a sample of a hand; an elbow that was not measured is empty."""
         nothing = (None,) * 3
         elbow = (elbow_m or nothing) if self._elbows[name] else ()
         self._write(self._names[name], time_ns, (*(hand_m or nothing), *elbow))
 
     def close(self) -> None:
-        """No more is written."""
+        """Stop writing."""
         for file in self._files.values():
             os.close(file)
         self._files.clear()
 
     @property
     def latest(self) -> Path:
-        """The LOG.yaml of the part that is written."""
+        """Return the LOG.yaml of the part that is being written."""
         return self.folder / f"{self.part:04d}" / "LOG.yaml"
 
     @property

@@ -1,8 +1,8 @@
-"""Samples in, ticks made of them, verdicts out: what a stream does, and what was missing in it.
+"""Samples in, ticks from them, verdicts out: the progress of a stream, and its gaps.
 
-A tick is judged when joints of its time or later have come.  A hand's place there is what its latest sample
-leaves possible; when its next one has come, the ticks since the last one are judged again by both, beside the
-next tick, as a log of all that came would be.
+A tick is judged when joints of its time or later have come.  A hand's place there is any that its latest
+sample allows. When its next sample has come, the ticks since the last sample are judged again by both, beside
+the next tick, as a log of all samples would be.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ FORGETS_EVERY = 10  # ticks
 
 @dataclass
 class StreamCounts:
-    """What came of a stream."""
+    """The counts of a stream."""
 
     lines: int = 0
     refused: int = 0  # that cannot be used, or not all of it
@@ -54,7 +54,7 @@ class StreamCounts:
 
 @dataclass(frozen=True, kw_only=True)
 class VerdictLine:
-    """A claim's verdict on the run so far, or what it says of the latest tick, is another from here on."""
+    """A new verdict of a claim, on the run so far or at the latest tick."""
 
     time_s: float
     claim: str
@@ -66,7 +66,7 @@ class VerdictLine:
 
     @property
     def told(self) -> dict[str, object]:
-        """For programs."""
+        """Return the line for programs."""
         return asdict(self) | {"verdict": self.verdict.value, "latest": self.latest.value}
 
 
@@ -74,9 +74,9 @@ class VerdictLine:
 class Monitor:
     """Watches the claims of ``cell`` on its stream.
 
-    FormulaError for one that it cannot tell; with ``some`` that is kept in ``unwatched``, and the others are
-    watched, if there are any.  Lines wait ``wait_s`` of the stream's time for earlier ones.  What is used
-    goes to ``journal``.
+    Lines wait ``wait_s`` of the stream's time for earlier lines.  Samples that are used go to ``journal``.  A
+    claim that cannot be watched raises FormulaError.  Under ``some`` it goes to ``unwatched`` instead, if
+    other claims remain.
     """
 
     cell: WatchedCell
@@ -133,7 +133,7 @@ class Monitor:
             raise FormulaError(place=error.place, expected=error.expected, got=got, hint=hint) from None
 
     def take(self, line: bytes) -> Iterator[VerdictLine]:
-        """The next line; StreamError if it, or part of it, cannot be used, which is counted."""
+        """Use the next line; StreamError if it, or part of it, cannot be used, which is counted."""
         self.counts.lines += 1
         self._unused += 1
         number = self.counts.lines
@@ -159,17 +159,20 @@ class Monitor:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
 
     def _ahead_s(self, sample: Sample) -> float:
-        """How much more a line shows than the joints' clock: one of hands alone is on theirs."""
+        """Return how much later a line shows than the joints' clock.
+
+        A line of hands alone is on the hands' clock already.
+        """
         return self.cell.hands_ahead_ns / NS if sample.joint_position_rad is None else 0.0
 
     def silent(self) -> Iterator[VerdictLine]:
-        """Nothing came for the longest gap of the joints: nothing is known now."""
+        """Report that the joints' longest gap has passed without a sample, so that the present is unknown."""
         if not self._silent and self.counts.ticks:
             self._silent, self.counts.silent = True, self.counts.silent + 1
             yield from self._changes(self._silence)
 
     def end(self) -> Iterator[VerdictLine]:
-        """The stream is over: what waits is used; of an end without joints nothing is known."""
+        """End the stream and use the waiting lines; an end without joints is unknown."""
         while self._waiting:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
         yield from self._judge_again()
@@ -181,16 +184,16 @@ class Monitor:
 
     @property
     def _silence(self) -> str:
-        """Why nothing is known now; empty if something is."""
+        """Return why the present is unknown; empty if it is known."""
         gap_s = self.cell.joint_facts.longest_gap_s
         return f"no joints that can be used came for {gap_s * 1e3:g} ms" if self._silent else ""
 
     def verdicts(self) -> list[VerdictLine]:
-        """Every claim's words now: at the latest tick, or when joints had not come for too long."""
+        """Return every claim's line now: at the latest tick, or at the last joints before a silence."""
         return [self._change(claim, self._silence) for claim in self.claims]
 
     def _use(self, number: int, sample: Sample) -> Iterator[VerdictLine]:
-        """StreamError after all that can be used of it was used."""
+        """Use a sample; StreamError after all usable parts of it were used."""
         time_ns, problems = round(sample.time_s * NS), []
         if sample.joint_position_rad is not None and self._origin_ns is None:
             self._origin_ns = time_ns
@@ -216,7 +219,7 @@ class Monitor:
             raise line_error(number, name, "a sample that can follow the one before it", got, hint)
 
     def _use_hands(self, time_ns: int, sample: Sample) -> list[tuple[str, str]]:
-        """The places of hands of a line that cannot be used, and why."""
+        """Use the hands of a line; return the places that cannot be used, and why."""
         assert self._origin_ns is not None
         problems = []
         at_ns = time_ns - self.cell.hands_ahead_ns - self._origin_ns
@@ -265,7 +268,7 @@ class Monitor:
         self.counts.late += later_ns <= -SHORTEST_STEP_NS
 
     def _use_joints(self, time_ns: int, sample: Sample) -> None:
-        """The next ticks, up to a sample's time; Jump if it cannot be."""
+        """Use joints: the next ticks, up to a sample's time; Jump if they are impossible."""
         track, position_rad = self._joints, sample.joint_position_rad
         assert position_rad is not None
         if track.last is not None and time_ns - track.last[0] < SHORTEST_STEP_NS:
@@ -289,7 +292,7 @@ class Monitor:
             raise Jump(self._frozen(frozen_ns))
 
     def _frozen(self, since_ns: int) -> str:
-        """What came of a stream that repeats itself since ``since_ns``, on the joints' clock."""
+        """Return a message on a stream that repeats itself since ``since_ns``, on the joints' clock."""
         assert self._origin_ns is not None
         since_s = (self._origin_ns + since_ns) / NS
         return (
@@ -297,7 +300,7 @@ class Monitor:
         )
 
     def _judge(self) -> Iterator[VerdictLine]:
-        """The ticks that joints have come for."""
+        """Judge the ticks whose joints have come."""
         assert self._joints.last is not None
         while self._next * self.cell.period_ns <= self._joints.last[0]:
             tick = self._next
@@ -309,7 +312,7 @@ class Monitor:
             self.counts.lost += self._moments[-1].lost
 
     def _judge_again(self, *, grown: bool = False) -> Iterator[VerdictLine]:
-        """The ticks of which more is known."""
+        """Judge the ticks that are known better now."""
         moments = [one for one in self._moments if one.tick >= self._stale]
         if not moments:
             return
@@ -335,7 +338,7 @@ class Monitor:
                     track.forget(before)
 
     def _changes(self, silence: str = "") -> Iterator[VerdictLine]:
-        """What is worse is told at once, what is better when it lasted for the hands' longest gap.
+        """Yield changed verdicts: a worse verdict at once, a better verdict after the hands' longest gap.
 
         A verdict that is close comes and goes with every sample of a hand.
         """
@@ -351,7 +354,7 @@ class Monitor:
                 yield self._change(claim, silence)
 
     def _change(self, claim: WatchedClaim, silence: str = "") -> VerdictLine:
-        """A claim's words at the latest tick; with ``silence`` nothing is known since then."""
+        """Return a claim's line at the latest tick; with ``silence`` the time since then is unknown."""
         part = claim.deciding
         verdict, latest = _said(claim, silence)
         signals = self._moments[-1].signals if self._moments else None
@@ -371,7 +374,7 @@ def _worse(now: Verdict, told: Verdict) -> bool:
 
 
 def _said(claim: WatchedClaim, silence: str) -> tuple[Verdict, Verdict]:
-    """On the run so far and of the latest tick; with ``silence`` no more is known than what was violated."""
+    """Return the verdicts on the run and at the latest tick; a ``silence`` leaves violations alone."""
     verdict = claim.verdict
     if silence:
         return Verdict.VIOLATED if verdict is Verdict.VIOLATED else Verdict.INCONCLUSIVE, Verdict.INCONCLUSIVE

@@ -1,11 +1,11 @@
-"""A line of a stream: what was measured of a cell at one time, as JSON.
+"""A line of a stream: the measurements of a cell at a time, as JSON.
 
     {"time_s": 12.344, "joint_position_rad": [0.1, -1.2, 1.9, -2.2, -1.5, 0.0],
      "hands": {"right": {"hand_position_in_base_m": [0.84, -0.35, 0.2],
                          "elbow_position_in_base_m": [1.0, -0.6, 0.25]},
                "left": null}}
 
-Any part but ``time_s`` may be missing: it was not measured then.  A hand that is null is lost.
+Every part except ``time_s`` may be missing, if it was not measured.  A hand that is null is lost.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class HandSample(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Sample(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
-    """What was measured at ``time_s``."""
+    """The measurements at ``time_s``."""
 
     time_s: float
     joint_position_rad: tuple[float, ...] | None = None
@@ -44,10 +44,15 @@ _DECODER = msgspec.json.Decoder(Sample)
 
 
 def read_sample(line: bytes, number: int, *, joints: int, hands: Collection[str], speeds: bool) -> Sample:
-    """The sample of the ``number``-th line, of an arm of so many ``joints``; StreamError says what is wrong.
+    """Return the sample of the ``number``-th line; StreamError has the mistake.
 
-    ``hands`` are those that there may be; if there are none, nobody asks of hands, and any are left out.
-    With ``speeds`` positions of joints come with their speeds.
+    Args:
+        line: A line of the stream.
+        number: Its number, for the error.
+        joints: The number of the arm's joints.
+        hands: The names of possible hands; without any, the hands of a line are ignored.
+        speeds: Whether positions of joints come with their speeds.
+
     """
     if len(line) > MOST_CHARACTERS:
         raise line_error(number, "line", f"at most {MOST_CHARACTERS:,} characters", f"{len(line):,} or more")
@@ -98,10 +103,10 @@ def _refuse_beyond(number: int, name: str, values: tuple[float, ...], most: floa
 
 
 def line_error(number: int, name: str, expected: str, got: str, hint: str = "") -> StreamError:
-    """Of a line of the stream."""
+    """Return an error about a line of the stream."""
     return StreamError.of_option(f"line {number} of the stream, {name}", expected, got, hint)
 
 
 def line_of(sample: Sample) -> bytes:
-    """As a stream has it."""
+    """Return a sample as a line of a stream."""
     return msgspec.json.encode(sample) + b"\n"

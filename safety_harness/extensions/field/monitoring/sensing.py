@@ -1,8 +1,7 @@
-"""From joints and hands at a tick to the signals, with bounds of what they can have been, as of a log.
+"""Signals of the latest ticks, from joints and hands, with the bounds that a log has.
 
-What ``claims.signals`` computes of a whole trace, here of the latest ticks and of the ways between them,
-for each tick and hand with the uncertainty that it has then, in compiled code: a cell that runs has 8 ms for
-a tick.
+The functions of ``claims.signals.bounds`` run here in compiled code, as a running cell has 8 ms for a tick.
+They take the uncertainty of each tick and hand; for some signals a log takes the largest of its run.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled, inlined
 from safety_harness.cell.robot.capsules import Arm, arm_with, tcp_alone
-from safety_harness.cell.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
+from safety_harness.cell.robot.closest_approach import MAX_BISECTIONS
 from safety_harness.cell.robot.distance import hand_distance as distance_between
 from safety_harness.cell.robot.distance import place_capsules
 from safety_harness.cell.robot.kinematics import forward_kinematics, tcp_velocity
@@ -31,6 +30,16 @@ from safety_harness.claims.formulas.signals import (
     tcp_height,
     tcp_speed,
 )
+from safety_harness.claims.signals.bounds import (
+    apart_between,
+    cells,
+    or_next,
+    place_between,
+    speed_between,
+    speed_cells,
+    velocity_off,
+)
+from safety_harness.claims.signals.hand_distance import POINT, between_ticks
 from safety_harness.claims.signals.occasions import MOVES
 from safety_harness.claims.signals.true_motion import RESOLUTION_M
 from safety_harness.extensions.field.monitoring.cell import WatchedCell
@@ -48,9 +57,9 @@ Values = NDArray[np.float64]
 class TickSeen:
     """A tick, and what is known of it now.
 
-    Joints and their speeds (n,), what both may be off, NaN if nothing is known, hands and elbows (h, 2, 3)
-    [m] in base and what these may be off (h, 2), NaN if that is not known; a hand without a forearm has its
-    elbow where it is.  ``signals`` (signals, 6) follow.
+    It has joints and their speeds (n,), the errors of both (NaN if they are not known), hands and elbows (h,
+    2, 3) [m] in base, and the errors of these (h, 2), NaN where they are not known.  A hand without a forearm
+    has its elbow at the hand. ``signals`` (signals, 6) follow.
     """
 
     tick: int
@@ -64,16 +73,41 @@ class TickSeen:
 
     @property
     def lost(self) -> bool:
-        """Is the arm or a hand not known?"""
+        """Return whether the arm or a hand is unknown."""
         assert self.bodies_off_m is not None
         return isnan(self.off[0]) or bool(np.isnan(self.bodies_off_m[:, 0]).any())
 
 
 class HandTracks(NamedTuple):
-    """Of a hand and its elbow: the same track where it has no forearm, None where nobody measures it."""
+    """The tracks of a hand and its elbow: the same without a forearm; None for an unmeasured elbow."""
 
     hand: BodyTrack
     elbow: BodyTrack | None
+
+
+class _Cell(NamedTuple):
+    """What compiled code needs of a cell."""
+
+    arm: Arm
+    tcp: Arm
+    space: Values  # (MAX_BISECTIONS + 1, capsules, 2, 3), overwritten
+    tcp_space: Values  # (MAX_BISECTIONS + 1, 1, 2, 3), overwritten
+    radii_m: tuple[float, float]  # of hand and forearm
+    period_s: float
+
+
+class _Seen(NamedTuple):
+    """What is known of m ticks in a row, with n joints, h hands and c corners of these between the ticks."""
+
+    elapsed_s: Values  # (m,)
+    joints_rad: Values  # (m, n)
+    rates_radps: Values  # (m, n)
+    off: Values  # (m, 2) errors of joints and of their speeds, NaN where the arm is lost
+    bodies_m: Values  # (m, h, 2, 3) hands and elbows, NaN where they are not known
+    bodies_off_m: Values  # (m, h, 2) their errors
+    corner_hand: NDArray[np.int64]  # (c,) rising
+    corner_at: Values  # (c,) ticks since the first, rising for each hand
+    corners_m: Values  # (c, 2, 3) hand and elbow there
 
 
 class Sensing:
@@ -82,44 +116,36 @@ class Sensing:
     def __init__(self, cell: WatchedCell, hands: Sequence[HandTracks]) -> None:
         settings, self._hands = cell.scenario.settings, hands
         self._period_ns, self._nowhere = cell.period_ns, np.full((len(hands), 2), nan)
-        self._arm = arm_with(cell.arm, cell_capsules(arm_capsules(cell.scenario.robot), settings))
-        self._tcp = tcp_alone(cell.arm)
-        count = len(self._arm.capsules)
-        self._room = np.empty((MAX_BISECTIONS + 1, count, 2, 3))
-        self._sizes = settings.hand.radius_m, settings.hand.forearm_radius_m, cell.period_s
+        arm = arm_with(cell.arm, cell_capsules(arm_capsules(cell.scenario.robot), settings))
+        radii_m = settings.hand.radius_m, settings.hand.forearm_radius_m
+        workspace = np.empty((MAX_BISECTIONS + 1, len(arm.capsules), 2, 3))
+        tcp = tcp_alone(cell.arm), workspace, workspace[:, :1].copy()
+        self._cell = _Cell(arm, *tcp, radii_m, cell.period_s)
 
     def see(
         self, moments: Sequence[TickSeen], fresh: int, off: Sequence[tuple[float, float] | None]
     ) -> Values:
-        """(m, signals, 6) of moments in a row, of which those from ``fresh`` on are known better.
+        """Return the signals (m, signals, 6) of moments in a row.
 
-        Joints and their speeds are ``off`` by so much there, None: lost.
+        Args:
+            moments: The ticks, whose ``signals`` are set.
+            fresh: The first of them of which more is known now.
+            off: The errors of joints and of their speeds from there on; None where the arm is lost.
+
         """
         for moment, own in zip(moments[fresh:], off, strict=True):
             moment.off = own or (nan, nan)
             self._place_hands(moment)
-        first = moments[0].tick
-        found = np.empty((len(moments), len(MEASURED), 6))
-        _sense(
-            self._arm,
-            self._tcp,
-            self._room,
-            np.array([one.elapsed_s for one in moments]),
-            np.array([one.joints_rad for one in moments]),
-            np.array([one.rates_radps for one in moments]),
-            np.array([one.off for one in moments]),
-            np.array([one.bodies_m for one in moments]),
-            np.array([one.bodies_off_m for one in moments]),
-            *self._corners(first, first + len(moments) - 1),
-            *self._sizes,
-            found,
-        )
+        first, found = moments[0].tick, np.empty((len(moments), len(MEASURED), 6))
+        names = ("elapsed_s", "joints_rad", "rates_radps", "off", "bodies_m", "bodies_off_m")
+        columns = (np.array([getattr(moment, name) for moment in moments]) for name in names)
+        _sense(self._cell, _Seen._make([*columns, *self._corners(first, first + len(moments) - 1)]), found)
         for moment, signals in zip(moments, found, strict=True):
             moment.signals = signals
         return found
 
     def _place_hands(self, moment: TickSeen) -> None:
-        moment.bodies_m, moment.bodies_off_m = np.zeros(self._nowhere.shape + (3,)), self._nowhere.copy()
+        moment.bodies_m, moment.bodies_off_m = np.full((*self._nowhere.shape, 3), nan), self._nowhere.copy()
         for k, (hand, elbow) in enumerate(self._hands):
             if (own := hand.at(moment.tick)) is None:
                 continue
@@ -129,10 +155,9 @@ class Sensing:
                 moment.bodies_m[k, 1], moment.bodies_off_m[k, 1] = other
 
     def _corners(self, first: int, last: int) -> tuple[NDArray[np.int64], Values, Values]:
-        """The samples of hands between two ticks.
+        """Return the samples of hands between two ticks.
 
-        Their ticks after ``first``, and hands (c, 2), parts of a period (c,), and places (c, 2, 3) of hand
-        and elbow then.
+        These are hands (c,), times (c,) in ticks after ``first``, and places (c, 2, 3) of hand and elbow.
         """
         found = []
         for k, (hand, elbow) in enumerate(self._hands):
@@ -141,252 +166,125 @@ class Sensing:
             if other is not hand:
                 times = sorted({*times, *other.corners(begin_ns, end_ns)})
             for time_ns in sorted(times):
-                tick, since_ns = divmod(time_ns, self._period_ns)
-                if since_ns:
+                if time_ns % self._period_ns:
                     places = hand.between(time_ns), other.between(time_ns)
-                    found.append(((tick - first, k), since_ns / self._period_ns, places))
+                    found.append((k, (time_ns - begin_ns) / self._period_ns, places))
         if not found:
-            return np.empty((0, 2), np.int64), np.empty(0), np.empty((0, 2, 3))
-        which, share, places_m = zip(*found, strict=True)
-        return np.array(which), np.array(share), np.array(places_m)
+            return np.empty(0, np.int64), np.empty(0), np.empty((0, 2, 3))
+        which, at, places_m = zip(*found, strict=True)
+        return np.array(which), np.array(at), np.array(places_m)
 
 
 @compiled
-def _sense(
-    arm: Arm,
-    tcp: Arm,
-    room: NDArray[np.float64],  # (MAX_BISECTIONS + 1, c, 2, 3), overwritten
-    elapsed_s: NDArray[np.float64],  # (m,)
-    joints_rad: NDArray[np.float64],  # (m, n)
-    rates_radps: NDArray[np.float64],  # (m, n)
-    off: NDArray[np.float64],  # (m, 2)
-    bodies_m: NDArray[np.float64],  # (m, h, 2, 3)
-    bodies_off_m: NDArray[np.float64],  # (m, h, 2)
-    corner: NDArray[np.int64],  # (c, 2)
-    corner_at: NDArray[np.float64],  # (c,)
-    corners_m: NDArray[np.float64],  # (c, 2, 3)
-    radius_m: float,
-    forearm_radius_m: float,
-    period_s: float,
-    found: NDArray[np.float64],  # (m, signals, 6), written
-) -> None:
-    """As ``Sensing.see``: the ticks, each as if the run ended there, then the ways from one to the next."""
-    count, hands, n = joints_rad.shape[0], bodies_m.shape[1], joints_rad.shape[1]
-    reach_m = arm.reach_m.sum()
-    transforms = np.empty((n + 2, 4, 4))
-    ends_m, tcp_room = np.empty((arm.capsules.shape[0], 2, 3)), np.empty((MAX_BISECTIONS + 1, 1, 2, 3))
-    tcp_m, speed_mps = np.empty((count, 3)), np.empty(count)
-    off_m, off_mps = off[:, 0] * reach_m, np.empty(count)
-    to_tcp_m, apart_m = np.empty((count, hands)), np.full((count, hands), np.nan)
+def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
+    """Write the signals at each tick, as if the run ended there, and from each tick to the next.
+
+    ``found`` is of shape (m, signals, 6).
+    """
+    arm, tcp, period_s, joints_rad = cell.arm, cell.tcp, cell.period_s, seen.joints_rad
+    count, hands, n = seen.bodies_m.shape[0], seen.bodies_m.shape[1], joints_rad.shape[1]
+    turned_rad, faster_radps, reach_m = seen.off[:, 0], seen.off[:, 1], arm.reach_m.sum()
+    off_m = turned_rad * reach_m
+    off_mps = velocity_off(arm.reach_m, turned_rad, faster_radps, seen.rates_radps)
+    transforms, ends_m = np.empty((n + 2, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
+    tcp_m, speed_mps = np.full((count, 3), np.nan), np.full((count, 1), np.nan)
+    to_tcp_m, apart_m = np.full((hands, count), np.nan), np.full((hands, count), np.nan)
     for k in range(count):
-        known = found[k]
-        known[:, VALUE], known[:, TRIED] = np.nan, 0.0
-        known[:, LOW], known[:, CELL_LOW] = -np.inf, -np.inf
-        known[:, HIGH], known[:, CELL_HIGH] = np.inf, np.inf
-        known[ELAPSED, :], known[ELAPSED, TRIED] = elapsed_s[k], 1.0
-        if np.isnan(off[k, 0]):
+        if np.isnan(turned_rad[k]):
             continue
         forward_kinematics(arm.chain[0], joints_rad[k], transforms)
         place_capsules(arm.capsules, transforms, ends_m)
         tcp_m[k] = transforms[n + 1, :3, 3]
-        x, y, z = tcp_velocity(arm.chain[0].joint_axes, transforms, rates_radps[k])
+        x, y, z = tcp_velocity(arm.chain[0].joint_axes, transforms, seen.rates_radps[k])
         speed_mps[k] = np.sqrt(x * x + y * y + z * z)
-        moved_mps, fastest_radps = 0.0, 0.0
-        for j in range(n):
-            moved_mps += abs(rates_radps[k, j]) * _farther_m(arm.reach_m, j)
-            fastest_radps = max(fastest_radps, abs(rates_radps[k, j]))
-        off_mps[k] = off[k, 1] * reach_m + off[k, 0] * moved_mps
-        between_m = _place_between_m(off_m, off_mps, k, k, period_s)
-        by_mps = _speed_between(off_mps, off_m, k, k, period_s)
-        by_radps = _speed_between(off[:, 1], off[:, 0], k, k, period_s)
-        _set_known(known[HEIGHT], tcp_m[k, 2], off_m[k], between_m, True)
-        _set_known(known[TCP_SPEED], speed_mps[k], off_mps[k], by_mps, speed_mps[k] - MOVES > by_mps)
-        _set_known(known[JOINT_SPEED], fastest_radps, off[k, 1], by_radps, fastest_radps - MOVES > by_radps)
-        unseen, unmeasured = 0, 0
         for h in range(hands):
-            hand_off_m, elbow_off_m = bodies_off_m[k, h, 0], bodies_off_m[k, h, 1]
-            if np.isnan(hand_off_m):
-                unseen, unmeasured = unseen + 1, unmeasured + 1
-                continue
-            to_tcp_m[k, h] = _distance_m(bodies_m[k, h, 0], tcp_m[k])
-            more_m = between_m + 2.0 * hand_off_m
-            _nearer(known[NEAR], to_tcp_m[k, h], off_m[k] + hand_off_m, more_m)
-            if np.isnan(elbow_off_m):
-                unmeasured += 1
-                continue
-            hand, elbow = bodies_m[k, h, 0], bodies_m[k, h, 1]
-            apart_m[k, h], _ = distance_between(arm.capsules, ends_m, hand, elbow, radius_m, forearm_radius_m)
-            moved_m = _moved_m(off_m[k], off[k, 1], bodies_off_m[k, h], reach_m, period_s)
-            at_m = max(hand_off_m, elbow_off_m) + off_m[k]
-            _nearer(known[APART], apart_m[k, h], at_m, moved_m)
-        for signal in (APART, NEAR):
-            if not np.isnan(known[signal, VALUE]) and (unmeasured if signal == APART else unseen) > 0:
-                known[signal, LOW] = known[signal, CELL_LOW] = -np.inf
-    for k in range(count - 1):
-        known = found[k]
-        known[ELAPSED, CELL_HIGH] = elapsed_s[k + 1]
-        if np.isnan(off[k, 0]) or np.isnan(off[k + 1, 0]):
-            known[:ELAPSED, CELL_LOW], known[:ELAPSED, CELL_HIGH] = -np.inf, np.inf
-            continue
-        between_m = _place_between_m(off_m, off_mps, k, k + 1, period_s)
-        by_mps = _speed_between(off_mps, off_m, k, k + 1, period_s)
-        by_radps = _speed_between(off[:, 1], off[:, 0], k, k + 1, period_s)
-        step_m = _distance_m(tcp_m[k], tcp_m[k + 1])
-        way_m, mean_mps = max(max(speed_mps[k], speed_mps[k + 1]) * period_s, step_m), step_m / period_s
-        slowest, fastest, mean, bend_m, turned_m = 0.0, 0.0, 0.0, np.zeros(2), 0.0
-        for j in range(n):
-            step = abs(joints_rad[k + 1, j] - joints_rad[k, j])
-            one, other = abs(rates_radps[k, j]), abs(rates_radps[k + 1, j])
-            slowest = max(slowest, min(one, other, step / period_s))
-            fastest, mean = max(fastest, one, other, step / period_s), max(mean, step / period_s)
-            turned_m += step * arm.reach_m[j]
-            bend_rad = abs(rates_radps[k + 1, j] - rates_radps[k, j]) * period_s / 4.0
-            bend_m[APART] += bend_rad * arm.reach_m[j]
-            bend_m[NEAR] += bend_rad * tcp.reach_m[j]
-        _set_cell(known[JOINT_SPEED], slowest - by_radps, fastest + by_radps, mean - MOVES > by_radps)
-        low, high = (
-            min(speed_mps[k], speed_mps[k + 1], mean_mps),
-            max(speed_mps[k], speed_mps[k + 1], mean_mps),
+            hand, elbow = seen.bodies_m[k, h]
+            to_tcp_m[h, k] = _distance_m(hand, tcp_m[k])
+            apart_m[h, k], _ = distance_between(arm.capsules, ends_m, hand, elbow, *cell.radii_m)
+    found[:], found[:, :, LOW], found[:, :, CELL_LOW], found[:, :, TRIED] = np.nan, np.inf, np.inf, 0.0
+    exact, later_s = np.zeros(count), np.append(seen.elapsed_s[1:], seen.elapsed_s[-1:])
+    _put(found[:, ELAPSED], seen.elapsed_s, exact, seen.elapsed_s, later_s, exact, exact)
+    found[:, ELAPSED, TRIED] = 1.0
+    step_m = np.sqrt(((tcp_m[1:] - tcp_m[:-1]) ** 2).sum(axis=1))
+    step_rad = np.abs(joints_rad[1:] - joints_rad[:-1])
+    _put_speed(found[:, TCP_SPEED], speed_mps, step_m.reshape(-1, 1) / period_s, off_mps, off_m, period_s)
+    rates_radps = np.abs(seen.rates_radps)
+    _put_speed(found[:, JOINT_SPEED], rates_radps, step_rad / period_s, faster_radps, turned_rad, period_s)
+    way_m = np.maximum(np.maximum(speed_mps[:-1, 0], speed_mps[1:, 0]) * period_s, step_m)
+    between_m = place_between(or_next(off_m), or_next(off_mps), period_s)
+    low_m, high_m = cells(tcp_m[:, 2], way_m, exact[1:])
+    _put(found[:, HEIGHT], tcp_m[:, 2], off_m, low_m, high_m, between_m, between_m)
+    found[:, HEIGHT, TRIED] = ~np.isnan(off_m)
+    bend_rad = np.abs(seen.rates_radps[1:] - seen.rates_radps[:-1]) * period_s / 4.0
+    bend_m, tcp_bend_m = (bend_rad * arm.reach_m).sum(axis=1), (bend_rad * tcp.reach_m).sum(axis=1)
+    turned_m = (step_rad * arm.reach_m).sum(axis=1)
+    by_rad = or_next(turned_rad) + 0.5 * period_s * or_next(faster_radps)
+    for h in range(hands):
+        own, bodies_m = seen.corner_hand == h, seen.bodies_m[:, h].copy()
+        corner_at, corners_m = seen.corner_at[own], seen.corners_m[own]
+        hands_m, turns_m = bodies_m.copy(), corners_m.copy()
+        hands_m[:, 1], turns_m[:, 1] = bodies_m[:, 0], corners_m[:, 0]
+        hand_m, elbow_m = seen.bodies_off_m[:, h, 0], seen.bodies_off_m[:, h, 1]
+        ends_m, ways_m = between_ticks(
+            tcp, cell.tcp_space, joints_rad, hands_m, corner_at, turns_m, tcp_bend_m, POINT, RESOLUTION_M
         )
-        _set_cell(known[TCP_SPEED], low - by_mps, high + by_mps, mean_mps - MOVES > by_mps)
-        low, high = _tent(tcp_m[k, 2], tcp_m[k + 1, 2], way_m)
-        _set_cell(known[HEIGHT], low - between_m, high + between_m, False)
-        least_m, most_m = np.full(2, np.inf), np.full(2, np.inf)
-        for h in range(hands):
-            if np.isnan(bodies_off_m[k, h, 0]) or np.isnan(bodies_off_m[k + 1, h, 0]):
-                least_m[:] = -np.inf
-                continue
-            measured = not (np.isnan(apart_m[k, h]) or np.isnan(apart_m[k + 1, h]))
-            bound_m, hand_m, elbow_m = np.full(2, np.inf), 0.0, 0.0
-            before, begin = bodies_m[k, h], joints_rad[k]
-            for c in range(corner.shape[0] + 1):
-                if c == corner.shape[0]:
-                    after, end = bodies_m[k + 1, h], joints_rad[k + 1]
-                elif corner[c, 0] == k and corner[c, 1] == h:
-                    after = corners_m[c]
-                    end = joints_rad[k] + corner_at[c] * (joints_rad[k + 1] - joints_rad[k])
-                else:
-                    continue
-                hand_m += _distance_m(before[0], after[0])
-                elbow_m += _distance_m(before[1], after[1])
-                for signal in (APART, NEAR):
-                    near = signal == NEAR
-                    if near or measured:
-                        own_m, _, _, _ = closest_approach_between(
-                            tcp if near else arm,
-                            tcp_room if near else room,
-                            begin,
-                            end,
-                            before[0],
-                            after[0],
-                            before[0 if near else 1],
-                            after[0 if near else 1],
-                            0.0 if near else radius_m,
-                            0.0 if near else forearm_radius_m,
-                            RESOLUTION_M,
-                            np.inf,
-                        )
-                        bound_m[signal] = min(bound_m[signal], own_m - bend_m[signal])
-                before, begin = after, end
-            _, high = _tent(to_tcp_m[k, h], to_tcp_m[k + 1, h], way_m + hand_m)
-            hand_off_m = max(bodies_off_m[k, h, 0], bodies_off_m[k + 1, h, 0])
-            by_rad = max(off[k, 0], off[k + 1, 0]) + 0.5 * period_s * max(off[k, 1], off[k + 1, 1])
-            by_m = max(off_m[k], off_m[k + 1], by_rad * tcp.reach_m.sum()) + hand_off_m
-            least_m[NEAR] = min(least_m[NEAR], min(to_tcp_m[k, h], bound_m[NEAR]) - by_m)
-            most_m[NEAR] = min(most_m[NEAR], high + between_m + 2.0 * hand_off_m)
-            if not measured:
-                least_m[APART] = -np.inf
-                continue
-            _, far_m = _tent(apart_m[k, h], apart_m[k + 1, h], turned_m + max(hand_m, elbow_m))
-            moved_m, beside_m = 0.0, 0.0
-            for at in (k, k + 1):
-                own_m = _moved_m(off_m[at], off[at, 1], bodies_off_m[at, h], reach_m, period_s)
-                moved_m = max(moved_m, own_m)
-                beside_m = max(
-                    beside_m, own_m + max(bodies_off_m[at, h, 0], bodies_off_m[at, h, 1]) + off_m[at]
-                )
-            low = min(apart_m[k, h], bound_m[APART]) - moved_m
-            least_m[APART], most_m[APART] = (
-                min(least_m[APART], low),
-                min(most_m[APART], far_m + bend_m[APART] + beside_m),
-            )
-        if hands:
-            for signal in (APART, NEAR):
-                _set_cell(known[signal], least_m[signal], most_m[signal], False)
+        at_m, low_m = off_m + hand_m, to_tcp_m[h].copy()
+        low_m[:-1] = np.minimum(low_m[:-1], ends_m[0])
+        _, high_m = cells(to_tcp_m[h], way_m + ways_m[0], exact[1:])
+        above_m = between_m + 2.0 * or_next(hand_m)
+        below_m = np.maximum(or_next(off_m), by_rad * tcp.reach_m.sum()) + or_next(hand_m)
+        below_m[-1], above_m[-1] = above_m[-1], above_m[-1] + at_m[-1]
+        _put(found[:, NEAR], to_tcp_m[h], at_m, low_m, high_m, below_m, above_m)
+        at_m, low_m = np.maximum(hand_m, elbow_m) + off_m, apart_m[h].copy()
+        ends_m, ways_m = between_ticks(
+            arm, cell.space, joints_rad, bodies_m, corner_at, corners_m, bend_m, cell.radii_m, RESOLUTION_M
+        )
+        low_m[:-1] = np.minimum(low_m[:-1], ends_m[0])
+        _, high_m = cells(apart_m[h], turned_m + np.maximum(ways_m[0], ways_m[1]), bend_m)
+        moved_m = apart_between(hand_m, elbow_m, off_m, faster_radps * reach_m, period_s)
+        below_m, above_m = or_next(moved_m), or_next(moved_m + at_m)
+        _put(found[:, APART], apart_m[h], at_m, low_m, high_m, below_m, above_m)
+    for side in (LOW, CELL_LOW):
+        found[:, :, side] = np.where(found[:, :, side] < np.inf, found[:, :, side], -np.inf)
+    for side in (HIGH, CELL_HIGH):
+        found[:, :, side] = np.where(np.isnan(found[:, :, side]), np.inf, found[:, :, side])
+
+
+@compiled
+def _put_speed(
+    known: Values, at_ticks: Values, mean: Values, off: Values, place: Values, period_s: float
+) -> None:
+    """Write a speed, ``known`` (m, 6), of so many joints, which is ``off`` (m,) as its ``place`` (m,) is.
+
+    ``at_ticks`` is of shape (m, joints) and ``mean`` of shape (m - 1, joints).
+    """
+    value, low, high, means = speed_cells(at_ticks, mean)
+    by = speed_between(or_next(off), or_next(place), period_s)
+    _put(known, value, off, low, high, by, by)
+    known[:, TRIED] = value - MOVES > speed_between(off, place, period_s)
+    known[:-1, TRIED] = np.maximum(known[:-1, TRIED], means - MOVES > by[:-1])
+
+
+@compiled
+def _put(
+    known: Values, value: Values, at: Values, low: Values, high: Values, below: Values, above: Values
+) -> None:
+    """Write a signal, ``known`` (m, 6), or a nearer hand.
+
+    ``value`` (m,) is wrong by ``at`` (m,) at the ticks.  To the next tick the signal is at least ``low -
+    below``, and at most ``high + above``, where ``low``, ``high``, ``below`` and ``above`` are of shape (m,).
+    NaN is unknown.  Then the least distance of all hands is unknown too, but not its largest value, which the
+    nearest hand gives.
+    """
+    value = np.where(np.isnan(at), np.nan, value)
+    known[:, VALUE] = np.fmin(known[:, VALUE], value)
+    known[:, LOW], known[:, HIGH] = np.minimum(known[:, LOW], value - at), np.fmin(known[:, HIGH], value + at)
+    known[:, CELL_LOW] = np.minimum(known[:, CELL_LOW], low - below)
+    known[:, CELL_HIGH] = np.fmin(known[:, CELL_HIGH], high + above)
 
 
 @inlined
-def _farther_m(reach_m: NDArray[np.float64], joint: int) -> float:
-    """How far what a joint turns reaches, link after link; ``reach_m`` (n,)."""
-    total = 0.0
-    for k in range(reach_m.shape[0]):
-        total += reach_m[max(k, joint)]
-    return total
-
-
-@inlined
-def _set_known(known: NDArray[np.float64], value: float, off: float, between: float, tried: bool) -> None:
-    """Of a signal, ``known`` (6,), at a tick; from there to the next is the tick, as far as that is known."""
-    known[VALUE], known[TRIED] = value, 1.0 if tried else 0.0
-    known[LOW], known[HIGH] = value - off, value + off
-    known[CELL_LOW], known[CELL_HIGH] = value - between, value + between
-
-
-@inlined
-def _set_cell(known: NDArray[np.float64], low: float, high: float, tried: bool) -> None:
-    """Of a signal, ``known`` (6,), to the next tick; unknown if it is not known at the tick."""
-    unknown = np.isnan(known[VALUE])
-    known[CELL_LOW], known[CELL_HIGH] = -np.inf if unknown else low, np.inf if unknown else high
-    if tried:
-        known[TRIED] = 1.0
-
-
-@inlined
-def _nearer(known: NDArray[np.float64], value: float, off: float, more: float) -> None:
-    """Of the nearest hand, ``known`` (6,), if another one may be it."""
-    first = np.isnan(known[VALUE])
-    known[VALUE] = value if first else min(known[VALUE], value)
-    known[LOW] = value - off if first else min(known[LOW], value - off)
-    known[CELL_LOW] = value - more if first else min(known[CELL_LOW], value - more)
-    known[HIGH] = min(known[HIGH], value + off)
-    known[CELL_HIGH] = min(known[CELL_HIGH], value + off + more)
-
-
-@inlined
-def _distance_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """From ``one`` (3,) to the ``other`` (3,)."""
+def _distance_m(one: Values, other: Values) -> float:
+    """Return the distance of two points, ``one`` (3,) and ``other`` (3,)."""
     x, y, z = other[0] - one[0], other[1] - one[1], other[2] - one[2]
     return float(np.sqrt(x * x + y * y + z * z))
-
-
-@inlined
-def _moved_m(
-    off_m: float, rates_off_radps: float, body_off_m: NDArray[np.float64], reach_m: float, period_s: float
-) -> float:
-    """As ``distance_moved_m`` between the ticks; ``body_off_m`` (2,)."""
-    own_m: float = max(body_off_m[0], body_off_m[1]) + off_m
-    return own_m + period_s / 2.0 * rates_off_radps * reach_m
-
-
-@inlined
-def _place_between_m(
-    off_m: NDArray[np.float64], off_mps: NDArray[np.float64], one: int, other: int, period_s: float
-) -> float:
-    """As ``claims.signals.uncertainty.of_place``; ``off_m`` and ``off_mps`` (m,)."""
-    at = max(off_m[one], off_m[other])
-    return float(at + 0.5 * max(max(off_mps[one], off_mps[other]) * period_s, 2.0 * at))
-
-
-@inlined
-def _speed_between(
-    speed: NDArray[np.float64], place: NDArray[np.float64], one: int, other: int, period_s: float
-) -> float:
-    """As ``claims.signals.uncertainty.of_speed``; ``speed`` and ``place`` (m,)."""
-    return float(max(speed[one], speed[other], 2.0 * max(place[one], place[other]) / period_s))
-
-
-@inlined
-def _tent(first: float, second: float, way: float) -> tuple[float, float]:
-    """As ``claims.signals.signal.tent``."""
-    low = min(0.5 * (first + second - way), min(first, second))
-    return low, max(0.5 * (first + second + way), max(first, second))

@@ -1,9 +1,8 @@
-"""Samples of one thing as they come, straight between them, and within how much of that the true one was.
+"""Samples of a body or of joints as they come, straight between them, and their errors.
 
-The bounds are those of a log that ends now (``extensions.field.logs.certain``), sample by sample: between
-two samples by
-``extensions.field.logs.reach``, after the last one by the greatest speed, up to half of the longest gap.
-Times are in nanoseconds since the first joints.
+The bounds are those of a log that ends now (``extensions.field.logs.certain``), sample by sample.  Between
+two samples they are by ``extensions.field.logs.reach``, after the last sample by the greatest speed, up to
+half of the longest gap. Times are in nanoseconds since the first joints.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ Values = NDArray[np.float64]
 
 
 class Jump(ValueError):
-    """A sample that cannot follow the one before it: too far away, or frozen."""
+    """A sample that cannot follow the sample before it: too far away, or frozen."""
 
 
 class WithinByTick:
-    """As ``reach.over_ticks`` of logs, sample by sample: bounds at ticks, and where nothing is known."""
+    """Bounds at ticks, and unknown ticks, as ``reach.over_ticks`` of logs, sample by sample."""
 
     def __init__(self, longest_ns: int, period_ns: int) -> None:
         self._longest_ns, self._period_ns = longest_ns, period_ns
@@ -45,7 +44,7 @@ class WithinByTick:
         self.oldest = 0
 
     def add(self, begin_ns: int, end_ns: int, off: float, *, lost: bool = False) -> None:
-        """From one sample to the next it was within ``off`` of the line between them, or ``lost``."""
+        """Add the error ``off`` beside the line from a sample to the next, or a time that is ``lost``."""
         first, last = begin_ns // self._period_ns, -(-end_ns // self._period_ns)
         if lost or end_ns - begin_ns > self._longest_ns:
             self._lost |= dict.fromkeys(range(max(first + (last - first > 1), self.oldest), last))
@@ -56,13 +55,13 @@ class WithinByTick:
             self._off[tick] = max(self._off.get(tick, 0.0), off)
 
     def at(self, tick: int) -> float | None:
-        """At a tick; None where nothing is known."""
+        """Return the error at a tick; None where it is unknown."""
         if tick in self._lost or (tick in self._alone and tick not in self._off):
             return None
         return self._off.get(tick, 0.0)
 
     def forget(self, before: int) -> None:
-        """Of ticks before this one nothing is asked again."""
+        """Forget the ticks before this tick."""
         self.oldest = before
         for kept in (self._off, self._lost, self._alone):
             while kept and (tick := next(iter(kept))) < before:
@@ -70,7 +69,7 @@ class WithinByTick:
 
 
 class JointTrack:
-    """The joints: their position, speed and what both may be off, at ticks that a sample has come for."""
+    """The joints: their position, speed and errors at ticks whose samples have come."""
 
     def __init__(self, facts: JointFacts, period_ns: int, arm: ArmModel) -> None:
         self._facts, self._period_ns, self._arm = facts, period_ns, arm
@@ -102,9 +101,9 @@ class JointTrack:
         return position_rad - turned_rad
 
     def add(self, time_ns: int, position_rad: Values, rates_radps: Values | None) -> int | None:
-        """Take a sample that is later than the last one: ``position_rad`` (n,), ``rates_radps`` (n,).
+        """Take a sample that is later than the last: ``position_rad`` (n,), ``rates_radps`` (n,).
 
-        Return since when a joint is frozen; None: none is.
+        Return the time since which a joint is frozen; None if all move.
         """
         sample, before = (time_ns, position_rad, rates_radps), self.last
         self._before, self.last = before, sample
@@ -139,7 +138,7 @@ class JointTrack:
         return begin_ns if frozen else None
 
     def at(self, tick_ns: int) -> tuple[Values, Values]:
-        """Position and speed at a time from the sample before the last one on, up to the last."""
+        """Return position and speed at a time between the last two samples."""
         assert self.last is not None
         time_ns, position_rad, rates_radps = self.last
         if self._before is None or self.slope is None:
@@ -154,7 +153,7 @@ class JointTrack:
         return position, self._before[2] + share * (rates_radps - self._before[2])
 
     def off(self, tick: int) -> tuple[float, float] | None:
-        """Within how much position and speed are known at a tick; None if nothing is."""
+        """Return the errors of position and speed at a tick; None if they are unknown."""
         within, rate = self._within.at(tick), self._rate_within.at(tick)
         if within is None or rate is None:
             return None
@@ -163,7 +162,7 @@ class JointTrack:
         return within + max(self._bends.get(tick, 0.0), self._bends.get(tick - 1, 0.0)), rate
 
     def forget(self, before: int) -> None:
-        """Of ticks before this one nothing is asked again."""
+        """Forget the ticks before this tick."""
         self._within.forget(before)
         self._rate_within.forget(before)
         while self._bends and (cell := next(iter(self._bends))) < before - 1:
@@ -185,11 +184,11 @@ class BodyTrack:
         self._repeats = Repeats()
 
     def takes(self, time_ns: int) -> bool:
-        """Is it later than the last one?"""
+        """Return whether a time is later than the last sample."""
         return not self.samples or time_ns - self.samples[-1][0] >= SHORTEST_STEP_NS
 
     def refuse_jump(self, time_ns: int, position_m: Values) -> None:
-        """Jump if it cannot have got to ``position_m`` (3,) since the last sample."""
+        """Raise Jump if it cannot have come to ``position_m`` (3,) since the last sample."""
         if self.samples:
             before_ns, before_m = self.samples[-1]
             step_s, way_m = (time_ns - before_ns) / NS, float(np.linalg.norm(position_m - before_m))
@@ -198,9 +197,9 @@ class BodyTrack:
                 raise Jump(f"it go {way_m * 1e3:.4g} mm in {step_s * 1e3:.4g} ms, which can {most:g} m/s")
 
     def add(self, time_ns: int, position_m: Values) -> int | None:
-        """Take a sample that is later than the last one, at ``position_m`` (3,).
+        """Take a sample that is later than the last, at ``position_m`` (3,).
 
-        Return since when it is frozen, and lost; None: it is not.
+        Return the time since which it is frozen, and lost; None if it moves.
         """
         since_ns = self._repeats.since(time_ns, tuple(position_m.tolist()))
         self.lost = since_ns is not None and not self._facts.at_rest
@@ -217,7 +216,7 @@ class BodyTrack:
         return since_ns if self.lost else None
 
     def at(self, tick: int) -> tuple[Values, float] | None:
-        """Where it was at a tick, and within how much; None if that is not known."""
+        """Return its place at a tick and the error; None if it is unknown."""
         if not self.samples or self._first_ns is None:
             return None
         time_ns, last_ns = tick * self._period_ns, self.samples[-1][0]
@@ -232,7 +231,7 @@ class BodyTrack:
         return self.between(time_ns), within
 
     def between(self, time_ns: int) -> Values:
-        """The place at a time on the line between its samples."""
+        """Return the place at a time on the line between its samples."""
         after = self.samples[-1]
         if time_ns >= after[0]:
             return after[1]
@@ -244,7 +243,7 @@ class BodyTrack:
         return after[1]
 
     def corners(self, begin_ns: int, end_ns: int) -> list[int]:
-        """The times of samples between two times."""
+        """Return the times of samples between two times."""
         found = []
         for time_ns, _ in reversed(self.samples):
             if time_ns <= begin_ns:
@@ -254,7 +253,7 @@ class BodyTrack:
         return found
 
     def forget(self, before: int) -> None:
-        """Of ticks before this one nothing is asked again."""
+        """Forget the ticks before this tick."""
         self._within.forget(before)
         while len(self.samples) > 1 and self.samples[1][0] <= before * self._period_ns:
             self.samples.popleft()

@@ -1,4 +1,4 @@
-"""A claim while a run goes on: at every tick the verdict that ``FormulaClaim`` has on the run up to there."""
+"""A claim while a run goes on: at every tick the verdict of ``FormulaClaim`` on the run up to there."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from safety_harness.claims.formulas.parse import parse_formula
 from safety_harness.claims.formulas.quantities import formula_error
 from safety_harness.claims.formulas.signals import hand_distance, nearest_hand_to_tcp
 from safety_harness.claims.properties.base import Unit
-from safety_harness.claims.properties.catalogue import CATALOGUE
+from safety_harness.claims.properties.catalogue import CATALOGUE, entry_claimed
 from safety_harness.claims.signals.signal import Signal
 from safety_harness.extensions.field.monitoring.prefix import Prefix, is_endless
 from safety_harness.extensions.field.monitoring.sensing import (
@@ -47,25 +47,24 @@ AT_TICK, CELL = 0, 1
 
 
 def watched_formula(sentence: str) -> Formula:
-    """What a claim says of every tick and between: a formula, or a sentence of the catalogue that is one.
+    """Return the formula of a claim: its own, or that of a sentence of the catalogue.
 
-    FormulaError for what is neither.
+    FormulaError for any other sentence.
     """
-    entry, match = next(((one, of) for one in CATALOGUE if (of := one.understands(sentence))), (None, None))
-    if entry is not None and match is not None and entry.formula:
+    if (claimed := entry_claimed(sentence)) is None:
+        return parse_formula(sentence)
+    entry, match = claimed
+    if entry.formula:
         return parse_formula(entry.formula.format(match[1]))
-    if entry is not None:
-        known = " and ".join(f'"{one.example}"' for one in CATALOGUE if one.formula)
-        expected = f"a formula, or a sentence of the catalogue that is one, as {known} are"
-        got = f'"{sentence}", which looks at a whole run'
-        raise formula_error(expected, got, "judge tells it of the log")
-    return parse_formula(sentence)
+    known = " and ".join(f'"{one.example}"' for one in CATALOGUE if one.formula)
+    expected = f"a formula, or a sentence of the catalogue that is one, as {known} are"
+    raise formula_error(expected, f'"{sentence}", which looks at a whole run', "judge tells it of the log")
 
 
 class WatchedClaim:
-    """What ``sentence`` says of a run so far, of which it asks signals in ``known``.
+    """A sentence about a run so far, whose signals have to be in ``known``.
 
-    FormulaError for one of others, or that cannot be told in bounded memory.
+    FormulaError for other signals, or for a formula that needs unbounded memory.
     """
 
     def __init__(self, sentence: str, known: Collection[Signal], period_s: float, revisable: int) -> None:
@@ -79,36 +78,35 @@ class WatchedClaim:
         self.single = len(self.parts) == 1
 
     def see(self, seen: Values, first: int, *, grown: bool) -> None:
-        """Of the latest ticks, from ``first`` on, more is known now, ``seen`` (m, signals, 6).
+        """Take what is known now of the latest ticks, from ``first`` on: ``seen`` (m, signals, 6).
 
-        With ``grown`` the last one is new.
+        With ``grown`` the last of them is new.
         """
         for part in self.parts:
             part.see(seen, first, grown=grown)
 
     @property
     def verdict(self) -> Verdict:
-        """On the run so far, as if it ended now."""
+        """Return the verdict on the run so far, as if it ended now."""
         first = self.parts[0]
         return first.verdict if self.single else _gravest([part.verdict for part in self.parts])
 
     @property
     def latest(self) -> Verdict:
-        """Of the latest tick that can be told, where a claim asks every tick; else of the run so far."""
+        """Return the verdict at the latest decided tick, if a claim asks every tick; else that on the run."""
         first = self.parts[0]
         return first.latest if self.single else _gravest([part.latest for part in self.parts])
 
     @property
     def deciding(self) -> WatchedPart:
-        """The first part with the gravest verdict."""
+        """Return the first part with the worst verdict."""
         return next(part for part in self.parts if part.verdict is self.verdict)
 
 
 class WatchedPart:
-    """One part of a claim: its ``verdict`` on the run so far, and what it says of the ``latest`` tick.
+    """A part of a claim: its ``verdict`` on the run so far, and at the ``latest`` tick.
 
-    ``margin`` is the least of all that may have been, or of one that is violated the largest; None for no
-    finite number.
+    ``margin`` is the least possible margin, or the largest for a violation; None if it is infinite.
     """
 
     def __init__(self, part: Formula, period_s: float, revisable: int) -> None:
@@ -153,7 +151,7 @@ class WatchedPart:
         self._last = inf if any(map(is_endless, part.nodes())) else reach_ticks(part, period_s)
 
     def see(self, seen: Values, first: int, *, grown: bool) -> None:
-        """As ``WatchedClaim.see``; ``seen`` (m, signals, 6)."""
+        """Take what is known now, as ``WatchedClaim.see``; ``seen`` (m, signals, 6)."""
         for prefix in self._prefixes:
             prefix.see(seen, grown=grown)
         self._exercise(seen, first)
@@ -168,7 +166,7 @@ class WatchedPart:
             self.latest = _verdict(self._least.latest[0], self._most.latest[1])
 
     def _exercise(self, seen: Values, first: int) -> None:
-        """As ``claims.formulas.claim`` counts it."""
+        """Count occasions as ``claims.formulas.claim`` does."""
         if not self._asked and isinstance(self.part, Globally):
             self._asked = self._most.triggered
         elif not self._asked and (first == 0 or not isinstance(self.part, Initially)):
@@ -181,7 +179,7 @@ class WatchedPart:
 
     @staticmethod
     def _tries(own: Values, near_m: float) -> NDArray[np.bool_]:
-        """(m,) where a signal ``own`` (m, 6) puts a claim on it to the test; within ``near_m`` it does."""
+        """Return (m,) where a signal ``own`` (m, 6) exercises a claim; within ``near_m`` it does."""
         tries: NDArray[np.bool_] = (own[:, TRIED] > 0.0) | (
             ~np.isnan(own[:, VALUE]) & (own[:, HIGH] < near_m)
         )
@@ -189,13 +187,13 @@ class WatchedPart:
 
     @property
     def exercised(self) -> bool:
-        """An "until" or "eventually" that may be met at the first tick asks nothing."""
+        """Return whether the run exercised it; a goal at the first tick needs no more."""
         if self._end is not None and self._end.most >= 0.0:
             return False
         return self._asked and not self._untried
 
     def reason(self, now: Values) -> str:
-        """What is measured of its signals at the latest tick, ``now`` (signals, 6), and what it lacks."""
+        """Return its signals at the latest tick, ``now`` (signals, 6), and what it lacks."""
         words = ", ".join(_told(signal, now[k]) for k, signal in zip(self._read, self._signals, strict=True))
         if self.verdict is Verdict.INCONCLUSIVE and self._least.least >= 0.0:
             return f"never exercised yet: {words}"
@@ -203,9 +201,9 @@ class WatchedPart:
 
 
 def _ways(formula: Formula, sign: int = 1) -> dict[Comparison | Truth, set[int]]:
-    """Of each comparison whether the formula's margin rises with its own (1), falls (-1), or both.
+    """Return for each comparison whether the formula's margin rises with its own (1), falls (-1), or both.
 
-    Of a trigger the other bound counts, which is as if it fell.
+    The other bound of a trigger counts, as if the margin fell.
     """
     if isinstance(formula, Comparison | Truth):
         return {formula: {sign}}
@@ -228,7 +226,7 @@ def _verdict(least: float, most: float) -> Verdict:
 
 
 def _told(signal: Signal, known: Values) -> str:
-    """A signal's value in words, with its bounds (6,) if they are not it."""
+    """Return a signal's value in words, with its bounds (6,) if they differ."""
     if known[LOW] == -inf or isnan(known[VALUE]):
         return f"{signal.words} not known"
     unit: Unit = shown_in(signal.dimension)
