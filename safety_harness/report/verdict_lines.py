@@ -23,7 +23,7 @@ LONGEST = 60  # characters to which sentences of claims are filled up
 
 
 @dataclass(frozen=True)
-class VerdictLine:
+class ClaimLine:
     """The verdict on one claim of a run, in words.
 
     Args:
@@ -58,7 +58,7 @@ class VerdictLine:
         return not self.differs, SEVERITY.index(found.verdict), margin
 
 
-def lines_of(run: JudgedRun) -> Iterator[VerdictLine]:
+def lines_of(run: JudgedRun) -> Iterator[ClaimLine]:
     """Yield the verdict on each claim of a run, in the order of its file."""
     place = run.trace.scenario.places.get("avoider")
     overridden = place.field if place is not None and (place.field or "").startswith("--") else ""
@@ -72,7 +72,7 @@ def lines_of(run: JudgedRun) -> Iterator[VerdictLine]:
             words += ", as expected"
         if overridden and claim.is_loosely(found.verdict):
             remark = f" (expected of another than {overridden}: it may be for another reason)"
-        yield VerdictLine(run.trace.scenario.name, claim.sentence, found, words, remark, not same)
+        yield ClaimLine(run.trace.scenario.name, claim.sentence, found, words, remark, not same)
 
 
 def every_line(run: JudgedRun) -> Iterator[str]:
