@@ -281,15 +281,15 @@ def operate(
         return np.maximum(low, other_low), np.maximum(high, other_high)
     if operator == UNTIL:
         return _until(low, other_low, begin, end, -np.inf), _until(high, other_high, begin, end, np.inf)
-    sign = -1.0 if operator == EVENTUALLY else 1.0
     if operator == GLOBALLY:
         low, high = _asked(low, high, other_low, other_high)
+    if operator == EVENTUALLY:  # not always not
+        low, high = -high, -low
     if begin < 0:
-        return sign * least_from_here(sign * low), sign * least_from_here(sign * high)
-    return (
-        sign * least_in_window(sign * low, begin, end, -sign * np.inf),
-        sign * least_in_window(sign * high, begin, end, sign * np.inf),
-    )
+        low, high = least_from_here(low), least_from_here(high)
+    else:
+        low, high = least_in_window(low, begin, end, -np.inf), least_in_window(high, begin, end, np.inf)
+    return (-high, -low) if operator == EVENTUALLY else (low, high)
 
 
 @dataclass(frozen=True)

@@ -167,6 +167,13 @@ def ends_between(
     )
 
 
+@inlined
+def distance_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Return the distance of two points, ``one`` (3,) and ``other`` (3,)."""
+    x, y, z = other[0] - one[0], other[1] - one[1], other[2] - one[2]
+    return float(np.sqrt(x * x + y * y + z * z))
+
+
 @compiled
 def between_ticks(
     arm: Arm,
@@ -199,8 +206,8 @@ def between_ticks(
             )
             ends_m[0, k] = np.minimum(ends_m[0, k], bound_m - slack_m[k])  # a NaN comes out
             ends_m[1, k] = np.minimum(ends_m[1, k], sampled_m + slack_m[k])
-            ways_m[0, k] += np.sqrt(((to - hand) ** 2).sum())
-            ways_m[1, k] += np.sqrt(((elbow_to - elbow) ** 2).sum())
+            ways_m[0, k] += distance_m(hand, to)
+            ways_m[1, k] += distance_m(elbow, elbow_to)
             begin, hand, elbow = end, to, elbow_to
     return ends_m, ways_m
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.compiled import compiled, inlined
+from safety_harness.base.compiled import compiled
 from safety_harness.cell.robot.capsules import Arm, arm_with, tcp_alone
 from safety_harness.cell.robot.closest_approach import MAX_BISECTIONS
 from safety_harness.cell.robot.distance import hand_distance as distance_between
@@ -39,7 +39,7 @@ from safety_harness.claims.signals.bounds import (
     speed_cells,
     velocity_off,
 )
-from safety_harness.claims.signals.hand_distance import POINT, between_ticks
+from safety_harness.claims.signals.hand_distance import POINT, between_ticks, distance_m
 from safety_harness.claims.signals.occasions import MOVES
 from safety_harness.claims.signals.true_motion import RESOLUTION_M
 from safety_harness.extensions.field.monitoring.cell import WatchedCell
@@ -199,7 +199,7 @@ def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
         speed_mps[k] = np.sqrt(x * x + y * y + z * z)
         for h in range(hands):
             hand, elbow = seen.bodies_m[k, h]
-            to_tcp_m[h, k] = _distance_m(hand, tcp_m[k])
+            to_tcp_m[h, k] = distance_m(hand, tcp_m[k])
             apart_m[h, k], _ = distance_between(arm.capsules, ends_m, hand, elbow, *cell.radii_m)
     found[:], found[:, :, LOW], found[:, :, CELL_LOW], found[:, :, TRIED] = np.nan, np.inf, np.inf, 0.0
     exact, later_s = np.zeros(count), np.append(seen.elapsed_s[1:], seen.elapsed_s[-1:])
@@ -281,10 +281,3 @@ def _put(
     known[:, LOW], known[:, HIGH] = np.minimum(known[:, LOW], value - at), np.fmin(known[:, HIGH], value + at)
     known[:, CELL_LOW] = np.minimum(known[:, CELL_LOW], low - below)
     known[:, CELL_HIGH] = np.fmin(known[:, CELL_HIGH], high + above)
-
-
-@inlined
-def _distance_m(one: Values, other: Values) -> float:
-    """Return the distance of two points, ``one`` (3,) and ``other`` (3,)."""
-    x, y, z = other[0] - one[0], other[1] - one[1], other[2] - one[2]
-    return float(np.sqrt(x * x + y * y + z * z))
