@@ -187,11 +187,8 @@ class _Node:
 
     def _after(self, later: Ends) -> Ends:
         """Return the margins at the first tick where those at the oldest tick are ``later``."""
-        low, high = (
-            max(best, min(lasting, end))
-            for best, lasting, end in zip(self._best, self._lasting, later, strict=True)
-        )
-        return low, high
+        (low, high), (least, most), (best, best_high) = later, self._lasting, self._best
+        return max(best, min(least, low)), max(best_high, min(most, high))
 
     def step(self, values: NDArray[np.float64]) -> tuple[Ends, Ends]:
         """Return a and b of the recursion at a tick, by the ``values`` (nodes, 2) of every node there.
