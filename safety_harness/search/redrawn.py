@@ -79,18 +79,23 @@ def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Tria
         flips = groups if not certain else mere if len(mere) < len(groups) else []
         findings.groups = [one for one in findings.groups if all(one is not flip for flip in flips)]
         if flips:
-            (worse, better), (more, fewer) = _alone(again), often
+            pairs_of_flips = [
+                pairs for one, pairs in zip(groups, own, strict=False) if any(one is flip for flip in flips)
+            ]
+            flipped = np.concatenate([np.empty((0, 2)), *pairs_of_flips])
+            (worse, better), (more, fewer) = _alone(flipped), often
             lines.append(
                 f"{goal.sentence}: {sum(one.count for one in flips)} runs; drawn again, {goal.against} alone "
-                f"keeps it in {worse} of {len(again)} pairs, and alone violates it in {better}; of "
+                f"keeps it in {worse} of {len(flipped)} pairs, and alone violates it in {better}; of "
                 f"{len(anywhere)} pairs anywhere in the space, in {more} and in {fewer}"
             )
     return lines
 
 
 def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
-    """Return a sentence if the gate overrules the avoider in more runs than the reference, or "".
+    """Return a sentence if the gate refuses the avoider's proposals in more runs than the reference's, or "".
 
+    Proposals that the gate refuses for their spread alone do not count: a larger spread is the cautious side.
     Runs anywhere in the space decide, by ``SELDOM`` and ``OFTEN``.  They are drawn only if the runs of the
     search give a hint.
 
@@ -99,21 +104,22 @@ def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
         draw: Runs trials anywhere in the space.
 
     """
-    if trials.reference is None or not np.greater(*_overruled(trials.differences)):
+    if trials.reference is None or not np.greater(*_refused(trials.differences)):
         return ""
     drawn = draw().differences
-    more, less = _overruled(drawn)
+    more, less = _refused(drawn)
     if more - less <= OFTEN * len(drawn) or sign_test(more, less) >= SELDOM:
         return ""
     return (
-        f"the gate overruled a greater share of its proposals than of {trials.reference.name}'s in {more} of "
-        f"{len(drawn)} runs anywhere in the space, and a lesser share in {less}"
+        f"the gate refused a greater share of its proposals, for more than their spread, than of "
+        f"{trials.reference.name}'s in {more} of {len(drawn)} runs anywhere in the space, and a lesser share "
+        f"in {less}"
     )
 
 
-def _overruled(runs: Sequence[RunDifference]) -> tuple[int, int]:
-    """Return the number of runs with a greater overruled share, and with a lesser share."""
-    shares = np.array([run.more_overruled for run in runs])
+def _refused(runs: Sequence[RunDifference]) -> tuple[int, int]:
+    """Return the number of runs with more failed checks per proposal, spread aside, and with fewer."""
+    shares = np.array([run.more_refused for run in runs])
     return int((shares > 0.0).sum()), int((shares < 0.0).sum())
 
 

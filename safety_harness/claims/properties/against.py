@@ -18,6 +18,7 @@ from safety_harness.claims.properties.answered import AvoiderAnswered, is_claime
 from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.overruling import Overruling
+from safety_harness.trace.records import Check
 from safety_harness.trace.trace import Trace
 
 # For each unit a difference of margins that matters and is common: what a search divides margins by, so that
@@ -141,6 +142,16 @@ class RunDifference:
                 f"overruled more: {self.run}: {self.mine.overruled} of {self.mine.proposals} proposals "
                 f"against {self.reference.overruled} of {self.reference.proposals} with {reference}"
             )
+
+    @property
+    def more_refused(self) -> float:
+        """Return the increase of failed checks per proposal, without the check of the spread."""
+        mine, reference = (
+            sum(count for check, count in side.reasons.items() if check is not Check.UNCERTAIN)
+            / max(side.proposals, 1)
+            for side in (self.mine, self.reference)
+        )
+        return mine - reference if self.mine.proposals and self.reference.proposals else 0.0
 
     @property
     def more_overruled(self) -> float:

@@ -6,12 +6,15 @@ from safety_harness.extensions.field.monitoring.cell import cell_taken
 from safety_harness.extensions.field.monitoring.monitor import Monitor
 from safety_harness.extensions.field.monitoring.sample import HandSample, Sample, line_of
 
-WATCHED = "eventually always (within 80 ms hand distance > 50 mm)"
+WATCHED = (
+    "always (within 80 ms hand distance > 50 mm)",
+    "whenever hand distance < 300 mm then within 80 ms TCP speed < 100 mm/s",
+)
 
 
 def warm_monitor() -> None:
     """Watch a short run, with an arm at a tick and with operators without a window over past ticks."""
-    own = Monitor(cell=cell_taken("UR10", ["hand"], "8 ms", [WATCHED]))
+    own = Monitor(cell=cell_taken("UR10", ["hand"], "8 ms", WATCHED))
     places = HandSample((0.9, 0.2, 0.4), (1.2, 0.2, 0.5))
     for tick in range(60):
         hands: dict[str, HandSample | None] = {"hand": places} if tick % 4 == 0 else {}

@@ -73,6 +73,7 @@ def evaluate(
             spaces=files,
             against=against,
             on_step=on_step,
+            replaces=() if out is None else [Path(out) / name for name in (PAGE, DATA)],
         ).run()
     command = ["safety-harness", "evaluate", *map(told_avoider, references)]
     command += ["--search", str(search), "--seed", str(seed)]
@@ -80,7 +81,7 @@ def evaluate(
     command += [part for name in areas for part in ("--region", name)]
     command += [part for path in files for part in ("--space", str(told(path)))]
     command += [] if against is None else ["--against", told_avoider(against)]
-    output.say(*(f"error: {item}" for item in scored.failed))
+    output.say(*(f"error: {item}" for item in scored.failed), *scored.remarks)
     return EvaluationResult(scored, tuple(command), None if out is None else Path(out))
 
 

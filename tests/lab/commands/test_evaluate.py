@@ -134,11 +134,12 @@ def test_against_a_reference_only_what_it_does_not_do_is_reported(
     (folder / "again.py").write_text(f"{MINE}# another version that answers alike\n")
     few = FEW | {"against": "again.py:Towards"}
     assert evaluate(["mine.py:Towards"], out=Path("alike"), **few) == AS_EXPECTED  # type: ignore[arg-type]
+    assert "gave the same answer to every question: is it a copy?" in capsys.readouterr().err
     few = FEW | {"against": "opposite pose"}
     assert evaluate(["mine.py:Towards"], out=Path("worse"), **few) == DIFFERS  # type: ignore[arg-type]
-    printed = capsys.readouterr().out
-    assert "0 findings on mine.py:Towards that again.py:Towards has not" in printed
-    assert "on 300 questions where opposite pose does not" in printed
+    printed = capsys.readouterr()
+    assert "is it a copy?" not in printed.err
+    assert "on 300 questions where opposite pose does not" in printed.out
 
 
 @pytest.mark.parametrize(
@@ -185,6 +186,11 @@ def test_ctrl_c_keeps_the_avoiders_that_were_finished(folder: Path, monkeypatch:
     assert [one["reference"] for one in document["avoiders"]] == ["opposite pose"]
     assert evaluate(["deterministic"], out=Path("none"), **FEW) == INTERRUPTED  # type: ignore[arg-type]
     assert not (folder / "none").exists()
+    assert evaluate(["no such"], out=Path("out"), **FEW) == BAD_INPUT  # type: ignore[arg-type]
+    assert written(folder / "out") == document
+    assert evaluate(["deterministic"], out=Path("out"), **FEW) == INTERRUPTED  # type: ignore[arg-type]
+    assert not (folder / "out" / DATA).exists()  # or who opens it reads the scores of another avoider
+    assert not (folder / "out" / PAGE).exists()
 
 
 def test_ctrl_c_keeps_the_regions_that_were_finished(

@@ -49,8 +49,8 @@ class ScoredAvoider:
 class Scored:
     """The results of a session; ``budget`` is the budget of each avoider's search.
 
-    ``failed`` lists avoiders without any answer.  ``against`` is the user's name of the reference, empty
-    without one.
+    ``failed`` lists avoiders without any answer, and ``remarks`` warnings.  ``against`` is the user's name of
+    the reference, empty without one.
     """
 
     seed: int
@@ -58,6 +58,7 @@ class Scored:
     against: str = ""
     avoiders: list[ScoredAvoider] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
     interrupted: bool = False
 
     @property

@@ -45,7 +45,9 @@ class ScoringSession:
     ``references`` name the avoiders.  ``questions`` is the number in the first region; None: as many as the
     avoider's pace allows.  ``out`` keeps the worst questions as files; None: no files.  ``regions`` are
     names, and ``spaces`` files; without both, the session takes all named regions.  ``against`` names a
-    reference.  ``on_step`` receives the next step and the finished share of the steps.
+    reference.  ``on_step`` receives the next step and the finished share of the steps.  ``replaces``
+    lists files of an earlier session; the session removes them before the first question, so that nobody
+    takes them for its own.
     """
 
     references: Sequence[str]
@@ -57,6 +59,7 @@ class ScoringSession:
     spaces: Sequence[Path] = ()
     against: str | None = None
     on_step: Callable[[str, float], object] = print
+    replaces: Sequence[Path] = ()
     scored: Scored = field(init=False)
     _steps: int = field(default=0, init=False)
     _steps_done: int = field(default=0, init=False)
@@ -72,6 +75,8 @@ class ScoringSession:
             (Subject.of(entry, AVOIDER), self._regions(entry)) for entry in self.references
         ]  # a wrong name is found before the first question
         rival = None if self.against is None else Subject.of(self.against, Place(field="--against"))
+        for file in self.replaces:
+            file.unlink(missing_ok=True)
         for _, regions in subjects:
             searched = sum(region.asked_in_runs for region in regions) if self.budget else 0
             of_score = 2 + len(regions)
@@ -155,7 +160,7 @@ class ScoringSession:
             self.scored.avoiders += [result_of(card) for card in partly[-1:]]
             raise
         if rival is not None and beside is not None:
-            _refuse_itself(reference, card, rival.reference, beside)
+            self.scored.remarks += _refuse_itself(reference, card, rival.reference, beside)
         self.scored.avoiders.append(result_of(card))
         self._search(self.scored.avoiders[-1], subject, regions, say)
 
@@ -243,18 +248,22 @@ def _description(tried: Tried, seed: int) -> str:
     )
 
 
-def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorecard) -> None:
+def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorecard) -> list[str]:
     """Raise a ScenarioError if two references agree by name and hash, and answered alike.
 
-    The same Python file in another folder may load other weights.
+    The same Python file in another folder may load other weights.  It returns a warning if only the
+    answers agree.
     """
     hashes = {one: avoider_sha256(scenario_of_avoider(one)) for one in (reference, against)}
     keys = {(sha256, file_and_name(one)[1] if sha256 else one) for one, sha256 in hashes.items()}
     pairs = zip(card.regions, beside.regions, strict=True)
     asked = (compared(WayOfAsking.AGAIN, one.questions, one.answers, other.answers) for one, other in pairs)
-    if len(keys) == 1 and not any(again.differ for again in asked):
+    if any(again.differ for again in asked):
+        return []
+    if len(keys) == 1:
         got = f"{against}, which is {reference} by its hash; a comparison with itself has no findings"
         raise ScenarioError.of_option("--against", "another avoider than is scored", got)
+    return [f"warning: {reference} and {against} gave the same answer to every question: is it a copy?"]
 
 
 def _slug(reference: str) -> str:
