@@ -47,19 +47,25 @@ def fuzz(
     ] = "causes",
     verbose: Verbose = False,
 ) -> int:
-    """Search a space for violations, and write each distinct one as a scenario file that run takes.
+    """Search a space for violations; write each as a scenario file.
 
-    With --against it searches for what the avoider or controller violates and the reference keeps, on the
-    same draws.
-    Each such difference is drawn again; what is not clearly worse then is listed as a flip near the limit.
-    A violation of each claim is shrunk, confirmed in PyBullet and attributed (whose fault it is, as attribute
-    says it), and others for as long as the search took; --explain all does the rest.
-    A page, fuzz.html, is about them, with a map of what was covered, coverage.svg; Ctrl-C keeps what was
-    found so far.
-    A claim that the space expects to be violated has to be found within the budget.
-    Exit code 0: as the space expects, which is no evidence of safety; 1: a violation that it does not expect,
-    none of what it does, a claim that no run put to the test, or an avoider that gave no answer, or answered
-    otherwise when asked again; 2: bad input, or a place that cannot be written; 130: interrupted.
+    The command shrinks, confirms (in PyBullet) and attributes a violation of each
+    claim, then others for as long as the search took; --explain all explains the
+    rest. It writes a page, fuzz.html, with a map of the coverage, coverage.svg.
+    Ctrl-C keeps the findings so far.
+
+    With --against it searches for claims that the avoider or controller violates
+    and the reference keeps, on the same draws. It draws each difference again,
+    and lists a difference without a clear result as a flip near the limit.
+
+    The search must find every claim that the space expects to be violated.
+
+    Exit code 0: as the space expects; this is no evidence of safety.
+    Exit code 1: an unexpected violation, an expected violation not found, a claim
+    that no run tested, or an avoider without an answer or with another answer to
+    the same question.
+    Exit code 2: bad input, or a folder that cannot be written.
+    Exit code 130: interrupted.
     """
     from safety_harness.admission.avoiders import one_of, with_avoider
     from safety_harness.admission.driving import named_system

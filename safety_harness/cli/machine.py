@@ -23,7 +23,10 @@ def warm(
     installed engine, and judges them by every claim of the catalogue. It discards their results, and keeps
     the machine code for every later process.
     SAFETY_HARNESS_CACHE names the folder; the default is the user's cache.
-    Exit code 0: the machine code is there; 1: it cannot be kept; 130: interrupted, the compiled code is kept.
+
+    Exit code 0: the machine code is there.
+    Exit code 1: it cannot be saved.
+    Exit code 130: interrupted, with the code compiled so far.
     """
     from safety_harness.cli.warm import forget_old, warm_up
 
@@ -36,7 +39,10 @@ def doctor() -> int:
 
     The command also judges one short run with a known verdict. Each line states ok, missing (an optional
     part, with its use) or problem.
-    Exit code 0: nothing is wrong; 1: a part that every run needs is wrong; 130: interrupted.
+
+    Exit code 0: no problem.
+    Exit code 1: a part that every run needs has a problem.
+    Exit code 130: interrupted.
     """
     from safety_harness.cli.doctor import examine
 

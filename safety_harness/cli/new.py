@@ -66,7 +66,10 @@ def new(
     The file runs as it is. new plan SPACE drafts a plan of a space's claims, with the fewest runs that can
     show 2 %. The template log adds a recording beside the scenario; policy adds an avoider in Python and its
     test. The command overwrites no file.
-    Exit code 0; 2: no such template, such a file already, or it cannot be written; 130: interrupted.
+
+    Exit code 0: written.
+    Exit code 2: an unknown template, an existing file, or a folder that cannot be written.
+    Exit code 130: interrupted.
     """
     if listed:
         document(templates=[{"name": name, "about": entry.about} for name, entry in TEMPLATES.items()])

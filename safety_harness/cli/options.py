@@ -28,13 +28,13 @@ Files = Annotated[
     Argument(help="Scenario files, suites, folders of *.yaml, or shipped:NAME (list).", metavar="FILE..."),
 ]
 KeepGoing = Annotated[
-    bool, Option("--keep-going", help="What cannot be used is told and counted, and the rest goes on.")
+    bool, Option("--keep-going", help="Report and count unusable inputs, and continue with the rest.")
 ]
 Out = Annotated[Path, Option(help="Folder for report.html and traces/.")]
 OfAvoider = Annotated[
     str | None,
     Option(
-        help="In place of what the files name: mc-dropout, mc-dropout-full, deterministic, ensemble, "
+        help="An avoider in place of the files' own: mc-dropout, mc-dropout-full, deterministic, ensemble, "
         "optimum, student, student-ensemble, 'opposite pose', 'nearest candidate', FILE.py:NAME, "
         "FILE.safetensors, FILE.onnx, FILE.onnx:LAYOUT.",
         metavar="AVOIDER",
@@ -43,7 +43,7 @@ OfAvoider = Annotated[
 OfController = Annotated[
     str | None,
     Option(
-        help="What drives the arm in place of the visual servo and its avoider: 'stop when near', "
+        help="A controller in place of the visual servo and its avoider: 'stop when near', "
         "'learned policy', FILE.py:NAME, FILE.onnx, or a program (exec:COMMAND, tcp:HOST:PORT, unix:PATH).",
         metavar="CONTROLLER",
     ),
@@ -52,7 +52,7 @@ OfReference = Annotated[
     str | None,
     Option(
         "--against",
-        help="A reference, as for --avoider or --controller: the same draws; what it does not do is told.",
+        help="A reference avoider or controller, on the same draws; only differences from it count.",
         metavar="REFERENCE",
     ),
 ]
@@ -67,14 +67,13 @@ OfWorld = Annotated[
 ]
 OfSpace = Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")]
 Confirm = Annotated[
-    bool, Option("--confirm", help="Run each violation, and what is blamed changed, in PyBullet too.")
+    bool,
+    Option("--confirm", help="Repeat each violation, and the run with the changed cause, in PyBullet too."),
 ]
 AttributionOut = Annotated[
     Path | None, Option(help="Folder for attribution.json and attribution.svg; none for neither.")
 ]
-Executes = Annotated[
-    bool, Option("--execute-programs", help="Allow the programs of what is given to be executed.")
-]
+Executes = Annotated[bool, Option("--execute-programs", help="Allow the input's programs to be executed.")]
 Verbose = Annotated[bool, Option("--verbose", "-v", help="Print every line, not only what matters.")]
 Workers = Annotated[
     int | None, Option("--jobs", "--workers", help="Processes; without it, one for each core.", min=1)

@@ -44,20 +44,24 @@ def run(
     ] = False,
     verbose: Verbose = False,
 ) -> int:
-    """Run scenario files in PyBullet or another world, judge their claims and write a report.
+    """Run scenario files in a world, judge claims, write a report.
 
-    A program that they name as avoider or controller is executed, which is said on standard error.
-    A single run prints its claims, worst first. Many runs print the verdicts that differ from what their
-    files expect, those that decide nothing, and a line of totals. --verbose prints each verdict with margin
-    and worst moment, and a table that says how often each claim was put to the test.
-    That the avoider answered is judged of every run, whether its file claims it or not.
-    A scenario that an avoider of --avoider or --against cannot take (another workspace) is skipped, with the
-    reason, and counted.
-    Eight runs or more of what ships go to several processes (--jobs); the traces are the same, bit for bit.
-    Exit code 0: every verdict as its file expects, with --against: no new or deeper violation and no verdict
-    lost; 1: otherwise, or a run failed, or, without --against, a scenario was skipped, or a claim that was
-    expected to tell something was never put to the test; 2: bad input, nothing was run, or with
-    --keep-going only the rest; 130: interrupted, what was finished is kept.
+    A single run prints its claims, worst first. Many runs print unexpected
+    verdicts, undecided claims and a line of totals; --verbose prints each verdict
+    with margin and worst moment, and how many runs tested each claim.
+
+    The command executes a program that a file uses as avoider or controller, and
+    reports it on standard error. It judges in every run whether the avoider
+    answered. It skips and counts a scenario with a workspace that --avoider or
+    --against cannot serve. Eight or more shipped runs use several processes
+    (--jobs), with the same traces bit for bit.
+
+    Exit code 0: every verdict as its file expects; with --against, no new or
+    deeper violation and no lost verdict.
+    Exit code 1: otherwise, or a failed run; without --against also a skipped
+    scenario, or an expected verdict on a claim that no run tested.
+    Exit code 2: bad input; with --keep-going the command runs the rest.
+    Exit code 130: interrupted, with all finished runs.
     """
     from safety_harness.cell.simulation.worlds import world_named
     from safety_harness.cli.run import run as run_files
@@ -83,7 +87,10 @@ def validate(files: Files, avoider: OfAvoider = None, controller: OfController =
     The command executes no file: it parses a Python file, and reads the metadata of an ONNX file.
     A line "ok FILE: ..." goes to standard output for each runnable file. Mistakes go to standard error with
     file, line, expected and got.
-    Exit code 0: all of them can be run; 2: some cannot; 130: interrupted.
+
+    Exit code 0: all files can run.
+    Exit code 2: a file cannot run.
+    Exit code 130: interrupted.
     """
     from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.validate import validate as validate_files
@@ -100,7 +107,10 @@ def fmt(
 
     The layout sets the order of keys, indentation and quotes. Comments and your units stay, and so does the
     meaning of the file.
-    Exit code 0; 1: with --check, a file would change; 2: a file cannot be read, the rest is laid out.
+
+    Exit code 0: the files have the layout.
+    Exit code 1: with --check, a file would change.
+    Exit code 2: a file cannot be read; the command lays out the rest.
     """
     from safety_harness.cli.fmt import format_files
 
@@ -117,10 +127,12 @@ def explain(
 
     For a key: its meaning, unit, bounds, default and an example. For a plan: the number of bounds that it
     shows, and for each target the tested runs that it takes and the violations that the planned runs allow.
-    The command runs nothing.
+    There are no runs.
     A key in several places has an explanation for each; "camera.rate" selects one place.
     Without a key, the command lists all keys.
-    Exit code 0; 2: there is no such key.
+
+    Exit code 0: explained.
+    Exit code 2: an unknown key.
     """
     from safety_harness.base.shipped.contents import located
     from safety_harness.cli.explain import explain_key
@@ -142,7 +154,9 @@ def claims(
 
     The explanation has the reason, margin, parameters, and the condition under which a run tests the claim.
     A whole claim is explained by the entry that understands it. Without words, the command lists all claims.
-    Exit code 0; 2: nothing in the catalogue has these words.
+
+    Exit code 0: listed or explained.
+    Exit code 2: the catalogue has no claim with these words.
     """
     from safety_harness.cli.explain import explain_claims
 
@@ -184,7 +198,11 @@ def replay(
     The answer is "identical", or the first step that differs.
     If a program of yours made the trace, name that program by --avoider or --controller, because the replay
     executes it. A controller with another hash is refused.
-    Exit code 0: identical; 1: it differs; 2: not a trace that can be read; 130: interrupted.
+
+    Exit code 0: identical.
+    Exit code 1: it differs.
+    Exit code 2: the trace cannot be read.
+    Exit code 130: interrupted.
     """
     from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.replay import replay as replay_trace
@@ -236,9 +254,12 @@ def view(
 
     The command writes one page and opens it. Useful pairs are an avoider and its reference, a run with a
     shield and a run without, or a simulated and a recorded run.
-    The command simulates and executes nothing; it judges claims again. For a log, the page omits the parts
-    that were not measured, and names them.
-    Exit code 0; 2: not a trace or log that can be read; 130: interrupted.
+    The command only judges claims again, without simulation and without programs. For a log, the page omits
+    the parts that were not measured, and names them.
+
+    Exit code 0: the page is written.
+    Exit code 2: the trace or log cannot be read.
+    Exit code 130: interrupted.
     """
     from safety_harness.cli.view import view as view_runs
 
@@ -257,7 +278,10 @@ def show(
     """Draw the scenarios of a file without running them.
 
     The picture has hands, TCP start, regions and the camera's view.
-    Exit code 0; 2: bad input; 130: interrupted.
+
+    Exit code 0: drawn.
+    Exit code 2: bad input.
+    Exit code 130: interrupted.
     """
     from safety_harness.cli.show import show as show_files
 
@@ -275,7 +299,10 @@ def sample(
 
     The command run takes these files. An inadmissible draw (a start out of reach, ...) is counted, reported
     and drawn again.
-    Exit code 0; 2: bad input, or a space with next to no admissible draw; 130: interrupted.
+
+    Exit code 0: drawn.
+    Exit code 2: bad input, or a space with almost no admissible draw.
+    Exit code 130: interrupted.
     """
     from safety_harness.cli.show import sample as sample_space
 
@@ -301,8 +328,11 @@ def attribute(
     For a trace the command attributes all its violations; for a scenario file, all that the kinematic replay
     violates. Name the program that made a trace again.
     For a controller other than the visual servo, the command omits the ingredients that it does not have.
-    Exit code 0: every violation has an answer, or there is none; 1: one is not attributed, since the
-    kinematic replay does not show it, or fails; 2: bad input, nothing was run; 130: interrupted.
+
+    Exit code 0: every violation has an answer.
+    Exit code 1: the kinematic replay fails, or does not show a violation.
+    Exit code 2: bad input, without a run.
+    Exit code 130: interrupted.
     """
     from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.attribute import attribute_runs

@@ -58,7 +58,9 @@ def copy(
 
     You can then edit the copies. They keep their relative places. The path of each copy goes to standard
     output, the requested file first.
-    Exit code 0; 2: there is no such name, or another file is there already: then nothing is copied.
+
+    Exit code 0: copied.
+    Exit code 2: an unknown name, or another file in the place of a copy; the command copies no file then.
     """
     from safety_harness.base.whole_file import writing
 
@@ -116,7 +118,9 @@ def docs(
     """Open the package's documents in a browser.
 
     The path goes to standard output; without a terminal or a browser that is all.
-    Exit code 0; 2: there is no such section, or the documents were not built (make docs).
+
+    Exit code 0: there is the page.
+    Exit code 2: an unknown section, or documents that were not built (make docs).
     """
     from safety_harness.base.shipped.documents import missing, path_of, section_named, site
 
