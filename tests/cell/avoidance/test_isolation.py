@@ -269,7 +269,7 @@ def test_within_a_wrapper_the_wall_limit_of_the_question_holds(make: Make) -> No
 def test_what_it_declares_is_known_of_it_and_what_is_no_time_is_refused(make: Make) -> None:
     assert make().decision_time_s == 0.0
     assert make(more="    decision_time_s = 0.09\n").decision_time_s == 0.09
-    with pytest.raises(InadmissibleError, match="a decision_time_s that is a time, or none"):
+    with pytest.raises(InadmissibleError, match="a decision_time_s that is a time, if any"):
         make(more="    decision_time_s = -1.0\n")
 
 

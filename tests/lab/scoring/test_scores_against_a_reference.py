@@ -29,7 +29,7 @@ def test_more_errors_on_the_same_questions_are_a_finding_with_counts() -> None:
     assert (found.kind, found.region) == (Kind.FAR_OFF, "seen")
     wrong = int(np.count_nonzero(WRONG.regions[0].questions.hands_in_base_m[:, 1] < -0.35))
     assert f"on {wrong} questions where mc-dropout does not" in found.words
-    assert "way round on 0, of 200" in found.words
+    assert "and the reverse on 0, of 200" in found.words
     assert len(found.questions) == 3
 
 
