@@ -107,13 +107,13 @@ def test_pybullet_is_asked_for_what_is_shown(tmp_path: Path, capsys: pytest.Capt
     assert "in PyBullet, perception (ideal): kept, +" in out
 
 
-def test_run_names_the_command_that_attributes_what_it_did_not_expect(
+def test_run_names_the_command_that_attributes_its_violations(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert run([written(blind(), Path("blind.yaml"))], Path("out")) == DIFFERS
     assert run([written(blind(Verdict.VIOLATED), Path("expected.yaml"))], Path("as-it-says")) == AS_EXPECTED
-    commands = re.findall(r"whose fault: safety-harness attribute (.+)", capsys.readouterr().err)
-    assert commands == ["out/traces/blind.trace"]
+    commands = re.findall(r"next: safety-harness attribute (\S+) +\(whose fault", capsys.readouterr().err)
+    assert commands == ["out/traces/blind.trace", "as-it-says/traces/expected.trace"]
     assert attribute([Path(commands[0])]) == AS_EXPECTED
     assert "of 1: 1 perception" in capsys.readouterr().out

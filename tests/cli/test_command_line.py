@@ -191,8 +191,8 @@ def test_ctrl_c_and_signals_alike_keep_what_was_finished(
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        # A test run in the background ignores Ctrl-C, and its children would too.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        # A test run in the background, or by nohup, ignores the signal, and its children would too.
+        preexec_fn=lambda: signal.signal(asked, signal.SIG_DFL),
     )
     finished = tmp_path / "o" / "traces" / "good.trace"
     deadline = time.monotonic() + 300.0

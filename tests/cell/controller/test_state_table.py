@@ -167,7 +167,9 @@ def test_the_controller_tells_the_gate_of_every_valid_predicted_hand() -> None:
             return super().check(position_in_base_m, query)
 
     heard: list[Query] = []
-    bench = Bench(gate=Listening.from_settings(DEFAULTS, inverse_kinematics(Robot.UR10), arm_capsules(Robot.UR10)))
+    bench = Bench(
+        gate=Listening.from_settings(DEFAULTS, inverse_kinematics(Robot.UR10), arm_capsules(Robot.UR10))
+    )
     near, far = bench.beside(0.3), bench.beside(0.9)
     bench.tick(far, near)
     assert len(heard) == 2  # the proposal, the opposite pose

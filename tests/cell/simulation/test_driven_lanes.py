@@ -213,7 +213,10 @@ def test_stop_when_near_answers_together_as_one_by_one(
         (Stop(), "no Moves"),
         (Moves(tcp_velocity_mps=np.zeros((3, 3))), r"shape \(2, 3\)"),
         (Moves(stop=np.zeros(2)), "2 truths"),
-        (Moves(tcp_velocity_mps=np.zeros((2, 3)), joint_velocity_radps=np.zeros((2, 6))), "at once"),
+        (
+            Moves(tcp_velocity_mps=np.zeros((2, 3)), joint_velocity_radps=np.zeros((2, 6))),
+            "of both the TCP and the joints",
+        ),
     ],
 )
 def test_moves_that_are_none_are_refused(moves: object, why: str) -> None:
