@@ -67,7 +67,7 @@ class Comments(griffe.Extension):
 
 
 def with_entry(docstring: str, section: str, name: str, text: str) -> str:
-    """Return a docstring whose section describes a parameter by a text, in front of its own words.
+    """Return a docstring whose section describes a parameter by a text, in front of other words about it.
 
     Args:
         docstring: A docstring without indentation.
@@ -86,7 +86,8 @@ def with_entry(docstring: str, section: str, name: str, text: str) -> str:
     for i in range(start, end):
         if re.match(rf"\s+{re.escape(name)}\b[^:]*:", lines[i]):
             head, _, words = lines[i].partition(":")
-            lines[i] = f"{head}: {text}. {words.strip()}"
+            if text not in words:
+                lines[i] = f"{head}: {text}. {words.strip()}"
             return "\n".join(lines)
     lines.insert(end, f"    {name}: {text}")
     return "\n".join(lines)

@@ -89,6 +89,7 @@ def test_the_reference_puts_the_shape_in_front_of_what_a_docstring_says_about_a_
     docstring = "Return the pose.\n\nArgs:\n    joints: Of the arm.\n\nRaises:\n    InputError: Never."
     both = with_entry(docstring, "Args", "joints", "(6,) [rad]")
     assert "    joints: (6,) [rad]. Of the arm.\n" in both
+    assert with_entry(both, "Args", "joints", "(6,) [rad]") == both
     added = with_entry(both, "Args", "seat", "(4, 4)")
     assert "    joints: (6,) [rad]. Of the arm.\n    seat: (4, 4)\n\nRaises:" in added
     assert with_entry("Return it.", "Args", "seat", "(4, 4)") == "Return it.\n\nArgs:\n    seat: (4, 4)\n"
