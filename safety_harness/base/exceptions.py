@@ -4,7 +4,7 @@
 
 * ``InputError``: the user can mend it.  It holds the place (file, line, field), the expectation and the
   actual input.  The command line prints it without a traceback and ends with exit code 2.
-* ``SimulationError``: the run could not go on.  It never counts as safe.
+* ``SimulationError``: the run could not go on.  It is never counted as safe.
 """
 
 from __future__ import annotations

@@ -167,7 +167,7 @@ def arm_in_scene(arm: ArmModel, capsules: CapsuleSet) -> dict[str, Any]:
 
 
 def rounded(values: NDArray[np.float64], digits: int = 5) -> list[float]:
-    """Return the numbers of an array of any shape as a flat list, rounded for pictures."""
+    """Return the numbers of ``values`` (...,) as a flat list, rounded for pictures."""
     return [round(float(value), digits) for value in values.ravel()]
 
 

@@ -1,7 +1,7 @@
 """Check whether a gate takes answers only to questions in the region of a certificate.
 
-It covers the strata that ask the certified network, and compares the boxes of ``gate: {questions within:
-...}`` exactly.
+It covers the strata that ask the network of the certificate.  It compares the boxes of
+``gate: {questions within: ...}`` exactly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def gate_words(plan: Plan, network_sha256: str, region: ProofRegion) -> tuple[st
 
     Args:
         plan: The plan with the strata.
-        network_sha256: The hash of the certified network's file.
+        network_sha256: The hash of that network's file.
         region: The region of the certificate.
 
     """

@@ -121,7 +121,7 @@ def certify(
     from safety_harness.scenario.typed_json import plain
     from safety_harness.trace.answer_times import UNHEEDED
 
-    certified = certify_plan(
+    made = certify_plan(
         plan,
         controller=controller,
         out=out,
@@ -136,15 +136,15 @@ def certify(
         since=since,
         output=TERMINAL,
     )
-    evidence = certified.evidence
-    document(**plain(evidence), page=certified.page)
+    evidence = made.evidence
+    document(**plain(evidence), page=made.page)
     say(*(f"error: {text}" for text in evidence.unmade))
-    result(*tested_lines(certified.plan), *_shielded_lines(certified.plan, certified.folder / LEDGER))
+    result(*tested_lines(made.plan), *_shielded_lines(made.plan, made.folder / LEDGER))
     for claim in evidence.claims:
         mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")
         result(f"{mark} {claim.standing.value:<21} {claim.sentence}: {claim.why}")
-    simplest = certified.plan.strata[0].space.simplest
-    for planned, claim in zip(certified.plan.claims, evidence.claims, strict=True):
+    simplest = made.plan.strata[0].space.simplest
+    for planned, claim in zip(made.plan.claims, evidence.claims, strict=True):
         margins = [item.least_margin_si for item in claim.outcomes if item.least_margin_si is not None]
         far = far_words(close_to(property_of(planned.claim, simplest)), min(margins, default=None))
         say(*[f"note: {claim.sentence}: {far}"] * bool(far))
@@ -161,16 +161,16 @@ def certify(
             if f": {UNTRIED} " in item.text or UNHEEDED in item.text or item.place == "recorded-cells"
         )
     )
-    result(evidence.basis, f"{certified.page}: {evidence.standing.value}")
-    if not certified.complete:
+    result(evidence.basis, f"{made.page}: {evidence.standing.value}")
+    if not made.complete:
         say("interrupted: the report says what is missing; the same command goes on from there")
     else:
-        folder = shlex.quote(str(certified.folder))
+        folder = shlex.quote(str(made.folder))
         next_step(f"safety-harness verify {folder}", "does the report stand?")
         next_step(f"safety-harness certify seal {folder}", "a hash to lodge where its day cannot be changed")
-    if certified.delta is not None:
-        _tell_delta(certified.delta, certified.folder)
-    return certified.exit_code
+    if made.delta is not None:
+        _tell_delta(made.delta, made.folder)
+    return made.exit_code
 
 
 def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
