@@ -37,7 +37,7 @@ def simulate(
     """Run a scenario to its end and record both ends of its duration.
 
     Ctrl-C between ticks ends the run early. The trace then states the interruption, and no property counts it
-    as safe.
+    as holding.
 
     Args:
         world: The open world.
