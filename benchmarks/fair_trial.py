@@ -100,7 +100,8 @@ CAUSES = """
   proposals. With a limit of 5 % in its test it named `onnx_int8`, which is harmless: the limit is 1 %.
   A network whose spread was 5 % wider was flagged too (refused more often in 12 of 300 runs), in an attack
   after the trial: refusals for the spread alone do not count any more. All rows that this could change
-  are measured again. `into_the_table` needs the default of 1,000 runs.
+  are measured again. With it 100 runs find
+  `into_the_table` again.
 - `towards_by_seed` was missed by `evaluate` alone with 1,000 questions: its fault is on 10 % of them,
   and the yardsticks lead towards the hand on up to 10 % as well, on others. An answer now counts where
   each yardstick leads away: 8.2 % of its answers.
@@ -233,7 +234,7 @@ def flagged(row: dict[str, Any], references: dict[str, set[tuple[str, str]]]) ->
 def is_named(row: dict[str, Any], told: list[str]) -> bool:
     """Say whether what counts against a fault says what is wrong, or whose fault it is."""
     if row["command"] == "fuzz":
-        return "avoider" in " ".join([row.get("attribution") or "", *told])
+        return "avoider" in " ".join([row.get("attribution") or "", *told]) or "fault: avoider" in row["tail"]
     return any(SAYS[row["name"]] in one for one in told)
 
 
