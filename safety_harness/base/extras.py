@@ -22,7 +22,7 @@ class Extra:
     """An optional part of this package.
 
     Args:
-        name: The name for pip: ``hand-safety-harness[name]``.
+        name: The name for pip: ``DISTRIBUTION[name]``.
         modules: The modules that it installs.
         use: The features that need it.
         package: The package of the first module, if its name differs.

@@ -37,10 +37,10 @@ def fuzz(
         bool,
         Option(
             "--compare-with-uniform",
-            "--baseline",
             help="Sample the space uniformly too, with the same budget.",
         ),
     ] = False,
+    older: Annotated[bool, Option("--baseline", hidden=True)] = False,
     explain: Annotated[
         str,
         Option(help="causes: a violation of each claim, and others for as long as the search took; or all."),
@@ -84,7 +84,7 @@ def fuzz(
         seed=seed,
         searcher=searcher,
         claims=claims or (),
-        baseline=baseline,
+        baseline=baseline or older,
         explain=explain,
         out=out,
         output=output,

@@ -221,7 +221,7 @@ def test_no_package_takes_the_place_of_a_way_to_a_controller_or_of_a_file(toy: P
         done = called(toy, "validate", "own.yaml")
         assert done.returncode == 2
         assert message in " ".join(done.stderr.split())
-    assert "skipped safety_harness.controllers exec of toy 1.0: another part has its name" in done.stderr
+    assert "skipped safety_harness.controllers exec of toy 1.0: its name is taken" in done.stderr
 
 
 def test_the_toys_section_is_on_the_page_of_a_run_and_one_that_fails_is_left_out(toy: Path) -> None:

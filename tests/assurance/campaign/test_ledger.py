@@ -351,5 +351,5 @@ def test_a_runner_whose_lock_was_just_removed_is_refused(
         lock.unlink()
 
     monkeypatch.setattr(opening.fcntl, "flock", removed_meanwhile)
-    with pytest.raises(LedgerError, match="no other runner"), only_runner(path):
+    with pytest.raises(LedgerError, match="without another runner"), only_runner(path):
         pass

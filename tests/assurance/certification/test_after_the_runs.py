@@ -215,7 +215,7 @@ def test_a_page_of_a_campaign_that_fails_leaves_its_lines(
     assert campaign_command.run(again / "plan.yaml", ledger=again / "ledger.sqlite", workers=1) == DIFFERS
     said = capsys.readouterr()
     assert "fingerprint of the results" in said.out
-    assert f"the page cannot be made: RuntimeError: {PLANTED}" in said.err
+    assert f"the page cannot be written (RuntimeError: {PLANTED})" in said.err
 
 
 def test_a_scenario_that_cannot_be_admitted_again_is_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -50,7 +50,7 @@ def test_a_stored_trace_that_was_not_simulated_is_no_evidence(ran: tuple[Plan, P
         trace = trace_of(plan, stratum, ledger.trace(stratum, episode) or b"")
     put(path, stratum, episode, partly_measured(trace))
     (fault,) = checked(plan, path)
-    assert f"run {episode}: known: got columns that are " in fault
+    assert f"run {episode}, known: got columns that are " in fault
     with pytest.raises(TraceError), Ledger.open(path) as ledger:
         trace_of(plan, stratum, ledger.trace(stratum, episode) or b"")
 
@@ -68,5 +68,5 @@ def test_a_trace_whose_numbers_no_run_can_have_written_is_no_evidence(
     ticks[field] = np.where(np.isfinite(ticks[field]), ticks[field] + 0.001, ticks[field])
     put(path, stratum, episode, replace(trace, ticks=ticks))
     (fault,) = checked(plan, path)
-    assert f"run {episode}: " in fault
+    assert f"run {episode}, " in fault
     assert f"{field} at tick" in fault

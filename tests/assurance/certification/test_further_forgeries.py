@@ -281,7 +281,7 @@ FILES: dict[str, tuple[Touch, str]] = {
     ),
     "a field of the evidence twice": (
         text_of("evidence.json", lambda text: text.replace("{", '{\n "standing": "shown",', 1)),
-        "evidence.json has been edited",
+        "evidence.json was edited",
     ),
     "a negative count": (said(claims__0__outcomes__0__violated=-4), "outcomes[0].violated"),
     "a failure in an XML comment": (
@@ -292,7 +292,7 @@ FILES: dict[str, tuple[Touch, str]] = {
         written("junit.xml", "</testsuites>", '<testsuite name="near" tests="99"/></testsuites>'),
         "junit.xml and evidence.json disagree",
     ),
-    "another argument": (written("argument.gsn.yaml", r"\A", "# reviewed\n"), "argument.gsn.yaml does not"),
+    "another argument": (written("argument.gsn.yaml", r"\A", "# reviewed\n"), "argument.gsn.yaml and"),
     "a claim as if declared": (said(record__declaration_sha256="f" * 64), "declaration_sha256"),
 }  # fmt: skip
 

@@ -34,7 +34,7 @@ from safety_harness.extensions.assurance.certification.verify import verify
 from safety_harness.extensions.lab.proof.certificate import write_certificate
 from safety_harness.extensions.lab.proof.plan import ProofRegion, read_proof_plan
 from safety_harness.extensions.lab.proof.session import Effort, fresh
-from safety_harness.extensions.lab.proof.session import carry_on as prove
+from safety_harness.extensions.lab.proof.session import continue_proofs as prove
 from tests.assurance.campaign.plans import PLAN as PLAN_OF_RUNS
 from tests.assurance.campaign.plans import plan_in
 from tests.lab.proof.regions import PLAN, plan_file

@@ -171,7 +171,7 @@ def test_why_names_the_kept_run_whose_hand_came_nearest_and_what_it_lacked(
     plan = plan_in(tmp_path, PLAN.replace("joint speeds within limits", "repulsive poses reachable"))
     ledger = ledger_in(tmp_path, plan)
     filled(ledger)
-    assert "; no run's trace was kept" in claims_of(plan, ledger)[1].outcomes[1].why
+    assert "; the ledger keeps no trace" in claims_of(plan, ledger)[1].outcomes[1].why
     far = plan.strata[1].space.simplest
     far = replace(far, duration_s=0.1, hands=(replace(far.hands[0], shift_in_base_m=(0.0, -2.0, 0.0)),))
     none, of_another = replace(far, hands=()), plan.strata[0].space.simplest

@@ -251,7 +251,7 @@ def test_margins_lost_and_violations_of_one_campaign_alone_are_counted_by_hand(
     compare(*(tmp_path / name / "ledger.sqlite" for name in ("before", "after")))
     out = capsys.readouterr().out
     lost = "margin lost by more than 10.0 mm, hand distance never below 150 mm: 10 episodes"
-    assert f"{lost}, the most +200.0 mm -> +100.0 mm in near, episode 2" in out
+    assert f"{lost}, the worst +200.0 mm -> +100.0 mm in near, episode 2" in out
     assert "keeps in 10 of 50 runs; the other way round in 10 (p = 1)" in out
 
 

@@ -32,7 +32,7 @@ def test_it_is_judged_as_it_says_and_its_page_says_recorded_first(tmp_path: Path
 def test_another_claim_may_be_made_of_it() -> None:
     found = CliRunner().invoke(app, ["judge", str(EXAMPLE), "--claim", "always hand distance > 400 mm"])
     assert found.exit_code == 1
-    assert "violated" in found.output
+    assert "VIOLATED" in found.output
 
 
 def test_it_is_no_scenario() -> None:

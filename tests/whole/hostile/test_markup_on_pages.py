@@ -40,7 +40,7 @@ from safety_harness.extensions.assurance.pages.history import write_page as writ
 from safety_harness.extensions.lab.pages.proof_page import ProofEvidence
 from safety_harness.extensions.lab.pages.proof_page import render as proof_page
 from safety_harness.extensions.lab.pages.question_maps import VIEWS, question_map
-from safety_harness.extensions.lab.pages.score_page import OFF, ScoreEvidence
+from safety_harness.extensions.lab.pages.score_page import FAR, ScoreEvidence
 from safety_harness.extensions.lab.pages.score_page import render as score_page
 from safety_harness.extensions.lab.proof.certificate import Proof, WrongQuestion
 from safety_harness.extensions.lab.proof.plan import read_proof_plan
@@ -131,7 +131,7 @@ def scored() -> str:
 def question_map_file() -> str:
     asked = score_cards.region_score().questions
     values = asked.hands_in_base_m[:, 0]
-    return question_map(asked.hands_in_base_m, values, OFF, VIEWS[0], prefix="m-", title=MARKUP)
+    return question_map(asked.hands_in_base_m, values, FAR, VIEWS[0], prefix="m-", title=MARKUP)
 
 
 def arms() -> str:

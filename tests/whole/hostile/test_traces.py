@@ -131,5 +131,5 @@ def test_what_a_stranger_wrote_commands_no_terminal(
         == BAD_INPUT
     )
     out, err = capsys.readouterr()
-    assert "?]0;owned?<b>?31m: joint speeds" in out
+    assert "tested in ?]0;owned?<b>?31m: avoider" in out
     assert (out + err).replace("\n", "").isprintable()

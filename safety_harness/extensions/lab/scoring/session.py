@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -76,7 +77,8 @@ class ScoringSession:
         ]  # a wrong name is found before the first question
         rival = None if self.against is None else Subject.of(self.against, Place(field="--against"))
         for file in self.replaces:
-            file.unlink(missing_ok=True)
+            with suppress(OSError):  # a folder that cannot be written is refused when the page is
+                file.unlink()
         for _, regions in subjects:
             searched = sum(region.asked_in_runs for region in regions) if self.budget else 0
             of_score = 2 + len(regions)
