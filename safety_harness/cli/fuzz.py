@@ -40,7 +40,6 @@ def fuzz(
             help="Sample the space uniformly too, with the same budget.",
         ),
     ] = False,
-    older: Annotated[bool, Option("--baseline", hidden=True)] = False,
     explain: Annotated[
         str,
         Option(help="causes: a violation of each claim, and others for as long as the search took; or all."),
@@ -84,7 +83,7 @@ def fuzz(
         seed=seed,
         searcher=searcher,
         claims=claims or (),
-        baseline=baseline or older,
+        baseline=baseline,
         explain=explain,
         out=out,
         output=output,

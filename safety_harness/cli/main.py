@@ -148,11 +148,15 @@ def _absent(name: str, about: str, hint: str) -> Any:
     return found
 
 
+OLDER_OPTIONS = {"workers": "jobs", "baseline": "compare-with-uniform"}  # the older names serve
 app = typer.Typer(
     cls=_Group,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "token_normalize_func": lambda name: OLDER_OPTIONS.get(name, name),
+    },
     help="Verify a hand-avoidance controller of a robot arm: run scenarios and judge them, search for what "
     "breaks it, and certify it.",
 )

@@ -75,9 +75,7 @@ AttributionOut = Annotated[
 ]
 Executes = Annotated[bool, Option("--execute-programs", help="Allow the input's programs to be executed.")]
 Verbose = Annotated[bool, Option("--verbose", "-v", help="Print every line, not only what matters.")]
-Workers = Annotated[
-    int | None, Option("--jobs", "--workers", help="Processes; without it, one for each core.", min=1)
-]
+Workers = Annotated[int | None, Option("--jobs", help="Processes; without it, one for each core.", min=1)]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
 # The command that a user most likely wants next, by functions of commands, with the values of their options.
 NEXT = {

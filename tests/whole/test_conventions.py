@@ -90,7 +90,7 @@ def test_every_command_and_group_has_the_short_option_of_help(words: list[str]) 
         ("camp", {"campaign"}),
         ("campaign qu", {"query"}),
         ("certify ", {"declare", "delta", "seal"}),
-        ("certify plan.yaml --work", {"--workers"}),
+        ("certify plan.yaml --job", {"--jobs"}),
         ("fuzz --bu", {"--budget"}),
     ],
 )
