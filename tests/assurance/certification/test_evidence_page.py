@@ -6,7 +6,7 @@ from dataclasses import replace
 import factory
 import page
 import pytest
-from made_up_evidence import HASH, HOSTILE, STRATA, evidence
+from made_up_evidence import HASH, HOSTILE, STRATA, evidence, outcome
 
 from safety_harness.extensions.assurance.certification.evidence import ClaimStatus, OpenFinding, by_gravity
 from safety_harness.extensions.assurance.certification.page import render
@@ -34,6 +34,18 @@ def test_the_first_page_says_of_each_claim_the_verdict_the_bound_and_how_often_i
     assert "8880 of 9000 runs" in rows[0]
     assert "not bounded" in rows[1]
     assert "0 of 9000 runs" in rows[1]
+
+
+def test_a_refuted_claim_names_on_top_a_stratum_that_exceeds_its_target() -> None:
+    """Another stratum, of fewer runs, has a larger upper bound, and may well keep the target."""
+    refuted = evidence().claims[0]
+    few = outcome("few", ClaimStatus.NOT_SHOWN, upper=0.4)
+    whole = replace(evidence(), claims=(replace(refuted, outcomes=(few, *refuted.outcomes)),))
+    (shown,) = page.parse(render(whole, {})).all("ul", "answers")
+    refuting = {one.stratum for one in refuted.outcomes if one.standing is ClaimStatus.REFUTED}
+    assert "more than" in shown.text
+    assert "(few)" not in shown.text
+    assert any(f"({stratum})" in shown.text for stratum in refuting)
 
 
 def test_claims_stand_by_gravity_wherever_they_are_listed(document: page.Node) -> None:

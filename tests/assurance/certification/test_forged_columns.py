@@ -147,6 +147,7 @@ def test_which_claims_pass_in_junit_follows_from_the_evidence_whichever_version_
         b"<style>",
         b'<span class="verdict holds">',
         b'<table class="verdicts">',
+        b'<ul class="answers">',
         b"<<<< ",
         b' d="',
     ],

@@ -310,6 +310,10 @@ TRICKS: dict[str, Touch] = {
     "a sheet over the page": written(
         PAGE, "</main>", '</main><p style="position:fixed;inset:0;background:#fff">Shown.</p>'
     ),
+    "a bound on top": written(
+        PAGE, r'(?s)(<ul class="answers">.*?(?:at most|more than) )\d[\d.]* %', r"\g<1>0.1 %"
+    ),
+    "no line of a claim on top": written(PAGE, r'(?s)(<ul class="answers">)\s*<li>.*?</li>', r"\1"),
     "a bound among the results": written(PAGE, r'(?s)(id="results.*?)\d+\.\d %', r"\g<1>0.1 %"),
     "another base of all links": written(PAGE, "<head>", '<head><base href="https://example.org/">'),
 }

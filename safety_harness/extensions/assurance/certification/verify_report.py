@@ -75,7 +75,7 @@ TOLERANCE_PX = 0.1  # a step of a coordinate's last decimal
 PROOF = (CERTIFICATE, NETWORK)
 _PLOT = re.compile(rb'<svg (?=[^<>]*role="img")(?![^<>]*"coverage-map-)')
 _VERDICT = re.compile(rb'<(span class="verdict [^"<>]*"|div class="banner [^"<>]*" role="note"><p><strong)>')
-_ANSWERS = re.compile(rb'<ul class="answers">.*?</ul>', re.DOTALL)  # a line for each claim, on top
+_ANSWERS = b'<ul class="answers">'  # on top: the bound and the verdict of each claim
 _VERDICTS = re.compile(rb'<table class="[^"<>]*\bverdicts"[^<>]*>')
 _NUMBERS = re.compile(rb'<(td)[^<>]*class="number"[^<>]*>')
 _CLOSING = re.compile(rb"</(?:strong|td)>|(?<!</svg>)</span>")
@@ -113,7 +113,8 @@ def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination
             (faults if report.same_words else unchecked).append(f"{name} and {JSON} disagree")
     there, made = bytes_of(folder / PAGE), written(render(recorded, gathered.runs))
     differs = differences(there, made)
-    alike = made if _ANSWERS.search(there) else _ANSWERS.sub(b"", made)  # earlier versions had no such list
+    # Earlier versions wrote no list of answers.
+    alike = made if _answers(there) else made.replace(_answers(made), b"", 1)
     if verdicts_in(there) != verdicts_in(alike):
         faults.append(f"{PAGE}: its verdicts do not follow from {JSON}")
     if differs and report.same_words:
@@ -177,7 +178,7 @@ def passed_in(junit: bytes) -> list[tuple[str, str]] | None:
 
 
 def verdicts_in(page: bytes) -> list[bytes]:
-    """Return all verdicts on a page with the class that colours them, and the numbers of their table.
+    """Return the verdicts on a page with their classes, and the numbers of their table and of their list.
 
     Standings, counts and bounds follow from the evidence by rule, with any version of the software.
     """
@@ -189,7 +190,15 @@ def verdicts_in(page: bytes) -> list[bytes]:
         *badges,
         *_HIDING.findall(page),
         *(text for _, text in _texts(page[begin : end if end >= 0 else len(page)], _NUMBERS)),
+        *_NUMBER.findall(_MARKUP.sub(b"", _answers(page))),
     ]
+
+
+def _answers(page: bytes) -> bytes:
+    """Return the list of answers on top of a page; empty without it."""
+    begin = page.find(_ANSWERS)
+    end = page.find(b"</ul>", begin)
+    return b"" if begin < 0 else page[begin : end if end >= 0 else len(page)]
 
 
 def _texts(page: bytes, openings: re.Pattern[bytes]) -> Iterator[tuple[bytes, bytes]]:
