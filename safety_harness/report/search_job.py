@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from copy import copy
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from math import isfinite
@@ -223,13 +224,12 @@ class SearchResult:
 def _write_interim(session: SearchSession) -> None:
     """Write a page with the findings before explanations, which may take long or be ended."""
     if session.keeps and session.findings.found and session.unwritable is None:
-        interrupted, session.findings.interrupted = session.findings.interrupted, True
+        unfinished = copy(session.findings)
+        unfinished.interrupted = True  # as the page says if nothing replaces it
         try:
-            write_text(session.out / PAGE, render(evidence_of(session)))
+            write_text(session.out / PAGE, render(replace(evidence_of(session), findings=unfinished)))
         except OutputError as error:
             session.unwritable = error
-        finally:
-            session.findings.interrupted = interrupted
 
 
 def evidence_of(session: SearchSession, attribution: SearchAttribution | None = None) -> SearchEvidence:

@@ -44,11 +44,18 @@ class ClaimLine:
     differs: bool
 
     @property
+    def moment(self) -> str:
+        """The time of the margin; a dash without one."""
+        time_s = self.evaluation.worst_time_s
+        return "-" if time_s is None or self.evaluation.margin is None else f"{time_s:.3f} s"
+
+    @property
     def margin(self) -> str:
         """The margin and its moment; empty without a margin."""
-        found = self.evaluation
-        when = "" if found.worst_time_s is None else f" at {found.worst_time_s:.3f} s"
-        return "" if found.margin is None else f"{found.margin_text()}{when}"
+        if self.evaluation.margin is None:
+            return ""
+        when = "" if self.moment == "-" else f" at {self.moment}"
+        return f"{self.evaluation.margin_text()}{when}"
 
     @property
     def rank(self) -> tuple[bool, int, float]:
@@ -78,8 +85,7 @@ def lines_of(run: JudgedRun) -> Iterator[ClaimLine]:
 def every_line(run: JudgedRun) -> Iterator[str]:
     """Yield one line for each claim of a run, one more for what was not measured, and what was tested."""
     for line in lines_of(run):
-        margin, _, when = line.margin.partition(" at ")
-        columns = f"{line.words:<25} {margin or '-':>13} at {when or '-':>9}"
+        columns = f"{line.words:<25} {line.evaluation.margin_text():>13} at {line.moment:>9}"
         yield f"{columns}  {line.run}: {line.sentence}{line.remark}"
         if line.evaluation.unmeasured:
             yield f"     {line.evaluation.reason}"

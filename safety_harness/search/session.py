@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import shlex
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -332,52 +331,22 @@ class SearchSession:
         """
         claims = (*range(len(self.findings.goals)), None)
         searches = [self.findings] if self.baseline is None else [self.findings, self.baseline]
-        found = {
-            claim: next((one for one in searches if one.of_claim(claim)), self.findings) for claim in claims
-        }
-        left = {claim: _one_of_each_kind_first(found[claim].of_claim(claim)) for claim in claims}
-        told: dict[int | None, list[WrittenCounterexample]] = {claim: [] for claim in claims}
-        shrunk = Counter[int | None]()
-        until_s = time.monotonic() + self.search_s
-
-        def explain_next(claim: int | None) -> bool:
-            """Explain the next violation that the confirming world shows; false where there is none."""
-            while left[claim] and len(told[claim]) < MOST_SHRUNK and shrunk[claim] < 2 * MOST_SHRUNK:
-                at = f"{found[claim].sentence_of(left[claim][0])}, example {shrunk[claim] + 1}"
-                group = left[claim].pop(0)
-                one = self._counterexample(group, len(told[claim]) + 1, partial(_tell, tell, at))
-                if self.findings.interrupted and one is None:
-                    return False
-                if one is None:
-                    continue
-                shrunk[claim] += 1
-                for same in told[claim]:
-                    if one.is_same_as(same.one):
-                        same.groups.append(group)
-                        return True
-                told[claim].append(self._save(one, [group], found[claim].searcher))
-                return True
-            return False
-
-        with self.output.words() as tell:
-            going, first = [*claims], True
-            while going:
-                for claim in [*going]:
-                    late = not (first or self.explains_all or claim is None) and time.monotonic() >= until_s
-                    if late or self.findings.interrupted or not explain_next(claim):
-                        going.remove(claim)
-                first = False
+        examples = []
         for claim in claims:
-            for written in told[claim]:
-                self.output.result(*written.lines)
-                self.output.detail(*(f"  {line}" for line in written.one.further))
-            if left[claim] and not self.findings.interrupted:
-                count = sum(group.count for group in left[claim])
-                rest = "" if self.explains_all else "; --explain all"
-                self.output.say(
-                    f"{found[claim].sentence_of(left[claim][0])}: {_violations(count)} not explained, "
-                    f"of the same cause or others ({FINDINGS}, {AS_FOUND}{rest})"
-                )
+            found = next((one for one in searches if one.of_claim(claim)), self.findings)
+            examples.append(_Examples(self, claim, found, _one_of_each_kind_first(found.of_claim(claim))))
+        until_s = time.monotonic() + self.search_s
+        with self.output.words() as tell:
+            going = [one for one in examples if one.explain_next(tell)]
+            while going:
+                going = [
+                    one
+                    for one in going
+                    if (self.explains_all or one.claim is None or time.monotonic() < until_s)
+                    and one.explain_next(tell)
+                ]
+        for one in examples:
+            one.report()
 
     def _counterexample(
         self, group: Group, number: int, on_step: Callable[[str], None]
@@ -469,6 +438,51 @@ class SearchSession:
         return False
 
 
+@dataclass(eq=False)
+class _Examples:
+    """The groups of a claim (None: of mishaps) that are ``left`` to explain, and what others shrank to."""
+
+    session: SearchSession
+    claim: int | None
+    findings: Findings
+    left: list[Group]
+    written: list[WrittenCounterexample] = field(default_factory=list)
+    shrunk: int = 0
+
+    def explain_next(self, tell: Callable[[str], None]) -> bool:
+        """Explain the next violation that the confirming world shows; return whether there was any."""
+        session = self.session
+        while self.left and len(self.written) < MOST_SHRUNK and self.shrunk < 2 * MOST_SHRUNK:
+            if session.findings.interrupted:
+                break
+            group = self.left.pop(0)
+            at = f"{self.findings.sentence_of(group)}, example {self.shrunk + 1}"
+            case = session._counterexample(group, len(self.written) + 1, partial(_tell, tell, at))
+            if case is None:
+                continue
+            self.shrunk += 1
+            if (same := next((one for one in self.written if case.is_same_as(one.one)), None)) is not None:
+                same.groups.append(group)
+            else:
+                self.written.append(session._save(case, [group], self.findings.searcher))
+            return True
+        return False
+
+    def report(self) -> None:
+        """Print the counterexamples, and how many violations have no explanation."""
+        output = self.session.output
+        for written in self.written:
+            output.result(*written.lines)
+            output.detail(*(f"  {line}" for line in written.one.further))
+        if self.left and not self.session.findings.interrupted:
+            count = sum(group.count for group in self.left)
+            rest = "" if self.session.explains_all else "; --explain all"
+            output.say(
+                f"{self.findings.sentence_of(self.left[0])}: {_violations(count)} not explained, "
+                f"of the same cause or others ({FINDINGS}, {AS_FOUND}{rest})"
+            )
+
+
 def search_space(
     trials: Trials,
     make: MakesSearcher,
@@ -506,8 +520,9 @@ def search_space(
     """
     there = PYBULLET.is_installed
     confirming = in_pybullet if there else in_kinematic
-    session = SearchSession(trials, out or Path(), budget, output, confirming, there, explain, explains_all)
-    session.concluding = concluding
+    session = SearchSession(
+        trials, out or Path(), budget, output, confirming, there, explain, explains_all, concluding
+    )
     session.keeps = out is not None
     at = session.out
     files = [*at.glob("*.yaml"), *(at / AS_FOUND).rglob("*.yaml")] if (at / FINDINGS).exists() else []

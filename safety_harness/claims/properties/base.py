@@ -9,6 +9,7 @@ property reads, or never exercised the property.  A violation before a truncatio
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -154,7 +155,7 @@ PLURAL = re.compile(r"(\{(\w+):[^}]*\} \w+)\(s\)")
 PER_SI = {"mm": 1e3, "mm/s": 1e3, "m/s": 1.0, "m/s2": 1.0, "deg/s2": 180.0 / np.pi, "s": 1.0, "ms": 1e3}
 
 
-class Worded:
+class Worded(ABC):
     """A property whose sentence is ``words``, with fields of its own as "within {within_m:mm}".
 
     The text after the colon is a unit of ``PER_SI``, "%" for a share, "1" for a number, or empty for a count.
@@ -162,9 +163,9 @@ class Worded:
     """
 
     @property
+    @abstractmethod
     def words(self) -> str:
         """Return the sentence with the names of its fields."""
-        raise NotImplementedError
 
     @cached_property
     def sentence(self) -> str:

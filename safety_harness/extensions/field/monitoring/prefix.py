@@ -43,6 +43,8 @@ from safety_harness.claims.formulas.semantics import LEAST, NO_WINDOW, NOT, OPER
 Columns = Callable[[Comparison | Truth], tuple[int, int, int]]  # signal, low and high of an atom
 Ends = tuple[float, float]  # least and largest
 MOST_TICKS = 20_000  # that windows may reach ahead: each new tick looks at them again
+ALWAYS: Ends = (np.inf, np.inf)  # both margins of a demand that no tick made
+NEVER: Ends = (-np.inf, -np.inf)
 
 
 def is_endless(formula: Formula) -> bool:
@@ -155,7 +157,8 @@ class _Node:
     ) -> None:
         self.parts = [_Node(part, period_s, columns, code, reading) for part in formula.parts]
         self._formula, span = formula, getattr(formula, "span", None)
-        self._over = not is_endless(formula) and any(map(is_endless, formula.nodes()))
+        self._endless = is_endless(formula)
+        self._over = not self._endless and any(map(is_endless, formula.nodes()))
         self._best, self._lasting = (-np.inf, -np.inf), (np.inf, np.inf)
         if isinstance(formula, Comparison | Truth):
             reading.append((len(code), *_reading(formula, columns)))
@@ -195,18 +198,17 @@ class _Node:
 
         For what has windows b is the margin, which is final.
         """
+        if not self._endless:
+            return NEVER, self._ends(values)
         parts = [part._ends(values) for part in self.parts]
-        always, never = (np.inf, np.inf), (-np.inf, -np.inf)
-        if isinstance(self._formula, Until) and is_endless(self._formula):
+        if isinstance(self._formula, Always):
+            return parts[0], NEVER
+        if isinstance(self._formula, Eventually):
+            return ALWAYS, parts[0]
+        if isinstance(self._formula, Until):
             return parts[0], parts[1]
-        if isinstance(self._formula, Eventually) and is_endless(self._formula):
-            return always, parts[0]
-        if isinstance(self._formula, Always) and is_endless(self._formula):
-            return parts[0], never
-        if isinstance(self._formula, Globally):
-            (least, most), (low, high) = parts
-            return (np.inf if most < 0.0 else low, high if least >= 0.0 else np.inf), never
-        return never, self._ends(values)
+        (least, most), (low, high) = parts  # of a trigger, and of its demand
+        return (np.inf if most < 0.0 else low, high if least >= 0.0 else np.inf), NEVER
 
     def _ends(self, values: NDArray[np.float64]) -> Ends:
         low, high = values[self.row].tolist()
