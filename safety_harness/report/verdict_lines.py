@@ -10,7 +10,7 @@ import numpy as np
 
 from safety_harness.claims.properties.against import SCALES
 from safety_harness.claims.properties.base import Evaluation
-from safety_harness.claims.properties.hand_distance import HandDistance
+from safety_harness.claims.properties.hand_distance import nearest_hand
 from safety_harness.claims.properties.tally import made_in
 from safety_harness.report.evidence import SEVERITY, JudgedRun
 from safety_harness.report.words import tested_words
@@ -111,7 +111,7 @@ def nearest_hand_words(trace: Trace) -> str:
     A simulated contact has the highest speeds of hand and TCP just before.  Empty for a run without hands,
     and where the distance was not measured.
     """
-    found = HandDistance(minimum_m=0.0, near_m=inf).evaluate(trace)
+    found = nearest_hand(trace)
     if found.margin is None or found.worst_time_s is None:
         return ""
     moment = f"{found.reason} at {found.worst_time_s:.3f} s"

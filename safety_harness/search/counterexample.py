@@ -19,6 +19,7 @@ import numpy as np
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import folder_of
 from safety_harness.claims.properties.base import Evaluation
+from safety_harness.claims.properties.hand_distance import nearest_hand
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Confirm, in_one_world
@@ -98,6 +99,18 @@ def sure_about_unseen(trace: Trace, seen: SeenRegions) -> list[str]:
     return [f"{text}, {where}; {len(sure)} of {len(rows)} decisions are so"]
 
 
+CONTACT = {
+    Verdict.VIOLATED: "contact",
+    Verdict.HOLDS: "no contact",
+    Verdict.INCONCLUSIVE: "contact unknown",
+}
+
+
+def contact_words(run: Trace | Exception) -> str:
+    """Return whether a hand touches the arm in a run; unknown if it did not end, or by its bounds."""
+    return CONTACT[nearest_hand(run).verdict if isinstance(run, Trace) else Verdict.INCONCLUSIVE]
+
+
 KEPT = 0.1  # of the first margin, at least, so that the result does not lie on the edge
 DRAWS = 10  # of the avoider's own randomness
 _NUMBER = re.compile(r"(?<![\w.-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")  # no digits within names
@@ -109,8 +122,9 @@ class Counterexample:
 
     ``run`` is that run, or an Exception if it could not be finished.  ``draws`` counts in how many of DRAWS
     draws of the avoider's own randomness the violation occurs.  ``found_margin`` [SI] is the margin in the
-    confirming world before shrinking; None for a run error.  ``circumstances`` and ``attribution`` (the
-    cause) are lines for people.  An interrupted shrinking leaves attribution and draws empty.  A scenario
+    confirming world before shrinking; None for a run error.  ``found_contact`` and ``contact`` have
+    ``contact_words`` before and after shrinking.  ``circumstances`` and ``attribution`` (the cause) are lines
+    for people.  An interrupted shrinking leaves attribution and draws empty.  A scenario
     without an avoider has no draws.
     """
 
@@ -119,9 +133,15 @@ class Counterexample:
     run: Trace | Exception
     evaluations: tuple[Evaluation, ...]
     found_margin: float | None
+    found_contact: str
     circumstances: tuple[str, ...]
     attribution: tuple[str, ...]
     draws: int | None
+
+    @cached_property
+    def contact(self) -> str:
+        """Return whether a hand touches the arm in ``run``."""
+        return contact_words(self.run)
 
     @property
     def explanation(self) -> list[str]:
@@ -223,6 +243,7 @@ def counterexample_of(
         last.run,
         last.evaluations,
         margin,
+        contact_words(first),
         tuple(filter(None, (complaint.reference_words(last.run), *circumstances(last.run))))
         if isinstance(last.run, Trace)
         else (),

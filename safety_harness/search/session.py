@@ -107,7 +107,7 @@ class WrittenCounterexample:
         margin = "-" if one.evaluation is None else one.evaluation.margin_text()
         return [
             f"violated {margin:>13}  {one.complaint.words}{AS_EXPECTED if self.expected else ''}",
-            f"  {self.found_words}; shrunk in {one.shrunk.used} runs",
+            f"  {self.found_words}; shrunk in {one.shrunk.used} runs, {one.contact}",
             *(f"  {line}" for line in one.circumstances[: one.complaint.reference is not None]),
             *(f"  {line}" for line in one.attribution),
             f"  safety-harness run {shlex.quote(str(self.path))}",
@@ -115,20 +115,12 @@ class WrittenCounterexample:
 
     @property
     def found_words(self) -> str:
-        """How many violations led to it, the confirmed margin before it was shrunk, and contact."""
+        """How many violations led to it, and the confirmed margin and contact before it was shrunk."""
         one, count = self.one, sum(group.count for group in self.groups)
         words = [f"{_violations(count)} led to it"]
         if one.evaluation is not None and one.found_margin is not None:
             words.append(f"the worst by {one.evaluation.unit.margin_text(one.found_margin)}")
-        return ", ".join([*words, *["contact"] * self.touches])
-
-    @property
-    def touches(self) -> bool:
-        """Whether a hand touches the arm in its run."""
-        run = self.one.run
-        return (
-            isinstance(run, Trace) and len(run.ticks) > 0 and bool((run.ticks["hand_distance_m"] < 0.0).any())
-        )
+        return ", ".join([*words, one.found_contact])
 
 
 @dataclass(eq=False)

@@ -70,6 +70,7 @@ def counterexample() -> Counterexample:
         run=run.trace,
         evaluations=run.evaluations,
         found_margin=-0.1098,
+        found_contact="contact",
         circumstances=("the run: right, to 1 m/s", "decision 1; largest spread 7 mm (threshold 5 mm)"),
         attribution=(
             "whose fault: perception (ideal): +9.0 mm",
@@ -218,6 +219,7 @@ def test_counterexamples_of_one_cause_are_one_card() -> None:
     cards = page.all("div", "answer")
     assert len(cards) == 2
     assert all("as found" in card.text and "shrunk" in card.text for card in cards)
+    assert all("109.8 mm, contact" in card.text for card in cards)
     assert all("contact" in card.text and "safety-harness run " in card.text for card in cards)
     assert all(len(card.all("svg")) == 1 for card in cards)
     alone = parse(render(evidence(shown=three)))

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from safety_harness.admission.admit import Admitted
+from safety_harness.admission.admit import Admitted, admit
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.search.confirm import Complaint
-from safety_harness.search.counterexample import Counterexample, counterexample_of
+from safety_harness.search.counterexample import Counterexample, contact_words, counterexample_of
 from safety_harness.search.trials import ScenarioRunner, in_kinematic
 from safety_harness.trace.trace import Trace
 
@@ -68,3 +69,21 @@ def test_what_the_confirming_world_does_not_show_is_never_taken(alone: tuple[Cou
         ]
 
     assert shrunk(stricter, in_kinematic).shrunk.scenario.duration_s >= 2.0
+
+
+def test_contact_as_found_is_told_although_shrinking_leaves_none(alone: tuple[Counterexample, int]) -> None:
+    """``fast-reach`` has a hand 76 mm inside the arm; what it shrinks to only has to violate 50 mm."""
+    (found,) = in_kinematic([admit(FOUND)])
+    assert isinstance(found, Trace)
+    assert alone[0].found_contact == contact_words(found) == "contact"
+    assert alone[0].contact == contact_words(alone[0].run)
+
+
+def test_a_run_without_an_end_is_no_evidence_of_no_contact() -> None:
+    calm = read_scenario(ROOT / "scenarios" / "hand-visits-and-leaves.yaml")
+    (run,) = in_kinematic([admit(calm)])
+    assert isinstance(run, Trace)
+    assert contact_words(run) == "no contact"
+    assert contact_words(replace(run, ticks=run.ticks[: len(run.ticks) // 8])) == "contact unknown"
+    assert contact_words(replace(run, ticks=run.ticks[:0])) == "contact unknown"
+    assert contact_words(RuntimeError("the engine broke")) == "contact unknown"

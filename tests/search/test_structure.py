@@ -40,6 +40,7 @@ def of(shrunk: Scenario, complaint: Complaint | None = None) -> Counterexample:
         run=RuntimeError("not run"),
         evaluations=(),
         found_margin=None,
+        found_contact="contact unknown",
         circumstances=(),
         attribution=(),
         draws=None,

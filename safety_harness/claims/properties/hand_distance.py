@@ -105,6 +105,11 @@ def judged_nearest(
     )
 
 
+def nearest_hand(trace: Trace) -> Evaluation:
+    """Judge the least distance of any hand from the arm: contact violates, however far other hands stay."""
+    return HandDistance(minimum_m=0.0, near_m=np.inf).evaluate(trace)
+
+
 HAND_DISTANCE = CatalogueEntry(
     prop=HandDistance(minimum_m=0.05),
     formula="always hand distance >= {}",
