@@ -9,9 +9,14 @@ from typer import Option, Typer
 from safety_harness.cli.options import command
 
 commands = Typer()
+FIRST_RUN = "safety-harness run shipped:first-run"
 
 
-@command(commands, interrupted="interrupted: what was compiled is kept; warm goes on from there")
+@command(
+    commands,
+    interrupted="interrupted: what was compiled is kept; warm goes on from there",
+    then=FIRST_RUN,
+)
 def warm(
     forget: Annotated[
         bool, Option("--forget", help="Remove what no process has used for 30 days, and compile nothing.")
@@ -33,7 +38,7 @@ def warm(
     return forget_old() if forget else warm_up()
 
 
-@command(commands, interrupted="interrupted: the rest was not looked at")
+@command(commands, interrupted="interrupted: the rest was not looked at", then=FIRST_RUN)
 def doctor() -> int:
     """Check machine, Python, caches and packages.
 

@@ -77,16 +77,6 @@ Executes = Annotated[bool, Option("--execute-programs", help="Allow the input's 
 Verbose = Annotated[bool, Option("--verbose", "-v", help="Print every line, not only what matters.")]
 Workers = Annotated[int | None, Option("--jobs", help="Processes; without it, one for each core.", min=1)]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
-# The command that a user most likely wants next, by functions of commands, with the values of their options.
-NEXT = {
-    "list_shipped": "safety-harness copy shipped:NAME",
-    "doctor": "safety-harness run shipped:first-run",
-    "warm": "safety-harness run shipped:first-run",
-    "sample": "safety-harness run {out}",
-    "dataset": "safety-harness train mc-dropout --data {out}",
-    "train": "safety-harness evaluate {out}/model.safetensors",
-    "declare": "safety-harness certify {plan}",
-}
 _AsJson = Annotated[bool, Option("--json", help="One JSON document in place of lines for people.")]
 _Asked = ParamSpec("_Asked")
 
@@ -97,14 +87,15 @@ def command(
     *,
     interrupted: str = "",
     failed: int | None = None,
+    then: str = "",
     json: bool = True,
 ) -> Callable[[Callable[_Asked, int]], Callable[_Asked, int]]:
     """A command of ``group``, of a function that returns an exit code, which it ends with.
 
     The user's mistakes are explained, and are exit code 2.  Any other error of ours is ``failed`` (None: it
     is raised), and Ctrl-C is answered with the words ``interrupted`` (none: it is raised).  Without ``json``
-    it has no option --json.
-    After exit code 0 or 1 it prints the next command, if ``NEXT`` has any.
+    it has no option --json.  After exit code 0 or 1 it prints the command that a user most likely wants
+    ``then``, with the values of its options in the places of their names.
     """
 
     def registered(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
@@ -128,9 +119,8 @@ def command(
             as_json = options.pop("as_json", False)
             answered = partial(answer, *args, **options)
             code = answered_as_json(answered) if as_json else answered()
-            if work.__name__ in NEXT and not as_json and code in (AS_EXPECTED, DIFFERS):
-                texts = {name: shlex.quote(str(value)) for name, value in options.items()}
-                next_step(NEXT[work.__name__].format_map(texts))
+            if then and not as_json and code in (AS_EXPECTED, DIFFERS):
+                next_step(then.format_map({name: shlex.quote(str(value)) for name, value in options.items()}))
             raise Exit(code)
 
         update_wrapper(ended, work)

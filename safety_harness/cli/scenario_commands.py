@@ -288,7 +288,11 @@ def show(
     return show_files(files, out=out, draws=draws, seed=seed)
 
 
-@command(commands, interrupted="interrupted: the files that were written are kept")
+@command(
+    commands,
+    interrupted="interrupted: the files that were written are kept",
+    then="safety-harness run {out}",
+)
 def sample(
     space: OfSpace,
     out: Annotated[Path, Option(help="Folder for the scenario files.")] = Path("reports/sample"),

@@ -25,7 +25,7 @@ commands = Typer()
 REFERRING = ("arm", "avoider", "capsules", "extends", "recording", "robot", "scenarios", "space", "urdf")
 
 
-@command(commands, "list")
+@command(commands, "list", then="safety-harness copy shipped:NAME")
 def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these.")] = None) -> int:
     """List the scenarios, spaces and other files of the package.
 

@@ -11,8 +11,11 @@ import time
 from pathlib import Path
 
 import pytest
+from typer import Typer
+from typer.testing import CliRunner
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
+from safety_harness.cli.options import command as command_of
 from safety_harness.cli.scenario_commands import judge as judge_again
 from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.scenario.expand import gather
@@ -206,3 +209,27 @@ def test_ctrl_c_and_signals_alike_keep_what_was_finished(
     assert "Traceback" not in err
     assert "1 of 2 verdicts as expected (1 hold, 1 inconclusive), 2 of 2 scenarios run" in out
     assert (tmp_path / "o" / "report.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("code", "more", "told"), [(0, [], True), (1, [], True), (2, [], False), (0, ["--json"], False)]
+)
+def test_a_command_ends_with_the_next_one_unless_it_failed_or_answers_in_json(
+    code: int, more: list[str], told: bool
+) -> None:
+    group = Typer()
+
+    @command_of(group, "train", then="evaluate {out}")
+    def train(out: Path = Path("a b")) -> int:
+        """Train. Exit code 0."""
+        return code
+
+    @command_of(group, "other")
+    def sample() -> int:
+        """Have the name of a function with a next command. Exit code 0."""
+        return 0
+
+    found = CliRunner().invoke(group, ["train", *more])
+    assert found.exit_code == code
+    assert ("next: evaluate 'a b'" in found.stderr) == told
+    assert CliRunner().invoke(group, ["other"]).stderr == ""

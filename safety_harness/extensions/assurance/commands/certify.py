@@ -236,7 +236,7 @@ def tell_delta(
     return DIFFERS if delta.regressions else AS_EXPECTED
 
 
-@command(of_certify)
+@command(of_certify, then="safety-harness certify {plan}")
 def declare(
     plan: Annotated[Path, Argument(help="A plan that has not been run yet.", metavar="PLAN")],
     out: Annotated[

@@ -33,7 +33,11 @@ Cell = Annotated[
 commands = Typer()
 
 
-@command(commands, interrupted="interrupted: no data set was written")
+@command(
+    commands,
+    interrupted="interrupted: no data set was written",
+    then="safety-harness train mc-dropout --data {out}",
+)
 def dataset(
     out: Annotated[Path, Argument(help="Folder for arrays.npz and manifest.json.", metavar="FOLDER")],
     space: Annotated[str, Option(help="'seen', 'unseen hand', 'unseen tcp' or 'unseen both'.")] = "seen",
@@ -87,7 +91,7 @@ def dataset(
     return AS_EXPECTED
 
 
-@command(commands)
+@command(commands, then="safety-harness evaluate {out}/model.safetensors")
 def train(
     recipe: Annotated[
         str,
