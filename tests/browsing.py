@@ -58,6 +58,9 @@ def show(browser: Any, report: str, *, width: int, scheme: str = "light", media:
     size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     browser.get(report)
+    # The driver may return while the page still loads: its script has not filtered the rows yet.
+    loaded = "document.readyState === 'complete' ? arguments[0]() : addEventListener('load', () => done())"
+    browser.execute_async_script(f"const done = arguments[0]; {loaded}")
 
 
 def colour(browser: Any, selector: str, name: str) -> list[int]:

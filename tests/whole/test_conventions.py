@@ -177,6 +177,7 @@ def test_json_of_a_run_is_what_its_report_has_and_judge_says_the_same_again(
 def test_a_run_whose_reader_is_gone_goes_on_to_its_report(short: Path, tmp_path: Path) -> None:
     done = in_shell(f"HARNESS run {short} --out {tmp_path / 'out'} | true")
     assert done.returncode == 0
+    assert f"report: {tmp_path / 'out' / 'report.html'}" in done.stderr
     assert (tmp_path / "out" / "report.html").is_file()
 
 

@@ -151,7 +151,7 @@ def test_the_command_writes_both_files_and_judge_reads_them(tmp_path: Path) -> N
     claim = "hand distance never below 50 mm"
     judged = CliRunner().invoke(app, ["judge", str(out.parent / LOG_FILE), "--claim", claim])
     assert judged.exit_code == 1, judged.output
-    assert "VIOLATED" in judged.output
+    assert "VIOLATED  hand distance never below 50 mm  -125.7 mm at 1.952 s (expected holds)" in judged.output
 
 
 def test_the_camera_shows_in_the_file_what_the_controller_saw(

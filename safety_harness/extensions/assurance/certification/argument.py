@@ -236,7 +236,7 @@ def _stratum(row: ClaimResult, place: str) -> Element:
     """Return the solution for a claim in one stratum."""
     bound = "" if row.bound is None else f", at most {at_most(row.bound.upper)}"
     text = (
-        f"{row.stratum}: {row.violated} of {row.tested} tested runs violate it{bound}, {row.standing.value}"
+        f"{row.stratum}: {row.violated} of {row.tested} tested runs violate it{bound}: {row.standing.value}"
     )
     return Element(ElementKind.SOLUTION, text, place, STATE[row.standing])
 

@@ -164,8 +164,8 @@ def calibration(evidence: Evidence) -> CellTable:
     """Return the table of the verdicts on the avoider's intervals, by stratum."""
     return table_of(
         "The first answered decision in every declared random run with a stored trace; a verdict needs "
-        "a hundred decisions. Each interval holds alone with 95 % confidence, apart from the bounds "
-        "that hold together.",
+        "a hundred decisions. An interval has 95 % confidence by itself; the bounds that hold together do "
+        "not include it.",
         evidence.calibration,
         {
             "Stratum": lambda row: text_cell(row.stratum),
