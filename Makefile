@@ -137,7 +137,7 @@ wheel: docs
 	.ci/machine_code.py $(CODE_FOR)
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
 
-# The largest disagreement with each independent oracle, into plans/oracles.json and docs/selftest.md.
+# The largest disagreement with each independent oracle, into plans/oracles.json and docs/results/self-test.md.
 oracles: $(VENV)/tested
 	$(BIN)/python -m pytest -q tests/cell/robot tests/cell/perception tests/cell/servoing tests/claims/formulas tests/lab/learning \
 		tests/base/test_proportions.py --oracles plans/oracles.json
@@ -164,7 +164,7 @@ mutation: $(VENV)/tested
 	$(HERE) --editable '.[mutation]'
 	$(BIN)/mutmut run
 
-# 100 mutants of the control stack, drawn by lot, into docs/mutants.json and docs/selftest.md: resumes.
+# 100 mutants of the control stack, drawn by lot, into docs/mutants.json and docs/results/self-test.md: resumes.
 mutants: $(VENV)/tested
 	$(BIN)/python benchmarks/mutants.py
 	$(BIN)/python docs/tables.py

@@ -1,9 +1,9 @@
 """Arms of other makers through the whole harness.  Run: python benchmarks/arms.py.
 
-For each arm the space of ``docs/robots.md``, around the arm's shipped scenario: N random scenarios of it in
-both worlds, judged by the whole catalogue, and a search by ``safety-harness fuzz``.  A verdict counts as
-outside the limit as in ``agreement.py``: where either world's margin is more than 5 mm from zero, or is no
-length.  Prints the tables of ``ARMS.md``; disagreements are listed below them.
+For each arm the space of ``docs/how-to/robot.md``, around the arm's shipped scenario: N random scenarios
+of it in both worlds, judged by the whole catalogue, and a search by ``safety-harness fuzz``.  A verdict
+counts as outside the limit as in ``agreement.py``: a margin is more than 5 mm from zero, or is no length.
+Prints the tables of ``ARMS.md``; disagreements are listed below them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The pictures of docs/gallery.md, of the pages in reports/sample: make sample first.
+"""The pictures of docs/tutorials/first-run.md, of the pages in reports/sample: make sample first.
 
 Run: python benchmarks/gallery.py
 """

@@ -1,4 +1,4 @@
-"""Write docs/models.md, the cards of the shipped networks, from their files and a fresh evaluation.
+"""Write docs/results/networks.md, the cards of the shipped networks, from their files and a fresh evaluation.
 
 Run: python benchmarks/model_cards.py (half a minute).
 """
@@ -24,7 +24,7 @@ from safety_harness.extensions.lab.commands.learning import metrics
 from safety_harness.extensions.lab.measured_times import answer_times_s, machine
 from safety_harness.report.words import milliseconds_words
 
-PAGE = Path(__file__).parents[1] / "docs" / "models.md"
+PAGE = Path(__file__).parents[1] / "docs" / "results" / "networks.md"
 EVALUATE = Path(__file__).with_name("EVALUATE.md")
 ABOUT = {
     "mc-dropout": "The default avoider: Monte Carlo dropout after each stage (DO-inter), ten passes.",
@@ -32,18 +32,20 @@ ABOUT = {
     "deterministic": "No dropout: one pass, no spread, so that the gate never finds it uncertain.",
     "ensemble": "Five deterministic networks from five seeds; the spread is over the members.",
     "optimum": "Trained on the continuous optimum in place of eq. 13's selected candidate: no noise.",
-    "student": "Two layers of 32 with ReLU, trained as `optimum`: small enough for [proofs](proof.md).",
+    "student": "Two layers of 32 with ReLU, trained as `optimum`: small, for [proofs](../how-to/prove.md).",
     "student-ensemble": "Five of `student` from five seeds; the spread is over them, and needs no seed.",
 }
 HEAD = """\
+<!-- reader: research; written by: benchmarks/model_cards.py; question: How good are the shipped networks? -->
+
 # The shipped networks
 
 Written by `python benchmarks/model_cards.py` from the model files and a fresh evaluation; figures in
 millimetres. The regression ResNet of Chen et al. (2020) as in figures 3 and 4 of the paper: three stages of
 one dense and two identity blocks, 32 units wide; `student` and its ensemble are perceptrons. Each was
 trained on the CPU of two ordinary cores in one to
-four minutes, with a recipe of ours ([learning.md](learning.md)); the paper's own recipes and scale are one
-command away (`safety-harness train paper-mc-dropout`).
+four minutes, with a recipe of ours ([training](../how-to/train.md)); the paper's own recipes and scale are
+one command away (`safety-harness train paper-mc-dropout`).
 
 **Training data**, the same for all: 10,000 TCPs x 500 hands, 100 candidates a TCP, seed 0, sha256
 `{data}`;
@@ -120,7 +122,7 @@ def computing_time() -> Iterator[str]:
     """What each declares, and what it takes here."""
     yield "## Computing time\n"
     yield (
-        "All declare a decision time of 0: [computing time is not modelled](avoiders.md#computing-time)\n"
+        "All declare 0 as decision time: [time is not modelled](../how-to/avoider.md#computing-time)\n"
         "unless the settings say it. One question at a time, as `safety-harness time` asks, 1,000 answers\n"
         f"of each, on {machine()}, load {os.getloadavg()[0]:.0f} (processes that wanted to run):\n"
     )
@@ -140,9 +142,9 @@ def what_evaluate_finds() -> Iterator[str]:
     """The rows of EVALUATE.md about the avoiders that ship."""
     yield "## What evaluate finds"
     yield ""
-    yield "Findings of [`evaluate`](evaluate.md) on the avoiders that ship, from `benchmarks/EVALUATE.md`: in"
-    yield "how many of the seeds, and the range of the figures. `opposite pose` and `nearest candidate` are"
-    yield "far from the optimum, or jump, by design."
+    yield "Findings of [`evaluate`](../how-to/evaluate.md) on the avoiders that ship, from"
+    yield "`benchmarks/EVALUATE.md`: in how many of the seeds, and the range of the figures. `opposite pose`"
+    yield "and `nearest candidate` are far from the optimum, or jump, by design."
     yield ""
     shown = ("avoider", *SHIPPED, "opposite pose", "nearest candidate")
     rows = EVALUATE.read_text().partition("## Sound avoiders")[2].splitlines()

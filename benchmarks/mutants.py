@@ -7,7 +7,7 @@ where it fits.  The fault is put into a copy of the package, and the tests of it
 first that fails, those of the file itself first.  A mutant that does not compile is passed over for the
 next one drawn.  The result goes to docs/mutants.json; those found there as killed are not tried
 again while their file is the same, so that a run goes on where it was stopped, and a new test is
-tried on the survivors alone.  The table in docs/selftest.md is made from it by docs/tables.py.
+tried on the survivors alone.  The table in docs/results/self-test.md is made from it by docs/tables.py.
 """
 
 from __future__ import annotations

@@ -139,7 +139,7 @@ def main() -> None:
     text = (
         f"# The URDFs of {PACKAGE} {version}\n\nA file is read if one arm of it is: 3 to 8 turning joints in "
         "a row that end at a link without a joint below it. What an arm lacks is asked for by what needs it "
-        f"alone ([robots](../docs/robots.md)).\n\n{table(found)}\n"
+        f"alone ([robots](../docs/how-to/robot.md)).\n\n{table(found)}\n"
     )
     Path(__file__).with_name("URDFS.md").write_text(text, encoding="utf-8")
     sys.stdout.write(text)

@@ -53,7 +53,7 @@ Written by `make bench`. A ratio is formed within each turn of two sides that ta
 and given as median (least to greatest) of the turns; more than one means that ours is quicker, but where the
 aim says "at most", or the row names two others. How each is measured is said at the top of its script. Notes
 are of a machine as busy as `load` says (processes that wanted to run, before and after); compare ratios, not
-seconds. From start to exit: `START_UP.md`; what an installation weighs: `docs/install.md`.
+seconds. From start to exit: `START_UP.md`; what an installation weighs: `docs/how-to/install.md`.
 
 """
 

@@ -103,7 +103,8 @@ VIOLATED = [  # assumption, how, lines of the space
 HEAD = """# Shield
 
 Written by `python benchmarks/shield.py`, each section at the revision that it names; the full numbers by
-`make shield-all`. [The shield](../docs/shield.md) has the rule, its proof and what it takes for granted.
+`make shield-all`. [The shield](../docs/explanation/shield.md) has the rule, its proof and its
+assumptions.
 """
 
 

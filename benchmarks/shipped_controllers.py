@@ -1,4 +1,4 @@
-"""Write docs/shipped-controllers.md: the controllers that ship, and how each behaves in every shipped space.
+"""Write docs/results/controllers.md: the controllers that ship, and how each behaves in every shipped space.
 
 Run: python benchmarks/shipped_controllers.py [--draws N] [--out FILE] (some minutes).
 
@@ -33,23 +33,25 @@ from safety_harness.space.read import read_space
 from safety_harness.trace.trace import Trace
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "shipped-controllers.md"
+PAGE = ROOT / "docs" / "results" / "controllers.md"
 KEPT = ("TCP speed never above 250 mm/s", "joint speeds within limits", "joint positions within limits")
 NEAR = "hand distance never below 50 mm"
 ARRIVED_M = 0.02
 TRAINED_IN, STREAM = "reaching-hands", 1000  # of the seed tree; training has had 0 to 127
 CARDS = """\
+<!-- reader: research; written by: benchmarks/shipped_controllers.py; question: How good are they? -->
+
 # Controllers that ship
 
 Written by `make bench-shipped_controllers`. Each is named as `controller:` or `--controller`
-([controllers](controllers.md)); none is safe by itself, and the table below says how far each is.
+([controllers](../how-to/controller.md)); none is safe by itself, and the table below says how far each is.
 
 ## Visual servo
 
 The paper's, and the default: image moments of the object drive the TCP; when a predicted hand comes
-within the critical distance an [avoider](avoiders.md) proposes where to retreat to, and a gate decides.
-Sees the object and the predicted hands; reports mode, decisions and doubt. Needs the object in the
-camera's view at the start. States and transitions: [state-table.md](state-table.md).
+within the critical distance an [avoider](../how-to/avoider.md) proposes where to retreat to, and a gate
+decides. Sees the object and the predicted hands; reports mode, decisions and doubt. Needs the object in the
+camera's view at the start. States and transitions: [the state table](../reference/controller.md).
 
 ## Stop when near
 
@@ -62,7 +64,7 @@ object, and looks at the TCP alone: a hand at the elbow does not stop it.
 ## Learned policy
 
 A network of 13,520 weights, trained by PPO in six minutes on two processors by
-[examples/train_a_policy.py](../examples/train_a_policy.py) on `reaching-hands` with random seed 0, 1.5
+[examples/train_a_policy.py](../../examples/train_a_policy.py) on `reaching-hands` with random seed 0, 1.5
 million actions of 40 ms each; `models/learned-policy.onnx`, SHA-256 `{sha256}`. It runs in this process
 by onnxruntime (extra `onnx`). Sees the TCP, and positions and velocities of the predicted hands;
 commands the TCP's velocity; reports nothing, so claims about mode and decisions are inconclusive.

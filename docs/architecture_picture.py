@@ -1,4 +1,4 @@
-"""Draw the packages and their imports for docs/architecture.md.  ``docs/tables.py`` calls this."""
+"""Draw the packages and their imports for docs/explanation/architecture.md; ``docs/tables.py`` calls it."""
 
 from __future__ import annotations
 

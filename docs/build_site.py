@@ -26,8 +26,9 @@ ROOT = Path(__file__).parents[1]
 LINK = re.compile(r"\]\(([^)#\s:]+)(#[^)\s]*)?\)")
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".json": "json", ".toml": "toml"}
 FETCHED = {"script": "src", "img": "src", "iframe": "src", "link": "href", "source": "src"}
-ARMS = "arms.html"  # a page of 3-D views, made where the site has it
-NO_PAGES = shutil.ignore_patterns("*.py", "*.json", "__pycache__")
+ARMS = "results/arms.html"  # a page of 3-D views, made where the site has it
+MOVED = "moved.yaml"  # safety-harness docs reads it from the site
+NO_PAGES = shutil.ignore_patterns("*.py", "*.json", MOVED, "__pycache__")
 
 
 def build(root: Path, out: Path, *, released: bool = False) -> None:
@@ -61,6 +62,8 @@ def build(root: Path, out: Path, *, released: bool = False) -> None:
                 raise SystemExit(f"{name}: fetches {what}; the site has to be readable without a network")
         shutil.rmtree(out, ignore_errors=True)
         shutil.copytree(work / "site", out)
+    for file in (root / "docs").glob(MOVED):
+        shutil.copy(file, out)
 
 
 def _repository(root: Path) -> dict[str, str]:

@@ -39,6 +39,13 @@ def sentences(text: str) -> Iterator[str]:
                 yield sentence
 
 
+def words(text: str) -> int:
+    """Return how many words of a page people wrote: all but generated tables, code and addresses."""
+    for written in (r"<!-- table: .*?<!-- end -->", r"<!--.*?-->", r"^```.*?^```$", r"(?<=\])\([^)]*\)"):
+        text = re.sub(written, " ", text, flags=re.DOTALL | re.MULTILINE)
+    return len(re.findall(r"[^\s|]*\w[^\s|]*", text))
+
+
 def found_in(sentence: str) -> list[str]:
     """Return the names of the constructions in a sentence."""
     return [name for name, rule in HARD.items() if re.search(rule, sentence)]

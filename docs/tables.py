@@ -39,8 +39,12 @@ ROOT = Path(extension_points.__file__).parents[1] / "__init__.py"
 _MARKED = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 
 
-def with_tables(text: str) -> str:
-    """A page with every marked table as it should be; KeyError for a table that there is not."""
+def with_tables(text: str, page: Path) -> str:
+    """A page with every marked table as it should be; KeyError for a table that there is not.
+
+    A cell names a page from docs/; its link leads there from the folder of this page.
+    """
+    up = "../" * (len(page.relative_to(DOCS).parts) - 1)
     tables = {table.name: markdown(table) for table in (*every_table(), *TABLES)}
     tables["moves"] = markdown_of_moves(MOVES)
     tables["claims"] = markdown_of_claims()
@@ -50,6 +54,7 @@ def with_tables(text: str) -> str:
     tables["oracles"] = markdown_of_oracles()
     tables["kills"], tables["harmless"] = markdown_of_kills()
     tables["mutants"], tables["mutants that survived"] = markdown_of_mutants()
+    tables = {name: re.sub(r"\]\((?=[\w/-]+\.md)", f"]({up}", table) for name, table in tables.items()}
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
 
 
@@ -245,7 +250,7 @@ def schema_text() -> str:
 def main() -> None:
     """Bring every page and the schema up to date; say which ones changed."""
     SCHEMA.parent.mkdir(exist_ok=True)
-    new = {page: with_tables(page.read_text()) for page in sorted(DOCS.glob("*.md"))}
+    new = {page: with_tables(page.read_text(), page) for page in sorted(DOCS.rglob("*.md"))}
     new[PICTURE] = picture()
     new[SCHEMA] = schema_text()
     new[PLANS] = json.dumps(table_schema(PLAN, TITLE), indent=1, ensure_ascii=False) + "\n"

@@ -2,7 +2,7 @@
 
 python train_a_policy.py [ACTIONS] [FILE.onnx]
 
-It sees the TCP and the predicted hands, and says how the TCP should move; docs/environments.md.
+It sees the TCP and the predicted hands, and says how the TCP should move; docs/how-to/environments.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Write docs/reproduction-results.md and the small sample beside it from the JSON of one run or several.
+"""Write docs/results/paper-numbers.md and the small sample beside it from the JSON of one run or several.
 
 Run: python paper/results_page.py reports/reproduction/reproduction.json [SENSITIVITY.json]
 """
@@ -12,16 +12,18 @@ from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGE, SAMPLE = DOCS / "reproduction-results.md", DOCS / "reproduction-results.json"
+PAGE, SAMPLE = DOCS / "results" / "paper-numbers.md", DOCS / "reproduction-results.json"
 HEAD = """\
+<!-- reader: research; written by: paper/results_page.py; question: Which numbers came out? -->
+
 # What came out of the reproduction
 
 Written by `python paper/results_page.py` from the JSON of
 
 {runs}
 
-How it was measured, and by which rule judged, is in [reproduction.md](reproduction.md); the plots are on the
-page that the command writes. The numbers are in [reproduction-results.json](reproduction-results.json).
+How it was measured, and by which rule judged, is in [the method](paper.md); the plots are on the
+page that the command writes. The numbers are in [reproduction-results.json](../reproduction-results.json).
 
 | part | verdict | why |
 |---|---|---|

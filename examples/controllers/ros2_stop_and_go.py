@@ -30,7 +30,7 @@ def wanted(tcp_in_base_m, hands_in_base_m, target_in_base_m):
 
 
 def answer(told, target_in_base_m=TARGET_IN_BASE_M):
-    """What the harness is told: the protocol of docs/controller-protocol.md."""
+    """What the harness is told: the protocol of docs/reference/controller-protocol.md."""
     if told["say"] == "hello":
         return HELLO
     if told["say"] == "reset":

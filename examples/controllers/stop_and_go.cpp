@@ -1,5 +1,5 @@
 // Stop and go, as a program: straight to the desired TCP, and a stop while a hand is nearer than 300 mm.
-// It speaks the protocol of docs/controller-protocol.md, a JSON object a line, by standard input and output:
+// It speaks the protocol of docs/reference/controller-protocol.md, a JSON object a line, by standard input and output:
 //
 //     c++ -O2 -std=c++17 -o stop_and_go stop_and_go.cpp
 //     safety-harness run shipped:hand-visits-and-leaves --controller "exec:./stop_and_go"

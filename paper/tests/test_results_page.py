@@ -17,7 +17,7 @@ def test_the_page_is_written_from_the_json_beside_it() -> None:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     found = json.loads((ROOT / "docs" / "reproduction-results.json").read_text("utf-8"))
-    page = (ROOT / "docs" / "reproduction-results.md").read_text("utf-8")
+    page = (ROOT / "docs" / "results" / "paper-numbers.md").read_text("utf-8")
     assert "\n".join(module.lines(found)) + "\n" == page
     assert {run["about"]["scale"] for run in found} == {"default"}
     assert [one["name"] for run in found for one in run["results"]][-1] == "sensitivity"

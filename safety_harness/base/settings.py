@@ -12,8 +12,8 @@ The numbers were written down before the first run.  These changed afterwards:
 * the overhead camera: 0.4 m higher and 0.13 m aside, with the first scenarios;
 * the full gate: a later addition, and the default since.
 
-The measure for the first three was the convergence of servoing without hands (docs/servoing.md), never a
-claim about a hand.
+The measure for the first three was the convergence of servoing without hands (docs/explanation/servoing.md),
+never a claim about a hand.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class Object:
     """
 
     # Close to a 3-4-5 right triangle, the best conditioned shape, with its centroid at the origin;
-    # at two thirds of the size raster images do not servo to 5 mm (docs/servoing.md).
+    # at two thirds of the size raster images do not servo to 5 mm (docs/explanation/servoing.md).
     polygon_m: tuple[tuple[float, float], ...] = setting(
         ((-0.053, -0.040), (0.106, -0.040), (-0.053, 0.080)),
         "outline in the object's own frame, one corner after another; convex for rendered images",
@@ -297,7 +297,7 @@ class Avoidance:
     hand_pull: float = setting(0.05, "the factor of eq. 13 of the paper", 0.0, 1.0)
     gate: GateKind = setting(
         GateKind.FULL,
-        "what is checked before a position is used ([avoiders](avoiders.md#the-gate)); "
+        "what is checked before a position is used ([avoiders](how-to/avoider.md#the-gate)); "
         "`reach` is the plain system",
     )
     table_clearance_m: float = setting(0.050, "the TCP is never sent nearer to the table")
@@ -306,7 +306,7 @@ class Avoidance:
     decision_time: DecisionCost | DecisionTimes = setting(
         DecisionCost.AS_DECLARED,
         "what a decision costs in simulated time, drawn anew for each; as the avoider declares it "
-        "([avoiders](avoiders.md#computing-time))",
+        "([avoiders](how-to/avoider.md#computing-time))",
         example="settings: {avoidance: {decision time: 40 ms}}",
     )
     restart_delay_s: float = setting(

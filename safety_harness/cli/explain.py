@@ -65,7 +65,7 @@ def explain_claims(typed: Sequence[str]) -> int:
         result(*examples)
         document(claims=[{"claim": entry.example} | dict(_described(entry)) for entry in CATALOGUE])
         signals = ", ".join(signal.words for signal in SIGNALS)
-        say(f"or a formula (safety-harness docs formulas) over: {signals}")
+        say(f"or a formula (safety-harness docs reference/formulas) over: {signals}")
         return AS_EXPECTED
     matches = [entry for entry in CATALOGUE if entry.understands(query)]
     wanted = set(query.lower().split())
@@ -160,4 +160,4 @@ def _dimension(value: Value) -> Dimension | None:
 def _plain(text: str) -> str:
     """Return a cell of the page's table without its markup."""
     text = re.sub(r" \(\[[^]]*\]\(#[^)]*\)\)", "", text.replace("`", ""))
-    return re.sub(r"\[[^]]*\]\(([a-z-]+)\.md([^)]*)\)", r"safety-harness docs \1\2", text)
+    return re.sub(r"\[[^]]*\]\(([a-z/-]+)\.md([^)]*)\)", r"safety-harness docs \1\2", text)

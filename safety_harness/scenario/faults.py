@@ -1,7 +1,7 @@
 """Faults of a sensor, a joint or the avoider, with their times.
 
 Each is a frozen dataclass, written as ``- hand sensor: is late``, ``delay: 200 ms``.  One table of these
-words serves reading, writing and reports (docs/scenario-language.md explains it for people).  A fault acts
+words serves reading, writing and reports (docs/reference/scenario.md explains it for people).  A fault acts
 from ``from_s`` until ``end_s``.  The end is a time after the beginning, a moment of the run, or the end of
 the run.
 """

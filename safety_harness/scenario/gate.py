@@ -1,4 +1,4 @@
-"""The key ``gate`` of a scenario file: demands of the gate beyond its checks (docs/avoiders.md)."""
+"""The key ``gate`` of a scenario file: demands of the gate beyond its checks (docs/how-to/avoider.md)."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class GateRule:
     questions_within: AskedRegion | None = key(
         "questions within",
         Below(tables=(table_of(AskedRegion, "a region of questions", path="gate.questions within"),)),
-        "answers to other questions are not used: the region of a [proof](proof.md#in-the-loop)",
+        "answers to other questions are not used: the region of a [proof](how-to/prove.md#in-the-loop)",
         _REGION,
         default=None,
     )

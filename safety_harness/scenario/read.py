@@ -1,6 +1,6 @@
 """Scenario files: ``read_scenario`` turns a safety engineer's text into a Scenario.
 
-docs/scenario-language.md is the reference of the language.  A function reads one object.  All checks without
+docs/reference/scenario.md is the reference of the language.  A function reads one object.  All checks without
 kinematics are here, and every error has file, line and field.
 """
 

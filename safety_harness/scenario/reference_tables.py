@@ -184,7 +184,7 @@ TOP = KeyTable(
             "avoider",
             Text(words="name or file", expected="the name of an avoider"),
             "what proposes repulsive positions: a name, `FILE.py:NAME` or `FILE.safetensors` "
-            "([avoiders](avoiders.md))",
+            "([avoiders](how-to/avoider.md))",
             "opposite pose",
             attribute="avoider",
             fallback=DEFAULT_AVOIDER,
@@ -193,7 +193,7 @@ TOP = KeyTable(
             "controller",
             Text(words="name or file", expected="the name of a controller"),
             "what drives the arm: a name, or a program of yours; only the visual servo has an avoider "
-            "([controllers](controllers.md))",
+            "([controllers](how-to/controller.md))",
             "stop when near",
             attribute="controller",
             fallback=VISUAL_SERVO,
@@ -201,7 +201,7 @@ TOP = KeyTable(
         Key(
             "shield",
             SHIELD_VALUE,
-            "what slows the arm between any controller and the drives ([shield](shield.md))",
+            "what slows the arm between any controller and the drives ([shield](explanation/shield.md))",
             "speed and separation",
             "none",
             attribute="shield",
@@ -210,7 +210,7 @@ TOP = KeyTable(
         Key(
             "gate",
             Below(tables=(GATE,)),
-            "what the gate asks for beside its checks ([gate](avoiders.md#the-gate))",
+            "what the gate asks for beside its checks ([gate](how-to/avoider.md#the-gate))",
             "{every hand within: 99 %}",
             "nothing",
             attribute="gate",
@@ -274,7 +274,7 @@ TOP = KeyTable(
             "extensions",
             Text(words="mapping", reads=_read_added, writes=_write_added, or_mapping=True),
             "keys that installed packages add, each read by its package "
-            "([how](architecture.md#how-a-wing-registers-its-parts))",
+            "([how](explanation/architecture.md#how-a-wing-registers-its-parts))",
             "{}",
             "none",
             attribute="extensions",

@@ -246,7 +246,7 @@ class OwnRobot:
     package: str | None = key(
         "package",
         Text(words="name", expected="the name of a URDF in an installed package"),
-        "a URDF of an installed package, in place of `urdf` ([robots](robots.md))",
+        "a URDF of an installed package, in place of `urdf` ([robots](how-to/robot.md))",
         "pybullet/kuka_iiwa/model",
         default=None,
     )

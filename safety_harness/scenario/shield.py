@@ -1,6 +1,6 @@
 """The key ``shield`` of a scenario file: an optional protection between the controller and the drives.
 
-docs/shield.md describes and proves it; each value here is an assumption of the proof.
+docs/explanation/shield.md describes and proves it; each value here is an assumption of the proof.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Shield:
     """The assumptions of the shield; the harness checks no assumption, so the user answers for them."""
 
     kind: ShieldKind = keyed(
-        Key("kind", Word(ShieldKind), "what stands behind the controller ([shield](shield.md))"),
+        Key("kind", Word(ShieldKind), "what stands behind the controller ([shield](explanation/shield.md))"),
         default=ShieldKind.SPEED_AND_SEPARATION,
     )
     hand_speed_mps: float = key(

@@ -24,7 +24,7 @@ ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
 
 
 class Mode(IntEnum):
-    """The controller's present activity (the state table of docs/state-table.md)."""
+    """The controller's present activity (the state table of docs/reference/controller.md)."""
 
     SERVOING = 0
     REPULSING = 1

@@ -1,4 +1,4 @@
-"""The examples of docs/avoiders.md run as they stand."""
+"""The examples of docs/how-to/avoider.md run as they stand."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from safety_harness.trace.trace import Trace
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
-PAGE = (ROOT / "docs/avoiders.md").read_text()
+FILE = ROOT / "docs/how-to/avoider.md"
+PAGE = FILE.read_text()
 
 
 def visit(avoider: str) -> Scenario:
@@ -107,9 +108,9 @@ def test_the_page_names_every_avoider_of_ours_every_example_and_every_check() ->
     for name in NAMES:
         assert f"| `{name}` |" in PAGE
     for file in EXAMPLES.glob("*.py"):
-        assert f"(../examples/{file.name})" in PAGE
+        assert f"(../../examples/{file.name})" in PAGE
     for link in re.findall(r"\]\(([^)#]+)\)", PAGE):
-        assert (ROOT / "docs" / link).exists(), link
+        assert (FILE.parent / link).exists(), link
     table = PAGE.split("## The gate", 1)[1].split("\n## ", 1)[0]
     assert re.findall(r"^\| ([a-z ]+) \|.*(?:yes|no) \|$", table, re.M) != []
     named = set(re.findall(r"^\| ([a-z ]+) \|.*(?:yes|no) \|$", table, re.M))

@@ -119,7 +119,7 @@ def test_a_counterexample_of_such_an_avoider_says_so(monkeypatch: pytest.MonkeyP
 def test_the_documented_avoider_around_one_of_ours_is_used_asked_again_and_repeats(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    page = (Path(__file__).parents[2] / "docs/avoiders.md").read_text()
+    page = (Path(__file__).parents[2] / "docs/how-to/avoider.md").read_text()
     found = re.search(r"### Around one of ours.*?```python\n(.*?)```", page, re.DOTALL)
     assert found is not None
     Path("mine.py").write_text(found[1])

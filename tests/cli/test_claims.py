@@ -1,4 +1,4 @@
-"""``safety-harness claims`` lists and explains the catalogue, and docs/claims.md says the same."""
+"""``safety-harness claims`` lists and explains the catalogue, and docs/reference/claims.md says the same."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.scenario_commands import claims as explain_claims
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE = (DOCS / "claims.md").read_text()
+PAGE = (DOCS / "reference" / "claims.md").read_text()
 
 
 def test_without_words_every_claim_is_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -71,7 +71,7 @@ def functions(documented: object) -> Iterator[FunctionType]:
 
 def test_documented_functions_name_at_least_95_percent_of_their_parameters() -> None:
     names = {f"safety_harness.{name}" for name in safety_harness.__all__}
-    for page in (ROOT / "docs" / "api").glob("*.md"):
+    for page in (ROOT / "docs" / "reference" / "python").glob("*.md"):
         names |= set(re.findall(r"^::: (\S+)", page.read_text(encoding="utf-8"), re.MULTILINE))
     documented = {function for name in names for function in functions(resolved(name))}
     silent, count = [], 0

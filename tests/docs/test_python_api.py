@@ -1,4 +1,4 @@
-"""The examples of docs/python-api.md run as they stand, and have at most ten lines."""
+"""The examples of docs/reference/python/jobs.md run as they stand, and have at most ten lines."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "python-api.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reference" / "python" / "jobs.md").read_text(encoding="utf-8")
 BLOCKS = dict(re.findall(r"^## (.*?)\n.*?```python\n(.*?)```", PAGE, re.M | re.S))
 LONG = ("Search for violations", "Certify a plan", "Score an avoider")  # tests of each job are quick siblings
 

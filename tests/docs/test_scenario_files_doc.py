@@ -1,4 +1,4 @@
-"""docs/scenario-language.md: its examples run, its tables name every key, its defaults are the defaults."""
+"""docs/reference/scenario.md: its examples run, its tables name every key, its defaults are the defaults."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from safety_harness.scenario.units import Dimension
 from tests.scenario.scenario_strategies import number_of
 
 ROOT = Path(__file__).parents[2]
-TEXT = (ROOT / "docs/scenario-language.md").read_text()
+TEXT = (ROOT / "docs/reference/scenario.md").read_text()
 FILE = ROOT / "scenarios/example.yaml"  # examples stand where the recordings are
 BASE = {
     "scenario": "scenario: an example",

@@ -60,8 +60,11 @@ def small(tmp_path: Path, page: str) -> None:
 
 
 def test_a_page_without_fault_is_built(tmp_path: Path) -> None:
-    small(tmp_path, "# one\n\n[two](#two)\n\n## two\n")
+    one_page(tmp_path, "# one\n\n[two](#two)\n\n## two\n")
+    (tmp_path / "docs" / "moved.yaml").write_text("zero: one\n")
+    build_site.build(tmp_path, tmp_path / "site")
     assert "two" in (tmp_path / "site" / "index.html").read_text()
+    assert (tmp_path / "site" / "moved.yaml").read_text() == "zero: one\n"  # for safety-harness docs
 
 
 def test_of_releases_on_a_server_a_reader_chooses_one(tmp_path: Path, browser: Any) -> None:
@@ -105,12 +108,12 @@ def test_a_broken_link_or_something_to_fetch_fails_the_build(page: str, why: str
 
 # What a field's own people type, and where they should be led.
 WORDS = {
-    "Clopper": "statistics.html",
-    "uniform": "scenario-spaces.html",
-    "falsification": "glossary.html",
-    "robustness": "glossary.html",
-    "STL": "formulas.html",
-    "vacuity": "glossary.html",
+    "Clopper": "explanation/statistics.html",
+    "uniform": "how-to/scenarios.html",
+    "falsification": "reference/glossary.html",
+    "robustness": "reference/glossary.html",
+    "STL": "reference/formulas.html",
+    "vacuity": "reference/glossary.html",
 }
 
 
@@ -135,13 +138,13 @@ def test_the_site_is_searched_from_a_folder_without_a_network(site: Path, browse
 def test_linked_files_of_the_repository_are_pages(site: Path) -> None:
     page = (site / "repository/examples/upwards.py.html").read_text()
     assert "class Upwards" in re.sub("<[^>]+>", "", page)
-    assert "repository/examples/upwards.py.html" in (site / "avoiders.html").read_text()
+    assert "repository/examples/upwards.py.html" in (site / "how-to" / "avoider.html").read_text()
 
 
 def test_every_public_name_is_in_the_reference_and_its_arrays_say_their_shapes(site: Path) -> None:
-    pages = "".join(page.read_text() for page in sorted((site / "api").glob("*.html")))
+    pages = "".join(page.read_text() for page in sorted((site / "reference" / "python").glob("*.html")))
     assert [name for name in safety_harness.__all__ if f'id="safety_harness.{name}"' not in pages] == []
-    servoing = re.sub("<[^>]+>", "", (site / "api" / "servoing.html").read_text())
+    servoing = re.sub("<[^>]+>", "", (site / "reference" / "python" / "servoing.html").read_text())
     assert "L_wz =  i mu_(i-1,j+1) - j mu_(i+1,j-1)" in servoing
     assert re.search(r"interaction\s+NDArray\[float64\]\s+\(6, 6\) L\*", servoing)
     assert re.search(r"polygon_m\s+NDArray\[float64\]\s+\(n, 2\)", servoing)

@@ -75,7 +75,7 @@ def alike(one: dict[str, Any], other: dict[str, Any]) -> bool:
 
 def test_what_the_page_begins_with_works_in_a_program_of_its_own() -> None:
     root = Path(__file__).parents[2]
-    code = (root / "docs" / "environments.md").read_text().split("```python\n")[1].split("```")[0]
+    code = (root / "docs" / "how-to" / "environments.md").read_text().split("```python\n")[1].split("```")[0]
     run = subprocess.run(
         [sys.executable, "-c", code],
         cwd=root,

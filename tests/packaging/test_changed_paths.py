@@ -24,7 +24,7 @@ ALL = [*PARTS["ALL"]]
         ),
         ("tests/gym/test_environments.py", ["check", "test-gym"]),
         ("tests/cli/test_fuzz.py", ["check", "test-core"]),
-        ("docs/search.md", ["check", "rest"]),
+        ("docs/explanation/search.md", ["check", "rest"]),
         ("README.md", ["check", "rest"]),
         ("tests/assurance/campaign/plans.py", ALL),
         ("safety_harness/base/seeds.py", ALL),
@@ -38,7 +38,11 @@ def test_a_change_runs_what_it_may_break(path: str, targets: list[str]) -> None:
 
 
 def test_two_changes_run_what_either_runs_and_none_runs_nothing() -> None:
-    assert PARTS["of_paths"](["docs/search.md", "tests/gym/test_x.py"]) == ["check", "test-gym", "rest"]
+    assert PARTS["of_paths"](["docs/explanation/search.md", "tests/gym/test_x.py"]) == [
+        "check",
+        "test-gym",
+        "rest",
+    ]
     assert PARTS["of_paths"]([]) == []
 
 

@@ -201,7 +201,7 @@ BUGS = SMOOTH + FLAT
 def by_lot(number: int) -> Bug:
     """A bug in two to four coordinates about a random place; even numbers have slopes, odd ones are flat.
 
-    Written after the search was tuned once (docs/search.md), and looked at only then.
+    Written after the search was tuned once (docs/explanation/search.md), and looked at only then.
     """
     rng = np.random.default_rng(number)
     always_used = np.flatnonzero(CUBE.used(np.zeros((1, CUBE.dimension)))[0])

@@ -1,4 +1,4 @@
-"""docs/search.md: its example runs and prints what it says, and its names and numbers are the program's."""
+"""docs/explanation/search.md: its example prints what it says; names and numbers are the program's."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from safety_harness.search.searchers import SEARCHERS
 from safety_harness.search.session import MOST_SHRUNK, SHRINKING_RUNS
 from tests.search.planted import BUGS, BY_LOT, CUBE, FRESH
 
-TEXT = (Path(__file__).parents[2] / "docs/search.md").read_text()
+TEXT = (Path(__file__).parents[2] / "docs/explanation/search.md").read_text()
 
 
 def test_the_example_prints_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:

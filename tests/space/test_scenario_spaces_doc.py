@@ -1,4 +1,4 @@
-"""docs/scenario-spaces.md: every example is read or run, and what it says of numbers and names is so."""
+"""docs/how-to/scenarios.md: every example is read or run, and what it says of numbers and names is so."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from safety_harness.space.reading import MOST_COLUMNS
 from safety_harness.space.regions import REGIONS, UNSEEN_HAND_FACTOR, UNSEEN_TCP_FACTOR
 from safety_harness.space.sentences import MOST_OPTIONS, MOST_TIMES
 
-TEXT = (ROOT / "docs/scenario-spaces.md").read_text()
+TEXT = (ROOT / "docs/how-to/scenarios.md").read_text()
 PROMISE = re.compile(r"^print.*  # (10 .*) \.\.\.$", re.M)
 BASE = {
     "scenario space": "scenario space: an example",

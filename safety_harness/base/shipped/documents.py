@@ -50,13 +50,14 @@ def section_named(text: str) -> Section:
     """Return the section for a text.
 
     Args:
-        text: A page, a section page#heading, or words of a heading or a name; the first match counts.
+        text: A page, a section page#heading, or words of a heading or a name; the first match counts. A name
+            of an earlier version leads to the present place.
 
     Raises:
         ScenarioError: No section matches; the hint has the nearest names.
 
     """
-    known, name = sections(), text.strip().lower()
+    known, name = sections(), _present(text.strip().lower())
     for page in known:
         if page.name.lower() == name:
             return page
@@ -66,6 +67,15 @@ def section_named(text: str) -> Section:
     expected = "a page, page#section, or words of a heading"
     hint = near_miss(name, (page.name for page in known), most=3) or "without any the first page is opened"
     raise ScenarioError.of_option("docs", expected, repr(text), hint)
+
+
+def _present(name: str) -> str:
+    """Return the present name of a page or section; ``docs/moved.yaml`` has those of earlier versions."""
+    file = site() / "moved.yaml"
+    lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+    moved = dict(line.split(": ", 1) for line in lines if not line.startswith("#"))
+    page, mark, anchor = name.partition("#")
+    return moved.get(name, f"{moved.get(page, page)}{mark}{anchor}")
 
 
 def path_of(section: Section) -> tuple[Path, str]:

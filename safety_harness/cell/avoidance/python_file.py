@@ -14,7 +14,7 @@ from safety_harness.seams.isolation.python_file import refuse_undefined as refus
 AVOIDER = Place(field="avoider")  # the caller replaces it by the place of the reference
 QUESTION = ("hand_position_in_base_m", "tcp_position_in_base_m", "seed")  # the keywords of propose
 METHODS = ("propose",)
-HINT = "safety-harness docs avoiders#a-python-file"
+HINT = "safety-harness docs how-to/avoider#a-python-file"
 
 
 def refuse_undefined(path: Path, name: str, place: Place) -> None:

@@ -9,7 +9,7 @@ from safety_harness.seams.contract import UserController, reports_of, sees_of
 from safety_harness.seams.isolation.python_file import made_by, refuse_lacking
 
 METHODS = ("reset", "act")
-HINT = "safety-harness docs controllers"
+HINT = "safety-harness docs how-to/controller"
 
 
 def controller_in(path: Path, source: bytes, name: str, place: Place) -> UserController:

@@ -1,8 +1,8 @@
 """Speed and separation for every link: the last step of a control tick, behind any controller.
 
 The shield scales a command. If the arm then brakes from the next tick on, it comes to a stop before a hand at
-its greatest speed can reach a moving part. The theorem, its assumptions and its proof are in docs/shield.md.
-This file is its rule, with the names of that page. For each hand i
+its greatest speed can reach a moving part. The theorem, its assumptions and its proof are in
+docs/explanation/shield.md. This file is its rule, with the names of that page. For each hand i
 
     s <= (g_i - F - v_h t_0) / (v_h V/a + R),   R = V l + D.L.|u| l + A l^2/2,
     l = P + V/2a,   t_0 = age + P + T_r

@@ -1,8 +1,8 @@
 """The compiled control stack: ``begin_tick`` perceives, ``finish_tick`` acts.
 
 Between the two comes a decision, if necessary, from any maker of decisions. ``controller`` makes them one by
-one, or in a batch for many episodes. Both worlds call exactly these two functions. docs/state-table.md has
-the state table.
+one, or in a batch for many episodes. Both worlds call exactly these two functions. The state table is in
+docs/reference/controller.md.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def decide_mode(
 ) -> bool:
     """Make the transitions that need no decision; return True, with the trigger set, if one is necessary.
 
-    docs/state-table.md has them as a table.
+    docs/reference/controller.md has them as a table.
     """
     p, s, o = parameters[0], states[0], observations[0]
     inside = s.nearest_track >= 0 and hand_inside(parameters, states, s.nearest_track)

@@ -1,7 +1,7 @@
 """The eye-in-hand camera: a pinhole without distortion, its mount, and its view of the object.
 
 Normalised coordinates are x = X/Z, y = Y/Z. Pixels are u = f x + c_u, v = f y + c_v. The centre of pixel (0,
-0) has the coordinates (0, 0) (docs/conventions.md).
+0) has the coordinates (0, 0) (docs/reference/conventions.md).
 """
 
 from __future__ import annotations

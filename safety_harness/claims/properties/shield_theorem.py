@@ -1,4 +1,4 @@
-"""The assumptions of docs/shield.md that did not hold in a run, as far as its trace shows: 1 to 5, 7 and 9.
+"""The assumptions of docs/explanation/shield.md that failed in a run, by its trace: 1 to 5, 7 and 9.
 
 A wrong time stamp (6) puts a hand in a wrong place (5), and drives that brake late or less than commanded (8)
 do not follow commands (7).  A trace does not show whether a capsule encloses its link.

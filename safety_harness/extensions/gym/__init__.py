@@ -1,4 +1,4 @@
-"""Worlds as Gymnasium environments; the import registers ``SafetyHarness-v0`` (docs/environments.md).
+"""Worlds as Gymnasium environments; the import registers ``SafetyHarness-v0`` (docs/how-to/environments.md).
 
 ``gymnasium.make("safety_harness.gym:SafetyHarness-v0", space="unseen-both.yaml")`` imports it too.
 """

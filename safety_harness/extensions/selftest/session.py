@@ -116,7 +116,7 @@ def numbers_of(text: str | None) -> list[int]:
     """Return the numbers in EVERY of the faults with these words in their name; SettingsError without any."""
     numbers = [n for n, fault in enumerate(EVERY) if text is None or text.lower() in fault.name.lower()]
     if not numbers:
-        every, page = [fault.name for fault in EVERY], "safety-harness docs selftest#what-was-caught"
+        every, page = [fault.name for fault in EVERY], "safety-harness docs results/self-test#what-was-caught"
         hint = near_miss(text or "", every, most=3, all_of_them=page)
         raise SettingsError.of_option("--fault", f"words of one of {len(EVERY)} faults", repr(text), hint)
     return numbers

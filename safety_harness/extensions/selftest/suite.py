@@ -23,7 +23,7 @@ from safety_harness.space.read import read_space
 
 LONG_S = 30.0  # longer scenarios come last: they cost as much as several short ones
 
-# The scenarios that catch most come first; measured, see docs/selftest.md.
+# The scenarios that catch most come first; measured, see docs/results/self-test.md.
 TELLING = (
     "hand-visits-and-leaves",
     "second-hand",

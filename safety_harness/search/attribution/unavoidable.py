@@ -1,4 +1,4 @@
-"""The bound on the distance from hands that no arm can keep; docs/attribution.md derives it.
+"""The bound on the distance from hands that no arm can keep; docs/explanation/whose-fault.md derives it.
 
 A *free arm* knows the whole run beforehand and keeps a single limit of the system.  Its TCP starts where the
 run starts, and is never faster than the controller.  If that does not bound it, the joints' limits do.  A
@@ -373,8 +373,8 @@ class Chase:
     def _turned_s(self, nearest_m: float, ending_m: float) -> float | None:
         """Return the longest time until the hand moves at the TCP with full speed; None for no bound.
 
-        It is the least fixed point of the inequalities in docs/attribution.md.  The TCP is no nearer than
-        ``ending_m``.
+        It is the least fixed point of the inequalities in docs/explanation/whose-fault.md.  The TCP is
+        no nearer than ``ending_m``.
         """
         s, a, v = self.speed_mps, self.acceleration_mps2, self.fleeing_mps
         lateral_mps, least_m = 0.0, nearest_m

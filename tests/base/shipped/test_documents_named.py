@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import ast
+import io
 import json
 import re
+import subprocess
+import tarfile
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import stale
 from markdown.extensions.toc import slugify
 
 import safety_harness
@@ -18,7 +24,7 @@ from safety_harness.cli.shipped import docs
 ROOT = Path(__file__).parents[3]
 PACKAGE = Path(safety_harness.__file__).parent
 NAMED = re.compile(r"safety-harness docs ([a-z][a-z/-]*(?:#[a-z0-9-]+)?)")
-LINKED = re.compile(r"\]\(([a-z-]+)\.md(#[a-z0-9-]+)?\)")  # explain makes "safety-harness docs" of it
+LINKED = re.compile(r"\]\(([a-z/-]+)\.md(#[a-z0-9-]+)?\)")  # explain makes "safety-harness docs" of it
 SOURCES = [*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.j2"), *(ROOT / "examples").rglob("*.py")]
 
 
@@ -28,21 +34,55 @@ def named_in(text: str) -> set[str]:
     return {*NAMED.findall(joined), *(page + place for page, place in LINKED.findall(joined))}
 
 
+def sections_of(name: str, text: str) -> Iterator[str]:
+    """A page and its headings, as the site calls them."""
+    yield name
+    seen: Counter[str] = Counter()
+    text = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
+    for heading in re.findall(r"^#+ (.*)$", text, re.MULTILINE):
+        words = slugify(re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).replace("`", ""), "-")
+        yield f"{name}#{words}" + (f"_{seen[words]}" if seen[words] else "")
+        seen[words] += 1
+
+
 def names_of_sections() -> set[str]:
-    """Pages and headings of the Markdown, as the site calls them."""
-    found = set()
-    for page in (ROOT / "docs").rglob("*.md"):
-        name = page.relative_to(ROOT / "docs").with_suffix("").as_posix()
-        text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
-        headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
-        found |= {name, *(f"{name}#{slugify(heading.replace('`', ''), '-')}" for heading in headings)}
-    return found
+    """Pages and headings of the Markdown."""
+    pages = {
+        page.relative_to(ROOT / "docs"): page.read_text("utf-8") for page in (ROOT / "docs").rglob("*.md")
+    }
+    return {one for page, text in pages.items() for one in sections_of(page.with_suffix("").as_posix(), text)}
 
 
 def test_every_section_that_is_named_is_there() -> None:
     named = set().union(*(named_in(source.read_text("utf-8")) for source in SOURCES))
     assert len(named) > 5
     assert named - names_of_sections() == set()
+
+
+MOVED = dict(
+    line.split(": ", 1) for line in (ROOT / "docs" / "moved.yaml").read_text("utf-8").splitlines()[1:]
+)
+FLAT = ("dbfdc93f", "34853783")  # revisions with all pages in one folder
+
+
+def test_every_moved_section_is_there() -> None:
+    assert len(MOVED) > 500
+    assert {old: now for old, now in MOVED.items() if now not in names_of_sections()} == {}
+
+
+@pytest.mark.skipif(not stale.history(), reason="git's whole history is not here")
+@pytest.mark.parametrize("revision", FLAT)
+def test_every_section_of_the_flat_folder_is_in_the_map(revision: str) -> None:
+    packed = subprocess.run(
+        ("git", "archive", revision, "docs"), cwd=ROOT, check=True, capture_output=True
+    ).stdout
+    old = set()
+    with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+        for member in archive:
+            if member.name.endswith(".md") and (file := archive.extractfile(member)):
+                old |= {*sections_of(member.name[len("docs/") : -len(".md")], file.read().decode())}
+    assert len(old) > 400
+    assert old - MOVED.keys() == set()
 
 
 def test_the_test_sees_a_section_that_is_not_there() -> None:
@@ -81,6 +121,8 @@ def small_site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "search.json").write_text(json.dumps({"items": found}))
     for page in ("index.html", "claims.html"):
         (tmp_path / page).write_text("")
+    moved = "# Old: now.\nsentences: claims\nsentences#leads-away: claims#proposals-lead-away\n"
+    (tmp_path / "moved.yaml").write_text(moved)
     return tmp_path
 
 
@@ -93,6 +135,9 @@ def small_site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["claims#proposals"], "claims.html#proposals-lead-away"),
         (["lead", "away"], "claims.html#proposals-lead-away"),
         (["Catalogue"], "claims.html"),
+        (["sentences"], "claims.html"),
+        (["sentences#leads-away"], "claims.html#proposals-lead-away"),
+        (["sentences#proposals-lead-away"], "claims.html#proposals-lead-away"),
     ],
 )
 def test_a_section_is_found_and_without_a_terminal_only_told(

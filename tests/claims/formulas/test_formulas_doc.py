@@ -1,4 +1,4 @@
-"""docs/formulas.md says what the code does: its sentences, its Python and its table of signals."""
+"""docs/reference/formulas.md says what the code does: its sentences, its Python and its table of signals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from safety_harness.claims.formulas.signals import SIGNALS
 from safety_harness.trace.trace import Trace
 
 DOCS = Path(__file__).parents[3] / "docs"
-PAGE = (DOCS / "formulas.md").read_text()
+PAGE = (DOCS / "reference" / "formulas.md").read_text()
 SENTENCES = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)[0].splitlines()
 
 

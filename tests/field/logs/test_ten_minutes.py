@@ -1,4 +1,4 @@
-"""The three cells of docs/ten-minutes.md, with files as their recorders make them."""
+"""The three cells of docs/how-to/ten-minutes.md, with files as their recorders make them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from safety_harness.cli.main import app
 
-PAGE = (Path(__file__).parents[3] / "docs" / "ten-minutes.md").read_text()
+PAGE = (Path(__file__).parents[3] / "docs" / "how-to" / "ten-minutes.md").read_text()
 FILES = dict(re.findall(r'^```yaml title="([^"]+)"\n(.*?)^```$', PAGE, re.DOTALL | re.MULTILINE))
 JOINT_S, HAND_S = np.arange(376) * 0.008, np.arange(360) / 120.0
 START_NS = 1_700_000_000_000_000_000

@@ -105,7 +105,7 @@ def test_a_network_that_is_wrong_gets_wider_intervals(shipped: Model, paper: Com
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_page_of_model_cards_is_about_the_shipped_files(name: str) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "models.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "results" / "networks.md").read_text()
     section = page.split(f"\n## {name}\n", 1)[1].split("\n## ", 1)[0]
     model = load_model(shipped_model(name))
     assert hashlib.sha256(shipped_model(name).read_bytes()).hexdigest() in section

@@ -1,7 +1,7 @@
 """Messages between the harness and a controller in another process, one a turn.
 
-docs/controller-protocol.md has the protocol. A program gets JSON, an object a line. Our own process for a
-Python file or an ONNX policy gets MessagePack in frames. In these, views and answers are rows of numbers.
+docs/reference/controller-protocol.md has the protocol. A program gets JSON, an object a line. Our own process
+for a Python file or an ONNX policy gets MessagePack in frames, whose views and answers are rows of numbers.
 """
 
 from __future__ import annotations

@@ -116,7 +116,7 @@ class RemoteController:
         """Introduce the controller; ``RefusedError`` for another protocol."""
         welcome = self._connection.introduce(self._first(), Welcome, self._within_s)
         if welcome.protocol != PROTOCOL:
-            hint = "safety-harness docs controller-protocol"
+            hint = "safety-harness docs reference/controller-protocol"
             raise RefusedError(f"the protocol {PROTOCOL!r}", repr(welcome.protocol), hint)
         return welcome
 

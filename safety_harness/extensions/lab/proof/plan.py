@@ -1,4 +1,4 @@
-"""A plan of proofs: a network, its claims, and their regions of questions (docs/proof.md)."""
+"""A plan of proofs: a network, its claims, and their regions of questions (docs/how-to/prove.md)."""
 
 from __future__ import annotations
 
