@@ -12,7 +12,7 @@ from tests.search.planted import BUGS, BY_LOT, CUBE, FLAT, GOALS, SMOOTH, Bug, s
 SEEDS = range(3)
 DEFAULT = SEARCHERS[0]
 WRONG_OCTANT = SMOOTH[0]
-# Chance needs more than 1,000 draws, the default search at most a fifth; see docs/explanation/search.md.
+# Chance needs more than 1,000 draws, the default search at most a fifth; see docs/results/search-power.md.
 HARD = (SMOOTH[4], FLAT[0], BY_LOT[2])
 
 

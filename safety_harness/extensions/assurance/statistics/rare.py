@@ -70,7 +70,7 @@ class Splitting:
 class RareEstimate:
     """The probability of a violation, within the regions that the method reached.
 
-    ``low`` is approximate; docs/explanation/statistics.md has its coverage on problems with known answers.
+    ``low`` is approximate; docs/results/intervals.md has its coverage on problems with known answers.
     ``high`` is exact: it comes from ``plain_draws`` alone, with ``plain_violations`` violations.
 
     ``replicates`` are the estimates of the replications, and ``reached`` counts the positive ones.
