@@ -1,6 +1,6 @@
 """An ONNX file of one's own: the least that the contract asks for.
 
-safety-harness docs how-to/avoider#an-onnx-file has the contract.
+safety-harness docs reference/onnx has the contract.
 
     python onnx_model.py up.onnx  # safety-harness copy shipped:onnx_model.py
     safety-harness run shipped:hand-visits-and-leaves --avoider up.onnx

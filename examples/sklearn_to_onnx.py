@@ -2,7 +2,7 @@
 
 skl2onnx writes a file with one input of six columns and an output called variable; of an MLPRegressor of
 three targets it makes one column of all numbers.  This writes it anew with our names, three numbers a row, so
-that no layout has to be given; safety-harness docs how-to/avoider#an-onnx-file has both ways.
+that no layout has to be given; safety-harness docs reference/onnx has both ways.
 
     python sklearn_to_onnx.py model.onnx mine.onnx  # safety-harness copy shipped:sklearn_to_onnx.py
     safety-harness run shipped:hand-visits-and-leaves --avoider mine.onnx

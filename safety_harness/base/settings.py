@@ -297,7 +297,7 @@ class Avoidance:
     hand_pull: float = setting(0.05, "the factor of eq. 13 of the paper", 0.0, 1.0)
     gate: GateKind = setting(
         GateKind.FULL,
-        "what is checked before a position is used ([avoiders](how-to/avoider.md#the-gate)); "
+        "what is checked before a position is used ([avoiders](reference/controller.md#the-gate)); "
         "`reach` is the plain system",
     )
     table_clearance_m: float = setting(0.050, "the TCP is never sent nearer to the table")

@@ -52,7 +52,7 @@ class FileKind(Enum):
     TORCH = (
         "a model of PyTorch",
         'torch.onnx.export(model, example, "{onnx}", external_data=False), then --avoider {onnx} '
-        "(safety-harness docs how-to/avoider#an-onnx-file)",
+        "(safety-harness docs reference/onnx)",
     )
     PYTHON = "a Python file", "safety-harness evaluate {file}:{name}, or run FILE --avoider {file}:{name}"
     PAGE = "a page for a browser", "open it there"

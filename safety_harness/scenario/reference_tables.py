@@ -210,7 +210,7 @@ TOP = KeyTable(
         Key(
             "gate",
             Below(tables=(GATE,)),
-            "what the gate asks for beside its checks ([gate](how-to/avoider.md#the-gate))",
+            "what the gate asks for beside its checks ([gate](reference/controller.md#the-gate))",
             "{every hand within: 99 %}",
             "nothing",
             attribute="gate",

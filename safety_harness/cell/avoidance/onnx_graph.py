@@ -24,7 +24,7 @@ RANDOM = frozenset(
 )
 TRAINING_SAID_SINCE = {"Dropout": 12, "BatchNormalization": 14}  # older versions do not state the mode
 MASKS_HINT = (
-    "export the network in evaluation mode; safety-harness docs how-to/avoider shows how to keep its passes"
+    "export the network in evaluation mode; safety-harness docs reference/onnx shows how to keep its passes"
 )
 SEED_HINT = "random numbers must come from the input 'seed'"
 QUESTIONS, RELATIVE, ABSOLUTE = 4, 1e-4, 1e-6  # the order of sums in float32 changes far less
