@@ -41,7 +41,8 @@ def sentences(text: str) -> Iterator[str]:
 
 def words(text: str) -> int:
     """Return how many words of a page people wrote: all but generated tables, code and addresses."""
-    for written in (r"<!-- (?:table|printed by): .*?<!-- end -->", r"<!--.*?-->", r"^```.*?^```$", r"(?<=\])\([^)]*\)"):
+    tables = r"<!-- (?:table|printed by): .*?<!-- end -->"
+    for written in (tables, r"<!--.*?-->", r"^```.*?^```$", r"(?<=\])\([^)]*\)"):
         text = re.sub(written, " ", text, flags=re.DOTALL | re.MULTILINE)
     return len(re.findall(r"[^\s|]*\w[^\s|]*", text))
 

@@ -1,4 +1,4 @@
-"""The key ``gate`` of a scenario file: demands of the gate beyond its checks (docs/reference/controller.md)."""
+"""The key ``gate`` of a scenario file: further demands of the gate (docs/reference/controller.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The hazards of a plan: task, zone, event, severity, frequency, who decided them, and why.
 
-docs/explanation/evidence.md is the reference of these keys.
+docs/reference/plan.md is the reference of these keys.
 """
 
 from __future__ import annotations

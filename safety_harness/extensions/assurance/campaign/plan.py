@@ -1,7 +1,7 @@
 """A plan: claims, spaces, the number of runs in each, and the traces to keep.
 
 Its text belongs to the identity of its results. Only a hash that another party has shows that it came
-before them. docs/how-to/certify.md is the reference of the file.
+before them. docs/reference/plan.md is the reference of the file.
 """
 
 from __future__ import annotations
