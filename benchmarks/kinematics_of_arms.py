@@ -2,7 +2,7 @@
 
 Run: python benchmarks/kinematics_of_arms.py, with Pinocchio (`pip install pin`) and, for the last three arms,
 `pip install example-robot-data` (431 MB; without it their rows are left out).  Prints Markdown for
-docs/explanation/kinematics.md.  Nothing of ours computes what ours is compared with: Pinocchio reads the URDF
+docs/results/arms.md.  Nothing of ours computes what ours is compared with: Pinocchio reads the URDF
 and gives frames and Jacobians, coal reads the meshes, and ssik (`pip install ssik`; without it its table
 is left out) solves for all branches by algebra.  Poses to reach come from joints within the limits.
 """

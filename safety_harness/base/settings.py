@@ -12,8 +12,8 @@ The numbers were written down before the first run.  These changed afterwards:
 * the overhead camera: 0.4 m higher and 0.13 m aside, with the first scenarios;
 * the full gate: a later addition, and the default since.
 
-The measure for the first three was the convergence of servoing without hands (docs/explanation/servoing.md),
-never a claim about a hand.
+The measure for the first three was the convergence of servoing without hands (docs/results/arms.md), never
+a claim about a hand.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class Object:
     """
 
     # Close to a 3-4-5 right triangle, the best conditioned shape, with its centroid at the origin;
-    # at two thirds of the size raster images do not servo to 5 mm (docs/explanation/servoing.md).
+    # at two thirds of the size raster images do not servo to 5 mm (docs/results/arms.md).
     polygon_m: tuple[tuple[float, float], ...] = setting(
         ((-0.053, -0.040), (0.106, -0.040), (-0.053, 0.080)),
         "outline in the object's own frame, one corner after another; convex for rendered images",

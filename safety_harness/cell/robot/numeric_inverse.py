@@ -10,7 +10,7 @@ joints then moves along its self-motions to a place where that distance is stati
 beyond its limit, the joint goes to the limit and the rest make the step. The starts are a sequence that fills
 the limits evenly (Roberts, 2018), the same every time.
 
-The search is not proven complete: docs/explanation/kinematics.md states the share of branches that it finds.
+The search is not proven complete: docs/results/arms.md states the share of branches that it finds.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from safety_harness.base.geometry.rotations import vector_from_rotation
 from safety_harness.cell.robot.description import ArmModel, Chain, ChainRecords
 from safety_harness.cell.robot.kinematics import TWIST, forward_kinematics, geometric_jacobian
 
-# The figures are in docs/explanation/kinematics.md.
+# The figures are in docs/results/arms.md.
 STARTS = 200  # for all branches: they find all those of the closed form for the UR family
 GIVEN_UP = 96  # starts before a pose counts as out of reach: 1 in 1,000 of a Panda's needs more
 ENOUGH = 48  # starts for the nearest solution, once there is one

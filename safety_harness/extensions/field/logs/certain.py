@@ -1,8 +1,8 @@
 """A log becomes a trace that states the source, the uncertainty and the time of each measured column.
 
 Joints and hands go straight between their samples, on one grid of ticks and one clock. The uncertainty of
-every number covers all that the thing can have done between two samples. docs/explanation/verdicts.md derives why each
-verdict is certain.
+every number covers all that the thing can have done between two samples. docs/explanation/verdicts.md derives
+why each verdict is certain.
 """
 
 from __future__ import annotations

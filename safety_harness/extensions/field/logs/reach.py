@@ -1,4 +1,4 @@
-"""Bounds on the distance between a thing and the straight line between its samples (docs/explanation/verdicts.md).
+"""Bounds on the distance between a thing and the line between its samples (docs/explanation/verdicts.md).
 
 Every function takes the samples of one thing on the trace's clock. It gives the bound at each tick, for the
 time from the tick before to the tick after.
