@@ -20,7 +20,7 @@ LONG = ("release",)  # minutes of processor time; what it needs least is tried b
 
 
 def test_there_is_a_tutorial_for_each_job() -> None:
-    assert [page.stem for page in TUTORIALS] == ["fuzz", "release", "report", "suite"]
+    assert [page.stem for page in TUTORIALS] == ["first-run", "fuzz", "release", "report", "suite"]
 
 
 @pytest.mark.parametrize(

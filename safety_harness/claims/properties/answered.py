@@ -131,8 +131,8 @@ def _words(trace: Trace, number: int) -> str:
 
 ANSWERED = CatalogueEntry(
     prop=AvoiderAnswered(),
-    rationale="where the avoider gives no answer the fallback stands in for it, and whatever holds then was "
-    "shown of the fallback. It is judged of every run; a scenario that does not claim it expects it to hold",
+    rationale="where the avoider gives no answer the fallback acts in its place, and every verdict is "
+    "about the fallback. Each run is judged by it; a scenario that does not claim it expects it to hold",
     source="the seam of the avoider: one proposal of finite numbers for each question, in time",
     margin="minus the number of questions without a usable answer: an exception, what is no proposal, NaN, "
     "an answer that came too late, a process that ended; 0 holds",

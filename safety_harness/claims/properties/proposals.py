@@ -244,8 +244,8 @@ NEAR_OPTIMUM = CatalogueEntry(
 )
 WITHIN_SPREAD = CatalogueEntry(
     prop=WithinSpread(spreads=3.0, allowance_m=0.03),
-    rationale="the gate trusts the spread: an error that it does not announce passes. The spread of dropout "
-    f"or of an ensemble is that of the network alone: an allowance stands for its labels' noise. {YARDSTICK}",
+    rationale="the gate trusts the spread, so an error with a small spread passes. The spread of dropout "
+    f"or of an ensemble leaves out the noise of the labels; the allowance covers it. {YARDSTICK}",
     source="the paper, section 3.3, and eqs. 10 and 11: the spread of a network's answers",
     margin="least over axes of the number times the spread, and the allowance, less the distance to the "
     "optimum along that axis; least over proposals",
