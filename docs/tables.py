@@ -6,15 +6,21 @@ import ast
 import json
 import re
 import sys
+from collections import Counter
+from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
+import click
+import typer
 from architecture_picture import picture
 
 from safety_harness.base import extension_points
 from safety_harness.claims.formulas.signals import SIGNALS
 from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.claims.properties.entry import told
+from safety_harness.cli.main import ELSEWHERE, TASK_OF, app
 from safety_harness.extensions.assurance.campaign.plan_keys import PLAN, TABLES, TITLE
 from safety_harness.extensions.assurance.certification.evidence import schema as evidence_schema
 from safety_harness.extensions.assurance.certification.standards import STANDARDS, standards_of
@@ -54,6 +60,8 @@ def with_tables(text: str, page: Path) -> str:
     tables["oracles"] = markdown_of_oracles()
     tables["kills"], tables["harmless"] = markdown_of_kills()
     tables["mutants"], tables["mutants that survived"] = markdown_of_mutants()
+    tables["exit codes"] = markdown_of_exit_codes()
+    tables["common options"], tables["commands"] = markdown_of_commands()
     tables = {name: re.sub(r"\]\((?=[\w/-]+\.md)", f"]({up}", table) for name, table in tables.items()}
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
 
@@ -173,6 +181,62 @@ def markdown_of_extension_points() -> str:
         kind, _, use = " ".join(text.split()).removeprefix("``").partition("``: ")
         rows.append((f"`{name}`", f"`{kind}`", use.replace("``", "`")))
     return "\n".join(table_of(("group", "type of a part", "use"), rows)) + "\n"
+
+
+def every_command(group: Any, *before: str) -> Iterator[tuple[str, Any]]:
+    """Yield the name and the command of each command of this distribution, in the order of the help."""
+    context = click.Context(group)
+    if "plan" in group.commands:  # of certify, which its own help leaves out
+        yield " ".join(before), group.commands["plan"]
+    for name in group.list_commands(context):
+        if not before and (name not in TASK_OF or name in ELSEWHERE):
+            continue
+        found = group.get_command(context, name)
+        if hasattr(found, "list_commands"):
+            yield from every_command(found, *before, name)
+        else:
+            yield " ".join((*before, name)), found
+
+
+def markdown_of_exit_codes() -> str:
+    """Return a row per command that can end with 1, from its help."""
+    rows = []
+    for name, found in every_command(typer.main.get_command(app)):
+        text = " ".join((found.help or "").split())
+        if "Exit codes as for run." in text:
+            text = f"Exit code 1: as for `{'campaign ' * (' ' in name)}run`."
+        parts = re.findall(r"Exit code (\d+)(?: too)?: (.*?)(?= Exit code |$)", text)
+        codes = {
+            which: "; ".join(part.rstrip(".") for code, part in parts if code == which) for which in "012"
+        }
+        if codes["1"]:
+            rows.append((f"`{name}`", *codes.values()))
+    return "\n".join(table_of(("command", "0", "1", "2"), rows)).replace("|  |", "| |") + "\n"
+
+
+def markdown_of_commands() -> tuple[str, str]:
+    """Return the table of options that three commands or more share, and a section per command."""
+    found = list(every_command(typer.main.get_command(app)))
+    uses = Counter(_option(one) for _, command in found for one in command.params)
+    common = {option for option, count in uses.items() if count > 2}
+    sections = []
+    for name, command in found:
+        options = [_option(one) for one in command.params if not one.hidden]
+        rows = [option for option in options if option not in common]
+        shared = ", ".join(option[0] for option in options if option in common)
+        purpose = (command.help or "").partition("\n\n")[0]
+        section = [f"### {name}", "", " ".join(purpose.split()), ""]
+        section += [*table_of(("option", "meaning"), rows), ""] if rows else []
+        sections.append("\n".join([*section, f"Common: {shared}."]))
+    return "\n".join(table_of(("option", "meaning"), sorted(common))) + "\n", "\n\n".join(sections) + "\n"
+
+
+def _option(one: Any) -> tuple[str, str]:
+    """Return how a command line names an option or an argument, and its help."""
+    name = ", ".join(f"`{word}`" for word in (*one.opts, *one.secondary_opts) if word.startswith("-"))
+    return name or f"`{one.metavar or one.name.upper()}`", " ".join(
+        (getattr(one, "help", None) or "").split()
+    )
 
 
 def markdown_of_kills() -> tuple[str, str]:
