@@ -112,7 +112,7 @@ WORDS = {
     "uniform": "how-to/scenarios.html",
     "falsification": "reference/glossary.html",
     "robustness": "reference/glossary.html",
-    "STL": "reference/formulas.html",
+    "STL": "explanation/formulas.html",
     "vacuity": "reference/glossary.html",
 }
 

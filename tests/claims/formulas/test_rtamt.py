@@ -1,6 +1,6 @@
 """Agreement with rtamt wherever the samples decide, and every class of disagreement by its least example.
 
-docs/reference/formulas.md has the argument for each class.
+docs/explanation/formulas.md has the argument for each class.
 """
 
 from __future__ import annotations
