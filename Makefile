@@ -13,12 +13,13 @@ HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
 
-# The core, where no wing is installed, and the quick tests of the wings.  What needs no machine code runs while it
-# is compiled.
+# Style, types and what is generated; then the core, where no wing is installed, and the quick tests of the wings.
+# What needs no machine code runs while it is compiled.
 test: $(VENV)/tested
-	$(MAKE) --no-print-directory --jobs 2 style warm light types
+	$(MAKE) --no-print-directory --jobs 2 --output-sync=target style types tables
+	$(MAKE) --no-print-directory --jobs 2 warm light
 	$(call run,$(QUICK) $(CORE),$(ALONE))
-	$(call run,$(QUICK) $(OTHERS))
+	$(call run,$(QUICK) $(OTHERS) $(GENERATED:%=--ignore=%))
 
 # Everything but what is marked long.
 test-all: test slow
@@ -34,7 +35,7 @@ test-core: warm
 
 # Of documents, of packaging, of the paper, of this repository.
 rest: warm
-	$(call run,$(REST))
+	$(call run,$(REST) tests/test_architecture.py)
 
 # One wing, quick and slow: test-field, say; or test-whole, what spans core and wings.
 test-%: warm
@@ -57,11 +58,12 @@ LIGHT := $(addprefix tests/,scenario space trace base testing/test_parts.py test
 CORE := $(addprefix tests/,seams cell cli claims search report admission testing/plugin test_shipped_scenarios.py)
 WINGS := assurance field lab selftest gym arms
 OTHERS = $(addprefix tests/,$(WINGS) whole) $(REST)
-REST := tests/docs tests/packaging $(addprefix tests/test_,architecture.py array_shapes.py collection_order.py public_names.py \
+REST := tests/docs tests/packaging $(addprefix tests/test_,array_shapes.py collection_order.py public_names.py \
 	readme.py release.py) $(TOY) paper/tests
+GENERATED := tests/docs/test_pages.py tests/docs/test_glossary.py tests/test_architecture.py
 
 light: $(VENV)/tested
-	$(ALONE) $(BIN)/python -m pytest --assert=plain $(QUICK) $(LIGHT)
+	$(call run,$(QUICK) $(LIGHT),$(ALONE))
 
 # What takes long and has a quick sibling.
 long: warm
@@ -84,7 +86,7 @@ types: $(VENV)/tested
 
 # Generated tables, schemas and the picture are as the code has them; imports point one way.
 tables: $(VENV)/tested
-	$(BIN)/python -m pytest -q tests/docs/test_pages.py tests/docs/test_glossary.py tests/test_architecture.py
+	$(BIN)/python -m pytest -q $(QUICK) $(GENERATED)
 
 # Ratios to RESULTS.md; others: what two of its rows compare with, each in an environment of its own
 bench: $(VENV)/benchmarks
@@ -183,9 +185,10 @@ lock: .venv-lock/installed
 		requirements.lock
 
 # With the lowest and the newest versions of the ranges: what asks each dependency for something, and a run.
-ASKING := tests/assurance/statistics tests/trace tests/space tests/scenario/test_read_scenario.py tests/scenario/test_schema.py \
-	tests/scenario/test_write_scenario.py tests/search/test_searchers.py tests/cell/avoidance/test_model_file.py \
-	tests/cli/test_nearest.py tests/test_public_names.py
+ASKING := $(addprefix tests/assurance/statistics/test_,binomial.py distances.py planning.py rates.py sequential.py) \
+	$(addprefix tests/scenario/test_,read_scenario.py schema.py write_scenario.py) tests/trace/test_store.py \
+	$(addprefix tests/space/test_,space.py strategy.py) tests/search/test_searchers.py \
+	tests/cell/avoidance/test_model_file.py tests/cli/test_nearest.py tests/test_public_names.py
 oldest := lowest-direct
 newest := highest
 .venv-oldest/versions .venv-newest/versions: .venv-%/versions: pyproject.toml .venv-lock/installed

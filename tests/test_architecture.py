@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -57,10 +58,18 @@ def room_of(module: str) -> str:
     return f"extensions.{rest[0]}" if first == "extensions" and rest[0] != "__init__" else first
 
 
-def imports_of(file: Path) -> set[str]:
+@cache
+def statements_of(file: Path) -> tuple[ast.Import | ast.ImportFrom | ast.ClassDef, ...]:
+    """Return the imports and classes of a file, wherever in it they stand."""
+    wanted = (ast.Import, ast.ImportFrom, ast.ClassDef)
+    return tuple(node for node in ast.walk(ast.parse(file.read_text("utf-8"))) if isinstance(node, wanted))
+
+
+@cache
+def imports_of(file: Path) -> frozenset[str]:
     """Return the modules of this package that a file imports anywhere in it."""
     found = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in statements_of(file):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("safety_harness."):
             found.add(node.module.removeprefix("safety_harness."))
         elif isinstance(node, ast.ImportFrom) and node.module == "safety_harness":
@@ -70,7 +79,7 @@ def imports_of(file: Path) -> set[str]:
             found |= {
                 name.removeprefix("safety_harness.") for name in names if name.startswith("safety_harness.")
             }
-    return found
+    return frozenset(found)
 
 
 def is_allowed(importer: str, imported: str) -> bool:
@@ -169,7 +178,7 @@ def test_a_run_needs_no_torch() -> None:
             continue  # which nothing but the command line imports, and that only when asked to learn
         assert "torch" not in {
             name.split(".")[0]
-            for node in ast.walk(ast.parse(file.read_text()))
+            for node in statements_of(file)
             if isinstance(node, ast.Import | ast.ImportFrom)
             for name in (
                 [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
@@ -182,7 +191,7 @@ def test_every_import_of_the_package_has_the_form_that_the_machine_code_cache_re
     for file in FILES:
         if file.name == "__init__.py" and file.parent == PACKAGE:
             continue
-        for node in ast.walk(ast.parse(file.read_text())):
+        for node in statements_of(file):
             if isinstance(node, ast.Import):
                 assert not any(alias.name.startswith("safety_harness") for alias in node.names), file
             elif isinstance(node, ast.ImportFrom) and (
@@ -205,8 +214,8 @@ def test_no_two_public_classes_have_one_name() -> None:
     classes = Counter(
         node.name
         for file in FILES
-        for node in ast.parse(file.read_text()).body
-        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+        for node in statements_of(file)
+        if isinstance(node, ast.ClassDef) and node.col_offset == 0 and not node.name.startswith("_")
     )
     assert len(classes) > 300
     assert [name for name, count in classes.items() if count > 1] == []

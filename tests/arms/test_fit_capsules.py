@@ -109,7 +109,7 @@ def test_a_link_can_be_fitted_in_another_process(small: ArmModel, monkeypatch: p
     def elsewhere(function: Any, links: Any) -> list[Any]:  # as a pool does
         return [pickle.loads(pickle.dumps(function))(pickle.loads(pickle.dumps(link))) for link in links]
 
-    assert repr(fit_arm(one)) == repr(fit_arm(one, over=elsewhere))
+    assert repr(fit_arm(one)) == repr(fit_arm(one, each=elsewhere))
 
 
 def test_a_seed_decides_what_is_fitted(small: ArmModel) -> None:

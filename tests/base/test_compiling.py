@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
+
+import pytest
 
 from safety_harness.base import compiled as module
 from safety_harness.base.compiled import compiled
@@ -47,7 +50,11 @@ def test_that_machine_code_cannot_be_kept_is_said_once() -> None:
     assert out.getvalue() == "warning: it cannot be kept\n"
 
 
-def test_watchers_are_told_of_what_is_compiled_and_of_nothing_else() -> None:
+def test_watchers_are_told_of_what_is_compiled_and_of_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(tmp_path))  # an earlier run of this test left its code
+    monkeypatch.setattr(module, "cache_folder", module.cache_folder.__wrapped__)
     told: list[Compilation] = []
     watchers.append(told.append)
     try:

@@ -147,4 +147,4 @@ def test_every_public_name_is_in_the_reference_and_its_arrays_say_their_shapes(s
     servoing = re.sub("<[^>]+>", "", (site / "reference" / "python" / "servoing.html").read_text())
     assert "L_wz =  i mu_(i-1,j+1) - j mu_(i+1,j-1)" in servoing
     assert re.search(r"interaction\s+NDArray\[float64\]\s+\(6, 6\) L\*", servoing)
-    assert re.search(r"polygon_m\s+NDArray\[float64\]\s+\(n, 2\)", servoing)
+    assert re.search(r"polygon_m\s+NDArray\[float64\]\s+The object's vertices \(n, 2\)", servoing)

@@ -137,10 +137,13 @@ SAID: dict[str, tuple[Touch, str]] = {
     "what is asked an hour": (said(hazards__0__asked_an_hour=100.0), "hazards[0].asked_an_hour"),
     "a rate an hour": (said(hazards__0__rates__0__an_hour=1e-9), "hazards[0].rates[0].an_hour"),
     "who decided": (said(hazards__0__decided_by="an assessor"), "hazards[0].decided_by"),
-    "the argument for others": (written("argument.gsn.yaml", "Kept rare", "Kept"), "argument.gsn.yaml does"),
+    "the argument for others": (
+        written("argument.gsn.yaml", "Kept rare", "Kept"),
+        "argument.gsn.yaml and evidence.json disagree",
+    ),
     "a note that was not in the report": (
         written("argument.yaml", '"top": ""', '"top": "approved"'),
-        "argument.yaml does not say",
+        "argument.yaml and evidence.json disagree",
     ),
     "a margin of the curve": (said(**{f"{FIRST}__margins_si__0": 0.1}), "margins_si[0]"),
     "findings": (said(findings=[]), "findings"),
@@ -177,8 +180,14 @@ SAID: dict[str, tuple[Touch, str]] = {
     "the size of a file": (said(files__0__bytes=1), "lists wrong sizes"),
     "JUnit XML": (written("junit.xml", "<failure", "<skipped"), "junit.xml and evidence.json disagree"),
     "a plan in the folder": (written("plan/plan.yaml", "50 %", "1 %"), "plan/plan.yaml is not the ledger's"),
-    "a hazard in the ledger": (in_ledger("UPDATE claim SET hazard = 'none'"), "hazards: the ledger says"),
-    "a space in the ledger": (in_ledger("UPDATE stratum SET space = 'all'"), "spaces: the ledger says"),
+    "a hazard in the ledger": (
+        in_ledger("UPDATE claim SET hazard = 'none'"),
+        "hazards: the ledger and its plan disagree",
+    ),
+    "a space in the ledger": (
+        in_ledger("UPDATE stratum SET space = 'all'"),
+        "spaces: the ledger and its plan disagree",
+    ),
     "a view of the ledger": (
         in_ledger("DROP VIEW results", "CREATE VIEW results AS SELECT 'holds' AS outcome"),
         "expected a ledger's own tables",

@@ -187,7 +187,7 @@ ROWS: dict[str, tuple[Touch, str]] = {
             "UPDATE judgement SET episode = episode + 90 WHERE stratum = 1 AND episode IN (1, 2)",
             "UPDATE judgement SET episode = 93 - episode WHERE stratum = 1 AND episode IN (91, 92)",
         ),
-        "nearer, run 1: hand distance never below 150 mm",
+        "nearer, run 1, hand distance never below 150 mm",
     ),
     "every cell of the coverage": (in_ledger("UPDATE episode SET cell = 6"), "cell or mishap differ"),
     "an infinite margin": (judgement("margin = 9e999"), "a margin of +inf"),

@@ -85,6 +85,7 @@ def test_no_claim_is_shown_and_the_report_says_why(tmp_path: Path, monkeypatch: 
         evidence = write_folder(report, gathered, ledger)
     write_manifest(report, evidence.files)
     assert evidence.standing is ClaimStatus.NOT_SHOWN
+    assert not evidence.unmade
     for claim in evidence.claims:
         assert claim.standing is ClaimStatus.NOT_SHOWN
         assert WHY in claim.why
