@@ -19,6 +19,7 @@ import numpy as np
 
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.repeatability import RepeatabilityResult
+from safety_harness.base.compiling import Pace
 from safety_harness.base.exceptions import OutputError, explanation
 from safety_harness.base.output import Output, where
 from safety_harness.base.seeds import Branch
@@ -543,11 +544,11 @@ def watching_search(budget: int, output: Output) -> Iterator[Callable[[Findings]
         output: Receives the progress.
 
     """
-    begun_s = time.monotonic()
+    pace = Pace()
     with output.block() as show:
         show([f"tried 0/{budget}"])
         yield lambda findings: show(
-            [summary(findings, budget) + where(findings.tried, budget, begun_s), *nearest_lines(findings)]
+            [summary(findings, budget) + where(findings.tried, budget, pace), *nearest_lines(findings)]
         )
 
 
