@@ -33,7 +33,7 @@ from numba.core import config, event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.registry import CPUDispatcher
 
-from safety_harness.base.compiling import Compilation, watchers
+from safety_harness.base.compiling import Compilation, Compiled, watchers
 from safety_harness.base.machine_code import FOLDER, STAMP, InstalledCode
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -321,6 +321,7 @@ class _Progress(event.Listener):
         self.depth -= 1
         now_s = time.monotonic()
         self.seconds, self.began_s = self.seconds + now_s - self.began_s, now_s
+        Compiled.count += 1
         for watcher in watchers:
             watcher(compilation())
 

@@ -33,6 +33,37 @@ class Compilation:
 watchers: list[Callable[[Compilation], None]] = []  # those of this process; its workers have none
 
 
+class Compiled:
+    """The ``count`` of functions that this process has compiled."""
+
+    count = 0
+
+
+@dataclass
+class Pace:
+    """The rate of a job since it last compiled machine code, so that no estimate contains a compilation.
+
+    The first finished item, which may have loaded or compiled code in any process, counts only as a start.
+    """
+
+    now_s: Callable[[], float] = time.monotonic
+    begun_s: float = field(init=False)
+    _since: tuple[float, float] | None = None
+    _compiled: int = 0
+
+    def __post_init__(self) -> None:
+        self.begun_s = self.now_s()
+
+    def rate(self, done: float) -> float | None:
+        """Return the finished items a second, or None while they are unknown."""
+        now_s = self.now_s()
+        if self._since is None or self._compiled != Compiled.count:
+            self._compiled, self._since = Compiled.count, (now_s, done) if done > 0.0 else None
+            return None
+        since_s, before = self._since
+        return (done - before) / (now_s - since_s) if done > before and now_s > since_s else None
+
+
 @dataclass
 class CompilationLine:
     """A line about a long compilation on ``stream``.

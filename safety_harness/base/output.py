@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+
+from safety_harness.base.compiling import Pace
 
 AS_EXPECTED, DIFFERS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130  # exit codes
 
@@ -73,34 +73,36 @@ class Output:
     @contextmanager
     def steps(self) -> Iterator[Callable[[str, float], None]]:
         """Yield a function that takes the next step in words and the finished share (0 to 1)."""
-        begun_s = time.monotonic()
+        pace = Pace()
         with self.block() as show:
-            yield lambda words, share: show([words + where(share, 1.0, begun_s)])
+            yield lambda words, share: show([words + where(share, 1.0, pace)])
 
 
 QUIET = Output()
 
 
-def where(done: float, total: float, begun_s: float) -> str:
+def where(done: float, total: float, pace: Pace) -> str:
     """Return progress as text: ``, 30 %, 25 s left``; empty at the start, and the whole time at the end.
 
     Args:
         done: The finished amount, in the unit of ``total``.
         total: The whole amount.
-        begun_s: The start on ``time.monotonic``.
+        pace: Knows the rate, and so the time that is left.
 
     """
-    spent_s = time.monotonic() - begun_s
+    rate = pace.rate(done)
     if done <= 0 or total <= 0:
         return ""
     if done >= total:
-        return f", 100 %, {time_words(spent_s)}"
-    return f", {int(100 * done / total)} %, {time_left(spent_s * (total / done - 1.0))}"
+        return f", 100 %, {time_words(pace.now_s() - pace.begun_s)}"
+    return f", {int(100 * done / total)} %" + (
+        "" if rate is None else f", {time_left((total - done) / rate)}"
+    )
 
 
 def time_left(seconds: float) -> str:
     """Return the remaining time in words."""
-    return f"{time_words(seconds)} left" if math.isfinite(seconds) else "time left unknown"
+    return f"{time_words(seconds)} left"
 
 
 def time_words(seconds: float) -> str:

@@ -42,15 +42,16 @@ def fuzz(
     ] = False,
     explain: Annotated[
         str,
-        Option(help="causes: a violation of each claim, and others for as long as the search took; or all."),
+        Option(help="causes: an example for each cause, with no more simulation than the search; or all."),
     ] = "causes",
     verbose: Verbose = False,
 ) -> int:
     """Search a space for violations; write each as a scenario file.
 
-    The command shrinks, confirms (in PyBullet) and attributes a violation of each
-    claim, then others for as long as the search took; --explain all explains the
-    rest. It writes a page, fuzz.html, with a map of the coverage, coverage.svg.
+    The command confirms (in PyBullet) a violation of each claim. It shrinks and
+    attributes one example for each cause, as far as that simulates no more than
+    the search did; --explain all explains the rest. It writes a page, fuzz.html,
+    with a map of the coverage, coverage.svg.
     Ctrl-C keeps the findings so far.
 
     With --against it searches for claims that the avoider or controller violates

@@ -1,7 +1,8 @@
 """Show the progress of long commands: changing lines on a terminal, elsewhere a line every ten seconds.
 
 Elsewhere is a pipe, a file, or a terminal that gets no escape codes.  It gets a line at the start, at most
-every ten seconds, and at the end.  Each line has the share that is done and the time that is left.
+every ten seconds, and at the end.  Each line has the share that is done, and the time that is left
+unless machine code was compiled since the line before.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from typing import Any
 
 from rich.console import Console
 from rich.live import Live
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.text import Text
 
+from safety_harness.base.compiling import Pace, watchers
 from safety_harness.base.output import Output, where
 from safety_harness.cli.console import explain, no_escapes, result, say
 
@@ -68,7 +70,8 @@ def paced_lines() -> Iterator[Callable[[str], None]]:
 def block() -> Iterator[Callable[[list[str]], None]]:
     """Yield a function that shows lines on a terminal; elsewhere it prints the first line when due."""
     if is_live():
-        with Live(**_shown(), refresh_per_second=4) as live:
+        live = Live(**_shown(), refresh_per_second=4)
+        with live, at_compilation(lambda: live.update(Text())):
             yield lambda lines: live.update(Text("\n".join(lines)))
     else:
         with paced_lines() as tell:
@@ -84,19 +87,35 @@ def _shown() -> dict[str, Any]:
 @contextmanager
 def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
     """Yield a function that takes how many of ``total`` are done, and words on the next step."""
+    pace = Pace()
     if is_live():
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
-        with Progress(*columns, TimeRemainingColumn(), **_shown()) as bar:
-            task = bar.add_task("", total=total)
-            yield lambda done, words="", at="": bar.update(task, completed=done, description=words)
+        with Progress(*columns, TextColumn("{task.fields[share]}"), **_shown()) as bar:
+            task = bar.add_task("", total=total, share="")
+
+            def moved(done: int, words: str = "", at: str = "") -> None:
+                share = where(done, total, pace).removeprefix(", ")
+                bar.update(task, completed=done, description=words, share=share)
+
+            with at_compilation(lambda: bar.update(task, share="")):
+                yield moved
         return
-    begun_s = time.monotonic()
     with paced_lines() as tell:
 
         def told(done: int, words: str = "", at: str = "") -> None:
-            tell(f"{at}{words or f'{done:,}/{total:,} {unit}'}{where(done, total, begun_s)}")
+            tell(f"{at}{words or f'{done:,}/{total:,} {unit}'}{where(done, total, pace)}")
 
         yield told
+
+
+@contextmanager
+def at_compilation(clear: Callable[[], None]) -> Iterator[None]:
+    """Call ``clear`` after each compiled function, since a time left that is still shown is wrong then."""
+    watchers.append(watcher := lambda now: clear())
+    try:
+        yield
+    finally:
+        watchers.remove(watcher)
 
 
 TERMINAL = Output(say=say, result=result, explain=explain, block=block, counting=counting)

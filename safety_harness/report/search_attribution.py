@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 from safety_harness.admission.admit import Admitter
 from safety_harness.base.exceptions import described
-from safety_harness.cell.simulation.worlds import PYBULLET
+from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.report.svg import Ink, describe, plain
 from safety_harness.scenario.model import Claim, Scenario
 from safety_harness.search.attribution.attribute import (
@@ -20,6 +20,7 @@ from safety_harness.search.attribution.attribute import (
     confirmed,
 )
 from safety_harness.search.attribution.tally import AttributionTally, group_words
+from safety_harness.search.counterexample import Explanation, cost_s
 from safety_harness.search.findings import Group
 from safety_harness.search.session import SearchSession
 
@@ -69,18 +70,23 @@ class SearchAttribution:
     found: dict[str, Attribution] = field(default_factory=dict)
     _admitter: Admitter = field(default_factory=Admitter)
 
-    def explain(self, scenario: Scenario, claim: Claim) -> tuple[str, ...]:
-        """Return lines on one counterexample; changes that help are run in PyBullet too."""
+    def explain(self, scenario: Scenario, claim: Claim) -> Explanation:
+        """Explain one counterexample; changes that help are run in PyBullet too."""
         try:
             admitted = self._admitter.admit(scenario)
             (one,) = attribute(admitted, (claim,))
             asked = one.answer is AttributionAnswer.ATTRIBUTED and PYBULLET.is_installed
             there = confirmed(admitted, one) if asked else ()
         except Exception as error:  # what was found must not be lost for want of an explanation
-            return (f"whose fault: cannot be told: {described(error)}",)
+            return Explanation((f"whose fault: cannot be told: {described(error)}",))
         self.found[scenario.name] = one
         changed = (replay for replay in there if replay.changes)
-        return (f"whose fault: {one.words}", *(confirming_line(replay, one) for replay in changed))
+        return Explanation(
+            (f"whose fault: {one.words}", *(confirming_line(replay, one) for replay in changed)),
+            frozenset(one.mending or {f"{one.group}: {claim.sentence}"}),
+            cost_s(KINEMATIC, [scenario] * (1 + len(one.replays)))
+            + cost_s(PYBULLET, [scenario] * len(there)),
+        )
 
     def causes(self, session: SearchSession) -> dict[str, list[str]]:
         """Return the changes of one ingredient that mend several counterexamples, with their files.

@@ -76,7 +76,7 @@ def fuzz(
         searcher: A name that ``searcher_named`` takes.
         claims: Sentences in place of the space's claims.
         baseline: Sample the space uniformly as well, with the same budget.
-        explain: "causes": a violation of each claim, and others for as long as the search took; or "all".
+        explain: "causes": an example for each cause, with no more simulation than the search; or "all".
         out: A folder that keeps each finding as soon as it is found.
         output: What hears of the progress.
 
@@ -256,6 +256,7 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         against=trials.against,
         flips=tuple(session.flips),
         overruled=session.overruled,
+        left=tuple(session.left),
         causes={} if attribution is None else attribution.causes(session),
         coverage=trials.coverage,
         violations=trials.violations,
@@ -329,6 +330,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         "flips_near_the_limit": list(evidence.flips),
         "more_overruled_than_the_reference": evidence.overruled,
         "causes": evidence.causes,
+        "not_explained": list(evidence.left),
         "attribution_of_counterexamples": {
             name: as_json_of(one) for name, one in evidence.attributed.items()
         },

@@ -84,6 +84,7 @@ class SearchEvidence:
     attributed: Mapping[str, Attribution] = field(default_factory=dict)  # of counterexamples, by their files
     flips: tuple[str, ...] = ()  # differences from the reference that are none
     overruled: str = ""  # that the gate overrules more than of the reference
+    left: tuple[str, ...] = ()  # what was not explained
     causes: dict[str, list[str]] = field(default_factory=dict)  # what mends several, and which files
     against: Against | None = None  # how the runs differ from those with a reference
 

@@ -163,17 +163,20 @@ def disagreement_of(
     )
 
 
-def in_one_world(world: ScenarioRunner, admitted: Admitted) -> InOneWorld:
+def in_one_world(
+    world: ScenarioRunner, admitted: Admitted, run: Trace | Exception | None = None
+) -> InOneWorld:
     """Run and judge one scenario.
 
     Args:
         world: The runner.
         admitted: The admitted scenario.
+        run: Its run, if it was run before.
 
     Returns:
         The run with its evaluations; without them for a failed run.
 
     """
-    run = world([admitted])[0]
+    run = run or world([admitted])[0]
     evaluations = tuple(prop.evaluate(run) for prop in admitted.properties) if isinstance(run, Trace) else ()
     return InOneWorld(run, evaluations)

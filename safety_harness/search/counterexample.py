@@ -12,12 +12,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count
+from math import inf
 from pathlib import Path
 
 import numpy as np
 
-from safety_harness.admission.admit import admit
+from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import folder_of
+from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.hand_distance import nearest_hand
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -25,20 +27,73 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Confirm, in_one_world
 from safety_harness.search.coverage import cell_of
 from safety_harness.search.findings import TriedPoint
-from safety_harness.search.shrink import Shrunk, shrink
+from safety_harness.search.shrink import Shrunk, SpentError, shrink
 from safety_harness.search.trials import ScenarioRunner, Trials
 from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided
 
-Explain = Callable[[Scenario, Claim], Sequence[str]]
-"""Lines for people on why a scenario violates a claim."""
+STARTS_S, PYBULLET_COSTS = 5.0, 5.0  # as measured: to start a run, and the factor of PyBullet
 
 
-def unexplained(scenario: Scenario, claim: Claim) -> Sequence[str]:
-    """Return no lines: an ``Explain`` without an explanation."""
-    return ()
+def cost_s(world: WorldEntry, runs: Sequence[Scenario]) -> float:
+    """Return the cost of runs, in simulated seconds of the kinematic world."""
+    return (PYBULLET_COSTS if world == PYBULLET else 1.0) * sum(STARTS_S + one.duration_s for one in runs)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why a scenario violates a claim.
+
+    ``lines`` are for people.  Two explanations with a common text in ``causes`` have the same cause.  The
+    replays behind them cost ``cost_s``.
+    """
+
+    lines: tuple[str, ...] = ()
+    causes: frozenset[str] = frozenset()
+    cost_s: float = 0.0
+
+
+Explain = Callable[[Scenario, Claim], Explanation]
+"""Explains why a scenario violates a claim."""
+
+
+def unexplained(scenario: Scenario, claim: Claim) -> Explanation:
+    """Return an empty explanation."""
+    return Explanation()
+
+
+@dataclass(eq=False)
+class Allowance:
+    """The simulated time that explanations may cost.
+
+    Unlike a limit on the clock, it has the same effect on any machine.  ``until_s`` is the limit of the
+    present example.
+    """
+
+    total_s: float = inf
+    spent_s: float = 0.0
+    until_s: float = inf
+    explained: bool = False  # whether any example was; the first is, at any cost
+
+    def share(self, *, last: bool) -> None:
+        """Give the next example half of the rest, and the ``last`` all of it."""
+        self.until_s = self.spent_s + (self.total_s - self.spent_s) * (1.0 if last else 0.5)
+
+    def has(self, cost_s: float = 0.0) -> bool:
+        """Return whether the present example may cost so much more."""
+        return self.spent_s + cost_s < self.until_s
+
+    def metered(self, runner: ScenarioRunner) -> ScenarioRunner:
+        """Return a runner with its runs counted."""
+        world: WorldEntry = getattr(runner, "world", KINEMATIC)
+
+        def run(admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
+            self.spent_s += cost_s(world, [one.scenario for one in admitted])
+            return runner(admitted)
+
+        return run
 
 
 def seen_of(scenario: Scenario) -> SeenRegions:
@@ -124,8 +179,8 @@ class Counterexample:
     draws of the avoider's own randomness the violation occurs.  ``found_margin`` [SI] is the margin in the
     confirming world before shrinking; None for a run error.  ``found_contact`` and ``contact`` have
     ``contact_words`` before and after shrinking.  ``circumstances`` and ``attribution`` (the cause) are lines
-    for people.  An interrupted shrinking leaves attribution and draws empty.  A scenario
-    without an avoider has no draws.
+    for people; ``causes`` tells which counterexamples share a cause.  An interruption leaves attribution and
+    draws empty; a spent allowance (``is_cut``) may do so too.  A scenario without an avoider has no draws.
     """
 
     complaint: Complaint
@@ -137,6 +192,8 @@ class Counterexample:
     circumstances: tuple[str, ...]
     attribution: tuple[str, ...]
     draws: int | None
+    causes: frozenset[str] = frozenset()
+    is_cut: bool = False
 
     @cached_property
     def contact(self) -> str:
@@ -197,6 +254,7 @@ def counterexample_of(
     budget: int,
     sooner: ScenarioRunner | None = None,
     explain: Explain = unexplained,
+    allowance: Allowance | None = None,
     on_step: Callable[[str], None] = lambda words: None,
 ) -> Counterexample | None:
     """Confirm, shrink and explain a violation.
@@ -213,12 +271,16 @@ def counterexample_of(
         sooner: A quicker world that tests each candidate first, if it shows the violation; it refuses most
             candidates that do not violate.  None: ``world`` alone.
         explain: Explains a violation; it is not called for missing answers.
+        allowance: Limits shrinking to half of its present share, and what follows to the rest.  A violation
+            is confirmed at any cost, and the first is explained.  None: no limit.
         on_step: Receives the description of each step.
 
     Returns:
         The counterexample; None if ``world`` does not show the complaint.
 
     """
+    allowance = allowance or Allowance()
+    world = allowance.metered(world)
     on_step("confirming")
     first = world([admit(scenario)])[0]
     if not complaint.is_in(first):
@@ -226,17 +288,29 @@ def counterexample_of(
     margin = complaint.margin_in(first)
     confirm = Confirm(complaint, world, by=-KEPT * (margin or 0.0))
     confirms, runs = [confirm], count(1)
-    if sooner is not None and not complaint.kind and (quick := replace(confirm, world=sooner))(scenario):
-        confirms = [quick, confirm]  # otherwise the search would wait twice for an avoider that hangs
+    if sooner is not None and not complaint.kind and allowance.has():
+        quick = replace(confirm, world=allowance.metered(sooner))
+        confirms = [quick, confirm] if quick(scenario) else confirms  # never two for an avoider that hangs
+    until_s = (allowance.spent_s + allowance.until_s) / 2.0
 
     def violates(simpler: Scenario) -> bool:
+        if allowance.spent_s >= until_s:
+            raise SpentError
         on_step(f"shrinking, run {next(runs)} of at most {budget}")
         return all(shows(simpler) for shows in confirms)
 
     shrunk = shrink(scenario, violates, budget=budget)
+    is_cut = not shrunk.settled and allowance.spent_s >= until_s
     on_step("asking whose fault it is")
-    last = in_one_world(world, admit(shrunk.scenario))
-    whole = not shrunk.interrupted
+    last = in_one_world(world, admit(shrunk.scenario), first if shrunk.scenario == scenario else None)
+    claim = None if complaint.kind or shrunk.interrupted else complaint.claim
+    asked = allowance.has() or not allowance.explained
+    told = Explanation() if claim is None or not asked else explain(shrunk.scenario, claim)
+    allowance.spent_s += told.cost_s
+    allowance.explained |= bool(told.lines)
+    draws = not (shrunk.interrupted or shrunk.scenario.driven)
+    drawn = draws and allowance.has(cost_s(PYBULLET, [shrunk.scenario] * DRAWS))
+    is_cut |= (claim is not None and not asked) or draws is not drawn
     return Counterexample(
         complaint,
         shrunk,
@@ -247,10 +321,10 @@ def counterexample_of(
         tuple(filter(None, (complaint.reference_words(last.run), *circumstances(last.run))))
         if isinstance(last.run, Trace)
         else (),
-        tuple(explain(shrunk.scenario, complaint.claim))
-        if whole and complaint.claim is not None and not complaint.kind
-        else (),
-        confirm.share_of_draws(shrunk.scenario, DRAWS) if whole and not shrunk.scenario.driven else None,
+        told.lines,
+        confirm.share_of_draws(shrunk.scenario, DRAWS) if drawn else None,
+        told.causes,
+        is_cut and not shrunk.interrupted,
     )
 
 
@@ -266,7 +340,7 @@ def text_of(case: Counterexample, origin: Sequence[str], trace_file: Path | None
     head = [f"A counterexample to: {case.complaint.sentence}", *origin]
     if case.complaint.words != case.complaint.sentence:
         head.insert(1, case.complaint.kind)
-    head.append(f"Shrunk in {case.shrunk.used} runs{'' if case.shrunk.settled else ', not to the end'}.")
+    head.append(f"{case.shrunk.words}.".capitalize())
     for evaluation in case.evaluations:
         head += _margins(evaluation, "")
     if isinstance(case.run, Trace):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -19,6 +18,7 @@ import numpy as np
 
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.repeatability import RepeatabilityResult
+from safety_harness.base.compiling import Pace
 from safety_harness.base.exceptions import OutputError, explanation
 from safety_harness.base.output import Output, where
 from safety_harness.base.seeds import Branch
@@ -33,8 +33,10 @@ from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Disagreement, disagreement_of
 from safety_harness.search.counterexample import (
+    Allowance,
     Counterexample,
     Explain,
+    cost_s,
     counterexample_of,
     origin_of,
     text_of,
@@ -57,6 +59,7 @@ NOT_CONFIRMED = f"not confirmed in {PYBULLET.label}"
 NO_REFERENCE = f"nothing is confirmed in {PYBULLET.label}, which is not installed: this is {KINEMATIC} alone"
 MOST_SHRUNK = 3  # counterexamples of each claim, and of run errors
 SHRINKING_RUNS = 200  # for each counterexample
+AN_EXAMPLE = 40  # runs of the space that an example costs, about
 MOST_RUN_TWICE = 8  # disagreements of the worlds with both runs, for the page
 _MOST_AS_FOUND = 1_000  # files
 LEAST_DRAWN = 300  # pairs of runs anywhere in the space: with fewer, 3 % may be chance
@@ -107,7 +110,7 @@ class WrittenCounterexample:
         margin = "-" if one.evaluation is None else one.evaluation.margin_text()
         return [
             f"violated {margin:>13}  {one.complaint.words}{AS_EXPECTED if self.expected else ''}",
-            f"  {self.found_words}; shrunk in {one.shrunk.used} runs, {one.contact}",
+            f"  {self.found_words}; {one.shrunk.words}" + f", {one.contact}" * one.shrunk.done,
             *(f"  {line}" for line in one.circumstances[: one.complaint.reference is not None]),
             *(f"  {line}" for line in one.attribution),
             f"  safety-harness run {shlex.quote(str(self.path))}",
@@ -132,10 +135,10 @@ class SearchSession:
     ``confirmed`` stays 0.  ``unwritable`` is the reason why the session stopped writing.  ``explain``
     explains each violation.  ``repeated`` compares answers with a second instance of the avoider; None if it
     was not run.  ``flips`` lists differences from a reference that a redraw did not show.  ``overruled``
-    reports that the gate overrules the avoider more often than the reference.  Unless it ``explains_all``, it
-    begins no explanation beyond one for each claim (and for mishaps) once these took as long as the search,
-    ``search_s``.  It calls ``concluding`` after the search.  ``keeps`` tells whether findings are written to
-    ``out`` as they come.
+    reports that the gate overrules the avoider more often than the reference.  Unless it ``explains_all``,
+    explanations have an ``allowance``: they simulate as much as the search did.  ``left`` has lines on what
+    was not explained.  It calls ``concluding`` after the search.  ``keeps`` tells whether findings are
+    written to ``out`` as they come.
     """
 
     trials: Trials
@@ -157,7 +160,8 @@ class SearchSession:
     flips: list[str] = field(default_factory=list)
     overruled: str = ""
     keeps: bool = True
-    search_s: float = 0.0
+    allowance: Allowance = field(default_factory=Allowance)
+    left: list[str] = field(default_factory=list)
 
     @property
     def interrupted(self) -> bool:
@@ -317,28 +321,34 @@ class SearchSession:
         return [*doubt, *origin_of(self.trials, group.worst, searcher)]
 
     def _explain_groups(self) -> None:
-        """Shrink and explain a violation of each claim, then others in turn, until all or the time is spent.
+        """Shrink and explain a violation of each claim, then others in turn while the allowance lasts.
 
-        A claim that only the baseline violates is worth as much.
+        The others get an example only for a new cause, unless all are explained.  A claim that only the
+        baseline violates is worth as much.
         """
         claims = (*range(len(self.findings.goals)), None)
         searches = [self.findings] if self.baseline is None else [self.findings, self.baseline]
         examples = []
         for claim in claims:
             found = next((one for one in searches if one.of_claim(claim)), self.findings)
-            examples.append(_Examples(self, claim, found, _one_of_each_kind_first(found.of_claim(claim))))
-        until_s = time.monotonic() + self.search_s
+            groups = _one_of_each_kind_first(found.of_claim(claim))
+            if groups:
+                examples.append(_Examples(self, claim, found, groups, found.sentence_of(groups[0])))
+        each_s = cost_s(KINEMATIC, [self.trials.space.simplest])
+        if not self.explains_all:
+            self.allowance.total_s = each_s * sum(one.tried for one in searches)
+        going = []
         with self.output.words() as tell:
-            going = [one for one in examples if one.explain_next(tell)]
+            for one in examples:
+                self.allowance.share(last=one is examples[-1])
+                going += [one] if one.explain_next(tell) else []
+            self.allowance.share(last=True)
             while going:
-                going = [
-                    one
-                    for one in going
-                    if (self.explains_all or one.claim is None or time.monotonic() < until_s)
-                    and one.explain_next(tell)
-                ]
+                others = self.allowance.has(AN_EXAMPLE * each_s)
+                going = [one for one in going if (one.claim is None or others) and one.explain_next(tell)]
         for one in examples:
             one.report()
+        self.output.say(*self.left)
 
     def _counterexample(
         self, group: Group, number: int, on_step: Callable[[str], None]
@@ -357,6 +367,7 @@ class SearchSession:
                     budget=SHRINKING_RUNS,
                     sooner=self.trials.world if self.reference else None,
                     explain=self.explain,
+                    allowance=self.allowance,
                     on_step=on_step,
                 )
             except KeyboardInterrupt:
@@ -438,8 +449,21 @@ class _Examples:
     claim: int | None
     findings: Findings
     left: list[Group]
+    sentence: str
     written: list[WrittenCounterexample] = field(default_factory=list)
     shrunk: int = 0
+    again: int = 0  # violations of causes that have an example
+
+    def _has_an_example(self, group: Group) -> bool:
+        """Return whether the worst run of a group, as found, has the cause of an example."""
+        session, causes = self.session, {cause for one in self.written for cause in one.one.causes}
+        if session.explains_all or self.claim is None or not causes:
+            return False
+        claim = session.trials.claims[self.claim]
+        told = session.explain(session._scenario_of(session.out, group.worst), claim)
+        session.allowance.spent_s += told.cost_s
+        self.again += group.count * (known := not causes.isdisjoint(told.causes))
+        return known
 
     def explain_next(self, tell: Callable[[str], None]) -> bool:
         """Explain the next violation that the confirming world shows; return whether there was any."""
@@ -448,6 +472,12 @@ class _Examples:
             if session.findings.interrupted:
                 break
             group = self.left.pop(0)
+            try:
+                if self._has_an_example(group):
+                    return True
+            except KeyboardInterrupt:
+                session.findings.interrupted = True
+                break
             at = f"{self.findings.sentence_of(group)}, example {self.shrunk + 1}"
             case = session._counterexample(group, len(self.written) + 1, partial(_tell, tell, at))
             if case is None:
@@ -466,13 +496,17 @@ class _Examples:
         for written in self.written:
             output.result(*written.lines)
             output.detail(*(f"  {line}" for line in written.one.further))
-        if self.left and not self.session.findings.interrupted:
-            count = sum(group.count for group in self.left)
+        if self.session.findings.interrupted:
+            return
+        lines = [f"{_violations(self.again)} more of a cause that has an example"] if self.again else []
+        if any(written.one.is_cut for written in self.written):
+            lines.append("an example not explained to the end")
+        if self.left:
+            count = _violations(sum(group.count for group in self.left))
+            lines.append(f"{count} not explained, of the same cause or others")
+        if lines:
             rest = "" if self.session.explains_all else "; --explain all"
-            output.say(
-                f"{self.findings.sentence_of(self.left[0])}: {_violations(count)} not explained, "
-                f"of the same cause or others ({FINDINGS}, {AS_FOUND}{rest})"
-            )
+            self.session.left.append(f"{self.sentence}: {'; '.join(lines)} ({FINDINGS}, {AS_FOUND}{rest})")
 
 
 def search_space(
@@ -500,7 +534,7 @@ def search_space(
         output: Receives lines and progress.
         baseline: Also sample the space uniformly, with the same budget, for comparison.
         explain: Explains a violation.
-        explains_all: Explain all violations; otherwise for as long as the search took.
+        explains_all: Explain all violations; otherwise explanations simulate as much as the search did.
         concluding: Receives the session after the search, before the first explanation.
 
     Returns:
@@ -522,9 +556,7 @@ def search_space(
         output.say(f"{out} keeps the files of an earlier search, {files[0].name} among them")
     if not there:
         output.say(NO_REFERENCE)
-    begun_s = time.monotonic()
     session.findings = session.search(make, trials)
-    session.search_s = time.monotonic() - begun_s
     if baseline and not session.findings.interrupted and session.unwritable is None:
         output.say("the baseline: uniform sampling with the same budget")
         anew = replace(trials, coverage=Coverage(), violations=Coverage())
@@ -543,11 +575,11 @@ def watching_search(budget: int, output: Output) -> Iterator[Callable[[Findings]
         output: Receives the progress.
 
     """
-    begun_s = time.monotonic()
+    pace = Pace()
     with output.block() as show:
         show([f"tried 0/{budget}"])
         yield lambda findings: show(
-            [summary(findings, budget) + where(findings.tried, budget, begun_s), *nearest_lines(findings)]
+            [summary(findings, budget) + where(findings.tried, budget, pace), *nearest_lines(findings)]
         )
 
 

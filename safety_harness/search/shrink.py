@@ -216,9 +216,20 @@ class Shrunk:
     settled: bool
     interrupted: bool = False
 
+    @property
+    def done(self) -> bool:
+        """Whether the scenario became simpler, or cannot become simpler."""
+        return self.settled or bool(self.steps)
 
-class _SpentError(Exception):
-    """The budget is spent."""
+    @property
+    def words(self) -> str:
+        """Whether and in how many runs it was shrunk."""
+        shrunk = f"shrunk in {self.used} runs" + ("" if self.settled else ", not to the end")
+        return shrunk if self.done else "not shrunk"
+
+
+class SpentError(Exception):
+    """The budget is spent; ``violates`` may raise it too."""
 
 
 def shrink(scenario: Scenario, violates: Violates, *, budget: int) -> Shrunk:
@@ -241,7 +252,7 @@ def shrink(scenario: Scenario, violates: Violates, *, budget: int) -> Shrunk:
         while at_work.one_round():
             pass
         settled = True
-    except _SpentError:
+    except SpentError:
         pass
     except KeyboardInterrupt:
         interrupted = True
@@ -332,9 +343,9 @@ class _Shrinking:
         return self._known[text]
 
     def _run(self, candidate: Scenario) -> bool:
-        """Run a candidate; _SpentError if the budget is spent."""
+        """Run a candidate; SpentError if the budget is spent."""
         if self.used >= self.budget:
-            raise _SpentError
+            raise SpentError
         self.used += 1
         return self.violates(candidate)
 

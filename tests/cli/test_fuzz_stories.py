@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from safety_harness.cli import progress
 from safety_harness.cli.console import DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.search import session as search_session
+from safety_harness.search.counterexample import STARTS_S
 
 # A hand on either side is too fast to be given way to: one story, met from the right and from the left.
 TWO_SIDES = """\
@@ -119,25 +121,39 @@ def test_what_is_left_when_enough_was_shrunk_is_said_with_its_runs(
     assert said in capsys.readouterr().err
 
 
-def test_explanations_beyond_one_of_each_claim_take_no_longer_than_the_search(
+def test_explanations_simulate_no_more_than_the_search_whatever_the_clock_says(
     space: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 2)
+    sessions = []
     explained = search_session.SearchSession._explain_groups
-
-    def after_a_search_in_no_time(session: search_session.SearchSession) -> None:
-        session.search_s = 0.0
-        explained(session)
-
-    monkeypatch.setattr(search_session.SearchSession, "_explain_groups", after_a_search_in_no_time)
-    few, every = Path("few"), Path("every")
-    assert fuzz(space, out=few, budget=12) == DIFFERS
-    assert "--explain all" in capsys.readouterr().err
-    assert fuzz(space, out=every, budget=12, explain="all") == DIFFERS
+    monkeypatch.setattr(
+        search_session.SearchSession,
+        "_explain_groups",
+        lambda session: (sessions.append(session), explained(session)),
+    )
+    few, slowly, every = Path("few"), Path("slowly"), Path("every")
+    assert fuzz(space, out=few, budget=120) == DIFFERS
+    said = capsys.readouterr().err
+    (allowance,) = [session.allowance for session in sessions]
+    assert allowance.total_s == 120 * (0.4 + STARTS_S)
+    assert 0.0 < allowance.spent_s < allowance.total_s
+    begun = count(step=1000.0)
+    with monkeypatch.context() as patch:
+        patch.setattr("time.monotonic", lambda: next(begun))
+        assert fuzz(space, out=slowly, budget=120) == DIFFERS
+    assert [file.read_text().replace("slowly", "few") for file in sorted(slowly.glob("*.yaml"))] == [
+        file.read_text() for file in sorted(few.glob("*.yaml"))
+    ]
+    assert fuzz(space, out=every, budget=120, explain="all") == DIFFERS
     one, several = (
         [group for group in found_in(out)["distinct"] if group["counterexample"]] for out in (few, every)
     )
     assert len(one) == 1 < len(several)
+    (line,) = found_in(few)["not_explained"]
+    assert "not explained" in line
+    assert line.endswith("--explain all)")
+    assert line in said
+    assert line in (few / "fuzz.html").read_text()
     assert found_in(few)["attribution"] is None
     assert found_in(every)["attribution"] is not None
 

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from itertools import count
 from math import inf, nan
 from pathlib import Path
 
@@ -15,9 +16,10 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
+from safety_harness.base.compiling import Compilation, Compiled, Pace, watchers
 from safety_harness.base.exceptions import Place, ScenarioError
 from safety_harness.base.output import where
-from safety_harness.cli import console
+from safety_harness.cli import console, progress
 from safety_harness.cli.console import (
     BAD_INPUT,
     answered_as_json,
@@ -260,14 +262,65 @@ def test_a_log_gets_a_line_at_the_start_every_ten_seconds_and_at_the_end(
     assert said == [(0.0, "step 0"), (EVERY_S, "step 40"), (2 * EVERY_S, "step 80"), (24.75, "step 99")]
 
 
-def test_share_and_time_left_are_told_once_there_is_something_to_tell(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("time.monotonic", lambda: 130.0)
-    assert where(0, 40, 100.0) == ""
-    assert where(10, 40, 100.0) == ", 25 %, 90 s left".replace("90 s", "2 min")
-    assert where(30, 40, 100.0) == ", 75 %, 10 s left"
-    assert where(40, 40, 100.0) == ", 100 %, 30 s"
+def test_share_and_time_left_are_told_once_there_is_something_to_tell() -> None:
+    clock = [100.0]
+    pace = Pace(lambda: clock[0])
+    assert where(0, 40, pace) == ""
+    clock[0] = 110.0
+    assert where(10, 40, pace) == ", 25 %"  # what the first took may be loading
+    clock[0] = 120.0
+    assert where(20, 40, pace) == ", 50 %, 20 s left"
+    clock[0] = 130.0
+    assert where(40, 40, pace) == ", 100 %, 30 s"
+
+
+def test_no_time_left_contains_what_compiling_took(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first run of 100 s that compiled for 99 s said that 48 minutes were left."""
+    clock = [0.0]
+    pace = Pace(lambda: clock[0])
+    for done in (1, 2, 3):
+        clock[0] += 1.0
+        said = where(done, 40, pace)
+    assert said == ", 7 %, 37 s left"
+    monkeypatch.setattr(Compiled, "count", Compiled.count + 1)
+    clock[0] += 60.0
+    assert where(4, 40, pace) == ", 10 %"
+    clock[0] += 1.0
+    assert where(5, 40, pace) == ", 12 %, 35 s left"
+
+
+def test_a_bar_drops_its_time_left_when_a_function_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    updates: list[str] = []
+
+    class Bar:
+        def __init__(self, *columns: object, **settings: object) -> None:
+            """Like Rich's."""
+
+        def __enter__(self) -> Bar:
+            return self
+
+        def __exit__(self, *error: object) -> None:
+            """Go away."""
+
+        def add_task(self, name: str, **fields: object) -> int:
+            return 0
+
+        def update(self, task: int, *, share: str, **fields: object) -> None:
+            updates.append(share)
+
+    seconds = count(step=1.0)
+    monkeypatch.setattr("time.monotonic", lambda: next(seconds))
+    monkeypatch.setattr(progress, "Pace", lambda: Pace(lambda: next(seconds)))
+    monkeypatch.setattr(progress, "is_live", lambda: True)
+    monkeypatch.setattr(progress, "Progress", Bar)
+    before = [*watchers]
+    with progress.counting(40, "runs") as show:
+        show(1)
+        show(2)
+        (watcher,) = watchers[len(before) :]
+        watcher(Compilation(1, 2, 60.0, going_on=True))
+    assert watchers == before
+    assert updates == ["2 %", "5 %, 38 s left", ""]
 
 
 def test_errors_outside_of_json_are_for_people_alone(capsys: pytest.CaptureFixture[str]) -> None:

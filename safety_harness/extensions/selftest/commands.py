@@ -48,9 +48,9 @@ def selftest(
     """
     import shlex
     import sys
-    import time
 
     from safety_harness.admission.avoiders import one_of, option_of
+    from safety_harness.base.compiling import Pace
     from safety_harness.base.output import where
     from safety_harness.base.whole_file import writing
     from safety_harness.claims.properties.tally import table
@@ -87,14 +87,14 @@ def selftest(
         say("interrupted before the first fault")
         return INTERRUPTED
     say(*session.remarks, f"{len(numbers)} faults and harmless changes to try")
-    begun_s = time.monotonic()
+    pace = Pace()
 
     def show_outcome(outcome: FaultOutcome) -> None:
         text, alarm, smallest = outcome.state.value, outcome.alarm, outcome.smallest
         if outcome.state is FaultState.CAUGHT and alarm and smallest:
             text = f"caught down to {smallest.words}, by {alarm.claim} in {alarm.scenario}"
         done, total = len(session.done), len(numbers)
-        say_where(f"[{done}/{total}] {outcome.part}: {outcome.fault}: {text}{where(done, total, begun_s)}")
+        say_where(f"[{done}/{total}] {outcome.part}: {outcome.fault}: {text}{where(done, total, pace)}")
 
     with writing(out):
         with paced_lines() as say_where:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from safety_harness.base.compiling import Compiled, Pace
 from safety_harness.base.exceptions import CampaignError, InadmissibleError, LedgerError, OutputError
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner, random_episodes
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
@@ -26,6 +27,7 @@ from safety_harness.extensions.assurance.campaign.processes import (
 from safety_harness.extensions.assurance.campaign.runner import ATTEMPTS, CampaignRunner
 from safety_harness.extensions.assurance.campaign.session import plan_of, processes, run_missing
 from safety_harness.extensions.assurance.campaign.summary import fingerprint_of, tally_of
+from safety_harness.extensions.assurance.commands.progress import _head
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from tests.assurance.campaign.benches import Crashes, Grows, Hangs, IsMistaken, NeverReady, Plain, row_of
 from tests.assurance.campaign.plans import PLAN, ledger_in, plan_in
@@ -151,7 +153,7 @@ def test_parts_are_apart_and_together_the_whole(tmp_path: Path, plan: Plan) -> N
         assert first.standing == (0, 25)
         assert not first.run()
         assert first.standing == (25, 25)
-        assert first.left_s == 0.0
+        assert first.left == 0
         assert ledger.outcomes(0, 0)[0].tolist() == list(range(0, 30, 2))
         assert CampaignRunner(plan, ledger, Here(2), part=(1, 2)).standing == (0, 25)
         assert CampaignRunner(plan, ledger, Here(2), part=(1, 2)).run()
@@ -214,8 +216,24 @@ def test_progress_says_how_it_stands(tmp_path: Path, plan: Plan) -> None:
         CampaignRunner(plan, ledger, Here(2), on_progress=shown.append).run()
     assert shown[-1].tally.complete
     assert shown[-1].done_now == 50
-    assert shown[-1].rate > 0.0
-    assert shown[-1].left_s == 0.0
+    assert shown[-1].left == 0
+    assert _head(shown[-1]).startswith("50/50 episodes (100 %)")
+
+
+def test_a_campaign_names_no_time_left_until_an_episode_came_after_the_compilation(
+    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = [0.0]
+    with ledger_in(tmp_path, plan) as ledger:
+        campaign = CampaignRunner(plan, ledger, Here(2))
+    campaign.pace = Pace(lambda: clock[0])
+    heads = []
+    for clock[0], campaign.done_now in ((90.0, 1), (91.0, 11), (150.0, 12), (151.0, 22)):
+        if clock[0] == 150.0:
+            monkeypatch.setattr(Compiled, "count", Compiled.count + 1)
+        heads.append(_head(campaign))
+    assert ["left" in head for head in heads] == [False, True, False, True]
+    assert heads[1] == heads[3] == "0/50 episodes (0 %), 10.0 a second, 5 s left"
 
 
 @contextmanager

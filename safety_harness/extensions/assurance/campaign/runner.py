@@ -16,6 +16,7 @@ from itertools import chain, islice
 import numpy as np
 
 from safety_harness.admission.repeatability import Repeatability
+from safety_harness.base.compiling import Pace
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner, failed_row, random_episodes
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan
@@ -66,7 +67,7 @@ class CampaignRunner:
         self.repeatability = Repeatability()
         self._bench = EpisodeRunner(self.plan)  # draws scenarios here; workers run them
         self.tally = tally_of(self.ledger)
-        self._begun_s = time.monotonic()
+        self.pace = Pace()
         self._kept = [sorted(self.ledger.violations_kept(s)) for s in range(len(self.plan.strata))]
         self._stopping = Stopping(self.plan, self.ledger)
         missing = [self._missing(s) for s in range(len(self.plan.strata))]
@@ -75,16 +76,10 @@ class CampaignRunner:
         self._stratum = 0
 
     @property
-    def rate(self) -> float:
-        """Episodes a second in this session."""
-        return self.done_now / max(time.monotonic() - self._begun_s, 1e-9)
-
-    @property
-    def left_s(self) -> float:
-        """The time [s] of the rest at this rate; infinite before the first episode."""
+    def left(self) -> int:
+        """Episodes that are still to come."""
         strata = zip(self.tally.strata, self._left, strict=True)
-        left = sum(left for stratum, left in strata if not stratum.complete)
-        return left / self.rate if self.done_now else float("inf")
+        return sum(left for stratum, left in strata if not stratum.complete)
 
     @property
     def standing(self) -> tuple[int, int]:

@@ -345,8 +345,8 @@ def told_whose_fault(plan: Plan, met: Sequence[Example | str]) -> tuple[Example 
         claim = item.shown.claim if isinstance(item, Example) and item.shown.independent else None
         if isinstance(item, Example) and claim is not None and counts[claim] < MOST_ASKED:
             counts[claim] += 1
-            lines = attribution.explain(item.run.trace.scenario, plan.claims[claim - 1].claim)
-            item = with_fault(item, lines)
+            told = attribution.explain(item.run.trace.scenario, plan.claims[claim - 1].claim)
+            item = with_fault(item, told.lines)
         examples.append(item)
     return tuple(examples)
 

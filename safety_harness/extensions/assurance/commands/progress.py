@@ -43,8 +43,9 @@ def _head(progress: CampaignRunner) -> str:
     (done, planned), (part, parts) = progress.standing, progress.part
     share = done / planned if planned else 1.0
     episodes = "episodes" if parts == 1 else f"episodes of part {part + 1}/{parts}"
-    head = f"{done}/{planned} {episodes} ({int(100 * share)} %), {progress.rate:.1f} a second, "
-    head += time_left(progress.left_s)
+    head = f"{done}/{planned} {episodes} ({int(100 * share)} %)"
+    if (rate := progress.pace.rate(progress.done_now)) is not None:
+        head += f", {rate:.1f} a second, {time_left(progress.left / rate)}"
     if not progress.crew.size:
         head += "; NO WORKER IS THERE"
     if progress.retried or progress.crew.replaced:
