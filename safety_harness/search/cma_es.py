@@ -8,6 +8,7 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import log
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.search import least
@@ -115,7 +116,7 @@ class CmaEs:
         """Return the next descent, over the whole cube."""
         rng = generator(self._seed, Branch.SEARCH, self._restarts)
         low, high = np.zeros(self._dimension), np.ones(self._dimension)
-        population = (4 + int(3 * np.log(self._dimension))) * 2 ** min(self._restarts, 5)
+        population = (4 + int(3 * log(self._dimension))) * 2 ** min(self._restarts, 5)
         return Descent(low, high, rng.random(self._dimension), 0.3, rng, max(population, 4))
 
     def propose(self, count: int) -> Points:
