@@ -68,6 +68,8 @@ def upper_bound(count: int, trials: int, chance: float) -> float:
     """
     if count >= trials:
         return 1.0
+    if 2 * count > trials:  # near 1 only the rest has all its digits
+        return 1.0 - lower_bound(trials - count, trials, chance)
     guide = float(scipy.special.betainccinv(count + 1.0, trials - count, chance))
     return settled(lambda p: binomial_at_most(count, trials, p) <= chance, 0.0, 1.0, guide)[1]
 

@@ -1,7 +1,7 @@
 """Quantiles and tails of distributions with the same bits on every processor, by ``elementary``.
 
-A bound is ``settled`` among the numbers of 37 bits by our own tails.  So it is the same for every library,
-and rounded away from the truth by at most 2^-36 of itself.
+A bound is ``settled`` among the numbers of 44 bits by our own tails.  So it is the same for every library,
+and rounded away from the truth by at most 2^-43 of itself.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from safety_harness.base.elementary import exp, log, log1p
 
 Floats = NDArray[np.float64]
 _MOST_TERMS = 10**6  # of a series or fraction
-_SPARE = 16  # bits of a float beyond 37
+_WINDOW = 64  # places about a guide
+_SPARE = 9  # bits of a float beyond 44
 # 1/(12 z) - 1/(360 z^3) + ..., Stirling's series
 _STIRLING = (1 / 12, -1 / 360, 1 / 1260, -1 / 1680, 1 / 1188, -691 / 360360, 1 / 156)
 _HALF_LOG_2PI = 0.91893853320467274178
@@ -171,7 +172,7 @@ def binomial_at_most(count: Any, trials: Any, share: Any) -> Any:
 
 
 def settled(crossed: Callable[[Floats], Any], low: float, high: float, guide: float) -> tuple[float, float]:
-    """Return neighbours among the numbers of 37 bits: the last before a crossing, and the first after it.
+    """Return neighbours among the numbers of 44 bits: the last before a crossing, and the first after it.
 
     Args:
         crossed: False below a number between ``low`` and ``high``, True above it, elementwise.
@@ -181,18 +182,18 @@ def settled(crossed: Callable[[Floats], Any], low: float, high: float, guide: fl
 
     """
     first, last, near = (int(np.float64(end).view(np.int64)) >> _SPARE for end in (low, high, guide))
-    if first < near - 2 and near + 2 < last:
-        before, after = crossed(_of_37_bits([near - 2, near + 2]))
-        first, last = (near - 2 if not before else first), (near + 2 if after else last)
+    if first < near - _WINDOW and near + _WINDOW < last:
+        before, after = crossed(_of_44_bits([near - _WINDOW, near + _WINDOW]))
+        first, last = (near - _WINDOW if not before else first), (near + _WINDOW if after else last)
     while last - first > 1:
         inside = np.unique(np.linspace(first, last, 34).astype(np.int64)[1:-1].clip(first + 1, last - 1))
-        place = int(np.argmax(np.append(np.asarray(crossed(_of_37_bits(inside)), bool), np.True_)))
+        place = int(np.argmax(np.append(np.asarray(crossed(_of_44_bits(inside)), bool), np.True_)))
         ends = [first, *inside.tolist(), last]
         first, last = ends[place], ends[place + 1]
-    before, after = _of_37_bits([first, last]).tolist()
+    before, after = _of_44_bits([first, last]).tolist()
     return float(before), float(after)
 
 
-def _of_37_bits(places: Any) -> Floats:
-    """Return the numbers at these places, in order, of all positive numbers of 37 bits."""
+def _of_44_bits(places: Any) -> Floats:
+    """Return the numbers at these places, in order, of all positive numbers of 44 bits."""
     return (np.asarray(places, np.int64) << _SPARE).view(np.float64)

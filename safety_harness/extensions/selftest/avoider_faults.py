@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from safety_harness.base.elementary import cos, sin
 from safety_harness.base.exceptions import AvoiderError
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.base.settings import DEFAULTS, GateKind
@@ -98,7 +99,7 @@ def moved(change: Callable[[Vector, float], Vector]) -> Seeds:
 
 def turned(vector: Vector, angle_rad: float) -> Vector:
     """Return a displacement (3,) turned about the vertical."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    c, s = cos(angle_rad), sin(angle_rad)
     return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
 
 
