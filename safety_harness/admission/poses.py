@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import product
 from safety_harness.base.exceptions import InadmissibleError
 from safety_harness.base.geometry.arrays import ArrayN
 from safety_harness.base.geometry.rotations import rotation_from_vector
@@ -71,7 +72,7 @@ def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float6
         target[:3, 3] = start.position_in_base_m
     else:
         target[:3, 3] += start.offset_in_base_m
-    target[:3, :3] = target[:3, :3] @ rotation_from_vector(np.array(start.tilt_in_tcp_rad))
+    target[:3, :3] = product(target[:3, :3], rotation_from_vector(np.array(start.tilt_in_tcp_rad)))
     return _reached(scenario, target, "TCP start", START)
 
 
@@ -187,7 +188,7 @@ def _check_in_view(
 def _above(settings: Settings) -> str:
     """Return advice: the desired TCP position with the camera right above the object, at the same height."""
     cell = settings.cell
-    mount_in_base_m = LOOKING_DOWN @ np.array(settings.camera.mount_offset_in_tcp_m)
+    mount_in_base_m = product(LOOKING_DOWN, np.array(settings.camera.mount_offset_in_tcp_m))
     place_m = np.array(settings.object.position_in_base_m) - mount_in_base_m
     place_m[2] = cell.desired_tcp_position_in_base_m[2]
     x, y, z = (round(value * 1e3) for value in place_m)

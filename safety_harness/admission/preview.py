@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Checked
+from safety_harness.base.elementary import product
 from safety_harness.base.geometry.arrays import Array3, Array4x4
 from safety_harness.base.geometry.transforms import inverse_transform
 from safety_harness.cell.controller.desired import desired_transform_tcp_to_base
@@ -76,9 +77,11 @@ def hand_paths(scenario: Scenario, tcp_in_base_m: Array3) -> tuple[Floats, ...]:
 def object_image_px(scenario: Scenario, transform_tcp_to_base: Array4x4) -> Floats:
     """Return the object's corners (k, 2) in pixels from the image's upper left corner, also outside it."""
     camera = scenario.settings.camera
-    camera_to_base = transform_tcp_to_base @ transform_camera_to_tcp(camera, calibrated=False)
+    camera_to_base = product(transform_tcp_to_base, transform_camera_to_tcp(camera, calibrated=False))
     base_to_camera = inverse_transform(camera_to_base)
-    corners = object_polygon_in_base(scenario.settings) @ base_to_camera[:3, :3].T + base_to_camera[:3, 3]
+    corners = (
+        product(object_polygon_in_base(scenario.settings), base_to_camera[:3, :3].T) + base_to_camera[:3, 3]
+    )
     centre_px = np.array(principal_point_px(camera.width_px, camera.height_px))
     image: Floats = camera.focal_px * corners[:, :2] / corners[:, 2:] + centre_px
     return image

@@ -21,6 +21,7 @@ import numpy as np
 from safety_harness.admission.admit import Admitter, first_question
 from safety_harness.admission.avoiders import Avoiders, is_a_program
 from safety_harness.admission.trial import run_trial
+from safety_harness.base.elementary import length
 from safety_harness.base.exceptions import InputError, NoAnswerError, SimulationError, printable
 from safety_harness.base.output import Output
 from safety_harness.cell.avoidance.asking import (
@@ -385,7 +386,7 @@ def _compared(why: str, case: Asked, answer: Answer) -> Difference | None:
     if not how:
         return None
     a, b = case.answer.proposal, answer.proposal
-    off_m = float(np.linalg.norm([a.position_in_base_m - b.position_in_base_m, a.spread_m - b.spread_m]))
+    off_m = length([a.position_in_base_m - b.position_in_base_m, a.spread_m - b.spread_m])
     same = np.array_equal(case.answer.spread_threshold_m, answer.spread_threshold_m, equal_nan=True)
     return off_m if same and np.isfinite(off_m) else np.inf, f"{why} {how} ({_place(case)})"
 

@@ -221,6 +221,23 @@ def inlined(function: F) -> F:
     return _compiled(function, _nrt=False, forceinline=True)
 
 
+def arithmetic(function: F) -> F:
+    """Compile a function into its callers; a call from Python runs it as Python, on floats or on arrays.
+
+    So it has to consist of operations whose bits IEEE 754 fixes.  Then both ways give the same bits.
+    """
+    made: Any = njit(error_model="numpy", _nrt=False)(function)
+    made.__class__ = _Arithmetic
+    return cast(F, made)
+
+
+class _Arithmetic(CPUDispatcher):
+    """A compiled function that Python always runs as Python."""
+
+    def __call__(self, *args: Any) -> Any:
+        return self.py_func(*args)
+
+
 def _compiled(function: F, **options: bool) -> F:
     """Return ``function`` as a compiled function whose machine code goes to ``cache_folder`` of its file."""
     previous = numba_config.CACHE_DIR

@@ -6,10 +6,13 @@ The module also gives a share in words.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy  # its special functions take half a second to load; scipy loads them at their first use
 from numpy.typing import NDArray
+
+from safety_harness.base.special import beta_share, binomial_at_most, settled
 
 LEVEL = 0.95
 
@@ -57,17 +60,27 @@ def share_words(count: int, total: int) -> str:
     return "over 99.9 %" if per_mille == 1000 else f"{per_mille / 10:.1f} %"
 
 
+@lru_cache(maxsize=4096)
 def upper_bound(count: int, trials: int, chance: float) -> float:
     """Return the share under which at most ``count`` of ``trials`` successes have this chance; 1 if all are.
 
     It is the upper end of Clopper and Pearson (1934): the true share lies above it with this chance at most.
     """
-    return 1.0 if count >= trials else float(scipy.special.betainccinv(count + 1.0, trials - count, chance))
+    if count >= trials:
+        return 1.0
+    if 2 * count > trials:  # near 1 only the rest has all its digits
+        return 1.0 - lower_bound(trials - count, trials, chance)
+    guide = float(scipy.special.betainccinv(count + 1.0, trials - count, chance))
+    return settled(lambda p: binomial_at_most(count, trials, p) <= chance, 0.0, 1.0, guide)[1]
 
 
+@lru_cache(maxsize=4096)
 def lower_bound(count: int, trials: int, chance: float) -> float:
     """Return the share at which ``count`` of ``trials`` or more succeed with this chance; 0 if count is 0."""
-    return 0.0 if count <= 0 else float(scipy.special.betaincinv(count, trials - count + 1.0, chance))
+    if count <= 0:
+        return 0.0
+    guide = float(scipy.special.betaincinv(count, trials - count + 1.0, chance))
+    return settled(lambda p: beta_share(count, trials - count + 1.0, p) > chance, 0.0, 1.0, guide)[0]
 
 
 def sign_test(more: int, fewer: int) -> float:
@@ -80,4 +93,4 @@ def sign_test(more: int, fewer: int) -> float:
         fewer: Observations in favour of the second.
 
     """
-    return min(1.0, 2.0 * float(scipy.special.bdtr(min(more, fewer), more + fewer, 0.5)))
+    return min(1.0, 2.0 * float(binomial_at_most(min(more, fewer), more + fewer, 0.5)))

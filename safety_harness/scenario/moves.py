@@ -71,7 +71,8 @@ class Tremor:
     @property
     def max_acceleration_mps2(self) -> float:
         """The acceleration that it never exceeds."""
-        return self.amplitude_m * (2.0 * pi * self.rate_hz) ** 2
+        rate_radps = 2.0 * pi * self.rate_hz
+        return self.amplitude_m * rate_radps * rate_radps
 
 
 TREMOR = table_of(Tremor, "tremor", where="tremor of a hand")

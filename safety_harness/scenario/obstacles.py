@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import cos, product, sin
 from safety_harness.base.settings import Vector3
 from safety_harness.scenario.codec import POINT, TURN, Below, QuantityValue, Several, declared, key, table_of
 from safety_harness.scenario.units import LENGTH
@@ -32,8 +33,8 @@ class Obstacle:
         """The corners (8, 3): the four below in order around the box, then the four above them."""
         across, along, half_height = (0.5 * edge for edge in self.size_m)
         square = np.array([[across, along], [-across, along], [-across, -along], [across, -along]])
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        square = square @ np.array([[c, s], [-s, c]])
+        c, s = cos(self.yaw_rad), sin(self.yaw_rad)
+        square = product(square, np.array([[c, s], [-s, c]]))
         corners: NDArray[np.float64] = np.concatenate(
             [np.column_stack([square, np.full(4, z)]) for z in (-half_height, half_height)]
         )

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from safety_harness.base.elementary import length
 from safety_harness.base.exceptions import RecordingError, ScenarioError, refuse_other_type
 from safety_harness.base.settings import DEFAULTS, Settings, Vector3
 from safety_harness.base.shipped.contents import located
@@ -283,7 +284,7 @@ def _check_move(move: HandMove, given: Mapping[str, Field], hand: MovingHand) ->
 
 def _apart_m(first: Vector3, second: Vector3) -> float:
     """Return the distance [m] of two points."""
-    return float(np.linalg.norm(np.subtract(first, second)))
+    return length(np.subtract(first, second))
 
 
 def _joined_hand(given: Fields, earlier: list[HandTrajectory]) -> JoinedHand:

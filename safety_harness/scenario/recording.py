@@ -24,6 +24,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import cos, length, sin
 from safety_harness.base.exceptions import Place, RecordingError, near_miss
 from safety_harness.base.settings import Vector3
 from safety_harness.scenario.files import decode
@@ -194,7 +195,7 @@ class Track:
 
     def speed_mps(self, first: int, second: int) -> float:
         """Return the speed [m/s] straight from sample ``first`` to sample ``second``."""
-        way_m = np.linalg.norm(self.position_m[second] - self.position_m[first])
+        way_m = length(self.position_m[second] - self.position_m[first])
         return float(way_m / (self.time_s[second] - self.time_s[first]))
 
 
@@ -449,7 +450,7 @@ def _turned(vector: NDArray[np.float64], angle_rad: float) -> NDArray[np.float64
 
     The product is explicit, since a matrix product may round differently on another machine.
     """
-    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    cosine, sine = cos(angle_rad), sin(angle_rad)
     x, y, z = vector.T
     return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
 

@@ -1,19 +1,96 @@
-"""CMA-ES (Hansen and Ostermeier, 2001) with restarts, from the package ``cma``, as ask and tell."""
+"""CMA-ES (Hansen and Ostermeier, 2001) with restarts, as ask and tell, with bits of its own."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Hashable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import exp, length, log, product
+from safety_harness.base.geometry.linear import eigen
+from safety_harness.base.normals import standard_normal
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.search import least
 
 _FLAT = 1e-9  # a population with smaller differences of scores has no direction
 _PATIENCE = 10  # generations without an improvement
+
+
+class _Evolution:
+    """A normal distribution in the unit cube that evolves, with the constants of Hansen (2016).
+
+    Points beyond a bound are reflected at it.
+
+    Args:
+        mean: (n,) the first mean, n >= 1.
+        step: The first standard deviation.
+        rng: The generator of all draws.
+        population: Points per generation; None: 4 + 3 log n.
+
+    """
+
+    def __init__(self, mean: Point, step: float, rng: np.random.Generator, population: int | None) -> None:
+        n = len(mean)
+        self._mean, self.sigma, self._rng = mean, step, rng
+        self._count = population or 4 + int(3 * log(n))
+        weights = log(0.5 * (self._count + 1)) - log(np.arange(1.0, self._count + 1.0))
+        better, worse = weights[: self._count // 2], weights[self._count // 2 :]
+        self._weights = better / better.sum()
+        self._effective = effective = float(1.0 / (self._weights * self._weights).sum())
+        self._path_share = (effective + 2.0) / (n + effective + 5.0)
+        self._damping = 1.0 + 2.0 * max(0.0, np.sqrt((effective - 1.0) / (n + 1.0)) - 1.0) + self._path_share
+        self._long_share = (4.0 + effective / n) / (n + 4.0 + 2.0 * effective / n)
+        self._one_share = 2.0 / ((n + 1.3) * (n + 1.3) + effective)
+        many = 2.0 * (effective - 2.0 + 1.0 / effective) / ((n + 2.0) * (n + 2.0) + effective)
+        self._many_share = min(1.0 - self._one_share, many)
+        apart = worse.sum() * worse.sum() / np.maximum((worse * worse).sum(), 1e-12)
+        most = 1.0 + self._one_share / self._many_share, 1.0 + 2.0 * apart / (effective + 2.0)
+        most = min(*most, (1.0 - self._one_share - self._many_share) / (n * self._many_share))
+        self._worse = most * worse / max(-float(worse.sum()), 1e-12)  # their directions become shorter
+        self._usual = float(np.sqrt(n)) * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n * n))
+        self._covariance, self._axes, self._roots = np.eye(n), np.eye(n), np.ones(n)
+        self._path, self._long_path = np.zeros(n), np.zeros(n)
+        self._generations, self._forgotten = 0, 1.0
+        self._most = 100.0 + 150.0 * (n + 3.0) * (n + 3.0) / np.sqrt(self._count)
+
+    def ask(self) -> list[Point]:
+        """Return the points (n,) of a generation."""
+        values, self._axes = eigen(self._covariance)
+        self._roots = np.sqrt(np.maximum(values, 1e-20))
+        draws = standard_normal(self._rng, (self._count, len(self._mean)))
+        self._steps = product(draws * self._roots, self._axes.T)
+        self._sizes = np.maximum((draws * draws).sum(axis=1), 1e-12)
+        place = np.mod(self._mean + self.sigma * self._steps, 2.0)
+        return list(1.0 - np.abs(1.0 - place))
+
+    def tell(self, scores: NDArray[np.float64]) -> None:
+        """Learn the scores of the generation; less is better."""
+        order, count = np.argsort(scores, kind="stable"), len(self._weights)
+        chosen = self._steps[order[:count]]
+        step = product(self._weights, chosen)
+        self._mean = self._mean + self.sigma * step
+        a, c, one, many = self._path_share, self._long_share, self._one_share, self._many_share
+        white = product(self._axes, product(self._axes.T, step) / self._roots)
+        self._path = (1.0 - a) * self._path + np.sqrt(a * (2.0 - a) * self._effective) * white
+        self._generations, self._forgotten = self._generations + 1, self._forgotten * (1.0 - a) * (1.0 - a)
+        size, n = length(self._path), len(step)
+        short = size < (1.4 + 2.0 / (n + 1.0)) * self._usual * np.sqrt(1.0 - self._forgotten)
+        self._long_path = (1.0 - c) * self._long_path
+        if short:
+            self._long_path = self._long_path + np.sqrt(c * (2.0 - c) * self._effective) * step
+        weights = np.concatenate([self._weights, self._worse * n / self._sizes[order[count:]]])
+        left = 1.0 - one - many * (1.0 + float(self._worse.sum())) + (0.0 if short else one * c * (2.0 - c))
+        ranked = product(self._steps[order].T * weights, self._steps[order])
+        self._covariance = left * self._covariance + many * ranked
+        self._covariance += one * np.outer(self._long_path, self._long_path)
+        self.sigma *= float(exp(min(1.0, a / self._damping * (size / self._usual - 1.0))))
+
+    @property
+    def ended(self) -> bool:
+        """Whether the distribution is degenerate, or a descent never takes so many generations."""
+        return bool(self._generations > self._most or self._roots[-1] > 1e7 * self._roots[0])
 
 
 class Descent:
@@ -25,7 +102,7 @@ class Descent:
         start: (d,) the first mean.
         step: The first standard deviation, as a part of the bounds' distance.
         rng: The generator of all draws.
-        population: Points per generation; None: the default of ``cma``.
+        population: Points per generation; None: 4 + 3 log n.
 
     """
 
@@ -38,26 +115,13 @@ class Descent:
         rng: np.random.Generator,
         population: int | None = None,
     ) -> None:
-        with warnings.catch_warnings(action="ignore"):  # cma warns if matplotlib is missing
-            import cma  # slow to import
-
         self._low, self._size = low, high - low
         self._free = np.flatnonzero(self._size > 0.0)
         self._start = start.copy()
-        options: dict[str, object] = {
-            "bounds": [0.0, 1.0],
-            "randn": lambda *shape: rng.standard_normal(shape),
-            "seed": np.nan,  # leaves numpy's global generator alone
-            "verbose": -9,
-            "verb_log": 0,
-        }
-        if population is not None:
-            options["popsize"] = population
         self.size = len(self._free)
         mean = (start - low)[self._free] / self._size[self._free]
-        if self.size < 2:  # cma needs two dimensions
-            mean = np.concatenate([mean, np.full(2 - self.size, 0.5)])
-        self._cma = cma.CMAEvolutionStrategy(np.clip(mean, 0.0, 1.0), step, options)
+        mean = mean if self.size else np.full(1, 0.5)
+        self._evolution = _Evolution(np.clip(mean, 0.0, 1.0), step, rng, population)
         self._population: list[Point] = []
         self._scores: list[float] = []
         self._handed_out = 0
@@ -68,7 +132,7 @@ class Descent:
     def propose(self, count: int) -> Points:
         """Return the next points (m, d) of this generation, 0 <= m <= ``count``."""
         if not self._population:
-            self._population, self._scores, self._handed_out = list(self._cma.ask()), [], 0
+            self._population, self._scores, self._handed_out = self._evolution.ask(), [], 0
         points = self._population[self._handed_out : self._handed_out + count]
         self._handed_out += len(points)
         proposed = np.tile(self._start, (len(points), 1))
@@ -89,14 +153,14 @@ class Descent:
         lowest = finite.min() if len(finite) else np.inf
         self.since_better = 0 if lowest < self.best - 1e-3 else self.since_better + 1
         self.best = min(self.best, lowest)
-        self._cma.tell(self._population, np.where(np.isfinite(all_scores), all_scores, worst + 1.0).tolist())
+        self._evolution.tell(np.where(np.isfinite(all_scores), all_scores, worst + 1.0))
         self._population = []
 
     @property
     def ended(self) -> bool:
         """Whether the descent has stagnated; only ever true between generations."""
-        stuck = self.flat or self.since_better >= _PATIENCE or float(self._cma.sigma) < 1e-3
-        return not self._population and (stuck or bool(self._cma.stop()))
+        stuck = self.flat or self.since_better >= _PATIENCE or self._evolution.sigma < 1e-3
+        return not self._population and (stuck or self._evolution.ended)
 
 
 class CmaEs:
@@ -115,7 +179,7 @@ class CmaEs:
         """Return the next descent, over the whole cube."""
         rng = generator(self._seed, Branch.SEARCH, self._restarts)
         low, high = np.zeros(self._dimension), np.ones(self._dimension)
-        population = (4 + int(3 * np.log(self._dimension))) * 2 ** min(self._restarts, 5)
+        population = (4 + int(3 * log(self._dimension))) * 2 ** min(self._restarts, 5)
         return Descent(low, high, rng.random(self._dimension), 0.3, rng, max(population, 4))
 
     def propose(self, count: int) -> Points:

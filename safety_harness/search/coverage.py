@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled
+from safety_harness.base.elementary import length
 from safety_harness.space.regions import SeenRegions
 from safety_harness.trace.records import DecisionOutcome, Mode, as_compiled
 from safety_harness.trace.trace import Trace
@@ -176,7 +177,7 @@ def _speed(trace: Trace, hand_m: NDArray[np.float64], tick: int) -> str:
     first, last = max(tick - 1, 0), max(tick, 1)
     if last >= len(hand_m):
         return SPEEDS[0]
-    way_m = float(np.linalg.norm(hand_m[last] - hand_m[first]))
+    way_m = length(hand_m[last] - hand_m[first])
     speed_mps = way_m / trace.scenario.settings.clock.control_period_s
     return _class_of(SPEEDS, _FAST_MPS, speed_mps)
 

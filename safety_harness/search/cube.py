@@ -113,5 +113,5 @@ class Cube:
         difference = points - to
         flat = self.flat_columns
         difference[:, flat] = difference[:, flat] != 0.0
-        rms: NDArray[np.float64] = np.sqrt(np.mean(difference**2, axis=1))
+        rms: NDArray[np.float64] = np.sqrt(np.mean(difference * difference, axis=1))
         return rms

@@ -10,6 +10,7 @@ explores.  While there is such a claim, the share of every other claim shrinks w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
@@ -140,7 +141,7 @@ class Default:
     def _exploring(self) -> float:
         """The share of points that explore."""
         flat = [archive.flat for archive in self._archives]
-        shares = [0.0 if f else 0.5**vain for f, vain in zip(flat, self._in_vain, strict=True)]
+        shares = [0.0 if f else math.ldexp(1.0, -vain) for f, vain in zip(flat, self._in_vain, strict=True)]
         descending = sum(shares) if any(flat) else self._claims
         return 1.0 - (1.0 - _EXPLORING) * descending / self._claims
 

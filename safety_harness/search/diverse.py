@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from safety_harness.base.normals import standard_normal
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.sampling import Explorer
@@ -65,8 +66,8 @@ class Diverse:
         parents = self._rng.choice(len(elites), size=(count, 2), p=weight / weight.sum())
         points = np.array([elite.point for elite in elites])
         first, second = points[parents[:, 0]], points[parents[:, 1]]
-        along = _ALONG * self._rng.standard_normal((count, 1)) * (second - first)
-        around = _STEP * self._rng.standard_normal(first.shape)
+        along = _ALONG * standard_normal(self._rng, (count, 1)) * (second - first)
+        around = _STEP * standard_normal(self._rng, first.shape)
         varied: Points = np.clip(first + along + around, 0.0, 1.0)
         return varied
 

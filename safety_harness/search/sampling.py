@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import log
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cube import Cube, Points, Scores
 
@@ -119,5 +120,5 @@ class Explorer:
 def _points_at_ends(number: NDArray[np.int64]) -> Points:
     """Return how many (n,) of the first ``number`` (n,) points are at the ends."""
     first = np.minimum(number, _UNTIL)
-    at_ends: Points = _AT_ENDS * (first + _UNTIL * np.log(np.maximum(number, _UNTIL) / _UNTIL))
+    at_ends: Points = _AT_ENDS * (first + _UNTIL * log(np.maximum(number, _UNTIL) / _UNTIL))
     return at_ends

@@ -11,20 +11,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from statistics import NormalDist
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import arctan2, cbrt, cos, log, sin
 from safety_harness.base.geometry.regions import Box, Region
 from safety_harness.base.settings import Vector3
+from safety_harness.base.special import lower_tail, normal_quantile
 
 Vector = NDArray[np.float64]
 Rows = NDArray[np.float64]  # (n, d): a row a draw, a column a number
 
-_INVERSE = np.frompyfunc(NormalDist().inv_cdf, 1, 1)
-_ERFC = np.frompyfunc(math.erfc, 1, 1)
 _SMALLEST, _LARGEST = 1e-300, 1.0 - 2.0**-53
 LEAST_MASS = 1e-6  # of a truncated normal within its bounds; with less, they do not belong to it
 
@@ -66,7 +65,7 @@ class Uniform:
     def log_density(self, values: Rows) -> Vector:
         """Return the natural logarithm (n,) of the density at ``values`` (n, 1); -inf outside."""
         inside = (values[:, 0] >= self.low) & (values[:, 0] <= self.high)
-        return np.where(inside, -math.log(self.high - self.low), -np.inf)
+        return np.where(inside, -log(self.high - self.low), -np.inf)
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ class TruncatedNormal:
     def values_at(self, u: Rows) -> Vector:
         """Return the values (n, 1) at the coordinates ``u`` (n, 1), rising; 0 and 1 give the ends."""
         p = self._below + (1.0 - u if self._mirrored else u) * self._mass
-        z = np.asarray(_INVERSE(np.clip(p, _SMALLEST, _LARGEST)), float)
+        z = normal_quantile(np.clip(p, _SMALLEST, _LARGEST))
         z = np.clip(-z if self._mirrored else z, *self._ends)
         inside = np.clip(self.mean + self.std * z, self.low, self.high)
         return np.where(u <= 0.0, self.low, np.where(u >= 1.0, self.high, inside))
@@ -111,14 +110,14 @@ class TruncatedNormal:
     def cube_at(self, values: Rows) -> Vector:
         """Return the coordinates (n, 1) of ``values`` (n, 1): the inverse of ``values_at``."""
         z = (values - self.mean) / self.std
-        share = (_lower_tail(-z if self._mirrored else z) - self._below) / self._mass
+        share = (lower_tail(-z if self._mirrored else z) - self._below) / self._mass
         return _polished(self, np.clip(1.0 - share if self._mirrored else share, 0.0, 1.0), values)
 
     def log_density(self, values: Rows) -> Vector:
         """Return the natural logarithm (n,) of the density at ``values`` (n, 1); -inf outside."""
         value = values[:, 0]
         z = (value - self.mean) / self.std
-        constant = math.log(self.std * math.sqrt(2.0 * math.pi) * self._mass)
+        constant = log(self.std * math.sqrt(2.0 * math.pi) * self._mass)
         inside = (value >= self.low) & (value <= self.high)
         return np.where(inside, -0.5 * z * z - constant, -np.inf)
 
@@ -139,13 +138,13 @@ class TruncatedNormal:
     def _below(self) -> float:
         """The probability below the bounds (mirrored: above) in the unrestricted normal distribution."""
         low, high = self._ends
-        return float(_lower_tail(np.array(-high if self._mirrored else low)))
+        return float(lower_tail(np.array(-high if self._mirrored else low)))
 
     @cached_property
     def _mass(self) -> float:
         """The probability between the bounds in the unrestricted normal distribution."""
         low, high = self._ends
-        return float(_lower_tail(np.array(-low if self._mirrored else high))) - self._below
+        return float(lower_tail(np.array(-low if self._mirrored else high))) - self._below
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,7 @@ class Choice:
         """Return the natural logarithm (n,) of the probability of ``values`` (n, 1), or -inf outside."""
         value = np.nan_to_num(values[:, 0], nan=-1.0)
         number = np.clip(value, 0, len(self.chances) - 1).astype(int)
-        probable = np.log(np.array(self.chances) / math.fsum(self.chances))[number]
+        probable = log(np.array(self.chances) / math.fsum(self.chances))[number]
         return np.where(number == value, probable, -np.inf)
 
 
@@ -229,12 +228,17 @@ class InShell:
         x, y, z = self.centre
         return x + self.inner, y, z
 
+    @property
+    def _volume(self) -> float:
+        """The difference of the radii's cubes."""
+        return float(_cubed(self.outer) - _cubed(self.inner))
+
     def values_at(self, u: Rows) -> Vector:
         """Return the points (n, 3) at the coordinates ``u`` (n, 3): radius, height and azimuth."""
-        r = np.cbrt(self.inner**3 + u[:, 0] * (self.outer**3 - self.inner**3))
+        r = cbrt(_cubed(self.inner) + u[:, 0] * self._volume)
         height, azimuth = 2.0 * u[:, 1] - 1.0, 2.0 * math.pi * u[:, 2]
         across = np.sqrt(np.maximum(1.0 - height * height, 0.0))
-        direction = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)
+        direction = np.stack([across * cos(azimuth), across * sin(azimuth), height], axis=1)
         points: Vector = self.centre + r[:, None] * direction
         return points
 
@@ -245,9 +249,9 @@ class InShell:
         """
         x, y, z = (values - np.array(self.centre)).T
         r = np.sqrt(x * x + y * y + z * z)
-        volume = (r**3 - self.inner**3) / (self.outer**3 - self.inner**3)
+        volume = (_cubed(r) - _cubed(self.inner)) / self._volume
         height = np.divide(z, r, out=np.zeros_like(z), where=r > 0.0)
-        azimuth = np.mod(np.arctan2(y, x) / (2.0 * math.pi), 1.0)
+        azimuth = np.mod(arctan2(y, x) / (2.0 * math.pi), 1.0)
         u: Rows = np.clip(np.stack([volume, (height + 1.0) / 2.0, azimuth], axis=1), 0.0, 1.0)
         return u
 
@@ -259,8 +263,8 @@ class InShell:
         r = np.linalg.norm(values - np.array(self.centre), axis=1)
         slack = 1e-12 * (self.outer + float(np.abs(self.centre).max()))
         inside = (r >= self.inner - slack) & (r <= self.outer + slack)
-        volume = 4.0 / 3.0 * math.pi * (self.outer**3 - self.inner**3)
-        return np.where(inside, -math.log(volume), -np.inf)
+        volume = 4.0 / 3.0 * math.pi * self._volume
+        return np.where(inside, -log(volume), -np.inf)
 
 
 @dataclass(frozen=True)
@@ -387,7 +391,7 @@ class InRegion:
         """Return the natural logarithm (n,) of the density at ``values`` (n, 3); -inf outside."""
         low, high, _ = self._pieces
         volume_m3 = math.fsum(np.prod(high - low, axis=1))
-        return np.where(self.known.contains(values), -math.log(volume_m3), -np.inf)
+        return np.where(self.known.contains(values), -log(volume_m3), -np.inf)
 
     @property
     def edges(self) -> Vector:
@@ -406,10 +410,9 @@ class InRegion:
 Distribution: TypeAlias = Uniform | TruncatedNormal | Choice | InBox | InShell | InRegion
 
 
-def _lower_tail(z: Vector) -> Vector:
-    """Return P(Z <= z) of a standard normal Z."""
-    tail: Vector = 0.5 * np.asarray(_ERFC(-z / math.sqrt(2.0)), float)
-    return tail
+def _cubed(x: float | Vector) -> float | Vector:
+    """Return a number's third power."""
+    return x * x * x
 
 
 def _polished(distribution: Uniform | TruncatedNormal, u: Rows, values: Rows) -> Vector:

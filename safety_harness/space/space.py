@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from safety_harness.base.elementary import log_sum_exp
 from safety_harness.base.exceptions import InputError, Place, ScenarioError
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.base.seeds import seed as leaf
@@ -284,7 +285,7 @@ class ScenarioSpace:
         values = np.array(readings)
         lengths = np.array([self._free_coordinates(row) for row in values])
         densities = self.log_density_at(values)[lengths == lengths.min()]
-        return float(np.logaddexp.reduce(densities))
+        return float(log_sum_exp(densities))
 
     def __contains__(self, scenario: Scenario) -> bool:
         return any(True for _ in self._readings(scenario))

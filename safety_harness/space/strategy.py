@@ -17,6 +17,7 @@ from hypothesis import reject
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import cos, sin
 from safety_harness.base.exceptions import InputError, refuse_other_type
 from safety_harness.scenario.model import LARGEST_SEED, Scenario
 from safety_harness.space.distributions import Choice, Distribution, InBox, InRegion, InShell
@@ -77,7 +78,7 @@ def _in_shell(shell: InShell) -> st.SearchStrategy[tuple[float, ...]]:
     def point(r: float, height: float, azimuth_rad: float) -> tuple[float, ...]:
         across = r * math.sqrt(1.0 - height * height)
         x, y, z = shell.centre
-        return x + across * math.cos(azimuth_rad), y + across * math.sin(azimuth_rad), z + r * height
+        return x + across * cos(azimuth_rad), y + across * sin(azimuth_rad), z + r * height
 
     radius = real(shell.inner, shell.outer, shell.inner, shell.unit)
     return st.builds(point, radius, real(-1.0, 1.0, 0.0, ""), real(-math.pi, math.pi, 0.0, "rad"))
@@ -123,7 +124,7 @@ def real(low: float, high: float, target: float, unit: str) -> st.SearchStrategy
 
 def _grid(low: float, high: float, scale: float) -> list[float]:
     """Return the round numbers from ``low`` to ``high`` in units of 1 / ``scale``, with both ends."""
-    step = Fraction(10) ** math.floor(math.log10((high - low) * scale / _STEPS))
+    step = Fraction(10) ** int(f"{(high - low) * scale / _STEPS:e}".split("e")[1])
     first, last = math.ceil(low * scale / step), math.floor(high * scale / step)
     round_numbers = (float(k * step) / scale for k in range(first, last + 1))
     return [low, *(value for value in round_numbers if low < value < high), high]

@@ -17,6 +17,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import log
 from safety_harness.base.exceptions import Place, TraceError
 from safety_harness.trace.records import DECISION, TICK
 
@@ -247,7 +248,7 @@ def measurement(
     """
     most, closer = float(off_by.max(initial=0.0)), []
     if most > 0.0:
-        steps = np.floor(np.log(most / np.clip(off_by, most * 1e-6, most)) / np.log(LEVELS) + 1e-9)
+        steps = np.floor(log(most / np.clip(off_by, most * 1e-6, most)) / log(LEVELS) + 1e-9)
         ends = (np.flatnonzero(np.diff(steps)) + 1).tolist()
         for first, after in zip([0, *ends], [*ends, len(off_by)], strict=True):
             if steps[first] > 0.0:

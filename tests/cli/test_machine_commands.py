@@ -197,24 +197,6 @@ def test_warm_says_once_which_world_is_not_installed(
     assert capsys.readouterr().err.count("not for the world Gone") == 1
 
 
-def test_a_missing_matplotlib_is_nobody_s_concern() -> None:
-    code = """
-import sys
-sys.modules["matplotlib"] = None
-import numpy as np
-from safety_harness.cli.doctor import State, _installed
-from safety_harness.search.cma_es import Descent
-assert _installed("cma", "4", "", ["cma"]).state is State.OK
-del sys.modules["cma"], sys.modules["cma.s"]
-Descent(np.zeros(3), np.ones(3), np.full(3, 0.5), 0.2, np.random.default_rng(1))
-assert "cma.s" in sys.modules
-"""
-    done = subprocess.run(
-        [sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-
-
 def test_warm_forgets_only_what_is_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(tmp_path))
     for name in ("old", "new"):

@@ -62,7 +62,7 @@ def test_scores_that_are_all_alike_do_not_stop_a_search(make: MakesSearcher, val
 
 @every
 def test_both_alternatives_are_tried_and_every_interval(make: MakesSearcher) -> None:
-    points = tried(make, bowl, 300)
+    points = tried(make, bowl, 600)  # a descent from some beginnings takes 300 in one of them
     for column in (1, 2):
         assert set(MIXED.columns[column].interval_of(points[:, column]).tolist()) == {0, 1}
 

@@ -112,6 +112,48 @@ def invert_with(matrix: NDArray[np.float64], n: int, inverse_out: NDArray[np.flo
     return True
 
 
+def eigen(symmetric: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the eigenvalues (n,) of a symmetric matrix, rising, and its eigenvectors as columns (n, n)."""
+    values, vectors = np.array(symmetric, np.float64), np.eye(len(symmetric))
+    _rotate_to_diagonal(values, vectors)
+    order = np.argsort(np.diagonal(values), kind="stable")
+    return np.diagonal(values)[order], vectors[:, order]
+
+
+@njit_no_nrt
+def _rotate_to_diagonal(a: NDArray[np.float64], vectors: NDArray[np.float64]) -> None:
+    """Make the symmetric ``a`` (n, n) diagonal by Jacobi's rotations (Golub and Van Loan, 2013, section 8.5).
+
+    ``vectors`` (n, n) receives the same rotations of its columns.
+    """
+    n, size = a.shape[0], 0.0
+    for k in range(n):
+        size += abs(a[k, k])
+    for _ in range(60):
+        turned = False
+        for p in range(n - 1):
+            for q in range(p + 1, n):
+                if not abs(a[p, q]) > 1e-17 * size:
+                    continue
+                turned = True
+                slope = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
+                t = 1.0 / (abs(slope) + np.sqrt(1.0 + slope * slope))
+                t = -t if slope < 0.0 else t
+                c = 1.0 / np.sqrt(1.0 + t * t)
+                s = t * c
+                for k in range(n):
+                    x, y = a[k, p], a[k, q]
+                    a[k, p], a[k, q] = c * x - s * y, s * x + c * y
+                for k in range(n):
+                    x, y = a[p, k], a[q, k]
+                    a[p, k], a[q, k] = c * x - s * y, s * x + c * y
+                    x, y = vectors[k, p], vectors[k, q]
+                    vectors[k, p], vectors[k, q] = c * x - s * y, s * x + c * y
+                a[p, q], a[q, p] = 0.0, 0.0
+        if not turned:
+            return
+
+
 @inlined
 def copy_vector(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
     """Fill ``out`` with ``source``, both (n,).

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from math import atan2, cos, sin, sqrt
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled, inlined
+from safety_harness.base.elementary import arctan2, sin_cos
 from safety_harness.base.geometry.arrays import Array3, Array3x3
 
 # Below this squared angle the second-order series are exact to the last bit of a float64.
@@ -29,9 +30,9 @@ def rotation_from_vector(vector: Array3) -> NDArray[np.float64]:
         b = 0.5 - squared / 24.0
     else:
         angle = sqrt(squared)
-        half = sin(0.5 * angle) / angle
-        a = sin(angle) / angle
-        b = 2.0 * half * half  # 1 - cos t = 2 sin^2(t/2) does not cancel
+        half, even = sin_cos(0.5 * angle)
+        a = 2.0 * half * even / angle  # sin t = 2 sin(t/2) cos(t/2)
+        b = 2.0 * half * half / squared  # 1 - cos t = 2 sin^2(t/2) does not cancel
     rotation = np.empty((3, 3))
     rotation[0, 0] = 1.0 - b * (y * y + z * z)
     rotation[0, 1] = b * x * y - a * z
@@ -80,9 +81,9 @@ def vector_from_rotation(rotation: Array3x3) -> NDArray[np.float64]:
         z = 1.0 + r22 - r00 - r11
     if w < 0.0:
         w, x, y, z = -w, -x, -y, -z
-    # (w, x, y, z) is the quaternion times a common factor, which atan2 and the ratio do not see.
+    # (w, x, y, z) is the quaternion times a common factor, which arctan2 and the ratio do not see.
     length = sqrt(x * x + y * y + z * z)
-    factor = 2.0 / w if length < 1e-8 * w else 2.0 * atan2(length, w) / length
+    factor = 2.0 / w if length < 1e-8 * w else 2.0 * arctan2(length, w) / length
     vector = np.empty(3)
     vector[0] = factor * x
     vector[1] = factor * y
@@ -113,7 +114,7 @@ def rotation_entries(
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
     """Return the nine entries of ``rotation_about``, row by row.
 
-    1 - cos t is 2 sin^2(t/2), which does not cancel.
+    1 - cos t is 2 sin^2(t/2), which does not cancel, and sin t is 2 sin(t/2) cos(t/2).
 
     Args:
         x: The first component of the *unit* axis.
@@ -122,9 +123,9 @@ def rotation_entries(
         angle_rad: The angle.
 
     """
-    c, s = cos(angle_rad), sin(angle_rad)
-    half = sin(0.5 * angle_rad)
+    half, even = sin_cos(0.5 * angle_rad)
     d = 2.0 * half * half
+    c, s = 1.0 - d, 2.0 * half * even
     return (
         c + d * x * x,
         d * x * y - s * z,

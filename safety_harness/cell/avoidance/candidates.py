@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import arctan2, cos, length, product, sin
 from safety_harness.base.exceptions import SettingsError
+from safety_harness.base.normals import standard_normal
 from safety_harness.base.settings import Settings
 
 NARROWEST_CONE_RAD = np.radians(1.0)  # rejection sampling would hardly end in a narrower cone
@@ -43,7 +45,7 @@ class CandidateCap:
         axis = np.subtract(
             settings.cell.desired_tcp_position_in_base_m, avoidance.nominal_hand_position_in_base_m
         )
-        if not np.linalg.norm(axis) > 0.0:
+        if not length(axis) > 0.0:
             expected = "a nominal hand position apart from the desired TCP position"
             raise SettingsError.of_option("nominal hand position", expected, "the same position")
         if not avoidance.candidate_cone_rad >= NARROWEST_CONE_RAD:
@@ -51,7 +53,7 @@ class CandidateCap:
             got = f"{np.degrees(avoidance.candidate_cone_rad):g} deg"
             raise SettingsError.of_option("candidate cone", expected, got)
         return cls(
-            axis / np.linalg.norm(axis),
+            axis / length(axis),
             avoidance.radius_m,
             avoidance.candidate_sigma_rad,
             avoidance.candidate_cone_rad,
@@ -66,10 +68,14 @@ class CandidateCap:
         frame = self.frame()
         kept = np.empty((0, 3))
         while len(kept) < self.count:
-            azimuth, elevation = rng.normal(0.0, self.sigma_rad, (2, 2 * self.count))  # both from the axis
-            along, aside = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
-            directions = np.stack([along, aside, np.sin(elevation)], axis=1) @ frame  # (n, 3) unit vectors
-            inside = directions @ self.axis_in_base >= np.cos(self.cone_rad)
+            azimuth, elevation = self.sigma_rad * standard_normal(
+                rng, (2, 2 * self.count)
+            )  # both from the axis
+            along, aside = cos(elevation) * cos(azimuth), cos(elevation) * sin(azimuth)
+            directions = product(
+                np.stack([along, aside, sin(elevation)], axis=1), frame
+            )  # (n, 3) unit vectors
+            inside = product(directions, self.axis_in_base) >= cos(self.cone_rad)
             kept = np.concatenate([kept, directions[inside]])
         return self.radius_m * kept[: self.count]
 
@@ -77,8 +83,8 @@ class CandidateCap:
         """Return rows (3, 3): the axis, the horizontal direction beside it, and up."""
         vertical = abs(self.axis_in_base[2]) > 1.0 - 1e-12  # then any horizontal direction is a side
         side = np.array([0.0, 1.0, 0.0]) if vertical else np.cross([0.0, 0.0, 1.0], self.axis_in_base)
-        side = side - (side @ self.axis_in_base) * self.axis_in_base
-        side /= np.linalg.norm(side)
+        side = side - product(side, self.axis_in_base) * self.axis_in_base
+        side /= length(side)
         upward = np.cross(self.axis_in_base, side)
         return np.stack([self.axis_in_base, side, upward])
 
@@ -97,18 +103,18 @@ def continuous_optimum(settings: Settings, tcp_in_base: NDArray[np.float64]) -> 
     cap = CandidateCap.from_settings(settings)
     axis = cap.axis_in_base
     offset = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base  # (n, 3)
-    along = offset @ axis
+    along = product(offset, axis)
     aside = offset - along[:, None] * axis
-    aside -= (aside @ axis)[:, None] * axis  # again, because a small remainder is mostly rounding
+    aside -= product(aside, axis)[:, None] * axis  # again, because a small remainder is mostly rounding
     distance = np.linalg.norm(offset, axis=1)
     sideways = np.linalg.norm(aside, axis=1)
     fixed = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    fixed /= np.linalg.norm(fixed)
+    fixed /= length(fixed)
     there = distance <= SAME_PLACE_M
     with np.errstate(invalid="ignore"):  # 0/0 is replaced
         direct = np.where(there[:, None], axis, offset / distance[:, None])
         beside = np.where((sideways > 1e-12 * distance)[:, None], aside / sideways[:, None], fixed)
-    in_cap = there | (np.arctan2(sideways, along) <= cap.cone_rad)
-    rim = np.cos(cap.cone_rad) * axis + np.sin(cap.cone_rad) * beside
+    in_cap = there | (arctan2(sideways, along) <= cap.cone_rad)
+    rim = cos(cap.cone_rad) * axis + sin(cap.cone_rad) * beside
     optimum: NDArray[np.float64] = tcp_in_base + cap.radius_m * np.where(in_cap[:, None], direct, rim)
     return optimum

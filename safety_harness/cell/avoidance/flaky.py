@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length
 from safety_harness.base.exceptions import FlakyAvoiderError
 from safety_harness.cell.avoidance.asking import Answer, Question, ask
 from safety_harness.cell.avoidance.avoider import Avoider, Proposal, Vector, shown_to
@@ -69,7 +70,7 @@ def difference(first: Answer, again: Answer) -> str:
     if fault != fault_again:
         return f"it answered {fault_again or 'with a position'!r}, not {fault or 'with a position'!r}"
     if position_m.tobytes() != again_m.tobytes():
-        return f"it answered {np.linalg.norm(again_m - position_m) * 1e3:.3g} mm elsewhere"
+        return f"it answered {length(again_m - position_m) * 1e3:.3g} mm elsewhere"
     if spread_m.tobytes() != spread_again_m.tobytes():
         return f"its spread was {np.abs(spread_again_m - spread_m).max() * 1e3:.3g} mm otherwise"
     if not np.array_equal(first.spread_threshold_m, again.spread_threshold_m, equal_nan=True):

@@ -13,6 +13,7 @@ from math import ceil
 
 import numpy as np
 
+from safety_harness.base.elementary import length, product
 from safety_harness.base.settings import GateKind, Settings
 from safety_harness.cell.avoidance.asking import (
     NAN_PROPOSAL,
@@ -206,7 +207,7 @@ class Gate:
         target[:3, 3] = position_in_base_m
         if self.kinematics.nearest(target, query.joint_position_rad) is None:
             return failed | Check.UNREACHABLE
-        length_m = float(np.linalg.norm(path))
+        length_m = length(path)
         if not length_m > 0.0:
             return failed
         wanted_m = length_m + (REACH_MARGIN_M if full else 0.0)
@@ -294,8 +295,8 @@ def leads_away(
         half_widths_m: The half widths r of boxes about them (k, 3). None: exact hands.
 
     """
-    if not float(np.linalg.norm(path)) > 0.0:
+    if not length(path) > 0.0:
         return False
-    lost = np.zeros(len(hands_in_base_m)) if half_widths_m is None else half_widths_m @ np.abs(path)
+    lost = np.zeros(len(hands_in_base_m)) if half_widths_m is None else product(half_widths_m, np.abs(path))
     pairs = zip(hands_in_base_m, lost, strict=True)
-    return all(float(path @ (start_in_base_m - hand)) >= less for hand, less in pairs)
+    return all(float(product(path, start_in_base_m - hand)) >= less for hand, less in pairs)

@@ -44,7 +44,7 @@ def gained_m(hands: ArrayNx3, tcps: ArrayNx3, proposed: ArrayNx3) -> NDArray[np.
     path, offset = proposed - tcps, tcps - hands
     distance = np.linalg.norm(offset, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        along = np.einsum("ij,ij->i", path, offset) / distance
+        along = (path * offset).sum(axis=1) / distance
     return np.asarray(np.where(distance == 0.0, np.linalg.norm(path, axis=1), along))
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled
+from safety_harness.base.elementary import product
 from safety_harness.base.geometry.arrays import ArrayNx3
 from safety_harness.cell.avoidance.model_file import OUTPUTS, PERCEPTRON_INPUTS, WIDTH, Model
 
@@ -52,7 +53,7 @@ def fold_perceptron(model: Model) -> Perceptron:
     last = stacked("fc_out.weight") * target_std[:, None]  # (m, OUTPUTS, WIDTH)
     return Perceptron(
         weight1=np.ascontiguousarray(first.transpose(0, 2, 1)),
-        bias1=stacked("fc1.bias") - first @ mean,
+        bias1=stacked("fc1.bias") - product(first, mean),
         weight2=np.ascontiguousarray(stacked("fc2.weight").transpose(0, 2, 1)),
         bias2=stacked("fc2.bias"),
         weight3=np.ascontiguousarray(last.transpose(0, 2, 1)),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length
 from safety_harness.base.exceptions import AvoiderError
 from safety_harness.base.settings import Settings
 from safety_harness.cell.avoidance.avoider import Avoider, Proposal, Vector, Vectors
@@ -49,7 +50,7 @@ class OppositePose(_QuickAvoider):
         ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,).
         """
         away = tcp_position_in_base_m - hand_position_in_base_m
-        distance = float(np.linalg.norm(away))
+        distance = length(away)
         if not distance > 0.0:
             raise AvoiderError("the hand is at the TCP: there is no opposite direction")
         return Proposal(tcp_position_in_base_m + self.radius_m / distance * away)

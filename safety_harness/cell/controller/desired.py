@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import product
 from safety_harness.base.geometry.arrays import ArrayNx3
 from safety_harness.base.geometry.rotations import rotation_from_vector
 from safety_harness.base.geometry.transforms import inverse_transform, transform_from
@@ -42,10 +43,10 @@ def desired_camera(settings: Settings) -> tuple[NDArray[np.float64], NDArray[np.
     """Return two transforms (4, 4) at the desired pose: true camera to base, and object to that camera."""
     turn = rotation_from_vector(np.array([0.0, 0.0, settings.object.yaw_rad]))
     object_to_base = transform_from(turn, np.array(settings.object.position_in_base_m))
-    camera_to_base = desired_transform_tcp_to_base(settings) @ transform_camera_to_tcp(
-        settings.camera, calibrated=False
+    camera_to_base = product(
+        desired_transform_tcp_to_base(settings), transform_camera_to_tcp(settings.camera, calibrated=False)
     )
-    return camera_to_base, inverse_transform(camera_to_base) @ object_to_base
+    return camera_to_base, product(inverse_transform(camera_to_base), object_to_base)
 
 
 def view_of(settings: Settings) -> DesiredView:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import arctan2, product
 from safety_harness.base.settings import Settings
 from safety_harness.seams.contract import (
     HANDS,
@@ -55,7 +56,9 @@ class StopWhenNear:
         tcp = seen.tcp_position_in_base_m
         for hand in seen.hands:
             offset = hand.position_in_base_m - tcp
-            if not offset @ offset >= self._near_m**2:  # true of a NaN: such a hand counts as near
+            if (
+                not product(offset, offset) >= self._near_m * self._near_m
+            ):  # true of a NaN: such a hand counts as near
                 return Stop(report=_STOPPED)
         return Move(
             tcp_velocity_mps=self._gain * (self._target_in_base_m - tcp),
@@ -76,7 +79,7 @@ class StopWhenNear:
         target, gains, near_m = numbers[:, :3], numbers[:, 3:4], numbers[:, 4:]
         tcp = seen["tcp_position_in_base_m"]
         offset = np.ascontiguousarray(seen["hands"] - tcp[:, None])
-        is_near = ~(_squared(offset) >= near_m**2) & (seen["hands_there"] != 0)
+        is_near = ~(_squared(offset) >= near_m * near_m) & (seen["hands_there"] != 0)
         stop = is_near.any(axis=1)
         return Moves(
             tcp_velocity_mps=gains * (target - tcp),
@@ -87,8 +90,8 @@ class StopWhenNear:
 
 
 def _squared(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the squares (...,) of vectors (..., 3), with the bits of ``v @ v``."""
-    squares: NDArray[np.float64] = (vectors[..., None, :] @ vectors[..., :, None])[..., 0, 0]
+    """Return the squares (...,) of vectors (..., 3), with the bits of ``product(v, v)``."""
+    squares: NDArray[np.float64] = (vectors * vectors).sum(axis=-1)
     return squares
 
 
@@ -96,8 +99,8 @@ def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotation vector (3,) in the base frame from the TCP's orientation to straight down."""
     x, y, z, _ = transform_tcp_to_base.tolist()  # of diag(1, -1, -1) R^T, of less than half a turn
     axis = np.array([0.5 * (z[1] - y[2]), 0.5 * (z[0] + x[2]), -0.5 * (x[1] + y[0])])
-    sine = math.sqrt(axis @ axis)
-    angle = math.atan2(sine, 0.5 * (x[0] - y[1] - z[2] - 1.0))
+    sine = math.sqrt(product(axis, axis))
+    angle = arctan2(sine, 0.5 * (x[0] - y[1] - z[2] - 1.0))
     return axis if sine < 1e-9 else axis * (angle / sine)
 
 
@@ -111,7 +114,7 @@ def _turns(transforms_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
     axis = np.stack(halves, axis=1)
     sine = np.sqrt(_squared(axis))
     cosine = 0.5 * (x[:, 0] - y[:, 1] - z[:, 2] - 1.0)
-    angle = np.array(list(map(math.atan2, sine.tolist(), cosine.tolist())))
+    angle = arctan2(sine, cosine)
     tiny = sine < 1e-9
     scale = np.where(tiny, 1.0, angle / np.where(tiny, 1.0, sine))
     return axis * scale[:, None]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import njit_no_nrt
+from safety_harness.base.elementary import product
 from safety_harness.base.geometry.rotations import rotation_from_vector
 from safety_harness.base.geometry.transforms import transform_from
 from safety_harness.base.settings import Camera
@@ -34,7 +35,7 @@ def transform_camera_to_tcp(camera: Camera, *, calibrated: bool) -> NDArray[np.f
     rotation = rotation_from_vector(np.array([0.0, 0.0, camera.mount_yaw_rad]))
     offset_in_tcp = np.array(camera.mount_offset_in_tcp_m)
     if calibrated:
-        rotation = rotation @ rotation_from_vector(np.array(camera.calibration_error_rotation_rad))
+        rotation = product(rotation, rotation_from_vector(np.array(camera.calibration_error_rotation_rad)))
         offset_in_tcp = offset_in_tcp + np.array(camera.calibration_error_offset_m)
     return transform_from(rotation, offset_in_tcp)
 

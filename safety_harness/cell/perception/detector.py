@@ -143,7 +143,7 @@ def _depth_near(
     v, u = np.nonzero(area & np.isfinite(depth_m) & (depth_m > 0.0))
     if u.size == 0:
         return None
-    nearest = np.argsort((u - u_px) ** 2 + (v - v_px) ** 2, kind="stable")[:DEPTH_SAMPLES]
+    nearest = np.argsort(np.square(u - u_px) + np.square(v - v_px), kind="stable")[:DEPTH_SAMPLES]
     return float(np.median(depth_m[v[nearest], u[nearest]]))
 
 

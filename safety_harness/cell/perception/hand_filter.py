@@ -100,7 +100,7 @@ def filter_parameters(hand_filter: HandFilter, hand_sensor: HandSensor) -> NDArr
     record["measurement_variance"] = np.square(measurement_std)
     acceleration_std = (h.acceleration_std_pxps2, h.acceleration_std_pxps2, h.acceleration_std_depth_mps2)
     record["acceleration_variance"] = np.square(acceleration_std)
-    record["area_rate_density"] = h.area_rate_std_px2ps**2
+    record["area_rate_density"] = h.area_rate_std_px2ps * h.area_rate_std_px2ps
     rate_std = (h.initial_speed_std_pxps, h.initial_speed_std_pxps, h.initial_speed_std_depth_mps)
     record["initial_rate_variance"] = np.square(rate_std)
     record["gate_px"] = h.gate_px

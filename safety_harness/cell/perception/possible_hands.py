@@ -13,10 +13,11 @@ not check it.
 
 from __future__ import annotations
 
-from statistics import NormalDist
-
 import numpy as np
 from numpy.typing import NDArray
+
+from safety_harness.base.elementary import power, product
+from safety_harness.base.special import normal_quantile
 
 Floats = NDArray[np.float64]
 
@@ -37,18 +38,18 @@ def possible_half_widths_m(
     valid, p = tracks[tracks["valid"]], parameters[0]
     if len(valid) == 0:
         return np.zeros((0, 3))
-    deviations = NormalDist().inv_cdf(0.5 + 0.5 * probability ** (1.0 / (3 * len(valid))))
+    deviations = normal_quantile(0.5 + 0.5 * power(probability, 1.0 / (3 * len(valid))))
     ahead_s = (at_time_s - valid["time_s"])[:, None]
     pairs = valid["pair_covariance"][:, :3]
     variance = pairs[:, :, 0] + ahead_s * (2.0 * pairs[:, :, 1] + ahead_s * pairs[:, :, 2])
-    variance = variance + 0.25 * ahead_s**4 * p["acceleration_variance"]
+    variance = variance + 0.25 * (ahead_s * ahead_s) * (ahead_s * ahead_s) * p["acceleration_variance"]
     half_px_m = deviations * np.sqrt(variance)
     ahead = valid["mean"][:, :3] + ahead_s * valid["mean"][:, 5:8]
     place = np.isfinite(ahead).all(axis=1) & (ahead[:, 2] > 0.0)
     middle = np.where(place[:, None], ahead, valid["mean"][:, :3])
     at = _ends_in_sensor_m(middle, np.zeros_like(half_px_m), p)[:, :, 0]
     half_m = np.abs(_ends_in_sensor_m(middle, half_px_m, p) - at[:, :, None]).max(axis=2)
-    return np.asarray(half_m @ np.abs(transform_sensor_to_base[:3, :3]).T)
+    return np.asarray(product(half_m, np.abs(transform_sensor_to_base[:3, :3]).T))
 
 
 def _ends_in_sensor_m(middle: Floats, half: Floats, parameters: np.void) -> Floats:
@@ -59,7 +60,7 @@ def _ends_in_sensor_m(middle: Floats, half: Floats, parameters: np.void) -> Floa
     p = parameters
     pixels = np.stack([middle - half, middle + half], axis=2)[:, :2] - [[p["c_u"]], [p["c_v"]]]
     slopes = pixels / p["focal_px"]  # (k, 2, 2): x, y; least, greatest
-    squares = slopes**2
+    squares = slopes * slopes
     across = (slopes[:, :, 0] <= 0.0) & (slopes[:, :, 1] >= 0.0)
     least = np.where(across, 0.0, squares.min(axis=2)).sum(axis=1)
     most = squares.max(axis=2).sum(axis=1)

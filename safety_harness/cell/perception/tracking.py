@@ -163,7 +163,10 @@ def _assign(
     slots = tracks.shape[0]
     for i in range(slots):
         tracks[i]["box"] = -1
-    if count > FEW_BOXES or float(slots + 1) ** count > MOST_TRIED:
+    tried = 1.0
+    for _ in range(count):
+        tried *= slots + 1
+    if count > FEW_BOXES or tried > MOST_TRIED:
         _assign_many(tracks, boxes, count, gate_px)
         return
     for j in range(count):

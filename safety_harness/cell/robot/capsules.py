@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from safety_harness.base.elementary import product
 from safety_harness.base.exceptions import ArmModelError
 from safety_harness.base.geometry.arrays import ArrayN
 from safety_harness.base.geometry.segments import point_segment_distance
@@ -86,7 +87,7 @@ class CapsuleSet:
         """
         mine = (self.link_index == link)[:, None]
         ends = (self.start_in_link, self.end_in_link)
-        start, end = (np.where(mine, p @ transform[:3, :3].T + transform[:3, 3], p) for p in ends)
+        start, end = (np.where(mine, product(p, transform[:3, :3].T) + transform[:3, 3], p) for p in ends)
         return replace(self, start_in_link=start, end_in_link=end)
 
     def with_capsule(
@@ -225,7 +226,7 @@ def tcp_beyond(arm: ArmModel, capsules: CapsuleSet) -> float:
             nearest_m = min(nearest_m, far_m - capsules.radius_m[k])
         if link <= len(arm.joint_names) and (capsules.link_index == link).any():
             break
-        point_m = origin[:3, :3] @ point_m + origin[:3, 3]
+        point_m = product(origin[:3, :3], point_m) + origin[:3, 3]
     return max(0.0, float(nearest_m))
 
 

@@ -18,13 +18,14 @@ inverse kinematics for the Universal Robots, 2013, with the sines.)
 
 from __future__ import annotations
 
-from math import atan2, cos, hypot, pi, sin
+from math import pi
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import inlined, njit_no_nrt
+from safety_harness.base.elementary import arccos, arctan2, cos, hypot, product, sin, sin_cos
 from safety_harness.base.exceptions import ArmModelError
 from safety_harness.base.geometry.arrays import Array3, Array3x3, Array4x4, Array6, ArrayNx6
 from safety_harness.cell.robot.description import ArmModel
@@ -99,12 +100,12 @@ def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
     if len(arm.joint_names) != 6:
         raise ArmModelError(f"{arm.name}: the closed form is of six joints, not {len(arm.joint_names)}")
     zero = links_in_base(arm, np.zeros(6))
-    axes = np.array([zero[i + 1, :3, :3] @ arm.joint_axes[i] for i in range(6)])
+    axes = np.array([product(zero[i + 1, :3, :3], arm.joint_axes[i]) for i in range(6)])
     base_to_plane = np.array([axes[0], np.cross(axes[1], axes[0]), axes[1]])
-    axes = axes @ base_to_plane.T
+    axes = product(axes, base_to_plane.T)
     steps = np.diff(zero[:, :3, 3], axis=0)
-    inner = steps[1:6] @ base_to_plane.T
-    along_6 = axes[5] * (inner[4] @ axes[5])  # joint 6 is where its axis meets axis 5
+    inner = product(steps[1:6], base_to_plane.T)
+    along_6 = axes[5] * product(inner[4], axes[5])  # joint 6 is where its axis meets axis 5
     inner[4] -= along_6
     fits = (
         abs(axes[0, 2]) <= PARALLEL  # perpendicular to h, otherwise the frame is not orthonormal
@@ -119,14 +120,14 @@ def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
     geometry = np.zeros(1, ARM_GEOMETRY)
     geometry["base_to_plane"], geometry["plane_to_tool"] = (
         base_to_plane,
-        (base_to_plane @ zero[TCP, :3, :3]).T,
+        product(base_to_plane, zero[TCP, :3, :3]).T,
     )
     geometry["joint_1_in_base"] = steps[0]
-    geometry["wrist_in_tool"] = -zero[TCP, :3, :3].T @ (steps[6] + base_to_plane.T @ along_6)
+    geometry["wrist_in_tool"] = product(-zero[TCP, :3, :3].T, steps[6] + product(base_to_plane.T, along_6))
     geometry["offset_m"] = inner[:, 2].sum()
     geometry["shoulder_m"], geometry["upper_m"], geometry["lower_m"] = plane[:3]
     geometry["wrist_m"] = plane[3] + plane[4]
-    geometry["axis_5_rad"], geometry["sense"] = atan2(axes[4, 1], axes[4, 0]), np.sign(axes[5, 2])
+    geometry["axis_5_rad"], geometry["sense"] = arctan2(axes[4, 1], axes[4, 0]), np.sign(axes[5, 2])
     geometry["lower_rad"], geometry["upper_rad"] = arm.position_lower_rad, arm.position_upper_rad
     geometry.setflags(write=False)
     return geometry
@@ -143,27 +144,28 @@ def candidate_branches(arm: ArmGeometry, pose: Array4x4, out: ArrayNx6) -> int:
     radius = hypot(wy, wz)
     if not radius > max(abs(arm.offset_m) - EDGE_M, 0.0):
         return 0
-    half = np.arccos(min(max(arm.offset_m / radius, -1.0), 1.0))
-    across, along = cos(arm.axis_5_rad), sin(arm.axis_5_rad)
+    half = arccos(min(max(arm.offset_m / radius, -1.0), 1.0))
+    along, across = sin_cos(arm.axis_5_rad)
     count = 0
     for side in (-1.0, 1.0):
-        theta_1 = atan2(-wy, wz) + side * half
-        c, s = cos(theta_1), sin(theta_1)
+        theta_1 = arctan2(-wy, wz) + side * half
+        s, c = sin_cos(theta_1)
         # u = R^T E_1 h, with its components across axis 5 and along it
         ux = c * _turn(arm, pose, 2, 0) - s * _turn(arm, pose, 1, 0)
         uy = c * _turn(arm, pose, 2, 1) - s * _turn(arm, pose, 1, 1)
         uz = c * _turn(arm, pose, 2, 2) - s * _turn(arm, pose, 1, 2)
         a, b = uy * across - ux * along, arm.sense * (ux * across + uy * along)
-        theta_6 = atan2(b, a)
+        theta_6 = arctan2(b, a)
         # E_2 E_3 E_4 h_5 = E_1^T R E_6^T h_5 lies in the plane, at psi from h_5
         gamma = arm.axis_5_rad - arm.sense * theta_6
-        gx = _turn(arm, pose, 0, 0) * cos(gamma) + _turn(arm, pose, 0, 1) * sin(gamma)
-        gy = _turn(arm, pose, 1, 0) * cos(gamma) + _turn(arm, pose, 1, 1) * sin(gamma)
-        gz = _turn(arm, pose, 2, 0) * cos(gamma) + _turn(arm, pose, 2, 1) * sin(gamma)
-        psi = atan2(c * gy + s * gz, gx) - arm.axis_5_rad
+        sine, cosine = sin_cos(gamma)
+        gx = _turn(arm, pose, 0, 0) * cosine + _turn(arm, pose, 0, 1) * sine
+        gy = _turn(arm, pose, 1, 0) * cosine + _turn(arm, pose, 1, 1) * sine
+        gz = _turn(arm, pose, 2, 0) * cosine + _turn(arm, pose, 2, 1) * sine
+        psi = arctan2(c * gy + s * gz, gx) - arm.axis_5_rad
         z = complex(wx, c * wy + s * wz) - arm.shoulder_m
         for sign in (1.0, -1.0):
-            theta_5, turned = atan2(sign * hypot(a, b), uz), 0.5 * (1.0 - sign) * pi
+            theta_5, turned = arctan2(sign * hypot(a, b), uz), 0.5 * (1.0 - sign) * pi
             count = _with_wrist(arm, z, psi + turned, theta_1, theta_5, theta_6 + turned, out, count)
     return count
 
@@ -185,9 +187,10 @@ def _with_wrist(
     that they cannot bridge, the function takes the nearest psi with a possible distance. At the singularity
     it adds the two psi in the middle of the possible range.
     """
-    k = arm.wrist_m * np.exp(1j * psi)
-    distance, angle_apart = abs(z - k), np.angle(k / z)
-    shortest, longest = abs(abs(arm.upper_m) - abs(arm.lower_m)), abs(arm.upper_m) + abs(arm.lower_m)
+    k = arm.wrist_m * _unit(psi)
+    distance, angle_apart = _size(z - k), _direction(k / z)
+    upper_m, lower_m = _size(arm.upper_m), _size(arm.lower_m)
+    shortest, longest = abs(upper_m - lower_m), upper_m + lower_m
     sine = abs(sin(theta_5))
     if shortest <= distance <= longest:
         best = psi
@@ -198,18 +201,16 @@ def _with_wrist(
         best = psi
     else:
         return count
-    least, most = max(shortest, abs(abs(z) - abs(k))), min(longest, abs(z) + abs(k))
+    least, most = max(shortest, abs(_size(z) - _size(k))), min(longest, _size(z) + _size(k))
     middle = _angle_for(z, k, 0.5 * (least + most))
     straight = psi - angle_apart
     for tried in (best, straight + middle, straight - middle):
-        y = z - arm.wrist_m * np.exp(1j * tried)
-        bend = (abs(y) ** 2 - abs(arm.upper_m) ** 2 - abs(arm.lower_m) ** 2) / (
-            2.0 * abs(arm.upper_m) * abs(arm.lower_m)
-        )
+        y = z - arm.wrist_m * _unit(tried)
+        bend = (_size(y) ** 2 - upper_m**2 - lower_m**2) / (2.0 * upper_m * lower_m)
         for elbow in (1.0, -1.0):
-            theta_3 = elbow * np.arccos(min(max(bend, -1.0), 1.0))
-            theta_3 += np.angle(arm.upper_m) - np.angle(arm.lower_m)
-            theta_2 = np.angle(y) - np.angle(arm.upper_m + arm.lower_m * np.exp(1j * theta_3))
+            theta_3 = elbow * arccos(min(max(bend, -1.0), 1.0))
+            theta_3 += _direction(arm.upper_m) - _direction(arm.lower_m)
+            theta_2 = _direction(y) - _direction(arm.upper_m + arm.lower_m * _unit(theta_3))
             out[count, 0], out[count, 1], out[count, 2] = theta_1, theta_2, theta_3
             out[count, 3], out[count, 4] = tried - theta_2 - theta_3, theta_5
             out[count, 5] = theta_6 + (psi - tried) * arm.sense * np.sign(cos(theta_5))
@@ -247,5 +248,24 @@ def _wrist(arm: ArmGeometry, pose: Array4x4, i: int) -> float:
 @inlined
 def _angle_for(z: complex, k: complex, distance: float) -> float:
     """Return the angle between z and k at which |z - k| is ``distance``, or as near to it as possible."""
-    cosine = (abs(z) ** 2 + abs(k) ** 2 - distance * distance) / (2.0 * abs(z) * abs(k))
-    return float(np.arccos(min(max(cosine, -1.0), 1.0)))
+    cosine = (_size(z) ** 2 + _size(k) ** 2 - distance * distance) / (2.0 * _size(z) * _size(k))
+    return float(arccos(min(max(cosine, -1.0), 1.0)))
+
+
+@inlined
+def _size(z: complex) -> float:
+    """Return the length of a vector in the plane."""
+    return float(hypot(z.real, z.imag))
+
+
+@inlined
+def _direction(z: complex) -> float:
+    """Return the angle of a vector in the plane."""
+    return float(arctan2(z.imag, z.real))
+
+
+@inlined
+def _unit(angle_rad: float) -> complex:
+    """Return the unit vector at an angle in the plane."""
+    s, c = sin_cos(angle_rad)
+    return complex(c, s)

@@ -15,7 +15,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import product
 from safety_harness.base.exceptions import ArmModelError
+from safety_harness.base.geometry.linear import eigen
 from safety_harness.cell.robot.joint_data import Lack, Use, joint_data
 from safety_harness.cell.robot.urdf import ArmFileError, Urdf, read_bytes
 
@@ -133,8 +135,8 @@ class ArmModel:
 
         ``transform`` (4, 4) leads from its base link to the base frame.
         """
-        origins = np.concatenate(((transform @ self.joint_origins[0])[None], self.joint_origins[1:]))
-        return replace(self, joint_origins=origins, transform_seat=transform @ self.transform_seat)
+        origins = np.concatenate((product(transform, self.joint_origins[0])[None], self.joint_origins[1:]))
+        return replace(self, joint_origins=origins, transform_seat=product(transform, self.transform_seat))
 
     @property
     def lacks(self) -> tuple[Lack, ...]:
@@ -249,7 +251,7 @@ def read_arm(
         since.append(urdf.origin(joint))
         if joint.get("type") != "fixed":
             moving.append(joint)
-            origins.append(reduce(np.matmul, since))
+            origins.append(reduce(product, since))
             since = []
     data = [joint_data(urdf, joint) for joint in moving]
     if not FEWEST <= len(moving) <= MOST:
@@ -266,7 +268,7 @@ def read_arm(
         tcp_link=tcp,
         joint_origins=np.array(origins),
         joint_axes=axes / np.linalg.norm(axes, axis=1, keepdims=True),
-        flange=reduce(np.matmul, since) if since else np.eye(4),
+        flange=reduce(product, since) if since else np.eye(4),
         position_lower_rad=np.array([numbers.lower_rad for numbers in data]),
         position_upper_rad=np.array([numbers.upper_rad for numbers in data]),
         velocity_limit_radps=np.array([numbers.speed_radps for numbers in data]),
@@ -315,7 +317,7 @@ class _Shapes:
                     if is_empty(urdf, part):
                         self.notes.append(f"an empty <{kind}> of {name} is left out: its size is 0")
                         continue
-                    frame = reduce(np.matmul, [*frames, urdf.origin(part)])
+                    frame = reduce(product, [*frames, urdf.origin(part)])
                     shape = _shape(urdf, part, frame, packages, meshes)
                     self._found.setdefault((carrier, kind), []).append(shape)
 
@@ -390,7 +392,7 @@ def inertial(
     if mass < 0.0:
         raise urdf.error(urdf.child(inertial, "mass"), "a mass of 0 kg or more", f"{mass:g}")
     matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    least, middle, most = np.linalg.eigvalsh(matrix)
+    least, middle, most = eigen(matrix)[0].tolist()
     if mass > 0.0 and not (least > 0.0 and most <= MOMENT_EXCESS * (least + middle)):
         expected = "a possible inertia: moments above 0, the largest hardly above the sum of the two smaller"
         raise urdf.error(inertia, expected, f"{least:.4g}, {middle:.4g}, {most:.4g}")

@@ -14,13 +14,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, expm1
+from math import ceil
 from typing import Any, NewType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled, inlined, njit_no_nrt
+from safety_harness.base.elementary import expm1
 from safety_harness.base.geometry.arrays import ArrayN, ArrayNx3, ArrayNx4x4
 from safety_harness.base.geometry.linear import copy_vector
 from safety_harness.base.settings import Settings

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled, inlined
+from safety_harness.base.elementary import product
 from safety_harness.base.geometry.arrays import Array3, Array4x4, ArrayN, ArrayNx3, ArrayNx4x4
 from safety_harness.cell.robot.description import ArmModel, inertial
 from safety_harness.cell.robot.kinematics import links_in_base
@@ -54,11 +55,11 @@ def link_masses(arm: ArmModel, payload_kg: float = 0.0, payload_in_link_m: Array
         k = arm.link_names.index(str(carrier)) - 1
         kg, pose, inertia = link_inertial
         for frame in reversed(frames):
-            pose = frame @ pose
+            pose = product(frame, pose)
         mass[k] += kg
         first[k] += kg * pose[:3, 3]
         if kg > 0.0:
-            second[k] += pose[:3, :3] @ inertia @ pose[:3, :3].T + kg * _spread(pose[:3, 3])
+            second[k] += product(product(pose[:3, :3], inertia), pose[:3, :3].T) + kg * _spread(pose[:3, 3])
     for name in np.array(arm.link_names[1:])[~(mass > 0.0)]:
         link = urdf.links[str(name)]
         raise urdf.error(link, "an <inertial> with a mass, for the torques of the drives", "none")
@@ -75,7 +76,7 @@ def link_masses(arm: ArmModel, payload_kg: float = 0.0, payload_in_link_m: Array
 
 def _spread(at_m: Array3) -> NDArray[np.float64]:
     """Return the inertia (3, 3) about the origin of 1 kg at ``at_m``: the parallel axis theorem."""
-    return float(at_m @ at_m) * np.eye(3) - np.outer(at_m, at_m)
+    return float(product(at_m, at_m)) * np.eye(3) - np.outer(at_m, at_m)
 
 
 @compiled

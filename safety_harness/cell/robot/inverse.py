@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.base.compiled import compiled
+from safety_harness.base.elementary import length
 from safety_harness.base.geometry.arrays import Array3, Array4x4, Array6, Array6x6, ArrayNx4x4, ArrayNx6
 from safety_harness.base.geometry.linear import copy_matrix, copy_vector, solve_in_place
 from safety_harness.cell.robot.closed_form import (
@@ -161,15 +162,15 @@ class InverseKinematics:
 
         """
         direction = np.array(direction_in_base, dtype=np.float64)
-        length = float(np.linalg.norm(direction))
-        if direction.shape != (3,) or not (0.0 < length < np.inf):
+        size = length(direction)
+        if direction.shape != (3,) or not (0.0 < size < np.inf):
             raise ValueError(f"direction_in_base: expected a finite vector with a length, got {direction}")
         if not (step_m > 0.0 and min_singular_value > 0.0 and np.isfinite(length_m)):
             raise ValueError("step_m and min_singular_value must be positive and length_m finite")
         arm, start = self.arm, np.array(joint_position_rad, dtype=np.float64)
         limits_rad = arm.position_lower_rad, arm.position_upper_rad
         return _straight_reach(
-            arm.chain, *limits_rad, start, direction / length, length_m, step_m, min_singular_value
+            arm.chain, *limits_rad, start, direction / size, length_m, step_m, min_singular_value
         )
 
 

@@ -15,6 +15,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length
 from safety_harness.cell.robot.urdf import LARGEST, Urdf
 
 NO_LIMIT = 1e3  # rad, rad/s: exporters write such numbers for "none"
@@ -73,7 +74,7 @@ def joint_data(urdf: Urdf, joint: Element) -> JointData:
     axis = np.array([1.0, 0.0, 0.0])
     if joint.find("axis") is not None:
         axis = urdf.numbers(urdf.child(joint, "axis"), "xyz", 3)
-        if not np.linalg.norm(axis) > 1e-6:
+        if not length(axis) > 1e-6:
             raise urdf.error(urdf.child(joint, "axis"), "an axis that has a direction", f"{axis.tolist()}")
     lower, upper, speed, effort, note = -np.inf, np.inf, np.nan, np.nan, ""
     if kind == "revolute" or joint.find("limit") is not None:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled, inlined
+from safety_harness.base.elementary import power
 from safety_harness.base.geometry.arrays import (
     Array4x4,
     Array6,
@@ -62,8 +63,8 @@ def starts_of(arm: ArmModel) -> NDArray[np.float64]:
     n = len(lower)
     root = 2.0
     for _ in range(60):  # x^(n + 1) = x + 1
-        root = (1.0 + root) ** (1.0 / (n + 1))
-    shares = (0.5 + np.outer(np.arange(1, STARTS + 1), root ** -np.arange(1.0, n + 1.0))) % 1.0
+        root = power(1.0 + root, 1.0 / (n + 1))
+    shares = (0.5 + np.outer(np.arange(1, STARTS + 1), power(root, -np.arange(1.0, n + 1.0)))) % 1.0
     starts: NDArray[np.float64] = lower + shares * (upper - lower)
     return starts
 

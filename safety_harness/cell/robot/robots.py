@@ -12,6 +12,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import product
 from safety_harness.base.exceptions import Place
 from safety_harness.base.geometry.rotations import rotation_from_vector
 from safety_harness.base.geometry.transforms import inverse_transform, transform_from
@@ -65,7 +66,7 @@ def arm_model(robot: AnyRobot) -> ArmModel:
         arm = _own(robot, meshes=False)
         arm.require(Use.RUN)
     if robot.tool is not None:
-        arm = replace(arm, flange=arm.flange @ transform_tool(robot.tool))
+        arm = replace(arm, flange=product(arm.flange, transform_tool(robot.tool)))
     return arm if robot.seat is None else arm.seated(transform_seat(robot.seat))
 
 
@@ -104,7 +105,7 @@ def drive_model(robot: AnyRobot) -> DriveModel | None:
     arm.require(Use.TORQUES)
     masses = link_masses(arm)
     if carried is not None:
-        at_m = arm.flange[:3, :3] @ np.array(carried.centre_m) + arm.flange[:3, 3]
+        at_m = product(arm.flange[:3, :3], np.array(carried.centre_m)) + arm.flange[:3, 3]
         masses = link_masses(arm, carried.mass_kg, at_m)
     return replace(model, torque_limit_nm=drives.torque_limit * arm.effort_limit, masses=masses)
 
@@ -116,7 +117,7 @@ def transform_seat(seat: Seat) -> NDArray[np.float64]:
     """
     turn = rotation_from_vector(np.array([0.0, 0.0, seat.yaw_rad]))
     return transform_from(
-        turn @ rotation_from_vector(np.array(seat.tilt_rad)), np.array(seat.position_in_base_m)
+        product(turn, rotation_from_vector(np.array(seat.tilt_rad))), np.array(seat.position_in_base_m)
     )
 
 

@@ -15,6 +15,7 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import product
 from safety_harness.base.exceptions import ArmModelError, InputError, Place
 from safety_harness.base.geometry.rotations import rotation_about
 from safety_harness.base.geometry.transforms import transform_from
@@ -163,7 +164,7 @@ class Urdf:
         turn = np.empty((3, 3))
         for axis, angle in zip(np.eye(3), self.numbers(origin, "rpy", 3, "0 0 0"), strict=True):
             rotation_about(axis, angle, turn)
-            rotation = turn @ rotation
+            rotation = product(turn, rotation)
         return transform_from(rotation, self.numbers(origin, "xyz", 3, "0 0 0"))
 
     def parent(self, joint: Element) -> str:

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled, njit_no_nrt
+from safety_harness.base.elementary import hypot, product
 from safety_harness.base.exceptions import Place, SettingsError
 from safety_harness.base.geometry.arrays import Array4x4, Array6, Array6x6, Array31
-from safety_harness.base.geometry.linear import solve_in_place
+from safety_harness.base.geometry.linear import eigen, invert, solve_in_place
 from safety_harness.base.settings import InteractionChoice, ObjectKind
 from safety_harness.cell.perception.camera import object_plane, polygon_in_camera, project
 from safety_harness.cell.perception.moments import MOMENT_COUNT, XG, YG, point_moments, polygon_moments
@@ -95,8 +96,11 @@ def desired_view(
     _refuse_threefold_symmetry(moments, place)
     finite = features(moments, desired_area, depth_m, dense, f)
     finite = interaction_matrix(moments, plane, desired_area, depth_m, dense, interaction) and finite
-    singular_values = np.linalg.svd(interaction, compute_uv=False) if finite else np.zeros(6)
-    if not singular_values[-1] > NEGLIGIBLE * singular_values[0]:
+    squares = eigen(product(interaction.T, interaction))[0] if finite else np.zeros(6)
+    singular_values = np.sqrt(np.maximum(squares[::-1], 0.0))
+    inverse = np.empty((6, 6))
+    regular = finite and invert(interaction, inverse)
+    if not (regular and singular_values[-1] > NEGLIGIBLE * singular_values[0]):
         raise SettingsError(
             place=place,
             expected="an object whose interaction matrix has rank 6 at the desired pose",
@@ -112,7 +116,7 @@ def desired_view(
         moments=moments,
         plane=plane,
         interaction=interaction,
-        interaction_pinv=np.asarray(np.linalg.pinv(interaction), dtype=np.float64),
+        interaction_pinv=inverse,
         condition_number=float(singular_values[0] / singular_values[-1]),
     )
 
@@ -124,7 +128,7 @@ def _refuse_threefold_symmetry(moments: Array31, place: Place) -> None:
     """
     pairs = np.empty((3, 2))
     brackets(moments, pairs)
-    sizes = np.hypot(pairs[:, 0], pairs[:, 1])
+    sizes = hypot(pairs[:, 0], pairs[:, 1])
     if not sizes[2] > NEGLIGIBLE * sizes.max():
         raise SettingsError(
             place=place,

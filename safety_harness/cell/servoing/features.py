@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import inlined, njit_no_nrt
+from safety_harness.base.elementary import arctan2
 from safety_harness.base.geometry.arrays import Array6, Array31
 from safety_harness.cell.perception.moments import M00, XG, YG, mu_index
 
@@ -79,7 +80,7 @@ def features(moments: Array31, desired_area: float, desired_depth_m: float, dens
     out[A_N] = a_n
     out[GAMMA] = in1 / in3
     out[DELTA] = in2 / in3
-    out[ALPHA] = 0.5 * np.arctan2(2.0 * moments[mu_index(1, 1)], mu20 - mu02)
+    out[ALPHA] = 0.5 * arctan2(2.0 * moments[mu_index(1, 1)], mu20 - mu02)
     finite = True
     for k in range(6):
         finite = finite and np.isfinite(out[k])

@@ -8,8 +8,10 @@ from typing import Any, NamedTuple, NewType
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import cos, product, sin
 from safety_harness.base.exceptions import SettingsError
 from safety_harness.base.geometry.arrays import Array4x4
+from safety_harness.base.normals import standard_normal
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.base.settings import HandSensorKind, ImageSource, Object, ObjectKind, Settings
 from safety_harness.cell.perception.camera import transform_camera_to_tcp
@@ -112,9 +114,9 @@ def object_polygon_in_base(settings: Settings) -> NDArray[np.float64]:
 @lru_cache(maxsize=16)
 def _polygon_in_base(shape: Object) -> NDArray[np.float64]:
     """Return the vertices of ``object_polygon_in_base``, cached."""
-    c, s = np.cos(shape.yaw_rad), np.sin(shape.yaw_rad)
+    c, s = cos(shape.yaw_rad), sin(shape.yaw_rad)
     polygon = np.array(shape.polygon_m)
-    flat = polygon @ np.array([[c, s], [-s, c]])
+    flat = product(polygon, np.array([[c, s], [-s, c]]))
     return np.column_stack([flat, np.zeros(len(flat))]) + shape.position_in_base_m
 
 
@@ -143,7 +145,7 @@ def sensors(
     normals, uniforms = np.zeros((1, boxes, 3)), np.zeros((1, boxes))
     if noisy:  # in streams of four boxes, so that the first four have the same noise with any hand_slots
         streams = [generator(seed, Branch.HAND_SENSOR_NOISE, k) for k in range(boxes // 2)]
-        normals = np.hstack([noise.standard_normal((ticks + 1, 4, 3)) for noise in streams[::2]])
+        normals = np.hstack([standard_normal(noise, (ticks + 1, 4, 3)) for noise in streams[::2]])
         uniforms = np.hstack([misses.random((ticks + 1, 4)) for misses in streams[1::2]])
     return Sensors(
         state,

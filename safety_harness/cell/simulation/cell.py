@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import cos, length, sin
 from safety_harness.base.geometry.arrays import Array4x4, ArrayN
 from safety_harness.base.geometry.rotations import vector_from_rotation
 from safety_harness.base.settings import Settings, Vector3
@@ -201,10 +202,10 @@ def _round_mesh(radius_m: float, rings: int = 24) -> tuple[list[list[float]], li
     around = 2 * rings
     polar = np.pi * np.arange(rings + 1) / rings
     azimuth = 2.0 * np.pi * np.arange(around) / around
-    height = np.repeat(np.cos(polar), around)
-    width = np.repeat(np.sin(polar), around)
+    height = np.repeat(cos(polar), around)
+    width = np.repeat(sin(polar), around)
     turn = np.tile(azimuth, rings + 1)
-    vertices = radius_m * np.stack([width * np.cos(turn), width * np.sin(turn), height], axis=1)
+    vertices = radius_m * np.stack([width * cos(turn), width * sin(turn), height], axis=1)
     faces: list[int] = []
     for ring in range(rings):
         for k in range(around):
@@ -240,18 +241,18 @@ def place_hands(client: int, bodies: Bodies, hands: NDArray[np.void]) -> None:
 
 def _turn_by(vector: NDArray[np.float64]) -> tuple[float, float, float, float]:
     """Return the quaternion (x, y, z, w) of a rotation vector (3,)."""
-    half = 0.5 * float(np.linalg.norm(vector))
+    half = 0.5 * length(vector)
     x, y, z = 0.5 * np.sinc(half / np.pi) * vector
-    return (x, y, z, float(np.cos(half)))
+    return (x, y, z, float(cos(half)))
 
 
 def _turn_z_to(direction: NDArray[np.float64]) -> tuple[float, float, float, float]:
     """Return the quaternion (x, y, z, w) that turns z into ``direction``."""
-    unit = direction / np.linalg.norm(direction)
+    unit = direction / length(direction)
     if unit[2] < -1.0 + 1e-12:
         return (1.0, 0.0, 0.0, 0.0)
     quaternion = np.array([-unit[1], unit[0], 0.0, 1.0 + unit[2]])
-    quaternion /= np.linalg.norm(quaternion)
+    quaternion /= length(quaternion)
     return (quaternion[0], quaternion[1], quaternion[2], quaternion[3])
 
 

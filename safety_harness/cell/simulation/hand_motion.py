@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import njit_no_nrt
+from safety_harness.base.elementary import sin
 from safety_harness.base.geometry.arrays import Array3
 
 LEG, WAIT, REACH_FOR_TCP, FOLLOW_TCP = range(4)  # kinds of compiled moves
@@ -99,7 +100,7 @@ def advance_hands(
             tremor_m = 0.0
             if hand.tremor_m != 0.0:
                 angle = hand.tremor_radps * (time_s + dt_s) + hand.tremor_phase_rad[i]
-                tremor_m = hand.tremor_m * np.sin(angle)
+                tremor_m = hand.tremor_m * sin(angle)
             hand.position_in_base_m[i] = hand.steady_in_base_m[i] + tremor_m
         point_forearm(hands, k)
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.base.settings import Vector3
 from safety_harness.cell.simulation.hand_motion import (
@@ -184,6 +185,6 @@ def _least_s(move: HandMove, hand: MovingHand) -> float:
     if isinstance(move, Wait | FollowTcp | Wander):
         return move.duration_s
     if isinstance(move, Sweep):
-        path_m = np.linalg.norm(np.subtract(move.to_in_base_m, move.from_in_base_m))
+        path_m = length(np.subtract(move.to_in_base_m, move.from_in_base_m))
         return 2 * move.times * float(_leg_s(np.array(path_m), move.speed_mps, hand.max_acceleration_mps2))
     return 0.0

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import njit_no_nrt
+from safety_harness.base.elementary import cos, sin
 from safety_harness.base.geometry.arrays import ArrayN, ArrayNx2x3
 from safety_harness.base.geometry.linear import copy_matrix, copy_vector
 from safety_harness.base.settings import Camera, Hand, Settings
@@ -61,7 +62,7 @@ def cell_capsules(capsules: CapsuleSet, settings: Settings) -> CapsuleSet:
 def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
     """Return the capsules of ``cell_capsules``, cached."""
     offset = np.array(camera.mount_offset_in_tcp_m)
-    along = np.array([np.cos(camera.mount_yaw_rad), np.sin(camera.mount_yaw_rad), 0.0])
+    along = np.array([cos(camera.mount_yaw_rad), sin(camera.mount_yaw_rad), 0.0])
     radius_m = 0.0177
     half_m = 0.045 - radius_m
     return capsules.with_capsule(

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import product
 from safety_harness.base.extension_points import ExtensionPoint, Registry
 from safety_harness.claims.formulas.measures import Flag, Measure
 from safety_harness.claims.signals.bounds import tent
@@ -180,7 +181,7 @@ def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -
         value = np.where(present & np.isinf(value), np.nan, value)  # else the other hand would hide it
     low, high, surely = value.copy(), value.copy(), value.copy()
     turned_rad = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
-    arm_m = tcp_way_m(trace) if from_tcp else turned_rad @ arm_of(trace).reach_m
+    arm_m = tcp_way_m(trace) if from_tcp else product(turned_rad, arm_of(trace).reach_m)
     for hand in range(hands):
         ends_m, (hand_m, elbow_m) = ends_between(trace, paths, hand, from_tcp=from_tcp)
         for side, least_m in zip((low, surely), ends_m, strict=True):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled
+from safety_harness.base.elementary import product
 from safety_harness.base.geometry.segments import segment_segment_distance
 from safety_harness.cell.avoidance.own_body import body_and_wrist, wrist_distance
 from safety_harness.cell.robot.capsules import Arm
@@ -131,7 +132,7 @@ def least_along(
     between both ends, the steps that may decide are computed in PARTS.
     """
     at_samples = clearance_m(joints_rad)
-    moved_m = np.abs(np.diff(joints_rad, axis=0)) @ reach_m
+    moved_m = product(np.abs(np.diff(joints_rad, axis=0)), reach_m)
     slack_m = np.broadcast_to(slack_m, moved_m.shape)
     bound, high = at_samples.copy(), at_samples.min(axis=0)
     between = 0.5 * (at_samples[:-1] + at_samples[1:] - moved_m[:, None]) - slack_m[:, None]

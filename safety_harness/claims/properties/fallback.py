@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length, product
 from safety_harness.cell.avoidance.flaky import question_of
 from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inconclusive, is_somewhere, judged
 from safety_harness.claims.properties.entry import CatalogueEntry
@@ -90,7 +91,7 @@ def went(
     found, tried = way_gone(trace, number, target_in_base_m, cycles, where)
     chosen, off_m = decision["chosen_position_in_base_m"], np.nan
     if is_somewhere(chosen) and is_somewhere(target_in_base_m):
-        off_m = float(np.linalg.norm(chosen - target_in_base_m))
+        off_m = length(chosen - target_in_base_m)
     if off_m <= SAME_M:
         return found, tried
     said = f"told to go elsewhere than {where}"
@@ -190,7 +191,7 @@ class CertainIsUsed:
                 continue
             if decision["outcome"] == DecisionOutcome.STOP:
                 tcp_in_base = trace.ticks["transform_tcp_to_base"][decision["tick"], :3, 3]
-                way_m = float(np.linalg.norm(proposed - tcp_in_base))
+                way_m = length(proposed - tcp_in_base)
                 findings["stop"].append(Finding(-way_m, float(decision["time_s"]), "stopped all the same"))
                 exercised += 1
                 continue
@@ -293,11 +294,11 @@ def _away(trace: Trace, decision: np.void) -> list[Finding]:
     position = decision["opposite_position_in_base_m"]
     for hand in np.flatnonzero(tick["hand_present"]):
         apart = tcp_in_base - tick["hand_position_in_base_m"][hand]
-        distance = float(np.linalg.norm(apart))
+        distance = length(apart)
         margin_m = -trace.scenario.settings.avoidance.radius_m  # no pose leads away from nobody
         if is_somewhere(position):
             way = position - tcp_in_base
-            margin_m = float(way @ apart) / distance if distance > 0.0 else float(np.linalg.norm(way))
+            margin_m = float(product(way, apart)) / distance if distance > 0.0 else length(way)
         name = trace.scenario.hands[hand].name
         found.append(Finding(margin_m, float(decision["time_s"]), f" ({name})"))
     return found

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled
+from safety_harness.base.elementary import length, product
 from safety_harness.base.geometry.arrays import Array3
 from safety_harness.cell.robot.robots import arm_model
 from safety_harness.claims.properties.base import Evaluation, Unit, is_somewhere, judged
@@ -114,7 +115,7 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
     off_m, hand_off_m = (known.within(name, count) for name in columns)
     start_off_m = float(off_m[about].max() + np.linalg.norm(tcp_m[about] - tcp_m[first], axis=1).max())
     way_m, moved_m = decision["chosen_position_in_base_m"] - tcp_m[first], tcp_m[run] - tcp_m[first]
-    length_m = float(np.linalg.norm(way_m))
+    length_m = length(way_m)
     velocities = np.array([velocity_at(trace, tick) for tick in range(*about.indices(count))])
     speeds_mps = trace.ticks["tcp_speed_mps"] + known.within("tcp_speed_mps", count)
     fastest_mps = float(np.nan_to_num(speeds_mps[about], nan=np.inf).max())
@@ -127,18 +128,21 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
         u_m = float(hand_off_m[about].max())
         u_m += float(np.linalg.norm(hands_m[about, hand] - hands_m[first, hand], axis=1).max())
         apart_m = tcp_m[first] - hands_m[first, hand]
-        distance_m = float(np.linalg.norm(apart_m))
+        distance_m = length(apart_m)
         if distance_m - start_off_m - u_m >= prop.nearer_m:
             continue
         sure = distance_m + start_off_m + u_m < prop.nearer_m
         counted |= sure
         away = apart_m / max(distance_m, 1e-9)
         turned = min(2.0, 2.0 * (start_off_m + u_m) / max(distance_m, 1e-9))
-        planned_m, planned_off_m = float(way_m @ away) + prop.tolerance_m, start_off_m + length_m * turned
+        planned_m, planned_off_m = (
+            float(product(way_m, away)) + prop.tolerance_m,
+            start_off_m + length_m * turned,
+        )
         ends.append(_End(planned_m - planned_off_m, planned_m + planned_off_m if sure else np.inf, sure))
-        towards = -velocities @ away
+        towards = product(-velocities, away)
         towards = np.maximum(0.0, np.array([towards.min() - dv_mps, towards.max() + dv_mps]))
-        unavoidable_m = towards**2 / (2.0 * braking_mps2) + 2.0 * towards * period_s
+        unavoidable_m = towards * towards / (2.0 * braking_mps2) + 2.0 * towards * period_s
         unavoidable_m += DIP_M + prop.tolerance_m
         nearer_m = np.linalg.norm(tcp_m[run] - hands_m[first, hand], axis=1) - distance_m
         least_m = max(distance_m - u_m - start_off_m, 1e-9)
@@ -156,7 +160,7 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
     high_m = done.slack_m + slack_off_m - float((done.behind_m - follow).max())
     ends.append(_End(-np.inf, np.inf) if done.excused else _End(low_m, high_m if counted else np.inf))
     if arrival_claimed(trace, number, last):
-        left_m = float(np.linalg.norm(decision["chosen_position_in_base_m"] - tcp_m[last]))
+        left_m = length(decision["chosen_position_in_base_m"] - tcp_m[last])
         left_off_m = float(off_m[last]) + ARRIVED_FRACTION * start_off_m
         margin_m = ARRIVED_FRACTION * length_m - left_m
         ends.append(_End(margin_m - left_off_m, margin_m + left_off_m if counted else np.inf))
@@ -170,13 +174,21 @@ def _led_m(trace: Trace, decision: np.void, last: int, off_m: float, dv_mps: flo
     """
     first = int(decision["tick"])
     way_m = decision["chosen_position_in_base_m"] - trace.ticks["transform_tcp_to_base"][first, :3, 3]
-    axes = np.linalg.svd(way_m[None, :])[2]
+    axes = _axes(way_m)
     plain_m, found = _followed(trace, decision, last).behind_m, np.zeros(last + 1 - first)
     for axis in (*axes, *-axes):
         other = _followed(trace, decision, last, off_m * axis, dv_mps * axis)
         found = np.maximum(found, np.abs(other.behind_m - plain_m))
     found[0] = 0.0
     return np.asarray(1.5 * found)
+
+
+def _axes(way_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return orthogonal unit vectors (3, 3), the first along the way, by Householder's reflection."""
+    mirror = way_m.copy()
+    mirror[0] += np.copysign(length(way_m), way_m[0])
+    square = product(mirror, mirror)
+    return np.eye(3) - 2.0 * np.outer(mirror, mirror) / (square if square > 0.0 else 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -285,15 +297,15 @@ def away_from(
     tcp_in_base = trace.ticks["transform_tcp_to_base"][first : last + 1, :3, 3]  # (n, 3)
     way = decision["chosen_position_in_base_m"] - tcp_in_base[0]
     apart = tcp_in_base[0] - hand_in_base
-    distance = float(np.linalg.norm(apart))
+    distance = length(apart)
     if distance == 0.0:  # every way leads away from a hand that is at the TCP
-        return [Finding(float(np.linalg.norm(way)), time_s, f"planned way, {name}")]
+        return [Finding(length(way), time_s, f"planned way, {name}")]
     away = apart / distance
-    findings = [Finding(float(way @ away) + tolerance_m, time_s, f"planned way, {name}")]
+    findings = [Finding(float(product(way, away)) + tolerance_m, time_s, f"planned way, {name}")]
     dt_s = settings.clock.control_period_s
-    towards_mps = max(0.0, -float(velocity_at(trace, first) @ away))
+    towards_mps = max(0.0, -float(product(velocity_at(trace, first), away)))
     braking_mps2 = max(settings.avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2)
-    unavoidable_m = towards_mps**2 / (2.0 * braking_mps2) + 2.0 * towards_mps * dt_s
+    unavoidable_m = towards_mps * towards_mps / (2.0 * braking_mps2) + 2.0 * towards_mps * dt_s
     distances = np.linalg.norm(tcp_in_base - hand_in_base, axis=1)
     nearest = int(np.argmin(distances))
     nearer = Finding(
@@ -309,11 +321,11 @@ def given(trace: Trace, number: int, last: int, done: RepulsionProgress) -> list
     decision = trace.decisions[number]
     tcp_in_base = trace.ticks["transform_tcp_to_base"][:, :3, 3]
     target_in_base = decision["chosen_position_in_base_m"]
-    length_m = float(np.linalg.norm(target_in_base - tcp_in_base[int(decision["tick"])]))
+    length_m = length(target_in_base - tcp_in_base[int(decision["tick"])])
     findings = [Finding(length_m - LEAST_WAY_M, float(decision["time_s"]), "hardly any way at all")]
     findings.append(Finding(done.margin_m, float(trace.time_s[done.worst_tick]), "executed way, too slow"))
     if arrival_claimed(trace, number, last):
-        left_m = float(np.linalg.norm(target_in_base - tcp_in_base[last]))
+        left_m = length(target_in_base - tcp_in_base[last])
         margin_m = ARRIVED_FRACTION * length_m - left_m
         findings.append(Finding(margin_m, float(trace.time_s[last]), "executed way, ended too early"))
     return [finding for finding in findings if not finding.margin_m >= 0.0]
@@ -435,7 +447,7 @@ def _followed(
         ACCELERATION_SHARE * max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2),
         period_s,
     )
-    way_m = float(np.linalg.norm(decision["chosen_position_in_base_m"] - tcp_in_base[0]))
+    way_m = length(decision["chosen_position_in_base_m"] - tcp_in_base[0])
     slack_m = SLACK_M + min(period_s * avoidance.repulsion_speed_mps, SLACK_SHARE * way_m)
     return _Followed(behind_m, due_m, slack_m, bool(excused.any()))
 

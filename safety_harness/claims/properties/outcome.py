@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import power, product
 from safety_harness.claims.properties.base import (
     Evaluation,
     Unit,
@@ -152,7 +153,7 @@ class ReactsWithin(Worded):
             before, was = first - 1, max(first - 1 - round(BEFORE_S / period_s), round(STARTED_S / period_s))
             if before < was or first == last or speed[before] <= MOVES or braking[before]:
                 continue
-            leads = velocity @ (from_hand_m[first] / max(apart_m[first], TINY_MPS))
+            leads = product(velocity, from_hand_m[first] / max(apart_m[first], TINY_MPS))
             # an arm that arrives slows as what is left of its way does
             now, away, left = speed[before], leads[before], errors_m / max(errors_m[before], TINY_M)
             arrives = min(1.0 / max(left[was], TINY_M), 1.0)
@@ -162,8 +163,8 @@ class ReactsWithin(Worded):
             if reacted or away >= HALF * settings.avoidance.repulsion_speed_mps:
                 continue
             until = slice(first, min(end + halved, last))
-            slowing = min(now / speed[was], 1.0) ** (1.0 / max(before - was, 1))
-            usual = np.minimum(slowing ** np.arange(1, until.stop - first + 1), left[until])
+            slowing = power(min(now / speed[was], 1.0), 1.0 / max(before - was, 1))
+            usual = np.minimum(power(slowing, np.arange(1, until.stop - first + 1)), left[until])
             change = 1.0 - speed[until] / np.maximum(usual * now, TINY_MPS)
             change = np.maximum(change, (leads[until] - away * usual) / now)
             motion, avoids = settings.motion, settings.avoidance

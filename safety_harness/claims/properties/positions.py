@@ -14,6 +14,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length, product
 from safety_harness.cell.avoidance.gate import OWN_CLEARANCE_M, REACH_MARGIN_M
 from safety_harness.cell.robot.inverse import REACH_RESOLUTION_M, straight_way
 from safety_harness.cell.robot.obstacles import box_records, distances_m
@@ -76,8 +77,8 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
     for hand in tick["predicted_hand_in_base_m"][tick["track_valid"]]:
         if not is_somewhere(hand):
             return np.nan
-        apart = float(np.linalg.norm(tcp_in_base - hand))
-        away = float((position_in_base_m - tcp_in_base) @ (tcp_in_base - hand))
+        apart = length(tcp_in_base - hand)
+        away = float(product(position_in_base_m - tcp_in_base, tcp_in_base - hand))
         spare = min(spare, away / apart if apart > 0.0 else spare)
     if spare < 0.0:
         return spare
@@ -212,7 +213,7 @@ def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], way: NDArray[np.flo
 
     The result is at most 0.1 mm too small, but never below zero for a way that can be gone to its end.
     """
-    length_m = float(np.linalg.norm(way))
+    length_m = length(way)
     if length_m == 0.0:
         return 0.0
     least = trace.scenario.settings.motion.min_singular_value

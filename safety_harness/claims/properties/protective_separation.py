@@ -9,6 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import product
 from safety_harness.base.settings import Settings
 from safety_harness.cell.controller.stack import STANDSTILL_RADPS
 from safety_harness.claims.properties.base import (
@@ -79,7 +80,7 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
     low = margin_m if braking.reaction_time_s >= longest_s - braking.stop_time_base_s else -np.inf
     if known.uncertain((*JOINTS, "tcp_speed_mps", *OF_HANDS)):
         reaction_s, stop_s = _times_left_s(trace, stopped_mps, per_speed_s2pm * speed_mps, longest_s)
-        arm_mps = (turns_radps + faster_radps) @ reach_m
+        arm_mps = product(turns_radps + faster_radps, reach_m)
         needed_m = most_mps * (reaction_s + stop_s) + arm_mps * (reaction_s + 0.5 * stop_s)
         needed_m += 0.5 * period_s * (hand_mps + arm_mps)
         low = float(np.where(maybe, true.nearest_m - distance_m - needed_m, np.inf).min())

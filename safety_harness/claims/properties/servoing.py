@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled
+from safety_harness.base.elementary import exp, hypot, log
 from safety_harness.base.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
 from safety_harness.claims.properties.base import (
     Evaluation,
@@ -60,7 +61,7 @@ def left_at(trace: Trace) -> int | None:
     a hand is within ABOUT of that distance.  Then it may stand or go on, for ``retreat_s``: the result is the
     last tick of that time at which it is as far off as at any.
     """
-    settings, error = trace.scenario.settings, np.hypot(*pose_errors(trace))
+    settings, error = trace.scenario.settings, hypot(*pose_errors(trace))
     nearest_m, critical_m = nearest_hand_m(trace), settings.avoidance.critical_distance_m
     period_s = settings.clock.control_period_s
     away = np.diff(error, prepend=error[0]) > 10.0 * MOVES * period_s
@@ -111,12 +112,12 @@ class GainSwitchReached(Worded):
         servo = trace.scenario.settings.servo
         sse = history(trace, "sse")[first:]
         errors = np.where(
-            np.isfinite(sse), sse, position_errors_m(trace)[first:] ** 2
+            np.isfinite(sse), sse, np.square(position_errors_m(trace)[first:])
         )  # unseen: as if upright
         allowed_s = self.within_s
         if allowed_s is None:
             ratio = max(float(errors[0]) / servo.gain_switch_sse, 1.0)
-            allowed_s = ALLOWANCE * 0.5 * float(np.log(ratio)) / servo.gain_far + GRACE_S
+            allowed_s = ALLOWANCE * 0.5 * float(log(ratio)) / servo.gain_far + GRACE_S
         below = np.flatnonzero(np.isfinite(sse) & (sse < servo.gain_switch_sse))
         above = errors[: below[0] if len(below) else None] >= servo.gain_switch_sse
         took = int(below[0]) if len(below) else len(trace.ticks) - 1 - first  # in ticks
@@ -171,7 +172,7 @@ class Converged:
         if first is None:
             return inconclusive(self, busy_to_the_end(trace))
         (position, angle), settings = pose_errors(trace), trace.scenario.settings
-        needed_s = self._needed_s(trace, float(np.hypot(position[first], angle[first])))
+        needed_s = self._needed_s(trace, float(hypot(position[first], angle[first])))
         had_s = float(trace.time_s[-1] - trace.time_s[first])
         margin = CONVERGED_POSITION_M - float(position[-1])
         if angle[-1] > CONVERGED_ANGLE_RAD:
@@ -191,17 +192,17 @@ class Converged:
         """Return the closed form from ``distance_m``: fast until the gain switch, slow on to 1 mm."""
         servo = trace.scenario.settings.servo
         switch_m = float(np.sqrt(servo.gain_switch_sse))
-        far_s = np.log(max(distance_m, switch_m) / switch_m) / servo.gain_far
-        near_s = np.log(max(min(distance_m, switch_m), CONVERGED_POSITION_M) / CONVERGED_POSITION_M)
+        far_s = log(max(distance_m, switch_m) / switch_m) / servo.gain_far
+        near_s = log(max(min(distance_m, switch_m), CONVERGED_POSITION_M) / CONVERGED_POSITION_M)
         return float(ALLOWANCE * (far_s + near_s / servo.gain_near) + GRACE_S)
 
 
 def _stands(trace: Trace, first: int) -> bool:
     """Return whether it came nearer in the last STANDS_S since ``first`` by less than at half of its rate."""
     begin = len(trace.ticks) - 1 - round(STANDS_S / trace.scenario.settings.clock.control_period_s)
-    error = np.hypot(*pose_errors(trace))
+    error = hypot(*pose_errors(trace))
     rate_per_s = 0.5 * trace.scenario.settings.servo.gain_near
-    return begin >= first and bool(error[-1] > error[begin] * np.exp(-rate_per_s * STANDS_S))
+    return begin >= first and bool(error[-1] > error[begin] * exp(-rate_per_s * STANDS_S))
 
 
 def _converged_ends(trace: Trace, margin: float) -> tuple[float, float, bool]:
@@ -332,7 +333,7 @@ def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Return (n,) how many ticks the task has been starved at each tick, and (n,) whether it is not done."""
     settings = trace.scenario.settings
     distance_m, angle_rad = pose_errors(trace)
-    error = np.hypot(distance_m, angle_rad)
+    error = hypot(distance_m, angle_rad)
     done_below = float(np.sqrt(settings.servo.gain_switch_sse))
     least_share = LEAST_SHARE * settings.servo.gain_far * settings.clock.control_period_s
     lost = _lost(error, history(trace, "mode") == Mode.SERVOING, done_below, least_share)

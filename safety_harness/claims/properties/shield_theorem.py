@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import product
 from safety_harness.cell.controller.stack import STANDSTILL_RADPS
 from safety_harness.cell.robot.drive import delay_ticks
 from safety_harness.cell.robot.robots import arm_model
@@ -155,7 +156,7 @@ def _mean(sent: Floats, turned: Floats) -> float:
     scale = max(float(np.abs(sent).max()), 1e-12)
     rows = np.vstack([sent.T / scale, np.ones(len(sent))])
     weights, _ = nnls(np.hstack([rows, np.eye(len(rows))[:, -1:]]), np.append(turned / scale, 1.0))
-    return float(np.abs(weights[:-1] @ sent - turned).max())
+    return float(np.abs(product(weights[:-1], sent) - turned).max())
 
 
 def _not_sent(trace: Trace, k: int, turned: Floats, held: int) -> BrokenAssumption:

@@ -124,7 +124,7 @@ def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
         return None
     decision = answered[0]
     target = target_in_base_m(decision, trace.scenario.settings, intervals.target)
-    scale_m = np.sqrt(decision["proposed_spread_m"] ** 2 + np.array(intervals.residual_std_m) ** 2)
+    scale_m = np.sqrt(np.square(decision["proposed_spread_m"]) + np.square(intervals.residual_std_m))
     off_m = np.abs(decision["proposed_position_in_base_m"] - target)
     return bool(np.all(off_m <= intervals.multiplier * scale_m))  # a NaN is not covered
 

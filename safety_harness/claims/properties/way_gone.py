@@ -8,11 +8,12 @@ meanwhile.
 
 from __future__ import annotations
 
-from math import ceil, inf, radians, sin
+from math import ceil, inf, radians
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import arctan2, length, product, sin
 from safety_harness.claims.properties.giving_way import (
     LEAST_ACCELERATION_MPS2,
     LEAST_SPEED_MPS,
@@ -73,22 +74,22 @@ def _change(trace: Trace, tick: int, target_in_base_m: Vector) -> tuple[Vector, 
     """Return the change of velocity (3,) that the way needs, that allowed in a tick, and the speed aside."""
     avoidance, period_s = trace.scenario.settings.avoidance, trace.scenario.settings.clock.control_period_s
     way = target_in_base_m - trace.ticks["transform_tcp_to_base"][tick, :3, 3]
-    along, velocity = way / max(float(np.linalg.norm(way)), 1e-9), velocity_at(trace, tick)
+    along, velocity = way / max(length(way), 1e-9), velocity_at(trace, tick)
     change = max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS) * along - velocity
     step_mps = max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2) * period_s
-    return change, step_mps, float(np.linalg.norm(velocity - (velocity @ along) * along))
+    return change, step_mps, length(velocity - product(velocity, along) * along)
 
 
 def _onset(trace: Trace, first: int, last: int, target_in_base_m: Vector, allowed: int) -> list[Finding]:
     """Count the ticks until the TCP's velocity changes as the way asks for; the margin is their way."""
     change, step_mps, _ = _change(trace, first, target_in_base_m)
-    most_mps = float(np.linalg.norm(change))
+    most_mps = length(change)
     if most_mps < 0.1 * step_mps or last - first <= allowed:
         return []
     settings = trace.scenario.settings
     steps = np.diff(trace.ticks["transform_tcp_to_base"][first : last + 1, :3, 3], axis=0)
     velocities = np.vstack([velocity_at(trace, first), steps / settings.clock.control_period_s])
-    gained_mps = np.diff(velocities, axis=0) @ change / most_mps
+    gained_mps = product(np.diff(velocities, axis=0), change) / most_mps
     begun = np.flatnonzero(gained_mps >= BEGUN_SHARE * min(step_mps, most_mps))
     late = int(begun[0]) if len(begun) else last - first
     if excused_in(trace, first, first + late).any():
@@ -105,7 +106,7 @@ def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, wh
     """
     tcp_in_base = trace.ticks["transform_tcp_to_base"][start : last + 1, :3, 3]
     change, step_mps, aside_mps = _change(trace, start, target_in_base_m)
-    turning = ceil(min(len(tcp_in_base), float(np.linalg.norm(change)) / (PACE.acceleration * step_mps)))
+    turning = ceil(min(len(tcp_in_base), length(change) / (PACE.acceleration * step_mps)))
     gone = np.flatnonzero(np.linalg.norm(tcp_in_base - tcp_in_base[0], axis=1) >= LEAST_WAY_M)
     braked = np.flatnonzero(trace.ticks["limits"][start : last + 1] & Limit.BRAKING)
     apex = max([*gone[:1], turning if aside_mps > ASIDE_MPS else 0, *braked[-1:] + 1])
@@ -113,8 +114,8 @@ def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, wh
         return []
     chord, bearing = tcp_in_base[apex:] - tcp_in_base[apex], target_in_base_m - tcp_in_base[apex]
     length_m = np.linalg.norm(chord, axis=1)
-    along_m = chord @ bearing / max(float(np.linalg.norm(bearing)), 1e-9)
-    aside_m = np.sqrt(np.maximum(length_m**2 - along_m**2, 0.0))
+    along_m = product(chord, bearing) / max(length(bearing), 1e-9)
+    aside_m = np.sqrt(np.maximum(length_m * length_m - along_m * along_m, 0.0))
     # A demand that is late moves an arm that has turned meanwhile.
     late_m = max(trace.scenario.settings.avoidance.repulsion_speed_mps, LEAST_SPEED_MPS) * sum(
         _delays_s(trace)
@@ -127,7 +128,7 @@ def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, wh
     worst = int(np.argmin(left_m))
     if left_m[worst] == inf:
         return []
-    off_deg = float(np.degrees(np.arctan2(aside_m[worst], along_m[worst])))
+    off_deg = float(np.degrees(arctan2(aside_m[worst], along_m[worst])))
     said = f"{off_deg:.1f} deg off its way to {where}"
     return [Finding(float(left_m[worst]), float(trace.time_s[start + apex + worst]), said)]
 
@@ -137,6 +138,6 @@ def _end(trace: Trace, number: int, last: int, target_in_base_m: Vector, where: 
     if not arrival_claimed(trace, number, last):
         return []
     tcp_in_base = trace.ticks["transform_tcp_to_base"][last, :3, 3]
-    off_m = float(np.linalg.norm(tcp_in_base - target_in_base_m))
+    off_m = length(tcp_in_base - target_in_base_m)
     allowed_m = trace.scenario.settings.avoidance.arrival_tolerance_m + SHORT_M
     return [Finding(allowed_m - off_m, float(trace.time_s[last]), f"ended {off_m * 1e3:.1f} mm from {where}")]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import arctan2, product
 from safety_harness.cell.controller.desired import desired_transform_tcp_to_base
 from safety_harness.claims.signals.true_motion import true_motion
 from safety_harness.trace.trace import Trace, once_a_trace
@@ -14,12 +15,12 @@ from safety_harness.trace.trace import Trace, once_a_trace
 def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (n,) distance [m] and angle [rad] of the TCP from the desired pose at each tick."""
     desired = desired_transform_tcp_to_base(trace.scenario.settings)
-    turns = desired[:3, :3].T @ trace.ticks["transform_tcp_to_base"][:, :3, :3]
+    turns = product(desired[:3, :3].T, trace.ticks["transform_tcp_to_base"][:, :3, :3])
     axis = np.stack(
         [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]]
     )
     cosine = np.trace(turns, axis1=1, axis2=2) - 1.0
-    return position_errors_m(trace), np.arctan2(np.linalg.norm(axis, axis=0), cosine)
+    return position_errors_m(trace), arctan2(np.linalg.norm(axis, axis=0), cosine)
 
 
 @once_a_trace

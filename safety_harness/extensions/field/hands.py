@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import gammaincc, gammaincinv
 
+from safety_harness.base.elementary import length
 from safety_harness.base.exceptions import LogError, Place
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.base.settings import Settings
@@ -182,7 +183,7 @@ def _samples(
 def _direction(approaches: Sequence[Approach]) -> Direction:
     starts = np.array([approach.start_from_tcp_m for approach in approaches])
     mean = (starts / np.linalg.norm(starts, axis=1, keepdims=True)).mean(axis=0)
-    r = float(np.linalg.norm(mean))
+    r = float(length(mean))
     unit = mean / max(r, 1e-12)
     kappa = r * (3.0 - r**2) / max(1.0 - r**2, 1e-12)
     chi2 = 3.0 * len(approaches) * r**2

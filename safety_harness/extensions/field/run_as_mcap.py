@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.claims import property_of
+from safety_harness.base.elementary import cos, sin
 from safety_harness.base.exceptions import OutputError, Place, TraceError
 from safety_harness.base.extras import LOGS, PYBULLET
 from safety_harness.base.settings import ImageSource
@@ -246,7 +247,7 @@ class _Messages:
             frame = self.frames[capsules.link_index[k]]
             drawn.append(self._capsule(at_ns, frame, f"arm: {name}", ends, radii_m, ARM_COLOUR))
         for k, box in enumerate(self.trace.scenario.obstacles):
-            turn = 0.0, 0.0, np.sin(box.yaw_rad / 2.0), np.cos(box.yaw_rad / 2.0)
+            turn = 0.0, 0.0, sin(box.yaw_rad / 2.0), cos(box.yaw_rad / 2.0)
             cube = self._shape("Cube", box.position_in_base_m, turn, box.size_m, BOX_COLOUR)
             drawn.append(self._entity(at_ns, self.base, f"obstacle {k + 1}", cubes=[cube]))
         return at_ns, "/scene", SCENE, self._new(SCENE, [], drawn)

@@ -14,7 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from safety_harness.base.elementary import cos, sin
 from safety_harness.base.exceptions import AvoiderError
+from safety_harness.base.normals import standard_normal
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.base.settings import DEFAULTS, GateKind
 from safety_harness.cell.avoidance.avoider import Avoider, AvoiderAround, Proposal, Vector
@@ -98,7 +100,7 @@ def moved(change: Callable[[Vector, float], Vector]) -> Seeds:
 
 def turned(vector: Vector, angle_rad: float) -> Vector:
     """Return a displacement (3,) turned about the vertical."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    c, s = cos(angle_rad), sin(angle_rad)
     return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
 
 
@@ -197,7 +199,7 @@ def _raising(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: in
 @_avoider("noise in the answers", "the arm gives way to anywhere")
 @seeded(answered, (0.3, 0.1, 0.03), "mm", 1e3)
 def _noisy(std_m: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    noise_m = std_m * generator(seed, Branch.SELFTEST, 2).standard_normal(3)
+    noise_m = std_m * standard_normal(generator(seed, Branch.SELFTEST, 2), 3)
     return Proposal(proposal.position_in_base_m + noise_m, proposal.spread_m)
 
 
@@ -208,7 +210,7 @@ def _unseeded(std_m: float) -> Answers:
 
     def answers(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
         proposal = sound_answer(avoider, hand, tcp, seed)
-        return Proposal(proposal.position_in_base_m + std_m * own.standard_normal(3), proposal.spread_m)
+        return Proposal(proposal.position_in_base_m + std_m * standard_normal(own, 3), proposal.spread_m)
 
     return answers
 

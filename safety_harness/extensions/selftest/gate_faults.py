@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length
 from safety_harness.cell.avoidance.asking import NAN_PROPOSAL, Answer
 from safety_harness.cell.avoidance.avoider import Proposal, Vector
 from safety_harness.cell.avoidance.gate import Gate, GateDecision, Query
@@ -42,7 +43,7 @@ class Erring:
     ) -> Proposal:
         """Return the same mistake each time."""
         to_hand_m = hand_position_in_base_m - tcp_position_in_base_m
-        towards = self.towards_hand_m / np.linalg.norm(to_hand_m) * to_hand_m
+        towards = self.towards_hand_m / length(to_hand_m) * to_hand_m
         return Proposal(tcp_position_in_base_m + towards + np.array(self.by_m), np.full(3, self.spread_m))
 
 

@@ -12,6 +12,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length, product
 from safety_harness.base.extras import PYBULLET
 from safety_harness.cell.robot.capsules import arm_with
 from safety_harness.cell.robot.robots import arm_capsules, arm_model
@@ -96,7 +97,7 @@ class PyBulletArm:
         self._arm, self._joints = self._load_robot(self._client, arm, visuals=False)
         capsules = cell_capsules(arm_capsules(self.trace.scenario.robot), settings)
         sizes = zip(capsules.start_in_link, capsules.end_in_link, capsules.radius_m, strict=True)
-        bodies = [(self._capsule(float(np.linalg.norm(b - a)), float(r)), a, b) for a, b, r in sizes]
+        bodies = [(self._capsule(float(length(b - a)), float(r)), a, b) for a, b, r in sizes]
         self._flange = arm.flange
         self._capsules = list(zip(capsules.link_index.tolist(), bodies, strict=True))
         self._hand = self._body(self._bullet.GEOM_SPHERE, radius=settings.hand.radius_m)
@@ -120,7 +121,7 @@ class PyBulletArm:
         frames = {link: self._frame(link) for link in {link for link, _ in self._capsules}}
         for link, (body, start, end) in self._capsules:
             rotation, origin = frames[link]
-            self._lay(body, rotation @ start + origin, rotation @ end + origin)
+            self._lay(body, product(rotation, start) + origin, product(rotation, end) + origin)
 
     def _frame(self, link: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return rotation and origin of a link's frame; 0 is the base, and the last is the tcp."""
@@ -128,7 +129,7 @@ class PyBulletArm:
             return np.eye(3), np.zeros(3)
         if link > len(self._joints):
             rotation, origin = self._frame(link - 1)
-            return rotation @ self._flange[:3, :3], rotation @ self._flange[:3, 3] + origin
+            return product(rotation, self._flange[:3, :3]), product(rotation, self._flange[:3, 3]) + origin
         state = self._bullet.getLinkState(
             self._arm, self._joints[link - 1], computeForwardKinematics=True, physicsClientId=self._client
         )
@@ -138,7 +139,7 @@ class PyBulletArm:
         self._bullet.resetBasePositionAndOrientation(
             self._hand, hand, (0, 0, 0, 1), physicsClientId=self._client
         )
-        forearm = self._forearm(round(float(np.linalg.norm(elbow - hand)), 6))
+        forearm = self._forearm(round(float(length(elbow - hand)), 6))
         self._lay(forearm, hand, elbow)
         points = [
             point
@@ -164,12 +165,12 @@ class PyBulletArm:
     def _lay(self, body: int, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
         """Place a capsule from ``start`` to ``end``; its own z is its axis, and its origin the middle."""
         axis_m = end - start
-        length_m = float(np.linalg.norm(axis_m))
+        length_m = float(length(axis_m))
         turn = np.array([0.0, 0.0, 0.0, 1.0])
         if length_m > 0.0:
             x, y, z = axis_m / length_m
             turn = np.array([-y, x, 0.0, 1.0 + z]) if z > -0.999999 else np.array([1.0, 0.0, 0.0, 0.0])
-            turn /= np.linalg.norm(turn)
+            turn /= length(turn)
         self._bullet.resetBasePositionAndOrientation(
             body, 0.5 * (start + end), turn, physicsClientId=self._client
         )

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted
+from safety_harness.base.elementary import product
 from safety_harness.base.geometry.rotations import rotation_from_vector
 from safety_harness.cell.controller.cycle import ControllerRecords
 from safety_harness.cell.perception.hand_boxes import sensor_principal_point_px
@@ -53,7 +54,7 @@ def _shifted(records: ControllerRecords, by_m: float) -> None:
 @seeded(known, (0.2, 0.1, 0.05, 0.02), "deg", 180.0 / np.pi)
 def _rotated(records: ControllerRecords, angle_rad: float) -> None:
     pose = records.parameters["transform_sensor_to_base"][0]
-    pose[:3, :3] = pose[:3, :3] @ rotation_from_vector(np.array([angle_rad, 0.0, 0.0]))
+    pose[:3, :3] = product(pose[:3, :3], rotation_from_vector(np.array([angle_rad, 0.0, 0.0])))
 
 
 @of_perception("swapped image axes", "rows for columns: hands seem to be on the wrong side")

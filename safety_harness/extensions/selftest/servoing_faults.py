@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted
+from safety_harness.base.elementary import cos, product, sin
 from safety_harness.cell.controller.cycle import ControllerRecords
 from safety_harness.cell.servoing.features import ALPHA, X_N
 from safety_harness.extensions.selftest.fault import faults_in, known, of_servoing, seeded, seeing, seen
@@ -72,9 +73,9 @@ def _wrong_goal(records: ControllerRecords, by_m: float) -> None:
 @of_servoing("wrong hand-eye calibration", "the arm spirals instead of going straight")
 @seeded(known, (np.pi, 1.8, 1.2, 0.6), "deg", 180.0 / np.pi)
 def _wrong_mount(records: ControllerRecords, angle_rad: float) -> None:
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    c, s = cos(angle_rad), sin(angle_rad)
     pose = records.parameters["transform_camera_to_tcp"][0]
-    pose[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ pose[:3, :3]
+    pose[:3, :3] = product(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), pose[:3, :3])
 
 
 @of_servoing("lost object not noticed", "the arm goes on by an old picture while the object is hidden")

@@ -9,13 +9,14 @@ necessary condition. A violation that passes them all may still be unavoidable.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import cos, exp, sqrt
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Checked
 from safety_harness.base.compiled import compiled
+from safety_harness.base.elementary import cos, exp, length, product
 from safety_harness.base.geometry.arrays import Array3, ArrayNx3
 from safety_harness.base.settings import Hand
 from safety_harness.cell.robot.capsules import CapsuleSet
@@ -90,7 +91,7 @@ class FreeArm:
         for k, link in enumerate(capsules.link_index):
             if link >= len(places) - 2:  # rigidly at the TCP
                 start, end = (
-                    transforms[link, :3, :3] @ ends[k] + places[link]
+                    product(transforms[link, :3, :3], ends[k]) + places[link]
                     for ends in (capsules.start_in_link, capsules.end_in_link)
                 )
                 tip_m = max(tip_m, float(capsules.radius_m[k]) - _off_segment_m(tcp, start, end))
@@ -136,9 +137,11 @@ def _fastest_mps(checked: Checked, capsules: CapsuleSet) -> float:
 def _off_segment_m(point: Array3, start: Array3, end: Array3) -> float:
     """Return the distance of a point from the segment between ``start`` and ``end``."""
     along_segment = end - start
-    squared = float(along_segment @ along_segment)
-    part = min(max(float((point - start) @ along_segment) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
-    return float(np.linalg.norm(point - start - part * along_segment))
+    squared = float(product(along_segment, along_segment))
+    part = (
+        min(max(float(product(point - start, along_segment)) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
+    )
+    return length(point - start - part * along_segment)
 
 
 def _immovable(
@@ -152,15 +155,15 @@ def _immovable(
     the axis contains a ball about its foot on the axis, smaller by r, wherever the joint is.
     """
     parts: list[tuple[int, Array3, Array3, float]] = []
-    axis = transforms[1, :3, :3] @ axis_in_link
+    axis = product(transforms[1, :3, :3], axis_in_link)
     for k, link in enumerate(capsules.link_index):
         start, end = capsules.start_in_link[k], capsules.end_in_link[k]
         if link == 0:
             parts.append((k, start, end, float(capsules.radius_m[k])))
         for inner in (start, end) if link == 1 else ():
-            aside = transforms[1, :3, :3] @ inner
-            foot = (aside @ axis) * axis
-            radius_m = float(capsules.radius_m[k] - np.linalg.norm(aside - foot))
+            aside = product(transforms[1, :3, :3], inner)
+            foot = product(aside, axis) * axis
+            radius_m = float(capsules.radius_m[k] - length(aside - foot))
             if radius_m > 0.0:
                 place = transforms[1, :3, 3] + foot
                 parts.append((k, place, place, radius_m))
@@ -290,7 +293,7 @@ def _pursued(free: FreeArm, path: HandPath, near_m: float, scenario: Scenario, h
         period_s=scenario.settings.clock.control_period_s,
     )
     begins_s = float(path.time_s[-1])
-    nearest_m = float(np.linalg.norm(path.steady_m - free.start_m)) - free.fastest_mps * begins_s
+    nearest_m = length(path.steady_m - free.start_m) - free.fastest_mps * begins_s
     farthest_m = float(free.farthest_m(path.steady_m[None], path.time_s[-1:])[0])
     caught = chase.caught(nearest_m, farthest_m)
     if caught is None:
@@ -344,7 +347,9 @@ class Chase:
             return None
         heading_s = turned_s + max(farthest_m + v * turned_s - ending_m, 0.0) / closing_mps + dt
         flying_s = np.linspace(0.0, s / a, 101)
-        left_m = np.abs(ending_m - s * flying_s) + (v + s * aside_rad) * flying_s + a * flying_s**2 / 2.0
+        left_m = (
+            np.abs(ending_m - s * flying_s) + (v + s * aside_rad) * flying_s + a * flying_s * flying_s / 2.0
+        )
         best = int(np.argmin(left_m))
         flown = heading_s, float(flying_s[best]), float(left_m[best]) + (s + v) * dt
         braking_s, braked_m = self._braked(ending_m)
@@ -358,7 +363,7 @@ class Chase:
         while distance_m - step_m > self.until_m:
             distance_m -= step_m
             gap_m = distance_m - self.until_m
-            wanted_mps = min(self.speed_mps, sqrt((a * dt) ** 2 + 2.0 * a * gap_m) - a * dt)
+            wanted_mps = min(self.speed_mps, sqrt(a * dt * a * dt + 2.0 * a * gap_m) - a * dt)
             if wanted_mps <= LEAST * v:
                 break
             step_s = step_m / (wanted_mps - v)
@@ -393,7 +398,8 @@ class Chase:
             lateral_mps = v * (exp(way_m / least_m) - 1.0)
             if abs(lateral_mps - previous[0]) < 1e-9 and abs(least_m - previous[1]) < 1e-9:
                 never_back = (
-                    a * s / (s * s + lateral_mps**2) ** 0.5 > lateral_mps * (v + lateral_mps) / least_m
+                    a * s / sqrt(s * s + lateral_mps * lateral_mps)
+                    > lateral_mps * (v + lateral_mps) / least_m
                 )
                 return turned_s if never_back else None
         return None

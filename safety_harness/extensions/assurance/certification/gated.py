@@ -10,6 +10,7 @@ from hashlib import sha256
 
 import numpy as np
 
+from safety_harness.base.elementary import length
 from safety_harness.cell.avoidance.shipped import network_file_of
 from safety_harness.extensions.assurance.campaign.plan import Plan, Stratum
 from safety_harness.extensions.lab.proof.plan import ProofRegion
@@ -65,7 +66,7 @@ def outside_words(allowed: AskedRegion, region: ProofRegion) -> str:
         return f"questions beyond its boxes ({', '.join(parts)})"
     gap_m = np.maximum(0.0, np.maximum(low[3:] - high[:3], low[:3] - high[3:]))
     wide_m = np.maximum(high[3:] - low[:3], high[:3] - low[3:])
-    nearest_m, farthest_m = float(np.linalg.norm(gap_m)), float(np.linalg.norm(wide_m))
+    nearest_m, farthest_m = float(length(gap_m)), float(length(wide_m))
     near_m, far_m = region.apart_m
     if nearest_m >= near_m and farthest_m <= far_m:
         return ""

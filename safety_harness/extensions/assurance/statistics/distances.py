@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
+from safety_harness.base.special import beta_share
 from safety_harness.extensions.assurance.statistics.binomial import chance_of_each
 from safety_harness.extensions.assurance.statistics.sample import (
     EpisodeOutcome,
@@ -85,7 +85,7 @@ def _check_content(content: float) -> None:
 def _rank(n: int, share: float, confidence: float) -> int:
     """Return the greatest r with P(Bin(n, share) >= r) >= confidence; 0 without such an r."""
     ranks = np.arange(1, n + 1)
-    return int(np.count_nonzero(scipy.special.bdtrc(ranks - 1, n, share) >= confidence))  # it falls with r
+    return int(np.count_nonzero(beta_share(ranks, n - ranks + 1.0, share) >= confidence))  # it falls with r
 
 
 def _tested(sample: IndependentSample) -> Floats:

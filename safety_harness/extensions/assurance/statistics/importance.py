@@ -34,8 +34,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
+from safety_harness.base.elementary import exp, log, log1p, log_sum_exp, product
+from safety_harness.base.normals import standard_normal
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.extensions.assurance.statistics.rare import (
     JudgedMargins,
@@ -131,16 +132,16 @@ class _Mixture:
         A point is plain with the chance ``plain``, independently of the rest.
         """
         chosen = rng.choice(len(self.shares), count, p=self.shares)
-        points: Floats = rng.standard_normal((count, self.means.shape[1]))
+        points: Floats = standard_normal(rng, (count, self.means.shape[1]))
         fitted = rng.random(count) >= plain
         moved = self.means[chosen] + self.deviations[chosen] * points
         points = np.where(fitted[:, None], moved, points)
-        ratio = np.exp(np.minimum(self.log_ratio(points), _LARGEST_EXPONENT))
+        ratio = exp(np.minimum(self.log_ratio(points), _LARGEST_EXPONENT))
         return points, 1.0 / (plain + (1.0 - plain) * ratio), ~fitted
 
     def log_ratio(self, points: Floats) -> Floats:
         """Return the log of the mixture's density at ``points`` (n, d) over that of phi, (n,)."""
-        ratio: Floats = logsumexp(self.log_densities(points), axis=1) + 0.5 * (points**2).sum(axis=1)
+        ratio: Floats = log_sum_exp(self.log_densities(points), axis=1) + 0.5 * (points * points).sum(axis=1)
         return ratio
 
     def log_densities(self, points: Floats) -> Floats:
@@ -149,7 +150,7 @@ class _Mixture:
         They lack the constant -d/2 log(2 pi), which phi has too.
         """
         far = (points[:, None] - self.means) / self.deviations
-        logs: Floats = np.log(self.shares) - np.log(self.deviations).sum(axis=1) - 0.5 * (far**2).sum(axis=2)
+        logs: Floats = log(self.shares) - log(self.deviations).sum(axis=1) - 0.5 * (far * far).sum(axis=2)
         return logs
 
 
@@ -182,7 +183,7 @@ def _balanced(
     if not weights.any():
         return equal
     logs = equal.log_densities(points)
-    shares = (weights / weights.sum()) @ np.exp(logs - logsumexp(logs, axis=1, keepdims=True))
+    shares = product(weights / weights.sum(), exp(logs - log_sum_exp(logs, axis=1, keepdims=True)))
     return replace(equal, shares=_at_least(shares))
 
 
@@ -231,17 +232,17 @@ def _fitted(points: Floats, weights: Floats, rng: np.random.Generator) -> _Mixtu
     """
     means = points[rng.choice(len(points), 1, p=weights)]
     for _ in range(_COMPONENTS - 1):
-        gaps = ((points[:, None] - means) ** 2).sum(axis=2).min(axis=1) * weights
+        gaps = np.square(points[:, None] - means).sum(axis=2).min(axis=1) * weights
         if not gaps.sum() > 0.0:
             break
         means = np.vstack([means, points[rng.choice(len(points), 1, p=gaps / gaps.sum())]])
     mixture = _Mixture(np.full(len(means), 1.0 / len(means)), means, np.ones_like(means))
     for _ in range(_ROUNDS):
         logs = mixture.log_densities(points)
-        belongs = weights[:, None] * np.exp(logs - logsumexp(logs, axis=1, keepdims=True))
+        belongs = weights[:, None] * exp(logs - log_sum_exp(logs, axis=1, keepdims=True))
         shares = belongs.sum(axis=0) + 1e-12
-        means = belongs.T @ points / shares[:, None]
-        squares = np.einsum("nk,nkd->kd", belongs, (points[:, None] - means) ** 2) / shares[:, None]
+        means = product(belongs.T, points) / shares[:, None]
+        squares = (belongs[:, :, None] * np.square(points[:, None] - means)).sum(axis=0) / shares[:, None]
         mixture = _Mixture(shares / shares.sum(), means, np.sqrt(np.maximum(squares, 1.0)))
     return replace(mixture, shares=_at_least(mixture.shares))
 
@@ -270,7 +271,7 @@ def pareto_shape(weights: Floats) -> float:
     n, grid = len(excesses), 30 + int(math.sqrt(len(excesses)))
     quarter = excesses[int(n / 4 + 0.5) - 1]
     theta = 1.0 / excesses[-1] + (1.0 - np.sqrt(grid / (np.arange(1, grid + 1) - 0.5))) / (3.0 * quarter)
-    shapes = np.log1p(-theta[:, None] * excesses).mean(axis=1)
-    likelihood = n * (np.log(-theta / shapes) - shapes - 1.0)
-    chances = np.exp(likelihood - logsumexp(likelihood))
-    return float(np.log1p(-float(theta @ chances) * excesses).mean())
+    shapes = log1p(-theta[:, None] * excesses).mean(axis=1)
+    likelihood = n * (log(-theta / shapes) - shapes - 1.0)
+    chances = exp(likelihood - log_sum_exp(likelihood))
+    return float(log1p(-float(product(theta, chances)) * excesses).mean())

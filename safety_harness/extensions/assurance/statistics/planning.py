@@ -8,19 +8,17 @@ inconclusive and failed runs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
+from safety_harness.base.elementary import log
 from safety_harness.base.exceptions import Place, StatisticsError
-from safety_harness.base.proportions import upper_bound
 from safety_harness.extensions.assurance.statistics.binomial import chance_of_each
 from safety_harness.extensions.assurance.statistics.sample import refusal
-from safety_harness.extensions.assurance.statistics.sequential import anytime_upper
+from safety_harness.extensions.assurance.statistics.sequential import evidence_below
 
-Upper = Callable[[int, int, float], float]
 MOST_RUNS = 10**12  # where a search for a number of runs gives up
 _TAIL = 1e-12  # probability that the sum over tested runs omits at each end
 _TARGET = "violated in at most"
@@ -56,9 +54,12 @@ class Aim:
             trials: The number of tested runs.
 
         """
-        upper: Upper = anytime_upper if self.stop_early else upper_bound
+        if violations >= trials:
+            return False
         chance = chance_of_each(self.confidence, self.family)
-        return trials > 0 and upper(violations, trials, chance) <= self.target
+        if self.stop_early:
+            return bool(evidence_below(self.target, violations, trials) >= -log(chance))
+        return bool(scipy.special.bdtr(violations, trials, self.target) <= chance)  # quick, for many numbers
 
 
 def runs_needed(aim: Aim, *, allowed: int = 0) -> int:

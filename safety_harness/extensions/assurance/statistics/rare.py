@@ -26,10 +26,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
+from safety_harness.base.elementary import exp
+from safety_harness.base.normals import standard_normal
 from safety_harness.base.proportions import upper_bound
 from safety_harness.base.seeds import Branch, generator
+from safety_harness.base.special import beta_share, lower_tail, settled
 from safety_harness.extensions.assurance.statistics.binomial import chance_of_each
 from safety_harness.extensions.assurance.statistics.sample import Floats, refusal
 
@@ -194,7 +196,7 @@ class JudgedMargins:
 
     def __call__(self, normal: Floats) -> Floats:
         """Return the margins (n,) of points ``normal`` (n, d); StatisticsError for NaN or a wrong shape."""
-        margins = np.asarray(self._margins(np.minimum(scipy.special.ndtr(normal), _BELOW_ONE)), np.float64)
+        margins = np.asarray(self._margins(np.minimum(lower_tail(normal), _BELOW_ONE)), np.float64)
         self.count += len(normal)
         if margins.shape != (len(normal),) or np.isnan(margins).any():
             got = f"{np.count_nonzero(np.isnan(margins))} that are no number, of shape {margins.shape}"
@@ -221,8 +223,17 @@ def lower_end(replicates: Floats, chance: float) -> float:
     n, mean = len(replicates), float(replicates.mean())
     if np.all(replicates == replicates[0]):
         return 0.0
-    half = float(scipy.special.stdtrit(n - 1, 1.0 - chance)) * float(replicates.std(ddof=1)) / math.sqrt(n)
+    half = _student(n - 1, chance) * float(replicates.std(ddof=1)) / math.sqrt(n)
     return min(max(mean - half, 0.0), 1.0)
+
+
+def _student(freedom: int, chance: float) -> float:
+    """Return the quantile that Student's t exceeds with a ``chance`` below a half."""
+
+    def rarer(t: Floats) -> Floats:
+        return np.asarray(0.5 * beta_share(0.5 * freedom, 0.5, freedom / (freedom + t * t)) <= chance)
+
+    return settled(rarer, 0.0, 1e12, 0.0)[1]
 
 
 def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[float]]:
@@ -242,7 +253,7 @@ def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[flo
         particles.resample(level)
         for _ in range(how.steps):
             moved = particles.move(level, length)
-            length = float(np.clip(length * math.exp(moved - 0.4), 0.01, 0.99))
+            length = float(np.clip(length * exp(moved - 0.4), 0.01, 0.99))
         lengths.append(length)
 
 
@@ -281,7 +292,7 @@ class _Particles:
 
     def __init__(self, judged: JudgedMargins, shape: tuple[int, int], rng: np.random.Generator) -> None:
         self._judged, self._rng = judged, rng
-        self.points: Floats = rng.standard_normal(shape)
+        self.points: Floats = standard_normal(rng, shape)
         self.margins = judged(self.points)
         judged.count_plain(self.margins)
 
@@ -295,8 +306,8 @@ class _Particles:
 
         A point z goes to sqrt(1 - b^2) z + b x, with b the ``length``.
         """
-        drawn = self._rng.standard_normal(self.points.shape)
-        proposed = math.sqrt(1.0 - length**2) * self.points + length * drawn
+        drawn = standard_normal(self._rng, self.points.shape)
+        proposed = math.sqrt(1.0 - length * length) * self.points + length * drawn
         margins = self._judged(proposed)
         accepted = margins < level
         self.points = np.where(accepted[:, None], proposed, self.points)

@@ -14,8 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
-import scipy
-
+from safety_harness.base.special import settled, upper_gamma
 from safety_harness.extensions.assurance.statistics.binomial import ProbabilityBounds, bounds_of
 from safety_harness.extensions.assurance.statistics.sample import IndependentSample
 
@@ -33,7 +32,8 @@ def most_an_hour(count: int, hours: float, chance: float) -> float:
     """
     if not hours > 0.0:  # without observation any rate is possible
         return inf
-    return float(scipy.special.gammainccinv(count + 1, chance)) / hours
+    most = 4.0 * count + 1e3  # a chance below 1e-400
+    return settled(lambda mean: upper_gamma(count + 1.0, mean) <= chance, 0.0, most, 0.0)[1] / hours
 
 
 @dataclass(frozen=True)

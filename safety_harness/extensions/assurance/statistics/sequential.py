@@ -16,13 +16,11 @@ whose M is below 1/a contain the truth, at all times together (Robbins, 1970).
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
+from safety_harness.base.elementary import log, log1p
+from safety_harness.base.special import beta_share, log_beta, settled
 from safety_harness.extensions.assurance.statistics.sample import Floats
 
 _SCALE = 0.5  # of the upper bound's mixture, Beta(_SCALE, 1) of p
@@ -40,8 +38,8 @@ def anytime_upper(count: int, trials: int, chance: float) -> float:
     """
     if count >= trials:
         return 1.0
-    limit = -math.log(chance)
-    return _crossing(lambda p: float(evidence_below(p, count, trials)) >= limit, count / trials, 1.0)
+    limit = -log(chance)
+    return settled(lambda p: evidence_below(p, count, trials) >= limit, count / trials, 1.0, 0.0)[1]
 
 
 def anytime_lower(count: int, trials: int, chance: float) -> float:
@@ -55,8 +53,8 @@ def anytime_lower(count: int, trials: int, chance: float) -> float:
     """
     if count <= 0:
         return 0.0
-    limit = -math.log(chance)
-    return _crossing(lambda p: float(evidence_apart(p, count, trials)) < limit, 0.0, count / trials)
+    limit = -log(chance)
+    return settled(lambda p: evidence_apart(p, count, trials) < limit, 0.0, count / trials, 0.0)[0]
 
 
 def evidence_below(share: ArrayLike, count: ArrayLike, trials: ArrayLike) -> Floats:
@@ -69,13 +67,9 @@ def evidence_below(share: ArrayLike, count: ArrayLike, trials: ArrayLike) -> Flo
 
     """
     p, k, n = (np.asarray(values, np.float64) for values in (share, count, trials))
-    special = scipy.special
-    with np.errstate(divide="ignore"):
-        below = np.log(special.betainc(k + _SCALE, n - k + 1.0, p))
-    mixture = (
-        special.betaln(k + _SCALE, n - k + 1.0) + below + math.log(_SCALE) - special.xlogy(k + _SCALE, p)
-    )
-    return np.asarray(mixture - special.xlog1py(n - k, -p))
+    below = log(beta_share(k + _SCALE, n - k + 1.0, p))
+    mixture = log_beta(k + _SCALE, n - k + 1.0) + below + log(_SCALE)
+    return np.asarray(mixture - _likelihood(p, k + _SCALE, n - k))
 
 
 def evidence_apart(share: ArrayLike, count: ArrayLike, trials: ArrayLike) -> Floats:
@@ -88,13 +82,12 @@ def evidence_apart(share: ArrayLike, count: ArrayLike, trials: ArrayLike) -> Flo
 
     """
     p, k, n = (np.asarray(values, np.float64) for values in (share, count, trials))
-    special = scipy.special
-    mixture = special.betaln(k + _JEFFREYS, n - k + _JEFFREYS) - special.betaln(_JEFFREYS, _JEFFREYS)
-    return np.asarray(mixture - special.xlogy(k, p) - special.xlog1py(n - k, -p))
+    mixture = log_beta(k + _JEFFREYS, n - k + _JEFFREYS) - log_beta(_JEFFREYS, _JEFFREYS)
+    return np.asarray(mixture - _likelihood(p, k, n - k))
 
 
-def _crossing(crossed: Callable[[float], bool], low: float, high: float) -> float:
-    """Return the point where ``crossed`` turns true, by bisection to the last bit; ``high`` without one."""
-    while low < (middle := (low + high) / 2.0) < high:
-        low, high = (low, middle) if crossed(middle) else (middle, high)
-    return high
+def _likelihood(share: Floats, successes: Floats, others: Floats) -> Floats:
+    """Return the logarithm of p^k (1 - p)^m; 0 times an infinite logarithm is 0."""
+    with np.errstate(invalid="ignore"):
+        each = successes * log(share), others * log1p(-share)
+    return np.where(successes > 0.0, each[0], 0.0) + np.where(others > 0.0, each[1], 0.0)

@@ -17,6 +17,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.cell.robot.robots import arm_model
@@ -138,8 +139,8 @@ def _piece(seen: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: Arm
             continue
         tcp_m = [_tcp_m(log, arm, float(time_s[k])) for k in (first, last)]
         from_m, to_m = hand_m[first] - tcp_m[0], hand_m[last] - tcp_m[1]
-        nearer_m = float(np.linalg.norm(from_m) - np.linalg.norm(to_m))
-        if nearer_m < NEARER_M or np.linalg.norm(to_m) > NEAR_M:
+        nearer_m = float(length(from_m) - length(to_m))
+        if nearer_m < NEARER_M or length(to_m) > NEAR_M:
             continue
         peak = float(speed_mps[first : last + 1].max())
         fast = first + int(np.argmax(speed_mps[first : last + 1] >= SHARE * peak))
@@ -149,7 +150,7 @@ def _piece(seen: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: Arm
                 speed_mps=peak,
                 acceleration_mps2=(SHARE * peak - float(speed_mps[first])) / rise_s,
                 start_from_tcp_m=(float(from_m[0]), float(from_m[1]), float(from_m[2])),
-                end_distance_m=float(np.linalg.norm(to_m)),
+                end_distance_m=float(length(to_m)),
                 dwell_s=dwell_s,
                 pause_s=stood_before_s,
             )

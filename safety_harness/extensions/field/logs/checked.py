@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length
 from safety_harness.base.exceptions import LogError
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.extensions.field.logs.model import JointFacts
@@ -177,7 +178,7 @@ def refuse_another_unit(joints: LogSamples, names: Sequence[str]) -> None:
     for label, chosen in (("the angles", every), *((names[k], [k]) for k in every)):
         moved, by_speed = both[:, np.isfinite(both.sum(axis=0)) & np.isin(every, chosen)]
         for times in (np.degrees(1.0), np.radians(1.0)) if len(moved) >= LEAST_INTERVALS else ():
-            if np.linalg.norm(by_speed - times * moved) < MOST_APART * np.linalg.norm(by_speed):
+            if length(by_speed - times * moved) < MOST_APART * length(by_speed):
                 expected, got = f"joint speeds that lead along {label}", f"{times:.3g} times their way"
                 hint = 'degrees and radians are exchanged: the ends of the columns\' names, or the key "unit"'
                 raise LogError(place=joints.source.place, expected=expected, got=got, hint=hint)

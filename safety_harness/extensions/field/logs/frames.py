@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length, product
 from safety_harness.base.exceptions import LogError, near_miss
 from safety_harness.base.geometry.rotations import rotation_from_vector
 from safety_harness.base.geometry.transforms import inverse_transform, transform_from
@@ -41,13 +42,13 @@ class Tree:
                 got=f"the frames {shown(', '.join(known))}",
                 hint=near_miss(frame if frame not in known else base, known),
             )
-        return np.asarray(inverse_transform(root_of_base) @ root_of_frame)
+        return np.asarray(product(inverse_transform(root_of_base), root_of_frame))
 
     def _to_root(self, frame: str) -> tuple[str, NDArray[np.float64]]:
         transform, seen = np.eye(4), {frame}
         while frame in self.parents:
             parent, step = self.parents[frame]
-            transform = step @ transform
+            transform = product(step, transform)
             if parent in seen:
                 raise LogError(
                     place=self.source.place,
@@ -76,8 +77,8 @@ def read_tree(source: LogSource, frame: str, base: str) -> Tree:
                     parents[child] = parent, pose
                     continue
                 was, first = parents[child]
-                by_m = float(np.linalg.norm(pose[:3, 3] - first[:3, 3]))
-                chord = float(np.linalg.norm(pose[:3, :3] - first[:3, :3]))
+                by_m = float(length(pose[:3, 3] - first[:3, 3]))
+                chord = float(length(pose[:3, :3] - first[:3, :3]))
                 by_rad = 2.0 * np.arcsin(min(chord / 8.0**0.5, 1.0))  # of two rotations |A - B| is 8^0.5 sin
                 if (was != parent or by_m > STILL_M or by_rad > STILL_RAD) and child not in moved:
                     moved[child] = message, topic, by_m, by_rad
@@ -156,7 +157,7 @@ def by_header(
                 expected = f'positions in the frame "{base}", or a transform to it'
                 raise error(source, message, expected, f'the frame "{shown(frame)}"', hint)
             tree = read_tree(tf, frame, base)
-            known[frame] = moved_by(transform_base @ tree.transform(frame, base))
+            known[frame] = moved_by(product(transform_base, tree.transform(frame, base)))
         return known[frame]
 
     return to_base

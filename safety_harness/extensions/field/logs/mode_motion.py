@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from safety_harness.base.elementary import product
 from safety_harness.claims.properties.base import runs_of
 from safety_harness.claims.properties.servoing import (
     CONVERGED,
@@ -51,7 +52,7 @@ def refuse_retreat_while_servoing(trace: Trace, log: CellLog) -> None:
             continue
         end = first + int(np.argmax(away))
         begin = first + int(np.argmin((far_m + tcp_off_m)[first : end + 1]))
-        if (tcp_m[end] - tcp_m[begin]) @ from_hands_m[begin, apart_m[begin].argmin()] > 0.0:
+        if product(tcp_m[end] - tcp_m[begin], from_hands_m[begin, apart_m[begin].argmin()]) > 0.0:
             at = int(np.searchsorted(stream.time_ns, log.origin_ns + end * log.period_ns, side="right")) - 1
             raise stream.samples.error(
                 at,

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from safety_harness.base.elementary import product
 from safety_harness.base.exceptions import LogError, Place
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.robots import arm_model, refuse_unenclosed
@@ -314,7 +315,7 @@ class _Reading:
         def placed(frame: Field, samples: LogSamples, first: int) -> LogSamples:
             transform, values = given_transform(frame), samples.values.copy()
             values[:, first : first + 3] = (
-                values[:, first : first + 3] @ transform[:3, :3].T + transform[:3, 3]
+                product(values[:, first : first + 3], transform[:3, :3].T) + transform[:3, 3]
             )
             return replace(samples, values=values)
 
@@ -362,7 +363,7 @@ class _Reading:
         """Return positions as ``_positions`` does, from the columns of a table."""
         source, unit, frame = into.source, keys.optional("unit"), keys.optional("frame")
         label, when = _unit_of(unit, LENGTH_UNITS) if unit else None, _time_text(keys.optional("time"))
-        track, axes, transform = source.what, "xyz", self.arm.transform_seat @ RTDE_BASE
+        track, axes, transform = source.what, "xyz", product(self.arm.transform_seat, RTDE_BASE)
         if _is_of_rtde(keys, source):
             track, axes, label, when = track or RTDE_TCP, "012", label or "m", when or RTDE_TIME
         elif frame is None:
@@ -398,8 +399,8 @@ class _Reading:
             samples = with_frozen(samples, [samples.values], keys)
         transform = transform if frame is None else given_transform(frame)
         if samples.speeds_mps is not None:
-            samples = replace(samples, speeds_mps=samples.speeds_mps @ transform[:3, :3].T)
-        return replace(samples, values=samples.values @ transform[:3, :3].T + transform[:3, 3])
+            samples = replace(samples, speeds_mps=product(samples.speeds_mps, transform[:3, :3].T))
+        return replace(samples, values=product(samples.values, transform[:3, :3].T) + transform[:3, 3])
 
     def _saw(self, source: LogSource, mapped: str, bodies: set[str]) -> None:
         """Record a stream's body, and all bodies of its messages or columns, by the names of streams."""

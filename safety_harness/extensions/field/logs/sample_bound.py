@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from safety_harness.base.elementary import length
 from safety_harness.extensions.field.logs.streams import LogSamples
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import NUMBER
@@ -45,7 +46,7 @@ class SampleBound:
         if len(values) not in (1, 3):
             raise self.said.error("one, three, 9 or 36 numbers a sample", got=str(len(values)))
         times = 1.0 if self.times is None else self.times
-        return float(np.linalg.norm(values)) * times if (values >= 0.0).all() else np.nan
+        return float(length(values)) * times if (values >= 0.0).all() else np.nan
 
 
 def sample_bound(known: Field) -> SampleBound:

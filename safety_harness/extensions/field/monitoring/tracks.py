@@ -12,6 +12,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import length
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.extensions.field.logs.checked import wrapped_rad
 from safety_harness.extensions.field.logs.frozen import Repeats
@@ -191,7 +192,7 @@ class BodyTrack:
         """Raise Jump if it cannot have come to ``position_m`` (3,) since the last sample."""
         if self.samples:
             before_ns, before_m = self.samples[-1]
-            step_s, way_m = (time_ns - before_ns) / NS, float(np.linalg.norm(position_m - before_m))
+            step_s, way_m = (time_ns - before_ns) / NS, float(length(position_m - before_m))
             most = self._facts.moves_at_most_mps
             if way_m > most * (step_s + 2.0 * self._clock_s) + 2.0 * self._facts.known_to_m + ROUNDING_M:
                 raise Jump(f"it go {way_m * 1e3:.4g} mm in {step_s * 1e3:.4g} ms, which can {most:g} m/s")
@@ -205,7 +206,7 @@ class BodyTrack:
         self.lost = since_ns is not None and not self._facts.at_rest
         if self.samples:
             before_ns, before_m = self.samples[-1]
-            way_m = np.array([np.linalg.norm(position_m - before_m)])
+            way_m = np.array([length(position_m - before_m)])
             steps, most = np.array([(time_ns - before_ns) / NS]), self._facts.moves_at_most_mps
             off = body_off_m(way_m, steps, most_mps=most, sample_m=self._sample_m)
             begin_ns = before_ns if since_ns is None else min(since_ns, before_ns)

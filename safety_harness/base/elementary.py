@@ -1,0 +1,202 @@
+"""Elementary functions with the same bits on every processor.
+
+A C library chooses its sine by the processor, and numpy its exponential, so their last bits differ between
+machines.  The functions here only add, subtract, multiply, divide, take square roots, compare and scale by
+powers of two.  IEEE 754 fixes the result of each of these.  There is no branch: a comparison is a factor of 0
+or 1.
+
+Compiled code compiles the functions into itself.  Python runs them as they are written, on a float or an
+array.  The polynomials are those of fdlibm (Sun Microsystems, 1993).  Sine and cosine err by at most 1 unit
+in the last place, the others by at most 2 (``tests/base/test_elementary.py``).  Arguments are finite.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from safety_harness.base.compiled import arithmetic
+
+Number = Any  # a float, or an array of floats
+
+# Added and subtracted, it leaves the nearest integer.
+_ROUND = 1.5 * 2.0**52
+# pi/2 in four parts: the first three have 33 bits, so their product with an integer below 2^20 is exact.
+_TURNS = 2.0 / 3.14159265358979323846
+_HALF_PI_1, _HALF_PI_2 = 1.57079632673412561417e00, 6.07710050630396597660e-11
+_HALF_PI_3, _HALF_PI_4 = 2.02226624871116645580e-21, 8.47842766036889956997e-32
+LARGEST_ANGLE_RAD = 2.0**20  # sine and cosine of this and more are NaN
+_TO_INFINITY = 2.0**1004  # times it, a smaller angle is finite
+# pi/4 in two parts: the first has 50 bits, so four times it is exact.
+_QUARTER_PI, _QUARTER_PI_REST = 7.85398163397448278999e-01, 3.06161699786838301793e-17
+_ATAN_HALF, _ATAN_HALF_REST = 4.63647609000806093515e-01, 2.26987774529616870924e-17
+_LOG2_E, _LN2, _LN2_REST = 1.44269504088896338700, 6.93147180369123816490e-01, 1.90821492927058770002e-10
+
+
+@arithmetic
+def sin_cos(angle_rad: Number) -> tuple[Number, Number]:
+    """Return the sine and cosine of an angle below ``LARGEST_ANGLE_RAD``; NaN of any other."""
+    x = angle_rad
+    n = (x * _TURNS + _ROUND) - _ROUND
+    # x - n pi/2 = r + rest, by differences whose rounding errors are kept
+    first, second, third = x - n * _HALF_PI_1, n * _HALF_PI_2, n * _HALF_PI_3
+    middle = first - second
+    back = middle - first
+    rest = (first - (middle - back)) - (second + back)
+    r = middle - third
+    back = r - middle
+    rest += ((middle - (r - back)) - (third + back)) - n * _HALF_PI_4
+    z = r * r
+    p = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
+    p = 8.33333333332248946124e-03 + z * (
+        -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * p)
+    )
+    s = r - ((z * (0.5 * rest - z * r * p) - rest) + z * r * 1.66666666666666324348e-01)
+    q = 2.08757232129817482790e-09 - z * 1.13596475577881948265e-11
+    q = 2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * q)
+    q = z * (4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * q))
+    half, w = 0.5 * z, 1.0 - 0.5 * z
+    c = w + (((1.0 - w) - half) + (z * q - r * rest))
+    odd = abs(n - 2.0 * ((0.5 * n + _ROUND) - _ROUND))
+    fourth = n - 4.0 * (((0.25 * n - 0.375) + _ROUND) - _ROUND)  # 0 to 3
+    sign = 1.0 - 2.0 * (fourth > 1.5)
+    beyond = x * _TO_INFINITY - x * _TO_INFINITY  # 0, or NaN of a large angle
+    even = 1.0 - odd
+    return sign * (even * s + odd * c) + beyond, sign * (even * c - odd * s) + beyond
+
+
+@arithmetic
+def sin(angle_rad: Number) -> Number:
+    """Return the sine, as ``sin_cos`` does."""
+    return sin_cos(angle_rad)[0]
+
+
+@arithmetic
+def cos(angle_rad: Number) -> Number:
+    """Return the cosine, as ``sin_cos`` does."""
+    return sin_cos(angle_rad)[1]
+
+
+@arithmetic
+def arctan2(y: Number, x: Number) -> Number:
+    """Return the angle [rad] of (x, y), -pi to pi; 0 at the origin.  A negative zero counts as 0."""
+    across, along = abs(y), abs(x)
+    steep = 1.0 * (across > along)
+    most, least = steep * across + (1.0 - steep) * along, steep * along + (1.0 - steep) * across
+    # atan(t) = atan(1/2) + atan((2 t - 1) / (2 + t)) for t about 1/2, pi/4 + atan((t - 1) / (1 + t)) above
+    wide = 1.0 * (16.0 * least > 11.0 * most)
+    middle = (16.0 * least > 7.0 * most) - wide
+    twice, once = 1.0 + middle, middle + wide
+    u = (twice * least - once * most) / (twice * most + once * least + (most == 0.0))
+    z = u * u
+    w = z * z
+    odd = -7.69187620504482999495e-02 + w * (-5.83357013379057348645e-02 + w * -3.65315727442169155270e-02)
+    odd = w * (-1.99999999998764832476e-01 + w * (-1.11111104054623557880e-01 + w * odd))
+    even = 6.66107313738753120669e-02 + w * (4.97687799461593236017e-02 + w * 1.62858201153657823623e-02)
+    even = 1.42857142725034663711e-01 + w * (9.09088713343650656196e-02 + w * even)
+    even = z * (3.33333333333329318027e-01 + w * even)
+    angle = middle * _ATAN_HALF + (middle * _ATAN_HALF_REST + (u - u * (odd + even)))
+    behind = 1.0 * (x < 0.0)
+    quarters = wide + steep * (2.0 - 2.0 * wide)
+    quarters += behind * (4.0 - 2.0 * quarters)
+    turned = (1.0 - 2.0 * steep) * (1.0 - 2.0 * behind) * angle
+    return (1.0 - 2.0 * (y < 0.0)) * (quarters * _QUARTER_PI + (turned + quarters * _QUARTER_PI_REST))
+
+
+@arithmetic
+def arccos(cosine: Number) -> Number:
+    """Return the angle [rad], 0 to pi, of a cosine between -1 and 1."""
+    return arctan2(np.sqrt((1.0 - cosine) * (1.0 + cosine)), cosine)
+
+
+@arithmetic
+def hypot(x: Number, y: Number) -> Number:
+    """Return the length of (x, y), each of at most 1e150; components below 1e-150 count as 0."""
+    return np.sqrt(x * x + y * y)
+
+
+def _grown(x: Number) -> tuple[Number, Number]:
+    """Return n and g of exp(x) = 2^n (1 + g), with -0.3 < g < 0.42."""
+    n = (x * _LOG2_E + _ROUND) - _ROUND
+    high, low = x - n * _LN2, n * _LN2_REST
+    r = high - low
+    z = r * r
+    p = 6.61375632143793436117e-05 + z * (-1.65339022054652515390e-06 + z * 4.13813679705723846039e-08)
+    c = r - z * (1.66666666666666019037e-01 + z * (-2.77777777770155933842e-03 + z * p))
+    return n, high - (low - r * c / (2.0 - c))
+
+
+def exp(x: Number) -> Number:
+    """Return e^x; 0 below -746, infinity above 710."""
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        n, grown = _grown(np.clip(x, -800.0, 800.0))
+        return np.ldexp(1.0 + grown, np.asarray(n).astype(np.int64))[()]
+
+
+def expm1(x: Number) -> Number:
+    """Return e^x - 1, accurate near 0."""
+    n, grown = _grown(np.clip(x, -60.0, 700.0))
+    power = np.ldexp(1.0, np.asarray(n).astype(np.int64))
+    return power * grown + (power - 1.0)
+
+
+def log(x: Number) -> Number:
+    """Return the natural logarithm; -infinity at 0, NaN below."""
+    m, n = np.frexp(x)
+    small = m < 0.70710678118654752440
+    m, n = np.where(small, 2.0 * m, m), n - small
+    with np.errstate(divide="ignore", invalid="ignore"):
+        f = m - 1.0
+        s = f / (2.0 + f)
+        z = s * s
+        w = z * z
+        odd = w * (3.999999999940941908e-01 + w * (2.222219843214978396e-01 + w * 1.531383769920937332e-01))
+        even = 2.857142874366239149e-01 + w * (1.818357216161805012e-01 + w * 1.479819860511658591e-01)
+        rest, half = odd + z * (6.666666666666735130e-01 + w * even), 0.5 * f * f
+        value = n * _LN2 - ((half - (s * (half + rest) + n * _LN2_REST)) - f)
+        return np.where(np.asarray(x) > 0.0, value, np.where(np.asarray(x) == 0.0, -np.inf, np.nan))[()]
+
+
+def log1p(x: Number) -> Number:
+    """Return the logarithm of 1 + x, accurate near 0."""
+    near = 1.0 + np.asarray(x, np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(near == 0.0, -np.inf, log(near) + (x - (near - 1.0)) / near)[()]
+
+
+def power(base: Number, exponent: Number) -> Number:
+    """Return a power of a base above 0; its error grows with the size of the exponent's logarithm."""
+    return exp(exponent * log(base))
+
+
+def cbrt(x: Number) -> Number:
+    """Return the cube root of a number of at least 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = exp(log(x) / 3.0)
+        return np.where(np.asarray(x) > 0.0, root - (root - x / (root * root)) / 3.0, x)[()]
+
+
+def log_sum_exp(logarithms: Any, axis: int = -1, keepdims: bool = False) -> Any:
+    """Return the logarithm of the sum of exponentials along an axis."""
+    values = np.asarray(logarithms, np.float64)
+    most = values.max(axis=axis, keepdims=True)
+    most = np.where(np.isfinite(most), most, 0.0)
+    total = log(exp(values - most).sum(axis=axis, keepdims=True)) + most
+    return total if keepdims else np.squeeze(total, axis=axis)[()]
+
+
+def product(first: Any, second: Any) -> Any:
+    """Return ``first @ second`` of small arrays; a matrix kernel would add in an order of its own."""
+    first, second = np.asarray(first), np.asarray(second)
+    if second.ndim == 1:
+        return (first * second).sum(axis=-1)
+    if first.ndim == 1:
+        return (first[:, None] * second).sum(axis=-2)
+    return (first[..., None] * second[..., None, :, :]).sum(axis=-2)
+
+
+def length(vector: Any) -> float:
+    """Return the Euclidean length of an array of any shape."""
+    vector = np.asarray(vector)
+    return float(np.sqrt((vector * vector).sum()))

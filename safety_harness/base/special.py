@@ -1,0 +1,199 @@
+"""Quantiles and tails of distributions with the same bits on every processor, by ``elementary``.
+
+A bound is ``settled`` among the numbers of 44 bits by our own tails.  So it is the same for every library,
+and rounded away from the truth by at most 2^-43 of itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.elementary import exp, log, log1p
+
+Floats = NDArray[np.float64]
+_MOST_TERMS = 10**6  # of a series or fraction
+_WINDOW = 64  # places about a guide
+_SPARE = 9  # bits of a float beyond 44
+# 1/(12 z) - 1/(360 z^3) + ..., Stirling's series
+_STIRLING = (1 / 12, -1 / 360, 1 / 1260, -1 / 1680, 1 / 1188, -691 / 360360, 1 / 156)
+_HALF_LOG_2PI = 0.91893853320467274178
+# of Wichura, numerator and denominator, by falling powers
+_NEAR = (
+    (2509.0809287301226727, 33430.575583588128105, 67265.770927008700853, 45921.953931549871457)
+    + (13731.693765509461125, 1971.5909503065514427, 133.14166789178437745, 3.387132872796366608),
+    (5226.495278852545925, 28729.085735721942674, 39307.89580009271061, 21213.794301586595867)
+    + (5394.1960214247511077, 687.1870074920579083, 42.313330701600911252, 1.0),
+)
+_TAIL = (
+    (7.7454501427834140764e-4, 0.0227238449892691845833, 0.24178072517745061177, 1.27045825245236838258)
+    + (3.64784832476320460504, 5.7694972214606914055, 4.6303378461565452959, 1.42343711074968357734),
+    (1.05075007164441684324e-9, 5.475938084995344946e-4, 0.0151986665636164571966, 0.14810397642748007459)
+    + (0.68976733498510000455, 1.6763848301838038494, 2.05319162663775882187, 1.0),
+)
+_FAR = (
+    (2.01033439929228813265e-7, 2.71155556874348757815e-5, 0.0012426609473880784386, 0.026532189526576123093)
+    + (0.29656057182850489123, 1.7848265399172913358, 5.4637849111641143699, 6.6579046435011037772),
+    (2.04426310338993978564e-15, 1.4215117583164458887e-7, 1.8463183175100546818e-5, 7.868691311456132591e-4)
+    + (0.0148753612908506148525, 0.13692988092273580531, 0.59983220655588793769, 1.0),
+)
+
+
+def _ratio(x: Any, of: tuple[tuple[float, ...], tuple[float, ...]]) -> Any:
+    """Return the ratio of two polynomials at x."""
+    above, below = of[0][0], of[1][0]
+    for a, b in zip(of[0][1:], of[1][1:], strict=True):
+        above, below = above * x + a, below * x + b
+    return above / below
+
+
+def normal_quantile(chance: Any) -> Any:
+    """Return the standard normal quantile of chances between 0 and 1 (Wichura, 1988, AS 241)."""
+    p = np.asarray(chance, np.float64)
+    q = p - 0.5
+    with np.errstate(all="ignore"):
+        r = np.sqrt(-log(np.where(q > 0.0, 1.0 - p, p)))
+        middle = q * _ratio(0.180625 - q * q, _NEAR)
+        tail = np.copysign(np.where(r <= 5.0, _ratio(r - 1.6, _TAIL), _ratio(r - 5.0, _FAR)), q)
+    return np.where(np.abs(q) <= 0.425, middle, tail)[()]
+
+
+def lower_tail(z: Any) -> Any:
+    """Return P(Z <= z) of a standard normal Z, to some 1e-14 of itself."""
+    z = np.asarray(z, np.float64)
+    half = 0.5 * upper_gamma(0.5, 0.5 * z * z)
+    return np.where(z < 0.0, half, 1.0 - half)[()]
+
+
+def log_gamma(x: Any) -> Any:
+    """Return the logarithm of the gamma function above 0."""
+    x = np.asarray(x, np.float64)
+    return ((x - 0.5) * log(x) - x + _HALF_LOG_2PI + _stirling(x))[()]
+
+
+def log_beta(a: Any, b: Any) -> Any:
+    """Return the logarithm of the beta function, without the large terms that would cancel."""
+    small, large = np.minimum(a, b), np.maximum(a, b)
+    both = small + large
+    apart = (0.5 - large) * log1p(small / large) - small * (log(both) - 1.0)
+    return apart + _stirling(large) - _stirling(both) + log_gamma(small)
+
+
+def _stirling(x: Any) -> Any:
+    """Return the logarithm of the gamma function less (x - 1/2) log x - x + log(2 pi)/2."""
+    below, shifted = np.ones_like(x), np.asarray(x, np.float64)
+    for _ in range(12):
+        low = shifted < 12.0
+        below, shifted = np.where(low, below * shifted, below), np.where(low, shifted + 1.0, shifted)
+    rest, power = np.zeros_like(shifted), 1.0 / shifted
+    for term in _STIRLING:
+        rest, power = rest + term * power, power / (shifted * shifted)
+    moved = (shifted - 0.5) * log(shifted) - shifted - log(below) - ((x - 0.5) * log(x) - x)
+    return np.where(below == 1.0, rest, moved + rest)
+
+
+def _deviance(x: Any, mean: Any) -> Any:
+    """Return x log(x / mean) + mean - x, without a difference of nearly equal numbers (Loader, 2000)."""
+    apart, v = x - mean, (x - mean) / (x + mean)
+    total, term = apart * v, 2.0 * x * v
+    for j in range(1, 12):
+        term = term * v * v
+        total = total + term / (2 * j + 1)
+    return np.where(np.abs(v) < 0.1, total, x * log(x / mean) - apart)
+
+
+def upper_gamma(a: Any, x: Any) -> Any:
+    """Return P(X > x) of a gamma distribution with shape ``a``, elementwise."""
+    a, x = np.broadcast_arrays(np.asarray(a, np.float64), np.asarray(x, np.float64))
+    with np.errstate(all="ignore"):
+        factor = np.sqrt(a) * exp(-_deviance(a, x) - _stirling(a) - _HALF_LOG_2PI)
+        small = x < a + 1.0
+        # below the mean a series of the lower tail
+        term = total = 1.0 / a
+        k = np.array(a)
+        for _ in range(_MOST_TERMS):
+            k = k + 1.0
+            term = np.where(small, term * x / k, 0.0)
+            total = total + term
+            if not (term > 1e-17 * total).any():
+                break
+        fraction = _lentz(lambda m: (-m * (m - a), x + 2.0 * m + 1.0 - a), x + 1.0 - a, ~small)
+        result = np.where(small, 1.0 - factor * total, factor / fraction)
+        return np.where(x <= 0.0, 1.0, result)[()]
+
+
+def beta_share(a: Any, b: Any, x: Any, *, above: bool = False) -> Any:
+    """Return P(X <= x) of a beta distribution, or P(X > x) with ``above``, elementwise."""
+    a, b, x = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (a, b, x)))
+    with np.errstate(all="ignore"):
+        turned = x > (a + 1.0) / (a + b + 2.0)
+        p, q, y = np.where(turned, b, a), np.where(turned, a, b), np.where(turned, 1.0 - x, x)
+        both, rest = p + q, np.where(turned, x, 1.0 - x)
+        apart = _deviance(p, both * y) + _deviance(q, both * rest)
+        apart = apart + _stirling(p) + _stirling(q) - _stirling(both) + _HALF_LOG_2PI
+        factor = np.sqrt(q / (p * both)) * exp(-apart)
+
+        def term(m: int) -> tuple[Any, Any]:
+            half = m // 2
+            if m % 2:
+                return -(p + half) * (p + q + half) * y / ((p + m - 1.0) * (p + m)), 1.0
+            return half * (q - half) * y / ((p + m - 1.0) * (p + m)), 1.0
+
+        share = factor / _lentz(term, np.ones_like(y), np.ones(y.shape, bool))
+        result = np.where(turned != above, 1.0 - share, share)
+        result = np.where(x <= 0.0, 1.0 * above, np.where(x >= 1.0, 1.0 - above, result))
+        return np.where(np.isnan(x), np.nan, result)[()]
+
+
+def _lentz(term: Callable[[int], tuple[Any, Any]], first: Floats, wanted: NDArray[np.bool_]) -> Floats:
+    """Return a continued fraction first + a_1/(b_1 + a_2/(b_2 + ...)) where it is ``wanted`` (Lentz)."""
+    value, c, d = np.array(first), np.array(first), np.zeros_like(first)
+    for m in range(1, _MOST_TERMS):
+        above, below = term(m)
+        d = 1.0 / (below + above * d)
+        c = below + above / c
+        value = np.where(wanted, value * c * d, value)
+        wanted = wanted & (np.abs(c * d - 1.0) > 1e-15)
+        if not wanted.any():
+            break
+    return value
+
+
+def binomial_at_most(count: Any, trials: Any, share: Any) -> Any:
+    """Return P(X <= count) of ``trials`` with a chance ``share`` each, elementwise."""
+    count, trials = np.floor(np.asarray(count, np.float64)), np.asarray(trials, np.float64)
+    inside = (count >= 0.0) & (count < trials)
+    k = np.where(inside, count, 0.0)
+    n = np.where(inside, trials, 1.0)
+    return np.where(inside, beta_share(k + 1.0, n - k, share, above=True), 1.0 * (count >= trials))[()]
+
+
+def settled(crossed: Callable[[Floats], Any], low: float, high: float, guide: float) -> tuple[float, float]:
+    """Return neighbours among the numbers of 44 bits: the last before a crossing, and the first after it.
+
+    Args:
+        crossed: False below a number between ``low`` and ``high``, True above it, elementwise.
+        low: A number of at least 0 before the crossing.
+        high: A number after it.
+        guide: A number near the crossing, from any library; it only saves time.
+
+    """
+    first, last, near = (int(np.float64(end).view(np.int64)) >> _SPARE for end in (low, high, guide))
+    if first < near - _WINDOW and near + _WINDOW < last:
+        before, after = crossed(_of_44_bits([near - _WINDOW, near + _WINDOW]))
+        first, last = (near - _WINDOW if not before else first), (near + _WINDOW if after else last)
+    while last - first > 1:
+        inside = np.unique(np.linspace(first, last, 34).astype(np.int64)[1:-1].clip(first + 1, last - 1))
+        place = int(np.argmax(np.append(np.asarray(crossed(_of_44_bits(inside)), bool), np.True_)))
+        ends = [first, *inside.tolist(), last]
+        first, last = ends[place], ends[place + 1]
+    before, after = _of_44_bits([first, last]).tolist()
+    return float(before), float(after)
+
+
+def _of_44_bits(places: Any) -> Floats:
+    """Return the numbers at these places, in order, of all positive numbers of 44 bits."""
+    return (np.asarray(places, np.int64) << _SPARE).view(np.float64)
