@@ -20,6 +20,8 @@ from safety_harness.base.compiled import arithmetic
 
 Number = Any  # a float, or an array of floats
 
+ARITHMETIC = 1  # the version of these functions; 0, of earlier traces, is the C library and matrix kernels
+
 # Added and subtracted, it leaves the nearest integer.
 _ROUND = 1.5 * 2.0**52
 # pi/2 in four parts: the first three have 33 bits, so their product with an integer below 2^20 is exact.

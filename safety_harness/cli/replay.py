@@ -10,7 +10,7 @@ from safety_harness.admission.avoiders import with_program
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, Place, TraceError
-from safety_harness.cell.simulation.worlds import world_of_trace
+from safety_harness.cell.simulation.worlds import KINEMATIC, world_of_trace
 from safety_harness.claims.properties.tally import short_basis
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -33,7 +33,7 @@ from safety_harness.report.run_result import DATA, REPORT
 from safety_harness.report.verdict_lines import every_line
 from safety_harness.scenario.model import VISUAL_SERVO
 from safety_harness.scenario.references import file_and_name
-from safety_harness.trace.compare import first_difference
+from safety_harness.trace.compare import CLOSE, TraceDifference, first_difference
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.system import Component
 from safety_harness.trace.trace import Trace
@@ -61,24 +61,35 @@ def replay(path: Path, avoider: str | None = None) -> int:
     repeatability.add(fresh)
     repeated = repeatability.check(least=MOST)
     difference = first_difference(stored, fresh)
-    if difference is None:
+    last_bits = difference is not None and _may_differ(stored, fresh)
+    apart = first_difference(stored, fresh, CLOSE) if last_bits else difference
+    if apart is None:
         counted = f"{len(fresh.ticks)} ticks, {len(fresh.decisions)} decisions"
-        result(f"identical{', but' if repeated.problem else ''}: {stored.scenario.name}, {counted}")
+        kind = f"equal to {CLOSE:g}" if last_bits else "identical"
+        result(f"{kind}{', but' if repeated.problem else ''}: {stored.scenario.name}, {counted}")
     else:
-        result(f"{stored.scenario.name}: {difference}")
+        result(f"{stored.scenario.name}: {apart}")
     (result if repeated.problem else say)(repeated.line)
-    changed = [] if difference is None else changes(stored, fresh)
+    changed = [] if difference is None else changes(stored, fresh, apart)
     say(*changed)
     document(
         scenario=stored.scenario.name,
         identical=difference is None,
         difference=None if difference is None else str(difference),
+        equal_within=CLOSE if last_bits and apart is None else None,
         ticks=len(fresh.ticks),
         decisions=len(fresh.decisions),
         repeatability=repeated,
         changes=[line.strip() for line in changed],
     )
-    return AS_EXPECTED if difference is None and not repeated.problem else DIFFERS
+    return AS_EXPECTED if apart is None and not repeated.problem else DIFFERS
+
+
+def _may_differ(stored: Trace, fresh: Trace) -> bool:
+    """Return whether last bits may differ: by another arithmetic, or by an engine on another machine."""
+    then, now = stored.provenance, fresh.provenance
+    engine = then.world != KINEMATIC.name and then.machine != now.machine
+    return then.arithmetic != now.arithmetic or engine
 
 
 def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
@@ -96,8 +107,15 @@ def _named(now: Component, admitted: Admitted) -> str:
     return f"{now}, {admitted.scenario.controller}" if admitted.driver else str(now)
 
 
-def changes(before: Trace, after: Trace) -> list[str]:
-    """Return lines on software and systems that differ from those of the trace."""
+def changes(before: Trace, after: Trace, apart: TraceDifference | None) -> list[str]:
+    """Return lines on software, machines and systems that differ from those of the trace, and what follows.
+
+    Args:
+        before: The stored trace.
+        after: Its repetition.
+        apart: Their first difference beyond the tolerance of ``_may_differ``, if there is one.
+
+    """
     stored, now = before.provenance, after.provenance
     names = ("package_version", "source_hash", "world", "python", "platform")
     values = ((name, getattr(stored, name), getattr(now, name)) for name in names)
@@ -107,7 +125,21 @@ def changes(before: Trace, after: Trace) -> list[str]:
     for name, then in stored.libraries + stored.files:
         if versions.get(name) != then:
             lines.append(f"  {name}: {then} then, {versions.get(name, 'absent')} now")
-    return lines or ["  the software is the same as when the trace was made"]
+    same = not lines
+    if same:
+        lines = ["  the software is the same as when the trace was made"]
+    machines = f"{stored.machine or 'not named by the trace'} then, {now.machine} now"
+    lines.append(f"  machine: {now.machine if stored.machine == now.machine else machines}")
+    if stored.arithmetic != now.arithmetic:
+        line = f"  arithmetic {stored.arithmetic} then, {now.arithmetic} now: last bits differ"
+        line += f"; not comparable from {apart.what} {apart.index} on" if apart else ""
+    elif _may_differ(before, after):
+        line = f"  an engine's last bits may differ between machines: compared to {CLOSE:g}"
+    elif same and stored.world == KINEMATIC.name:
+        line = "  a fault: with the same software this world has the same bits on every machine"
+    else:
+        return lines
+    return [*lines, line]
 
 
 def judge_again(

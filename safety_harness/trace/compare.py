@@ -30,7 +30,10 @@ class TraceDifference:
         return f"{where} in {', '.join(self.fields)}: {self.first} against {self.second}"
 
 
-def first_difference(first: Trace, second: Trace) -> TraceDifference | None:
+CLOSE = 1e-6  # of traces whose arithmetic or physics may differ in their last bits: relative, and in SI units
+
+
+def first_difference(first: Trace, second: Trace, tolerance: float = 0.0) -> TraceDifference | None:
     """Return the first difference between two traces, or None if ticks and decisions have the same bits.
 
     A column that was not measured in the same way in both is the first difference. Otherwise it is the
@@ -40,6 +43,7 @@ def first_difference(first: Trace, second: Trace) -> TraceDifference | None:
     Args:
         first: A trace.
         second: Another trace of the same scenario.
+        tolerance: By how much numbers may differ, relatively or in their SI unit; 0 compares bits.
 
     """
     for trace in (first, second):
@@ -50,17 +54,17 @@ def first_difference(first: Trace, second: Trace) -> TraceDifference | None:
             return TraceDifference("trace", 0, 0.0, (f"known.{name}",), _measured_as(a), _measured_as(b))
     first, second = as_measured(first), as_measured(second)
     compared = [
-        _compare("decision", first.decisions, second.decisions),
-        _compare("tick", first.ticks, second.ticks),
-        _compare_rows("interventions", first, second),
+        _compare("decision", first.decisions, second.decisions, tolerance),
+        _compare("tick", first.ticks, second.ticks, tolerance),
+        _compare_rows("interventions", first, second, tolerance),
     ]
     if len(first.overshoot_radps) and len(second.overshoot_radps):  # earlier versions did not record it
-        compared.append(_compare_rows("overshoot_radps", first, second))
+        compared.append(_compare_rows("overshoot_radps", first, second, tolerance))
     differences = [difference for difference in compared if difference is not None]
     return min(differences, key=lambda difference: difference.time_s, default=None)
 
 
-def _compare_rows(name: str, first: Trace, second: Trace) -> TraceDifference | None:
+def _compare_rows(name: str, first: Trace, second: Trace, tolerance: float) -> TraceDifference | None:
     """Return the first difference in a shield's or an engine's rows, with the time of its tick."""
     a, b = getattr(first, name), getattr(second, name)
     if len(a) != len(b):
@@ -70,7 +74,7 @@ def _compare_rows(name: str, first: Trace, second: Trace) -> TraceDifference | N
         return None
     names = a.dtype.names and [field for field in a.dtype.names if field in (b.dtype.names or ())]
     pairs = [(a[field], b[field]) for field in names] if names else [(a, b)]  # as old traces have
-    unlike = [(_bits(x) != _bits(y)).reshape(len(a), -1).any(axis=1) for x, y in pairs]
+    unlike = [~_same(x, y, tolerance).reshape(len(a), -1).all(axis=1) for x, y in pairs]
     at = np.flatnonzero(np.any(unlike, axis=0))
     if len(at) == 0:
         return None
@@ -83,13 +87,15 @@ def _measured_as(measurement: Measurement) -> str:
     return f"{measurement.source.value}{off_by}{f', {len(measurement.gaps)} gaps' * bool(measurement.gaps)}"
 
 
-def _compare(kind: str, first: NDArray[np.void], second: NDArray[np.void]) -> TraceDifference | None:
+def _compare(
+    kind: str, first: NDArray[np.void], second: NDArray[np.void], tolerance: float
+) -> TraceDifference | None:
     shorter = min(len(first), len(second))
     names = first.dtype.names or ()
     index, fields = shorter, []
     for name in names:
         a, b = first[name][:shorter], second[name][:shorter]
-        same = (_bits(a) == _bits(b)).all(axis=tuple(range(1, a.ndim)))
+        same = _same(a, b, tolerance).all(axis=tuple(range(1, a.ndim)))
         if same.all():
             continue
         at = int(np.argmin(same))
@@ -113,6 +119,13 @@ def _compare(kind: str, first: NDArray[np.void], second: NDArray[np.void]) -> Tr
         f"{len(first)} {kind}s",
         f"{len(second)} {kind}s",
     )
+
+
+def _same(first: NDArray[np.generic], second: NDArray[np.generic], tolerance: float) -> NDArray[np.bool_]:
+    """Return where two columns have the same bits, or, with a tolerance, nearly the same numbers."""
+    if tolerance > 0.0 and first.dtype == np.float64:
+        return np.asarray(np.isclose(first, second, rtol=tolerance, atol=tolerance, equal_nan=True))
+    return np.asarray(_bits(first) == _bits(second))
 
 
 def _bits(array: NDArray[np.generic]) -> NDArray[np.generic]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from safety_harness.base.compiled import PACKAGE, cache_root, source_hash
 from safety_harness.base.distribution import installed_version
+from safety_harness.base.elementary import ARITHMETIC
 from safety_harness.base.extension_points import foreign_parts
 from safety_harness.base.whole_file import sha256_of, write_whole
 from safety_harness.trace.trace import Provenance
@@ -34,6 +35,8 @@ LIBRARIES = {
     "cv2": "cv2",
 }
 OF_EVERY_RUN = ("numpy", "numba")
+# Features of a processor by which libraries choose their code, by numpy's names for them.
+FEATURES = {"AVX-512": ("AVX512F", "X86_V4"), "AVX2": ("AVX2", "X86_V3"), "FMA": ("FMA3", "X86_V3")}
 DATA = "robot data"
 ROBOTS = PACKAGE / "cell" / "robot" / "data" / "ur_description"
 ELSEWHERE = "onnxruntime"  # it is loaded in another process, for a stranger's file
@@ -66,7 +69,18 @@ def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
         platform=f"{platform.system()} {platform.machine()}",
         libraries=(*(named for named, _ in loaded), data, *foreign),
         files=tuple(file for _, file in loaded if file is not None),
+        arithmetic=ARITHMETIC,
+        machine=machine(),
     )
+
+
+@lru_cache
+def machine() -> str:
+    """Return the kind of this machine in words: what its processor can do, and its C library."""
+    there = getattr(_imported(LIBRARIES["numpy"]), "__cpu_features__", {})
+    features = [words for words, names in FEATURES.items() if any(there.get(name) for name in names)]
+    c_library = " ".join(platform.libc_ver()).strip() or "an unnamed C library"
+    return f"{platform.machine()} with {', '.join(features) or 'no vector features'}, {c_library}"
 
 
 def shared_modules() -> dict[str, tuple[str, ...]]:

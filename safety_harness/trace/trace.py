@@ -35,7 +35,9 @@ class Provenance:
     """The software that made a trace. ``source_hash`` covers every Python file of the package.
 
     ``libraries`` are (name, version) pairs, which also state that a library was not loaded. ``files`` are the
-    compiled files of these libraries (name, sha256).
+    compiled files of these libraries (name, sha256). ``arithmetic`` is the version of the functions that made
+    its numbers, ``elementary.ARITHMETIC``; 0 in a trace of an earlier version. ``machine`` is the kind of
+    machine, which must not matter: it takes no part in a comparison.
     """
 
     package_version: Line
@@ -45,6 +47,8 @@ class Provenance:
     platform: Line
     libraries: tuple[tuple[Line, Line], ...]
     files: tuple[tuple[Line, Line], ...] = ()  # none in a trace of an earlier version
+    arithmetic: int = 0
+    machine: Line = field(default="", compare=False)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,7 +14,7 @@ from safety_harness.admission.avoiders import is_executed
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import CampaignError, InputError, SafetyHarnessError, described
 from safety_harness.base.seeds import Branch, generator
-from safety_harness.cell.simulation.worlds import world_of_trace
+from safety_harness.cell.simulation.worlds import KINEMATIC, world_of_trace
 from safety_harness.claims.signals.true_motion import refuse_contradictions
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner, trace_of
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
@@ -181,7 +181,10 @@ class Compared:
             (claim.sentence, then[k].margin, now.margin)
             for k, (claim, now) in enumerate(zip(self.plan.claims, row.judgements, strict=True))
         ]
-        self.moved += not all(_same(was, new) for _, was, new in pairs)
+        moved = not all(_same(was, new) for _, was, new in pairs)
+        self.moved += moved
+        if moved and self.same and self.plan.world is KINEMATIC:
+            self.faults.append(f"{where}: its margins differ in their last bits, which no machine changes")
         self.far += not all(_is_close(*pair) for pair in pairs)
 
     def add_trace(self, stored: Trace, row: Row) -> None:
