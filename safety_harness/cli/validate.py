@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import groupby
 from pathlib import Path
+from typing import TypeVar
 
 from safety_harness.admission.admit import Checked, Looker
 from safety_harness.admission.avoiders import with_avoider
@@ -15,7 +16,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.base.compiled import without_compiling
 from safety_harness.base.extension_points import CheckedFile, InputFile
-from safety_harness.base.input_errors import usable
+from safety_harness.base.input_errors import InputErrors, usable
 from safety_harness.base.shipped.contents import located
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.claims.properties.tried import TriedParts
@@ -31,11 +32,14 @@ from safety_harness.cli.console import (
 )
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import Gathered, gather
+from safety_harness.scenario.fields import every_mistake
 from safety_harness.scenario.kinds import added_input
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.ours import aside_lines
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
+
+_Made = TypeVar("_Made")
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
@@ -55,10 +59,10 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         )
         untried = without_compiling(lambda: _untried(checked))
         spaces, errors_of_spaces = usable(
-            gathered.spaces, lambda one: without_compiling(lambda: _tried_space(one))
+            gathered.spaces, lambda one: without_compiling(lambda: _whole(lambda: _tried_space(one)))
         )
         read, errors_of_added = usable(
-            added, lambda one: without_compiling(lambda: _checked(located(one), looker))
+            added, lambda one: without_compiling(lambda: _whole(lambda: _checked(located(one), looker)))
         )
     except KeyboardInterrupt:
         say("interrupted")
@@ -68,6 +72,8 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     claims = [(claim, scenario) for scenario in read_in_part for claim in scenario.claims]
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
     errors = [*gathered.errors, *errors, *of_claims, *errors_of_spaces, *errors_of_added]
+    errors = [inner for error in errors for inner in getattr(error, "errors", (error,))]
+    errors.sort(key=lambda error: (str(error.place.file or ""), error.place.line or 0))
     bad = {error.place.file for error in errors}
     usable_files: list[dict[str, object]] = []
     for file, scenarios in groupby(checked, key=lambda one: one.scenario.file):
@@ -107,6 +113,15 @@ def _checked(path: Path, looker: Looker) -> tuple[InputFile, CheckedFile]:
     assert kind is not None
     assert kind.check is not None
     return kind, kind.check(path, looker.look)
+
+
+def _whole(read: Callable[[], _Made]) -> _Made:
+    """Return what ``read`` returns; InputErrors has every mistake that it finds on the way."""
+    with every_mistake() as found:
+        made = read()
+    if found:
+        raise InputErrors(found)
+    return made
 
 
 def _tried_space(found: tuple[Variant, Path]) -> ScenarioSpace:

@@ -20,7 +20,7 @@ from enum import Enum
 from functools import cached_property
 from typing import Any, TypeAlias, TypeVar
 
-from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field, Fields
+from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field, Fields, each
 from safety_harness.scenario.units import ANGLE, FRACTION, LENGTH, NUMBER, Dimension, format_quantity, nice
 
 REQUIRED = "required"
@@ -184,7 +184,7 @@ class Several(_Formed):
     def read(self, field: Field) -> tuple[Any, ...]:
         """Return the values of the list."""
         items = field.items(self.expected, count=self.count, least=self.least, most=self.most)
-        return tuple(self.of.read(item) for item in items)
+        return tuple(each(self.of.read, items))
 
     def write(self, values: Sequence[Any]) -> list[Tree]:
         """Return the texts or mappings of the values."""
@@ -365,17 +365,18 @@ class KeyTable:
 
     def values(self, given: Fields) -> dict[str, Any]:
         """Return the values of a mapping by the dataclass's fields, with defaults for absent keys."""
-        read_values: dict[str, Any] = {}
-        for key in self.keys:
+
+        def pair(key: Key) -> tuple[str, Any]:
             field = given.optional(key.name)
-            if not key.attribute:
-                continue
-            if field is not None or key.required:
-                read_values[key.attribute] = key.value.read(
-                    field or given.required(key.name, f"safety-harness explain {key.name}")
-                )
-            elif key.fallback is not REQUIRED:
-                read_values[key.attribute] = key.fallback
+            if field is None and not key.required:
+                return key.attribute, key.fallback
+            field = field or given.required(key.name, f"safety-harness explain {key.name}")
+            return key.attribute, key.value.read(field)
+
+        own = (key for key in self.keys if key.attribute)
+        read_values = {name: value for name, value in each(pair, own) if value is not REQUIRED}
+        if given.wrong is not None:
+            raise given.wrong
         for attribute, table in self.beside:
             if any(name in given for name in table.names):
                 read_values[attribute] = table.made_of(given)

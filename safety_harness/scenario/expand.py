@@ -18,11 +18,11 @@ from safety_harness.scenario.compose import (
     variants,
     without_keys,
 )
-from safety_harness.scenario.fields import Field
+from safety_harness.scenario.fields import Field, every_mistake, is_sentence
 from safety_harness.scenario.files import as_path, resolved
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.nodes import Mapping, parse_tree
+from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
 from safety_harness.scenario.ours import files_of, yaml_files
 from safety_harness.scenario.read import scenario_of_variant
 from safety_harness.scenario.reference_tables import SUITE as SUITE_TABLE
@@ -32,7 +32,8 @@ DEEPEST_SUITE = 8
 MOST_FILES = 1_000
 MOST_SCENARIOS = 10_000
 # The keys that a key's value depends on: beside an example of these, an error in it would be misleading.
-READ_WITH = {"duration": ("settings",), "faults": ("duration", "settings")}
+READ_WITH = {"duration": ("settings",)}
+LONGEST = "duration: 60 min"  # an example within which every fault begins
 
 
 @dataclass
@@ -98,8 +99,8 @@ class Gathered:
                     continue
                 try:
                     scenario = scenario_of_variant(variant, file)
-                except InputError as first:
-                    self.errors += mistakes_of(variant, file, first, self.mended)
+                except InputError:
+                    self.errors += mistakes_of(variant, file, self.mended)
                     return
                 if scenario.name.endswith("]"):
                     same = rows.setdefault(replace(scenario, name=""), scenario.name)
@@ -175,27 +176,44 @@ def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
     return gathered
 
 
-def mistakes_of(variant: Variant, file: Path, first: InputError, mended: list[Scenario]) -> list[InputError]:
-    """Return the first mistake below each top key of a scenario.
+def mistakes_of(variant: Variant, file: Path, mended: list[Scenario]) -> list[InputError]:
+    """Return the mistakes of a scenario.
 
-    To find the next mistake, the scenario is read again with an example in place of each wrong value.  The
-    scenario that these examples make of it is added to ``mended``.
+    Some mistakes hide those of other top keys.  To find these, the scenario is read again with an example in
+    place of each wrong top key.  The scenario that these examples make of it is added to ``mended``.
     """
-    errors, tree, faulty, error = [first], variant.tree, set[str](), first
-    while isinstance(tree, Mapping) and (name := _top_key(tree, error)) and name not in faulty:
-        if faulty and faulty.isdisjoint(READ_WITH.get(name, ())):
-            there = any(key.text == name for key, _ in tree.entries)
-            missing = ScenarioError(place=error.place, expected=error.expected, got="none")
-            errors.append(error if there else missing)  # the error's own text would speak of examples
-        faulty.add(name)
-        example = next((key.lines for key in TOP.keys if key.name == name and key.required), "{}")
-        tree = merged(without_keys(tree, {name}), parse_tree(example, None))
-        try:
-            mended.append(scenario_of_variant(replace(variant, tree=tree), file))
-            break
-        except InputError as another:
-            error = another
-    return errors
+    errors, tree, faulty, there = list[InputError](), variant.tree, set[str](), set[str]()
+    while True:
+        with every_mistake() as found:
+            scenario = scenario_of_variant(replace(variant, tree=tree), file)
+        if not found:
+            mended.append(scenario)
+        if not isinstance(tree, Mapping) or not found:
+            return errors or found
+        there = there or {key.text for key, _ in tree.entries}
+        named = [(_top_key(tree, error), error) for error in found]
+        for name, error in named:
+            if not faulty:
+                errors.append(error)
+            elif name and name not in faulty and faulty.isdisjoint(READ_WITH.get(name, ())):
+                missing = ScenarioError(place=error.place, expected=error.expected, got="none")
+                errors.append(error if name in there else missing)  # its own text would speak of examples
+        names = {name for name, _ in named if name} - faulty
+        if not names:
+            return errors
+        faulty |= names
+        examples = [key.lines for key in TOP.keys if key.name in names and key.required]
+        text = "\n".join(LONGEST if line.startswith("duration:") else line for line in examples)
+        claims = [(key, _as_holding(node)) for key, node in tree.entries if key.text == "claims" in names]
+        tree = merged(without_keys(tree, names), parse_tree(text or "{}", None))
+        tree = merged(tree, Mapping(tuple(claims), 1))
+
+
+def _as_holding(claims: Node) -> Mapping:
+    """Return the sentences of claims, each to hold."""
+    entries = claims.entries if isinstance(claims, Mapping) else ()
+    sentences = (key for key, _ in entries if is_sentence(key.text))
+    return Mapping(tuple((key, Scalar("holds", key.line, key.file)) for key in sentences), claims.line)
 
 
 def _top_key(tree: Mapping, error: InputError) -> str | None:

@@ -30,7 +30,7 @@ from safety_harness.scenario.codec import (
     table_of,
     vector_of,
 )
-from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.fields import Field, Fields, each
 from safety_harness.scenario.units import LENGTH, TIME
 
 MOST_FAULTS = 16  # a trace has a bit for each
@@ -298,7 +298,8 @@ def read_faults(field: Field | None, *, duration_s: float) -> tuple[Fault, ...]:
     if field is None:
         return ()
     expected = f"a list of at most {MOST_FAULTS} faults"
-    faults = tuple(_fault(item, duration_s) for item in field.items(expected, most=MOST_FAULTS))
+    items = field.items(expected, most=MOST_FAULTS)
+    faults = tuple(each(lambda item: _fault(item, duration_s), items))
     false_hands = sum(isinstance(fault, FalseHand) for fault in faults)
     if false_hands > MOST_FALSE_HANDS:
         raise field.error(f"at most {MOST_FALSE_HANDS} false hands", got=str(false_hands))

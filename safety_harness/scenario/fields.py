@@ -9,7 +9,9 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import abc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property, lru_cache
@@ -17,7 +19,7 @@ from math import pi
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from safety_harness.base.exceptions import Place, ScenarioError, near_miss
+from safety_harness.base.exceptions import InputError, Place, ScenarioError, near_miss
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, join
 from safety_harness.scenario.units import Dimension, parse_quantity, shown
 
@@ -26,6 +28,7 @@ LARGEST_ANGLE_RAD = 2.0 * pi
 
 E = TypeVar("E", bound=Enum)
 V = TypeVar("V")
+T = TypeVar("T")
 
 _INTEGER = re.compile(r"[+-]?[0-9]{1,20}")
 _LONGEST_SENTENCE = 200  # characters, since YAML allows a key 1,024 of them and escapes take room
@@ -35,6 +38,45 @@ SENTENCE = f"one line of 1 to {_LONGEST_SENTENCE} printable characters"
 def is_sentence(text: str) -> bool:
     """Return whether ``text`` can be a name, or a sentence of a language such as the claims'."""
     return bool(text.strip()) and text.isprintable() and len(text) <= _LONGEST_SENTENCE
+
+
+_found: ContextVar[list[InputError] | None] = ContextVar("_found", default=None)
+
+
+@contextmanager
+def every_mistake() -> Iterator[list[InputError]]:
+    """Yield the list of all mistakes within the context; readers go on after a mistake as far as they can."""
+    found: list[InputError] = []
+    token = _found.set(found)
+    try:
+        yield found
+    except InputError as error:
+        noted(error)
+    finally:
+        _found.reset(token)
+
+
+def noted(error: InputError) -> InputError:
+    """Keep and return a mistake within ``every_mistake``, and raise it elsewhere."""
+    found = _found.get()
+    if found is None:
+        raise error
+    if error not in found:
+        found.append(error)
+    return error
+
+
+def each(read: Callable[[T], V], items: Iterable[T]) -> list[V]:
+    """Return ``read`` of each item, or raise the first mistake (within ``every_mistake`` after all)."""
+    made, wrong = [], list[InputError]()
+    for item in items:
+        try:
+            made.append(read(item))
+        except InputError as error:
+            wrong.append(noted(error))
+    if wrong:
+        raise wrong[0]
+    return made
 
 
 class Field(NamedTuple):
@@ -192,7 +234,7 @@ class Field(NamedTuple):
         return chosen[0]
 
     def fields(self, allowed: tuple[str, ...], *, hints: dict[str, str] | None = None) -> Fields:
-        """Return the values of a mapping with certain keys.
+        """Return the values of a mapping with certain keys, ``wrong`` if it has others.
 
         Args:
             allowed: The keys that it may have.
@@ -200,12 +242,13 @@ class Field(NamedTuple):
 
         """
         entries = self.entries(_mapping_with(allowed))
+        wrong = None
         for key, field in entries:
             if key not in allowed:
                 hint = (hints or {}).get(key) or near_miss(key, allowed)
                 expected = f"one of the keys {', '.join(allowed)}"
-                raise field.error(expected, got=f'the key "{shown(key)}"', hint=hint)
-        return Fields(self, dict(entries))
+                wrong = noted(field.error(expected, got=f'the key "{shown(key)}"', hint=hint))
+        return Fields(self, {key: field for key, field in entries if key in allowed}, wrong)
 
 
 @lru_cache
@@ -216,10 +259,11 @@ def _mapping_with(keys: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class Fields:
-    """The values of a mapping by their keys."""
+    """The values of a mapping by their keys; ``wrong`` is a mistake in the keys, which was noted."""
 
     whole: Field
     by_key: dict[str, Field]
+    wrong: InputError | None = None
 
     def __contains__(self, key: str) -> bool:
         return key in self.by_key
@@ -229,6 +273,8 @@ class Fields:
 
     def required(self, key: str, hint: str = "") -> Field:
         """Return the value of ``key``; ScenarioError, with the hint, if it is absent."""
+        if key not in self.by_key and self.wrong is not None:
+            raise self.wrong  # the key may be there, misspelled
         if key not in self.by_key:
             present = ", ".join(map(shown, self.by_key))
             place = replace(self.whole.place, field=join(self.whole.path, key))

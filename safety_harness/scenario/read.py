@@ -23,7 +23,7 @@ from safety_harness.base.settings import DEFAULTS, Settings, Vector3
 from safety_harness.base.shipped.contents import located
 from safety_harness.scenario.compose import COMPOSING, SPACE_KEY, SUITE, Library, Variant, only_variant
 from safety_harness.scenario.faults import read_faults
-from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, is_sentence, walk
+from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, each, is_sentence, walk
 from safety_harness.scenario.files import as_path, read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import (
@@ -199,15 +199,18 @@ def _check_duration(duration_s: float, field: Field, settings: Settings) -> None
 
 def _settings(given: Fields, robot: AnyRobot) -> Settings:
     """Return the defaults with the values of the file; an own arm brings its own braking data."""
-    changes = {
-        name: read_group(given.required(key), name) for key, name in TOP_GROUPS.items() if key in given
-    }
+
+    def read(found: tuple[str, Field]) -> tuple[str, Any]:
+        name, group = found
+        if name == "braking" and isinstance(robot, OwnRobot):
+            raise group.error("the braking of an own arm below the key robot", got="it in the settings")
+        return name, read_group(group, name)
+
+    found = [(name, given.required(key)) for key, name in TOP_GROUPS.items() if key in given]
     if "settings" in given:
         groups = given.required("settings").fields(tuple(SETTINGS_KEYS), hints=_misplaced())
-        for key, group in groups.by_key.items():
-            if key == "braking" and isinstance(robot, OwnRobot):
-                raise group.error("the braking of an own arm below the key robot", got="it in the settings")
-            changes[SETTINGS_KEYS[key]] = read_group(group, SETTINGS_KEYS[key])
+        found += [(SETTINGS_KEYS[key], group) for key, group in groups.by_key.items()]
+    changes = dict(each(read, found))
     if isinstance(robot, OwnRobot):
         changes["braking"] = robot.braking.settings
     return replace(DEFAULTS, **changes)
@@ -234,7 +237,8 @@ def _hands(
     if field is None:
         return ()
     hands: list[HandTrajectory] = []
-    for item in field.items(f"a list of at most {MAX_HANDS} hands", most=MAX_HANDS):
+
+    def read(item: Field) -> None:
         given = dict(item.entries("a hand: a mapping with the key hand or recording"))
         if "recording" in given:
             hand: HandTrajectory = _recorded_hand(item.fields(RECORDED_HAND.names), settings, carried)
@@ -245,6 +249,8 @@ def _hands(
         if any(hand.name == earlier.name for earlier in hands):
             raise item.error("another name for each hand", got=f'"{hand.name}" twice', hint="the key hand")
         hands.append(hand)
+
+    each(read, field.items(f"a list of at most {MAX_HANDS} hands", most=MAX_HANDS))
     return tuple(hands)
 
 
@@ -258,8 +264,8 @@ def _moving_hand(given: Fields) -> MovingHand:
         hint = '2 pi times amplitude times rate; the bound is the hand\'s key "speed at most"'
         got = f"one of up to {hand.tremor.max_speed_mps:.3g} m/s"
         raise given.required("tremor").error(expected, got=got, hint=hint)
-    for move, field in zip(hand.moves, given.required("moves").items("a list of moves"), strict=True):
-        _check_move(move, dict(field.entries("a move")), hand)
+    pairs = zip(hand.moves, given.required("moves").items("a list of moves"), strict=True)
+    each(lambda pair: _check_move(pair[0], dict(pair[1].entries("a move")), hand), pairs)
     return hand
 
 
@@ -362,7 +368,7 @@ def _elbow_track(given: Fields, values: Mapping[str, Any], recording: Recording)
 def _claims(field: Field, *, required: bool) -> tuple[Claim, ...]:
     """Return the claims as sentences with a verdict; admission looks the sentences up later."""
     entries = CLAIMS.read(field) if required else field.entries(CLAIMS.expected)
-    return tuple(_claim(sentence, verdict) for sentence, verdict in entries)
+    return tuple(each(lambda entry: _claim(*entry), entries))
 
 
 def _claim(sentence: str, verdict: Field) -> Claim:

@@ -16,7 +16,7 @@ from typing import Any
 from safety_harness.base.settings import DEFAULTS, DecisionCost, Settings
 from safety_harness.scenario.codec import Below, Key, KeyTable, QuantityValue, Several, Text, Value, Word
 from safety_harness.scenario.decision_times import FORM, read_decision_time, write_decision_time
-from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field
+from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field, each
 from safety_harness.scenario.units import ANGLE, DIMENSIONS, LENGTH
 
 EVERY_TICK = "every tick"  # how a rate of None is written
@@ -118,17 +118,14 @@ def read_group(field: Field, name: str) -> Any:
     default = getattr(DEFAULTS, name)
     keys = setting_keys(type(default))
     given = field.fields(tuple(dict.fromkeys(key.path[0] for key in keys)), hints=_MOVED)
-    changes: dict[str, Any] = {}
+    found: list[tuple[Key, Field]] = []
     for above in _MAPPINGS:
         inner = given.optional(above)
         if inner is not None:
             names = {key.name: key for key in keys if key.within == (above,)}
-            for name, value in inner.fields(tuple(names)).by_key.items():
-                changes[names[name].attribute] = names[name].value.read(value)
-    for key in keys:
-        if key.name in given and not key.within:
-            changes[key.attribute] = key.value.read(given.required(key.name))
-    return replace(default, **changes)
+            found += [(names[name], value) for name, value in inner.fields(tuple(names)).by_key.items()]
+    found += [(key, given.required(key.name)) for key in keys if key.name in given and not key.within]
+    return replace(default, **dict(each(lambda one: (one[0].attribute, one[0].value.read(one[1])), found)))
 
 
 def group_table(group: str, path: str) -> KeyTable:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from safety_harness.base.exceptions import OutputError
+from safety_harness.base.exceptions import InputError, OutputError
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fmt import format_files
 from safety_harness.cli.main import app
@@ -16,7 +16,7 @@ from safety_harness.cli.scenario_commands import explain as explain_key
 from safety_harness.cli.scenario_commands import judge as judge_again
 from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.cli.validate import validate
-from safety_harness.scenario.read import parse_scenario
+from safety_harness.scenario.read import parse_scenario, read_scenario
 from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.schema import scenario_schema
 
@@ -131,7 +131,7 @@ def test_validate_tells_every_mistake_of_every_file(tmp_path: Path, capsys: Capt
     assert err.splitlines()[-1].startswith("5 mistakes; ")
 
 
-def test_the_first_mistake_below_each_top_key_is_told(tmp_path: Path, capsys: Captured) -> None:
+def test_mistakes_are_told_in_the_order_of_the_file(tmp_path: Path, capsys: Captured) -> None:
     slips = (
         GOOD.replace("300 ms", "300 m").replace("tcp start: {", "tcp start: {ofset: 1 mm, ") + "colour: red\n"
     )
@@ -140,7 +140,94 @@ def test_the_first_mistake_below_each_top_key_is_told(tmp_path: Path, capsys: Ca
     assert validate([tmp_path / "a.yaml"]) == BAD_INPUT
     err = capsys.readouterr().err
     told = [line.split(": ")[2] for line in err.splitlines() if line.startswith("error:")]
-    assert told == ["colour", "duration", "tcp start.ofset", "settings.clock.control perid"]
+    assert told == ["duration", "tcp start.ofset", "settings.clock.control perid", "colour"]
+
+
+MANY = """\
+scenario: many mistakes
+duration: 4
+seed: -1
+tcp start:
+  offset: [0, -60 mm, 20 m]
+colour: red
+settings:
+  clock: {wall limt: 1 s, control period: 8 mz}
+  avoidance: {critical distance: 400}
+hands:
+  - hand: right hand
+    starts at: [1000 mm, -550 mm]
+    elbow toward: [1600 mm, -1200 mm, 300 mm]
+    moves:
+      - move to: [840 mm, -350 mm, 300 mm]
+        speed: 1
+      - withdrw: 1.6 m/s
+      - wait: 3 kg
+  - hand: left hand
+    starts at: [1000 mm, -550 mm, 0 mm]
+    elbow towards: [1600 mm, -1200 mm, 300 mm]
+    moves:
+      - move to: [840 mm, -350 mm, 300 mm]
+        speed: 30 m/s
+faults:
+  - camera: blnd
+  - hand sensor: freezes
+    from: 100
+claims:
+  hand distance never bellow 50 mm: holds
+  joint speed within limits: holds
+  joint speeds within limits: hold
+"""
+
+
+def test_every_mistake_of_a_file_is_told_at_once(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(Path(), many=MANY)
+    assert validate([Path("many.yaml")]) == BAD_INPUT
+    err = capsys.readouterr().err
+    told = [line.split(": ")[1:] for line in err.splitlines() if line.startswith("error:")]
+    assert [" ".join(one).removeprefix("many.yaml:") for one in told] == [
+        "2 duration",
+        "3 seed",
+        "5 tcp start.offset[0]",
+        "5 tcp start.offset[2]",
+        "6 colour",
+        "8 settings.clock.wall limt",
+        "8 settings.clock.control period",
+        "9 settings.avoidance.critical distance",
+        "12 hands[0].starts at",
+        "13 hands[0].elbow toward",
+        "16 hands[0].moves[0].speed",
+        "17 hands[0].moves[1]",
+        "18 hands[0].moves[2].wait",
+        "24 hands[1].moves[0].speed",
+        "26 faults[0].camera",
+        "28 faults[1].from",
+        "30 claims.hand distance never bellow 50 mm",
+        "31 claims.joint speed within limits",
+        "32 claims.joint speeds within limits",
+    ]
+    assert err.count("\n  expected ") == err.count("\n  got ") == len(told)
+    with pytest.raises(InputError, match="colour"):  # a run names the first
+        read_scenario(Path("many.yaml"))
+
+
+def test_mistakes_of_a_space_are_told_together(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    space = GOOD.replace("scenario:", "scenario space:").replace("300 ms", "from 300 ms to 400 ms")
+    write(Path(), space=space.replace("-60 mm, 20 mm", "-60, 20"))
+    assert validate([Path("space.yaml")]) == BAD_INPUT
+    err = capsys.readouterr().err
+    assert "tcp start.offset[1]" in err
+    assert "tcp start.offset[2]" in err
+    assert "2 mistakes" in err
+
+
+def test_what_ships_has_no_mistake(capsys: Captured) -> None:
+    assert validate([SCENARIOS / "spaces", SCENARIOS.parent / "plans"]) == AS_EXPECTED
 
 
 def test_no_mistake_is_told_of_what_was_read_beside_an_example(tmp_path: Path, capsys: Captured) -> None:
