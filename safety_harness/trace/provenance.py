@@ -20,7 +20,7 @@ from types import ModuleType
 
 import numpy as np
 
-from safety_harness.base.compiled import PACKAGE, cache_root, source_hash
+from safety_harness.base.compiled import PACKAGE, cache_root, code_in_use, source_hash
 from safety_harness.base.distribution import installed_version
 from safety_harness.base.elementary import ARITHMETIC
 from safety_harness.base.extension_points import foreign_parts
@@ -76,11 +76,12 @@ def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
 
 @lru_cache
 def machine() -> str:
-    """Return the kind of this machine in words: what its processor can do, and its C library."""
+    """Return the kind of this machine in words: what its processor can do, its C library, our machine code."""
     there = getattr(_imported(LIBRARIES["numpy"]), "__cpu_features__", {})
     features = [words for words, names in FEATURES.items() if any(there.get(name) for name in names)]
     c_library = " ".join(platform.libc_ver()).strip() or "an unnamed C library"
-    return f"{platform.machine()} with {', '.join(features) or 'no vector features'}, {c_library}"
+    processor = f"{platform.machine()} with {', '.join(features) or 'no vector features'}"
+    return f"{processor}, {c_library}, {code_in_use()}"
 
 
 def shared_modules() -> dict[str, tuple[str, ...]]:

@@ -13,7 +13,6 @@ from pathlib import Path
 
 from safety_harness.admission.admit import refuse_no_answer
 from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
-from safety_harness.base.compiled import code_in_use
 from safety_harness.base.exceptions import described
 from safety_harness.extensions.assurance.campaign.episodes import trace_of
 from safety_harness.extensions.assurance.campaign.identity import unpacked
@@ -28,6 +27,7 @@ from safety_harness.extensions.assurance.campaign.processes import (
     bench_of_file,
 )
 from safety_harness.extensions.assurance.campaign.runner import CampaignRunner
+from safety_harness.trace.provenance import machine as kind_of_machine
 
 LEDGER = "ledger.sqlite"
 MakesCrew = Callable[[Plan], WorkerPool]
@@ -90,7 +90,7 @@ def run_missing(
         if known is None:
             ledger = stack.enter_context(Ledger.create(path, plan))
         crew = stack.enter_context(closing(make_crew(plan)))
-        machine = f"{platform.node()}, {platform.machine()}, {processor()}, {code_in_use()}"
+        machine = f"{platform.node()}, {processor()}, {kind_of_machine()}"
         ledger.begin_session(datetime.now(UTC).isoformat(), f"{crew.size}", machine)
         runner = CampaignRunner(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part)
         complete = runner.run()
