@@ -76,7 +76,7 @@ def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
 
 @lru_cache
 def machine() -> str:
-    """Return the kind of this machine in words: what its processor can do, its C library, our machine code."""
+    """Return the kind of this machine in words: its processor, its C library and our machine code."""
     there = getattr(_imported(LIBRARIES["numpy"]), "__cpu_features__", {})
     features = [words for words, names in FEATURES.items() if any(there.get(name) for name in names)]
     c_library = " ".join(platform.libc_ver()).strip() or "an unnamed C library"
