@@ -54,7 +54,8 @@ run = $(2) $(BIN)/python $(SUITE) $(1) || { $(2) $(BIN)/python -m pytest --last-
 # A toy wing, which registers parts where ours do: it hides them by itself.
 TOY := tests/base/test_extension_points.py
 # The tests of the core that need little machine code, and the others; those of the wings and of the whole.
-LIGHT := $(addprefix tests/,scenario space trace base testing/test_parts.py testing/test_partly_measured.py) --ignore=$(TOY)
+LIGHT := $(addprefix tests/,scenario space trace base testing/test_parts.py testing/test_partly_measured.py \
+	test_same_arithmetic.py) --ignore=$(TOY)
 CORE := $(addprefix tests/,seams cell cli claims search report admission testing/plugin test_shipped_scenarios.py)
 WINGS := assurance field lab selftest gym arms
 OTHERS = $(addprefix tests/,$(WINGS) whole) $(REST)

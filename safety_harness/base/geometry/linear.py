@@ -113,7 +113,7 @@ def invert_with(matrix: NDArray[np.float64], n: int, inverse_out: NDArray[np.flo
 
 
 def eigen(symmetric: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the eigenvalues (n,) of a symmetric matrix, rising, and its eigenvectors as columns (n, n)."""
+    """Return the eigenvalues (n,) of ``symmetric`` (n, n), rising, and its eigenvectors as columns (n, n)."""
     values, vectors = np.array(symmetric, np.float64), np.eye(len(symmetric))
     _rotate_to_diagonal(values, vectors)
     order = np.argsort(np.diagonal(values), kind="stable")

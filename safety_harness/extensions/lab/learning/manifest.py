@@ -88,6 +88,21 @@ def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
     return manifest | {"sha256": _manifest_hash(manifest)}
 
 
+# The data of the shipped networks: its hash with today's arithmetic, and with that of their training.  One of
+# its five arrays, the optimum, differs by at most 1.2e-16 m.
+_WITH_ARITHMETIC_0 = {
+    "9c8d51eaed28783185f43c7f349788f0075cb071d06ec007af7e318f2f38b7c3": (
+        "1966e834dde8e7ad166ee64c07d5c613dda54ccdcbba2ec1a6b8fb86760c09d3"
+    )
+}
+
+
+def is_named_by(dataset: CompactDataset, sha256: str) -> bool:
+    """Return whether ``sha256`` is the ``data_hash`` of a data set, also if an earlier arithmetic made it."""
+    found = data_hash(dataset)
+    return sha256 in (found, _WITH_ARITHMETIC_0.get(found))
+
+
 def data_hash(dataset: CompactDataset) -> str:
     """Return one sha256 over the arrays of ``dataset`` alone, the same for every version of the program."""
     digest = hashlib.sha256()
