@@ -81,6 +81,10 @@ _AsJson = Annotated[bool, Option("--json", help="One JSON document in place of l
 _Asked = ParamSpec("_Asked")
 
 
+def _on_command_line(value: object) -> str:
+    return shlex.join(map(str, value)) if isinstance(value, list) else shlex.quote(str(value))
+
+
 def command(
     group: Typer,
     name: str | None = None,
@@ -120,7 +124,7 @@ def command(
             answered = partial(answer, *args, **options)
             code = answered_as_json(answered) if as_json else answered()
             if then and not as_json and code in (AS_EXPECTED, DIFFERS):
-                next_step(then.format_map({name: shlex.quote(str(value)) for name, value in options.items()}))
+                next_step(then.format_map({name: _on_command_line(value) for name, value in options.items()}))
             raise Exit(code)
 
         update_wrapper(ended, work)

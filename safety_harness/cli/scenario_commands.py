@@ -98,7 +98,7 @@ def validate(files: Files, avoider: OfAvoider = None, controller: OfController =
     return validate_files(files, one_of(avoider, controller))
 
 
-@command(commands)
+@command(commands, then="safety-harness validate {files}")
 def fmt(
     files: Files,
     check: Annotated[bool, Option("--check", help="Change nothing; only say what would change.")] = False,
@@ -187,7 +187,7 @@ def schema(
     return AS_EXPECTED
 
 
-@command(commands)
+@command(commands, then="safety-harness judge {trace}")
 def replay(
     trace: Annotated[Path, Argument(help="A .trace file of an earlier run.", metavar="TRACE")],
     avoider: OfAvoider = None,

@@ -48,7 +48,7 @@ def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these."
     return AS_EXPECTED
 
 
-@command(commands)
+@command(commands, then="safety-harness validate {folder}")
 def copy(
     name: Annotated[str, Argument(help="What is listed by safety-harness list.", metavar="shipped:NAME")],
     folder: Annotated[Path, Argument(help="Where to.")] = Path(),

@@ -233,3 +233,19 @@ def test_a_command_ends_with_the_next_one_unless_it_failed_or_answers_in_json(
     assert found.exit_code == code
     assert ("next: evaluate 'a b'" in found.stderr) == told
     assert CliRunner().invoke(group, ["other"]).stderr == ""
+
+
+def test_the_next_command_has_all_of_several_files() -> None:
+    group = Typer()
+
+    @command_of(group, "fmt", then="validate {files}")
+    def lay_out(files: list[Path]) -> int:
+        """Lay out. Exit code 0."""
+        return 0
+
+    @command_of(group, "other")
+    def other() -> int:
+        """Exit code 0."""
+        return 0
+
+    assert "next: validate a 'b c'" in CliRunner().invoke(group, ["fmt", "a", "b c"]).stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ from safety_harness.cli.console import (
     INTERRUPTED,
     asked_for_json,
     document,
+    next_step,
     result,
     say,
     say_shared_modules,
@@ -112,10 +114,15 @@ def run(
         raise ScenarioError.of_option("--require-shown", "a plan with a target to show", f"none in {plan}")
     path = ledger or Path("reports") / read.name
     path = path if path.suffix or path.is_file() else path / LEDGER
-    return _run_episodes(read, path, workers, cluster, part, require_shown)
+    code = _run_episodes(read, path, workers, cluster, part, require_shown)
+    if code in (AS_EXPECTED, DIFFERS) and path.name == LEDGER and (controller, part) == (None, "1/1"):
+        next_step(
+            shlex.join(["safety-harness", "certify", str(plan), "--out", str(path.parent)]), "its evidence"
+        )
+    return code
 
 
-@_unwritten("pilot")
+@_unwritten("pilot", then="safety-harness campaign run {plan}")
 def pilot_runs(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
     runs: Annotated[int, Option(help="Runs of each stratum, with another seed than the plan's.", min=1)] = 30,

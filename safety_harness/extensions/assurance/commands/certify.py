@@ -269,7 +269,7 @@ def declare(
     return AS_EXPECTED
 
 
-@command(of_certify, "seal")
+@command(of_certify, "seal", then="safety-harness verify {report} --seal HASH")
 def seal_report(
     report: Annotated[Path, Argument(help="The folder of a report of certify.", metavar="REPORT")],
 ) -> int:

@@ -19,7 +19,7 @@ def _group() -> None:
     """Keep ``fit`` a command of a group, as long as it is the only one."""
 
 
-@command(commands, "fit")
+@command(commands, "fit", then="safety-harness fuzz {out}")
 def fit(
     logs: Annotated[list[Path], Argument(help="Descriptions of logs with hands.", metavar="LOG.yaml...")],
     out: Annotated[Path, Option(help="The space that is written.", metavar="FILE")] = Path("hands.yaml"),

@@ -14,7 +14,7 @@ _ABOUT = "List a log's unconfirmed assumptions, or estimate how far its clocks a
 commands = Typer(name="log", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 
 
-@command(commands, "check")
+@command(commands, "check", then="safety-harness judge {log}")
 def check(log: Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")]) -> int:
     """List the assumptions of verdicts on a log.
 
@@ -41,7 +41,7 @@ def check(log: Annotated[Path, Argument(help="The description of a log.", metava
     return AS_EXPECTED
 
 
-@command(commands, "align")
+@command(commands, "align", then="safety-harness log check {log}")
 def align(
     log: Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")],
     body: Annotated[

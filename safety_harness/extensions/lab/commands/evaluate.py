@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +15,7 @@ from safety_harness.cli.console import (
     BAD_INPUT,
     document,
     explain,
+    next_step,
     result,
     say,
 )
@@ -107,6 +109,9 @@ def evaluate(
         return BAD_INPUT
     if interrupted:
         say("interrupted: the finished scores are saved")
+    else:
+        command_line = ["safety-harness", "fuzz", "shipped:reaching-hands", "--avoider", avoiders[0]]
+        next_step(shlex.join(command_line), "runs that violate a claim")
     return scores.exit_code
 
 

@@ -254,7 +254,12 @@ def metrics(
     return AS_EXPECTED
 
 
-@command(commands, "time", interrupted="interrupted: no file was written")
+@command(
+    commands,
+    "time",
+    interrupted="interrupted: no file was written",
+    then="safety-harness evaluate {avoider}",
+)
 def time_avoider(
     avoider: Annotated[
         str,
