@@ -30,6 +30,7 @@ from safety_harness.extensions.assurance.certification.evidence import read_evid
 from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.scenario.model import Driver
 from safety_harness.search import session as search_session
+from safety_harness.search.counterexample import Explanation
 from safety_harness.trace.answer_times import AnswersTook
 from safety_harness.trace.trace import Trace
 from tests.assurance.campaign.plans import PLAN, ledger_in, plan_in
@@ -145,7 +146,7 @@ def test_merged_ledgers_have_all_times(tmp_path: Path) -> None:
 
 
 def test_certify_and_campaign_say_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SearchAttribution, "explain", lambda *_: ())  # which takes its time
+    monkeypatch.setattr(SearchAttribution, "explain", lambda *_: Explanation())  # which takes its time
     monkeypatch.setattr(whose_fault, "attribute", lambda *_: ())
     small(tmp_path)
     words = ["certify", str(tmp_path / "plan.yaml"), "--out", str(tmp_path / "report"), "--workers", "1"]
@@ -173,7 +174,7 @@ def test_certify_and_campaign_say_it(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_fuzz_says_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search_session, "SHRINKING_RUNS", 2)
     monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
-    monkeypatch.setattr(SearchAttribution, "explain", lambda *_: ())
+    monkeypatch.setattr(SearchAttribution, "explain", lambda *_: Explanation())
     monkeypatch.setattr(SearchAttribution, "of_search", lambda *_: None)
     small(tmp_path)
     (tmp_path / "space.yaml").write_text(TEXT)

@@ -35,6 +35,7 @@ from safety_harness.report import search_attribution as attribution
 from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.report.search_job import SearchResult
 from safety_harness.search import session as search_session
+from safety_harness.search.counterexample import Explanation
 from tests.assurance.campaign.plans import PLAN, plan_in
 
 SMALL = PLAN.replace("runs: 30", "runs: 8").replace("runs: 20", "runs: 8") + "search:\n  runs: 8\n"
@@ -143,7 +144,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     shrinks_little(monkeypatch)
     monkeypatch.setattr(Repeatability, "check", lambda _: RepeatabilityResult(questions=0))
     monkeypatch.setattr(credibility, "run_trial", broken)  # which is caught
-    monkeypatch.setattr(SearchAttribution, "explain", lambda *_: ())
+    monkeypatch.setattr(SearchAttribution, "explain", lambda *_: Explanation())
     monkeypatch.setattr(whose_fault, "attribute", lambda *_: ())
 
 
