@@ -252,12 +252,16 @@ class Looker:
     def look(self, scenario: Scenario) -> Checked:
         """Check a scenario; errors of its avoider's construction and answers only show in a run."""
         checked = check(scenario)
+        self.look_at_tested(scenario)
+        return checked
+
+    def look_at_tested(self, scenario: Scenario) -> None:
+        """Check the avoider or controller of a scenario alone, as ``look`` does."""
         key = scenario.under_test, folder_of(scenario), scenario.settings
         if key not in self._seen:
             with _placed(scenario):
                 (refuse_unusable_driver if scenario.driven else refuse_unusable)(scenario)
             self._seen.add(key)
-        return checked
 
 
 def refuse_no_answer(scenario: Scenario) -> None:

@@ -40,6 +40,8 @@ from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 
 _Made = TypeVar("_Made")
+# Top keys beside whose examples nothing is said of an avoider or controller.
+TESTED = frozenset({"avoider", "controller", "robot", "settings", "camera"})
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
@@ -67,11 +69,15 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
-    # Of every claim; admission stops at a scenario's first mistake.
-    read_in_part = (*gathered.scenarios, *gathered.mended)
+    # Admission stops at a scenario's first mistake; these are looked at whatever else is wrong.
+    read_in_part = (*gathered.scenarios, *(mended.scenario for mended in gathered.mended))
     claims = [(claim, scenario) for scenario in read_in_part for claim in scenario.claims]
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
-    errors = [*gathered.errors, *errors, *of_claims, *errors_of_spaces, *errors_of_added]
+    tested = [one.scenario for one in gathered.mended if not one.faulty & TESTED]
+    if avoider is None:
+        tested += gathered.scenarios
+    _, of_tested = usable(tested, looker.look_at_tested)
+    errors = [*gathered.errors, *errors, *of_claims, *of_tested, *errors_of_spaces, *errors_of_added]
     errors = [inner for error in errors for inner in getattr(error, "errors", (error,))]
     errors.sort(key=lambda error: (str(error.place.file or ""), error.place.line or 0))
     bad = {error.place.file for error in errors}

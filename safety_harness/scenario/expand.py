@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from safety_harness.base.exceptions import InputError, Place, ScenarioError
 from safety_harness.base.shipped.contents import located
@@ -36,6 +37,13 @@ READ_WITH = {"duration": ("settings",)}
 LONGEST = "duration: 60 min"  # an example within which every fault begins
 
 
+class Mended(NamedTuple):
+    """A scenario of a file with mistakes: examples stand in the places of its faulty top keys."""
+
+    scenario: Scenario
+    faulty: frozenset[str]
+
+
 @dataclass
 class Gathered:
     """The scenarios of several paths, the spaces on request, and the mistakes on the way.
@@ -46,7 +54,7 @@ class Gathered:
     scenarios: list[Scenario] = field(default_factory=list)
     spaces: list[tuple[Variant, Path]] = field(default_factory=list)  # trees, for the package ``space``
     errors: list[InputError] = field(default_factory=list)
-    mended: list[Scenario] = field(default_factory=list)  # files with mistakes, examples in their places
+    mended: list[Mended] = field(default_factory=list)
     aside: list[Path] = field(default_factory=list)  # YAML files of folders that are not ours
     _spaces_too: bool = False
     _library: Library = field(default_factory=Library)
@@ -176,7 +184,7 @@ def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
     return gathered
 
 
-def mistakes_of(variant: Variant, file: Path, mended: list[Scenario]) -> list[InputError]:
+def mistakes_of(variant: Variant, file: Path, mended: list[Mended]) -> list[InputError]:
     """Return the mistakes of a scenario.
 
     Some mistakes hide those of other top keys.  To find these, the scenario is read again with an example in
@@ -187,7 +195,7 @@ def mistakes_of(variant: Variant, file: Path, mended: list[Scenario]) -> list[In
         with every_mistake() as found:
             scenario = scenario_of_variant(replace(variant, tree=tree), file)
         if not found:
-            mended.append(scenario)
+            mended.append(Mended(scenario, frozenset(faulty)))
         if not isinstance(tree, Mapping) or not found:
             return errors or found
         there = there or {key.text for key, _ in tree.entries}

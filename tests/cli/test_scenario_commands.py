@@ -213,6 +213,21 @@ def test_every_mistake_of_a_file_is_told_at_once(
         read_scenario(Path("many.yaml"))
 
 
+def test_an_avoider_is_looked_at_beside_other_mistakes(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(
+        "class Mine:\n    def propose(self): ...\n\nraise SystemExit  # nobody runs this\n"
+    )
+    wrong = GOOD.replace("scenario:", "avoider: mine.py:Mine\nscenario:").replace(": holds", ": hold", 1)
+    write(Path(), wrong=wrong)
+    assert validate([Path("wrong.yaml")]) == BAD_INPUT
+    err = capsys.readouterr().err
+    assert "expected Mine to have propose(*, hand_position_in_base_m" in err
+    assert "2 mistakes" in err
+
+
 def test_mistakes_of_a_space_are_told_together(
     tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
