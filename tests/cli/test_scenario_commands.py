@@ -220,7 +220,7 @@ def test_an_avoider_is_looked_at_beside_other_mistakes(
     Path("mine.py").write_text(
         "class Mine:\n    def propose(self): ...\n\nraise SystemExit  # nobody runs this\n"
     )
-    wrong = GOOD.replace("scenario:", "avoider: mine.py:Mine\nscenario:").replace(": holds", ": hold", 1)
+    wrong = GOOD.replace("opposite pose", "mine.py:Mine").replace(": holds", ": hold")
     write(Path(), wrong=wrong)
     assert validate([Path("wrong.yaml")]) == BAD_INPUT
     err = capsys.readouterr().err
