@@ -15,7 +15,28 @@ from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.search import least
 
 _FLAT = 1e-9  # a population with smaller differences of scores has no direction
+_MARGIN = 0.05  # beyond a face
 _PATIENCE = 10  # generations without an improvement
+
+
+def _within(points: Points) -> Points:
+    """Return ``points`` (m, n) in the unit cube: folded at ``_MARGIN`` beyond it, and bent smoothly to its faces.
+
+    More points then lie at a face than by reflection.  ``cma`` does the same (``BoxConstraintsLinQuadTransformation``).
+    """
+    width = 1.0 + 2.0 * _MARGIN
+    folded = width - np.abs(width - np.mod(points + _MARGIN, 2.0 * width))  # from 0 to the width
+    low, high = folded < 2.0 * _MARGIN, folded > 1.0
+    inside = np.where(low, folded * folded / (4.0 * _MARGIN), folded - _MARGIN)
+    over = width - folded
+    return np.where(high, 1.0 - over * over / (4.0 * _MARGIN), inside)
+
+
+def _before(point: Point) -> Point:
+    """Return what ``_within`` maps to ``point`` (n,)."""
+    low = 2.0 * np.sqrt(_MARGIN * point) - _MARGIN
+    high = 1.0 + _MARGIN - 2.0 * np.sqrt(_MARGIN * (1.0 - point))
+    return np.where(point < _MARGIN, low, np.where(point > 1.0 - _MARGIN, high, point))
 
 
 class _Evolution:
@@ -33,7 +54,7 @@ class _Evolution:
 
     def __init__(self, mean: Point, step: float, rng: np.random.Generator, population: int | None) -> None:
         n = len(mean)
-        self._mean, self.sigma, self._rng = mean, step, rng
+        self._mean, self.sigma, self._rng = _before(mean), step, rng
         self._count = population or 4 + int(3 * log(n))
         weights = log(0.5 * (self._count + 1)) - log(np.arange(1.0, self._count + 1.0))
         better, worse = weights[: self._count // 2], weights[self._count // 2 :]
@@ -62,8 +83,7 @@ class _Evolution:
         draws = standard_normal(self._rng, (self._count, len(self._mean)))
         self._steps = product(draws * self._roots, self._axes.T)
         self._sizes = np.maximum((draws * draws).sum(axis=1), 1e-12)
-        place = np.mod(self._mean + self.sigma * self._steps, 2.0)
-        return list(1.0 - np.abs(1.0 - place))
+        return list(_within(self._mean + self.sigma * self._steps))
 
     def tell(self, scores: NDArray[np.float64]) -> None:
         """Learn the scores of the generation; less is better."""
