@@ -20,9 +20,9 @@ _PATIENCE = 10  # generations without an improvement
 
 
 def _within(points: Points) -> Points:
-    """Return ``points`` (m, n) in the unit cube: folded at ``_MARGIN`` beyond it, and bent smoothly to its faces.
+    """Return ``points`` (m, n) in the unit cube: folded beyond a margin, and bent smoothly to the faces.
 
-    More points then lie at a face than by reflection.  ``cma`` does the same (``BoxConstraintsLinQuadTransformation``).
+    More points lie at a face than after a reflection.  The package ``cma`` 4.5 does the same.
     """
     width = 1.0 + 2.0 * _MARGIN
     folded = width - np.abs(width - np.mod(points + _MARGIN, 2.0 * width))  # from 0 to the width
