@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from safety_harness.admission.admit import Looker
 from safety_harness.base.exceptions import InadmissibleError, InputError, ModelError, refuse_other_type
+from safety_harness.scenario.fields import one_mistake
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 
@@ -76,8 +77,9 @@ def draw_admissible(
             assert last is not None
             raise _hopeless(space, len(scenarios), drawn, refused) from last
         try:
-            scenario = space.draw(seed, drawn)
-            checker.look(scenario)
+            with one_mistake():
+                scenario = space.draw(seed, drawn)
+                checker.look(scenario)
             scenarios.append(scenario)
         except InputError as error:
             refused[why_refused(error)] += 1

@@ -89,7 +89,8 @@ def _may_differ(stored: Trace, fresh: Trace) -> bool:
     """Return whether last bits may differ: by another arithmetic, or by an engine on another machine."""
     then, now = stored.provenance, fresh.provenance
     engine = then.world != KINEMATIC.name and then.machine != now.machine
-    return then.arithmetic != now.arithmetic or engine
+    earlier = then.arithmetic != now.arithmetic and then.source_hash != now.source_hash
+    return earlier or engine
 
 
 def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
@@ -130,7 +131,7 @@ def changes(before: Trace, after: Trace, apart: TraceDifference | None) -> list[
         lines = ["  the software is the same as when the trace was made"]
     machines = f"{stored.machine or 'not named by the trace'} then, {now.machine} now"
     lines.append(f"  machine: {now.machine if stored.machine == now.machine else machines}")
-    if stored.arithmetic != now.arithmetic:
+    if stored.arithmetic != now.arithmetic and _may_differ(before, after):
         line = f"  arithmetic {stored.arithmetic} then, {now.arithmetic} now: last bits differ"
         line += f"; not comparable from {apart.what} {apart.index} on" if apart else ""
     elif _may_differ(before, after):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from safety_harness.base.shipped.contents import (
     located,
     shipped_files,
 )
-from safety_harness.cli.console import AS_EXPECTED, document, result, say
+from safety_harness.cli.console import AS_EXPECTED, document, next_step, result, say
 from safety_harness.cli.options import command
 
 commands = Typer()
@@ -48,7 +49,7 @@ def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these."
     return AS_EXPECTED
 
 
-@command(commands, then="safety-harness validate {folder}")
+@command(commands)
 def copy(
     name: Annotated[str, Argument(help="What is listed by safety-harness list.", metavar="shipped:NAME")],
     folder: Annotated[Path, Argument(help="Where to.")] = Path(),
@@ -63,6 +64,7 @@ def copy(
     Exit code 2: an unknown name, or another file in the place of a copy; the command copies no file then.
     """
     from safety_harness.base.whole_file import writing
+    from safety_harness.scenario.kinds import FileKind, kind_of
 
     source = located(name if is_shipped(name) else PREFIX + name)
     copies = {folder / way: path.read_bytes() for way, path in _with_references(source).items()}
@@ -76,6 +78,9 @@ def copy(
             path.write_bytes(data)
         result(str(path))
     document(files=list(copies))
+    first = next(iter(copies))
+    if kind_of(first) in (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.PLAN):
+        next_step(shlex.join(["safety-harness", "validate", str(first)]))
     return AS_EXPECTED
 
 

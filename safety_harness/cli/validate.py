@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from safety_harness.admission.admit import Checked, Looker
-from safety_harness.admission.avoiders import with_avoider
+from safety_harness.admission.avoiders import option_of, with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.base.compiled import without_compiling
@@ -61,7 +61,8 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         )
         untried = without_compiling(lambda: _untried(checked))
         spaces, errors_of_spaces = usable(
-            gathered.spaces, lambda one: without_compiling(lambda: _whole(lambda: _tried_space(one)))
+            gathered.spaces,
+            lambda one: without_compiling(lambda: _whole(lambda: _tried_space(one, looker, avoider))),
         )
         read, errors_of_added = usable(
             added, lambda one: without_compiling(lambda: _whole(lambda: _checked(located(one), looker)))
@@ -103,8 +104,11 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         for title, count in Counter(kind.title for kind, _ in read).items():
             rest += f" and {_count(count, title)}"
         say(f"{mistakes}; {rest} can be used")
-    if bool(checked) != bool(spaces) and not errors:
-        next_step(shlex.join(["safety-harness", "run" if checked else "fuzz", *map(str, paths)]))
+    chosen = [] if avoider is None else [option_of(avoider), avoider]
+    if checked and not (spaces or read or errors):
+        next_step(shlex.join(["safety-harness", "run", *map(str, paths), *chosen]))
+    elif len(spaces) == 1 and len(paths) == 1 and paths[0].suffix and not (checked or read or errors):
+        next_step(shlex.join(["safety-harness", "fuzz", str(paths[0]), *chosen]))
     return BAD_INPUT if errors else AS_EXPECTED
 
 
@@ -130,11 +134,13 @@ def _whole(read: Callable[[], _Made]) -> _Made:
     return made
 
 
-def _tried_space(found: tuple[Variant, Path]) -> ScenarioSpace:
-    """Return a space after one admissible draw."""
+def _tried_space(found: tuple[Variant, Path], looker: Looker, avoider: str | None) -> ScenarioSpace:
+    """Return a space after one admissible draw, which another avoider could be asked in."""
     variant, file = found
     space = space_of(variant.tree, file, name=variant.name)
-    draw_admissible(space, seed=0, count=1)
+    (drawn,) = draw_admissible(space, seed=0, count=1).scenarios
+    if avoider is not None:
+        looker.look_at_tested(with_avoider(drawn, avoider))
     return space
 
 

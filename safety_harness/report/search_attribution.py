@@ -22,7 +22,7 @@ from safety_harness.search.attribution.attribute import (
 from safety_harness.search.attribution.tally import AttributionTally, group_words
 from safety_harness.search.counterexample import Explanation, cost_s
 from safety_harness.search.findings import Group
-from safety_harness.search.session import SearchSession
+from safety_harness.search.session import SearchSession, WrittenCounterexample
 
 MOST_ATTRIBUTED = 100  # groups of violations of one search
 
@@ -72,6 +72,7 @@ class SearchAttribution:
 
     def explain(self, scenario: Scenario, claim: Claim) -> Explanation:
         """Explain one counterexample; changes that help are run in PyBullet too."""
+        self.found.pop(scenario.name, None)  # of an example that had its name before it was merged
         try:
             admitted = self._admitter.admit(scenario)
             (one,) = attribute(admitted, (claim,))
@@ -88,12 +89,16 @@ class SearchAttribution:
             + cost_s(PYBULLET, [scenario] * len(there)),
         )
 
+    def explains(self, shown: WrittenCounterexample) -> bool:
+        """Return whether ``found`` has the attribution of this counterexample."""
+        return bool(shown.one.attribution) and shown.path.stem in self.found
+
     def causes(self, session: SearchSession) -> dict[str, list[str]]:
         """Return the changes of one ingredient that mend several counterexamples, with their files.
 
         Each file is listed once, under the change that mends most.
         """
-        paths = [one.path for one in session.written if one.path.stem in self.found]
+        paths = [one.path for one in session.written if self.explains(one)]
         left = [(change, path.name) for path in paths for change in self.found[path.stem].mending]
         found: dict[str, list[str]] = {}
         while left:

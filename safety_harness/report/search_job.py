@@ -238,7 +238,6 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
     tested = trials.avoider or trials.space.simplest.under_test
     cost = cost_words(trials.space.simplest.settings.avoidance.decision_time, trials.declared_s)
     faults = None if attribution is None else attribution.of_search(session)
-    each = {} if attribution is None else attribution.found
     return SearchEvidence(
         title=trials.space.title,
         space=trials.space.name,
@@ -266,7 +265,9 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         not_found=tuple(session.not_found),
         faults=faults,
         attributed={
-            shown.path.name: each[shown.path.stem] for shown in session.written if shown.path.stem in each
+            shown.path.name: attribution.found[shown.path.stem]
+            for shown in session.written
+            if attribution is not None and attribution.explains(shown)
         },
         nearest_hand_m=trials.nearest_hand_m,
         agreement=measured_agreement(),

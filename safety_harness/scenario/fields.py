@@ -56,6 +56,16 @@ def every_mistake() -> Iterator[list[InputError]]:
         _found.reset(token)
 
 
+@contextmanager
+def one_mistake() -> Iterator[None]:
+    """Let readers stop at the first mistake within ``every_mistake``: for draws that may be refused."""
+    token = _found.set(None)
+    try:
+        yield
+    finally:
+        _found.reset(token)
+
+
 def noted(error: InputError) -> InputError:
     """Keep and return a mistake within ``every_mistake``, and raise it elsewhere."""
     found = _found.get()

@@ -17,7 +17,7 @@ from safety_harness.trace.unmeasured import as_measured
 class TraceDifference:
     """The first record in which two traces differ, with the fields that differ."""
 
-    what: str  # "tick", "decision", or "trace" where they differ in what was measured
+    what: str  # "tick", "decision", "end", or "trace" where they differ in what was measured
     index: int
     time_s: float
     fields: tuple[str, ...]
@@ -26,7 +26,7 @@ class TraceDifference:
 
     def __str__(self) -> str:
         where = f"first difference at {self.what} {self.index} (t = {self.time_s:.3f} s)"
-        where = "not measured alike" if self.what == "trace" else where
+        where = {"trace": "not measured alike", "end": "another end"}.get(self.what, where)
         return f"{where} in {', '.join(self.fields)}: {self.first} against {self.second}"
 
 
@@ -34,7 +34,7 @@ CLOSE = 1e-6  # of traces whose arithmetic or physics may differ in their last b
 
 
 def first_difference(first: Trace, second: Trace, tolerance: float = 0.0) -> TraceDifference | None:
-    """Return the first difference between two traces, or None if ticks and decisions have the same bits.
+    """Return the first difference between two traces, or None if ticks, decisions and end are the same.
 
     A column that was not measured in the same way in both is the first difference. Otherwise it is the
     earliest record that differs in a column that both measured. A decision comes before a tick of the same
@@ -61,6 +61,8 @@ def first_difference(first: Trace, second: Trace, tolerance: float = 0.0) -> Tra
     if len(first.overshoot_radps) and len(second.overshoot_radps):  # earlier versions did not record it
         compared.append(_compare_rows("overshoot_radps", first, second, tolerance))
     differences = [difference for difference in compared if difference is not None]
+    if not differences and first.ended != second.ended:
+        return TraceDifference("end", 0, 0.0, ("ended",), str(first.ended), str(second.ended))
     return min(differences, key=lambda difference: difference.time_s, default=None)
 
 

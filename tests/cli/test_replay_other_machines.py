@@ -19,6 +19,7 @@ from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace
 
 FAULT = "a fault: with the same software this world has the same bits on every machine"
+EARLIER = {"arithmetic": 0, "source_hash": "0"}
 
 
 @cache
@@ -44,8 +45,9 @@ def altered(trace: Trace, by: float, *, decided: bool = False, **provenance: obj
     [
         (KINEMATIC, 1e-15, False, {}, DIFFERS, FAULT, "equal to"),
         (KINEMATIC, 1e-15, False, {"machine": "another"}, DIFFERS, FAULT, "equal to"),
-        (KINEMATIC, 1e-12, False, {"arithmetic": 0}, AS_EXPECTED, "arithmetic 0 then, 1 now", "comparable"),
-        (KINEMATIC, 1e-3, True, {"arithmetic": 0}, DIFFERS, "not comparable from decision 0 on", FAULT),
+        (KINEMATIC, 1e-12, False, EARLIER, AS_EXPECTED, "arithmetic 0 then, 1 now", "comparable"),
+        (KINEMATIC, 1e-3, True, EARLIER, DIFFERS, "not comparable from decision 0 on", FAULT),
+        (KINEMATIC, 1e-12, False, {"arithmetic": 0}, DIFFERS, FAULT, "equal to"),
         (KINEMATIC, 1e-12, False, {"source_hash": "0"}, DIFFERS, "source_hash: 0 then", FAULT),
         (PYBULLET, 1e-12, False, {"machine": "another"}, AS_EXPECTED, "an engine's last bits may", FAULT),
         (PYBULLET, 1e-3, False, {"machine": "another"}, DIFFERS, "an engine's last bits may", "equal to"),
@@ -68,6 +70,12 @@ def test_a_difference_is_a_fault_unless_arithmetic_or_an_engine_explains_it(
     said = "".join(capsys.readouterr())
     assert words in said
     assert no_words not in said
+
+
+def test_another_end_is_a_difference(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_trace(replace(made(KINEMATIC), ended="the avoider crashed"), tmp_path / "made.trace")
+    assert replay(tmp_path / "made.trace") == DIFFERS
+    assert "another end in ended: the avoider crashed against complete" in "".join(capsys.readouterr())
 
 
 def test_a_trace_names_its_arithmetic_and_the_kind_of_machine(tmp_path: Path) -> None:

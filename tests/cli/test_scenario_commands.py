@@ -241,6 +241,27 @@ def test_mistakes_of_a_space_are_told_together(
     assert "2 mistakes" in err
 
 
+def test_a_refused_draw_of_a_space_is_no_mistake(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Most draws turn back before they hesitate, and are drawn again."""
+    monkeypatch.chdir(tmp_path)
+    move = """
+      - reach for tcp: 1 m/s
+        until: {one of: [100 mm, 600 mm, 601 mm, 602 mm]}
+        at most: 3 s
+        hesitating at: {one of: [1000 mm, 150 mm, 151 mm, 152 mm]}
+        for: 300 ms
+"""
+    hand = "hands:\n  - hand: right hand\n    starts at: [1300 mm, -1000 mm, 400 mm]\n"
+    hand += f"    elbow towards: [1700 mm, -1300 mm, 400 mm]\n    moves:{move}"
+    space = GOOD.replace("scenario:", "scenario space:").replace("300 ms", "4 s") + hand
+    write(Path(), space=space)
+    assert validate([Path("space.yaml")]) == AS_EXPECTED
+    assert "next: safety-harness fuzz space.yaml" in capsys.readouterr().err
+    assert validate([Path("space.yaml")], "nobody") == BAD_INPUT
+
+
 def test_what_ships_has_no_mistake(capsys: Captured) -> None:
     assert validate([SCENARIOS / "spaces", SCENARIOS.parent / "plans"]) == AS_EXPECTED
 

@@ -140,7 +140,7 @@ class Compared:
         self.same, self.answers = same and not program, same
         self.faults: list[str] = []
         self._runs: dict[tuple[int, int], tuple[int, int]] = {}  # by number now: episode, number then
-        self.moved = self.otherwise = self.far = self.other_traces = 0
+        self.moved = self.otherwise = self.far = self.other_traces = self.close_traces = 0
 
     def add(self, row: Row) -> None:
         """Compare the repeated run in ``row`` with the ledger."""
@@ -200,6 +200,7 @@ class Compared:
         if (stored.system, stored.ended) != (again.system, again.ended):
             difference = difference or "another system under test, or another end"
         self.other_traces += difference is not None or stored.provenance != again.provenance
+        self.close_traces += engine and difference is None
         if difference is not None and self.same:
             self.faults.append(f"{self.where(row.stratum, row.episode)}, its stored trace: {difference}")
 
@@ -225,6 +226,9 @@ class Compared:
         if self.other_traces:
             why = "another machine, other software, or they were altered"
             lines.append(f"{self.other_traces} stored traces differ from the repeated runs: {why}")
+        if self.close_traces:
+            why = "another machine made them, or they were altered by less"
+            lines.append(f"{self.close_traces} stored traces equal repeated runs to {CLOSE:g} only: {why}")
         return tuple(lines)
 
     def _hidden_copies(self, row: Row) -> Iterator[str]:

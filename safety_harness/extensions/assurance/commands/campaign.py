@@ -122,7 +122,7 @@ def run(
     return code
 
 
-@_unwritten("pilot", then="safety-harness campaign run {plan}")
+@_unwritten("pilot")
 def pilot_runs(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
     runs: Annotated[int, Option(help="Runs of each stratum, with another seed than the plan's.", min=1)] = 30,
@@ -168,6 +168,8 @@ def pilot_runs(
     result(*(f"WARN {item}" for item in trial.remarks), *trial.slow_answers)
     result(basis([str(read.world)], ((item.tested, item.tried) for item in trial.forecasts)))
     result(f"{read.runs} runs: about {time_words(seconds)} with {cores} processes here, without other load")
+    chosen = [] if controller is None else ["--controller", controller]
+    next_step(shlex.join(["safety-harness", "campaign", "run", str(plan), *chosen]))
     return AS_EXPECTED if trial.enough else DIFFERS
 
 
