@@ -16,7 +16,10 @@ def attribution(*mending: str) -> Any:
 def causes(**found: Any) -> tuple[dict[str, list[str]], list[str]]:
     """Of counterexamples with these names, and one that nothing is said of; and what is told."""
     said: list[str] = []
-    written = [SimpleNamespace(path=Path(f"out/{name}.yaml")) for name in (*found, "not attributed")]
+    written = [
+        SimpleNamespace(path=Path(f"out/{name}.yaml"), one=SimpleNamespace(attribution=lines))
+        for name, lines in (*((name, ("whose fault",)) for name in found), ("not attributed", ()))
+    ]
     session: Any = SimpleNamespace(written=written, output=SimpleNamespace(say=said.append))
     return SearchAttribution(found).causes(session), said
 
@@ -42,3 +45,11 @@ def test_a_change_that_mends_two_merges_them_although_another_mends_the_one_as_w
     assert sorted(map(len, found.values())) == [2]
     assert causes_of(3, found) == 2
     assert causes(a=attribution("one"), b=attribution("other")) == ({}, [])
+
+
+def test_an_example_that_is_not_explained_has_no_cause_of_an_earlier_one_with_its_name() -> None:
+    one = SimpleNamespace(path=Path("out/a.yaml"), one=SimpleNamespace(attribution=("whose fault: ...",)))
+    other = SimpleNamespace(path=Path("out/b.yaml"), one=SimpleNamespace(attribution=()))
+    session: Any = SimpleNamespace(written=[one, other])
+    earlier = {"a": attribution("the same"), "b": attribution("the same")}
+    assert SearchAttribution(earlier).causes(session) == {}
