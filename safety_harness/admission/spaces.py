@@ -45,6 +45,7 @@ class AdmittedDraws:
         return "; ".join([summary, *(f"{count} refused: {reason}" for reason, count in self.refused.items())])
 
 
+@one_mistake()  # a draw that is refused is drawn again
 def draw_admissible(
     space: ScenarioSpace, seed: int, count: int, *, on_draw: Callable[[int], None] | None = None
 ) -> AdmittedDraws:
@@ -77,9 +78,8 @@ def draw_admissible(
             assert last is not None
             raise _hopeless(space, len(scenarios), drawn, refused) from last
         try:
-            with one_mistake():
-                scenario = space.draw(seed, drawn)
-                checker.look(scenario)
+            scenario = space.draw(seed, drawn)
+            checker.look(scenario)
             scenarios.append(scenario)
         except InputError as error:
             refused[why_refused(error)] += 1

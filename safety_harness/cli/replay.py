@@ -10,7 +10,7 @@ from safety_harness.admission.avoiders import with_program
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, Place, TraceError
-from safety_harness.cell.simulation.worlds import KINEMATIC, world_of_trace
+from safety_harness.cell.simulation.worlds import KINEMATIC, engine_elsewhere, world_of_trace
 from safety_harness.claims.properties.tally import short_basis
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -36,7 +36,7 @@ from safety_harness.scenario.references import file_and_name
 from safety_harness.trace.compare import CLOSE, TraceDifference, first_difference
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.system import Component
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Provenance, Trace
 from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
@@ -61,7 +61,9 @@ def replay(path: Path, avoider: str | None = None) -> int:
     repeatability.add(fresh)
     repeated = repeatability.check(least=MOST)
     difference = first_difference(stored, fresh)
-    last_bits = difference is not None and _may_differ(stored, fresh)
+    then, now = stored.provenance, fresh.provenance
+    may_differ = _of_earlier_arithmetic(then, now) or engine_elsewhere(then, now)
+    last_bits = difference is not None and may_differ
     apart = first_difference(stored, fresh, CLOSE) if last_bits else difference
     if apart is None:
         counted = f"{len(fresh.ticks)} ticks, {len(fresh.decisions)} decisions"
@@ -85,12 +87,8 @@ def replay(path: Path, avoider: str | None = None) -> int:
     return AS_EXPECTED if apart is None and not repeated.problem else DIFFERS
 
 
-def _may_differ(stored: Trace, fresh: Trace) -> bool:
-    """Return whether last bits may differ: by another arithmetic, or by an engine on another machine."""
-    then, now = stored.provenance, fresh.provenance
-    engine = then.world != KINEMATIC.name and then.machine != now.machine
-    earlier = then.arithmetic != now.arithmetic and then.source_hash != now.source_hash
-    return earlier or engine
+def _of_earlier_arithmetic(then: Provenance, now: Provenance) -> bool:
+    return then.arithmetic != now.arithmetic and then.source_hash != now.source_hash
 
 
 def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
@@ -114,7 +112,7 @@ def changes(before: Trace, after: Trace, apart: TraceDifference | None) -> list[
     Args:
         before: The stored trace.
         after: Its repetition.
-        apart: Their first difference beyond the tolerance of ``_may_differ``, if there is one.
+        apart: Their first difference beyond the tolerance for last bits, if there is one.
 
     """
     stored, now = before.provenance, after.provenance
@@ -131,16 +129,14 @@ def changes(before: Trace, after: Trace, apart: TraceDifference | None) -> list[
         lines = ["  the software is the same as when the trace was made"]
     machines = f"{stored.machine or 'not named by the trace'} then, {now.machine} now"
     lines.append(f"  machine: {now.machine if stored.machine == now.machine else machines}")
-    if stored.arithmetic != now.arithmetic and _may_differ(before, after):
-        line = f"  arithmetic {stored.arithmetic} then, {now.arithmetic} now: last bits differ"
-        line += f"; not comparable from {apart.what} {apart.index} on" if apart else ""
-    elif _may_differ(before, after):
-        line = f"  an engine's last bits may differ between machines: compared to {CLOSE:g}"
+    if _of_earlier_arithmetic(stored, now):
+        lines.append(f"  arithmetic {stored.arithmetic} then, {now.arithmetic} now: last bits differ")
+        lines[-1] += f"; not comparable from {apart.what} {apart.index} on" if apart else ""
+    elif engine_elsewhere(stored, now):
+        lines.append(f"  an engine's last bits may differ between machines: compared to {CLOSE:g}")
     elif same and stored.world == KINEMATIC.name:
-        line = "  a fault: with the same software this world has the same bits on every machine"
-    else:
-        return lines
-    return [*lines, line]
+        lines.append("  a fault: with the same software this world has the same bits on every machine")
+    return lines
 
 
 def judge_again(

@@ -41,7 +41,7 @@ from safety_harness.space.space import ScenarioSpace
 
 _Made = TypeVar("_Made")
 # Top keys beside whose examples nothing is said of an avoider or controller.
-TESTED = frozenset({"avoider", "controller", "robot", "settings", "camera"})
+_CHANGE_WHAT_IS_TESTED = frozenset({"avoider", "controller", "robot", "settings", "camera"})
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
@@ -74,7 +74,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     read_in_part = (*gathered.scenarios, *(mended.scenario for mended in gathered.mended))
     claims = [(claim, scenario) for scenario in read_in_part for claim in scenario.claims]
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
-    tested = [one.scenario for one in gathered.mended if not one.faulty & TESTED]
+    tested = [one.scenario for one in gathered.mended if not one.faulty & _CHANGE_WHAT_IS_TESTED]
     if avoider is None:
         tested += gathered.scenarios
     _, of_tested = usable(tested, looker.look_at_tested)

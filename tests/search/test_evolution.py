@@ -11,12 +11,17 @@ from safety_harness.search.cma_es import Descent, _before, _within
 Function = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
-def descended(function: Function, dimension: int, seed: int = 1, points: int = 4000) -> tuple[float, int]:
-    """Return the least value that a descent finds, and how many points it takes."""
+def descended(
+    function: Function, dimension: int, seed: int = 1, points: int = 4000, *, patient: bool = False
+) -> tuple[float, int]:
+    """Return the least value that a descent finds, and how many points it takes.
+
+    A ``patient`` one goes on where a search would restart.
+    """
     rng = np.random.default_rng(seed)
     descent = Descent(np.zeros(dimension), np.ones(dimension), np.full(dimension, 0.5), 0.15, rng)
     least, tried = np.inf, 0
-    while tried < points and not descent.ended:
+    while tried < points and (patient or not descent.ended):
         proposed = descent.propose(points)
         assert ((proposed >= 0.0) & (proposed <= 1.0)).all()
         scores = function(proposed)
@@ -27,12 +32,16 @@ def descended(function: Function, dimension: int, seed: int = 1, points: int = 4
 
 @pytest.mark.parametrize("dimension", [1, 3, 8])
 def test_a_descent_finds_the_bottom_of_a_turned_valley(dimension: int) -> None:
-    """Its axes differ by a factor of 30; a distribution that did not adapt would end far above."""
+    """One that did not adapt to axes of 1 and 30 ends at 7e-9 in three dimensions, and at 2e-3 in eight."""
     rng = np.random.default_rng(dimension)
     turn, bottom = np.linalg.qr(rng.normal(size=(dimension, dimension)))[0], rng.uniform(0.2, 0.8, dimension)
     steep = 10.0 ** np.linspace(0.0, 3.0, dimension)
-    least, _ = descended(lambda x: (steep * ((x - bottom) @ turn) ** 2).sum(axis=1), dimension)
-    assert least < 0.05
+
+    def valley(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray((steep * ((points - bottom) @ turn) ** 2).sum(axis=1))
+
+    for seed in range(5):
+        assert descended(valley, dimension, seed, patient=True)[0] < 1e-12
 
 
 def test_points_within_the_cube_are_reached_from_where_they_were_sent() -> None:

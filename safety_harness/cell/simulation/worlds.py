@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from safety_harness.cell.robot.description import ArmModel
     from safety_harness.cell.simulation.world import World
     from safety_harness.scenario.model import Scenario
+    from safety_harness.trace.trace import Provenance
 
 
 class OpensWorld(Protocol):
@@ -217,3 +218,8 @@ def world_of_trace(name: str) -> WorldEntry:
             return world
     names = " or ".join(world.name for world in WORLDS)
     raise TraceError(place=Place(field="world"), expected=f"a trace made in {names}", got=name)
+
+
+def engine_elsewhere(then: Provenance, now: Provenance) -> bool:
+    """Return whether an engine made a trace on another kind of machine, so that its last bits may differ."""
+    return now.world != KINEMATIC.name and then.machine != now.machine

@@ -72,10 +72,11 @@ def test_the_shipped_calibration_is_what_the_command_makes(shipped: Model, paper
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_network_was_trained_on_the_data_that_its_card_names(
-    name: str, paper: CompactDataset
+    name: str, paper: CompactDataset, fresh: CompactDataset
 ) -> None:
     card = load_model(shipped_model(name)).card
     assert is_named_by(paper, card["data"]["sha256"])
+    assert not is_named_by(fresh, card["data"]["sha256"])
     assert card["data"]["split"] == "by TCP"
     assert card["command"] == f"safety-harness train {name} --seed 0 --out models/{name}"
 

@@ -14,7 +14,7 @@ from safety_harness.admission.avoiders import is_executed
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import CampaignError, InputError, SafetyHarnessError, described
 from safety_harness.base.seeds import Branch, generator
-from safety_harness.cell.simulation.worlds import KINEMATIC, world_of_trace
+from safety_harness.cell.simulation.worlds import KINEMATIC, engine_elsewhere, world_of_trace
 from safety_harness.claims.signals.true_motion import refuse_contradictions
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner, trace_of
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
@@ -195,12 +195,13 @@ class Compared:
         if row.trace is None:  # the run fails here; its row shows it
             return
         again = trace_of(self.plan, row.stratum, row.trace)
-        engine = self.plan.world is not KINEMATIC and stored.provenance.machine != again.provenance.machine
-        difference: object = first_difference(stored, again, CLOSE if engine else 0.0)
-        if (stored.system, stored.ended) != (again.system, again.ended):
-            difference = difference or "another system under test, or another end"
+        difference: object = first_difference(stored, again)
+        if difference is not None and engine_elsewhere(stored.provenance, again.provenance):
+            difference = first_difference(stored, again, CLOSE)
+            self.close_traces += difference is None
+        if stored.system != again.system:
+            difference = difference or "another system under test"
         self.other_traces += difference is not None or stored.provenance != again.provenance
-        self.close_traces += engine and difference is None
         if difference is not None and self.same:
             self.faults.append(f"{self.where(row.stratum, row.episode)}, its stored trace: {difference}")
 
