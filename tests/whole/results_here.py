@@ -13,12 +13,14 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from safety_harness import (
     Cube,
     Trials,
     admit,
+    certify,
     find_violations,
     in_kinematic,
     judge,
@@ -57,6 +59,8 @@ claims:
     violated in at most: 50 %
   - claim: TCP speed never above 250 mm/s
 """
+SEARCH = "search: {runs: 20}\nkeep: {random traces: 2, violations: 2}\n"
+OF_THIS_MACHINE = {"provenance", "files"}  # times, versions and processor; hashes of files that hold them
 
 
 def digest(*parts: Any) -> str:
@@ -74,16 +78,29 @@ def of_traces(found: dict[str, str], names: tuple[str, ...]) -> None:
         )
 
 
+def plan_in(folder: str, text: str) -> Path:
+    (file := Path(folder) / "plan.yaml").write_text(text)
+    shutil.copy(SPACE, file.with_name("space.yaml"))
+    return file
+
+
 def of_campaign(found: dict[str, str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        (file := Path(folder) / "plan.yaml").write_text(PLAN)
-        shutil.copy(SPACE, file.with_name("space.yaml"))
-        plan = read_plan(file)
+        plan = read_plan(plan_in(folder, PLAN))
         runner = EpisodeRunner(plan)
         with Ledger.create(Path(folder) / "ledger.sqlite", plan) as ledger:
             ledger.record(runner.run(0, range(16), keep_violations=False))
             found["campaign: fingerprint"] = fingerprint_of(ledger)
             found["campaign: bounds"] = digest(bounds_in(ledger))
+
+
+def of_certificate(found: dict[str, str]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        report = certify(plan_in(folder, PLAN + SEARCH), out=Path(folder) / "report", workers=1)
+        assert report.complete
+        for name, part in msgspec.to_builtins(report.evidence).items():
+            if name not in OF_THIS_MACHINE:
+                found[f"certificate: {name}"] = digest(part)
 
 
 def of_search(found: dict[str, str], budget: int) -> None:
@@ -116,6 +133,8 @@ def main(quick: bool) -> None:
     of_traces(found, SCENARIOS[:3] if quick else SCENARIOS)
     of_campaign(found)
     of_search(found, 60 if quick else 300)
+    if not quick:
+        of_certificate(found)
     print(json.dumps(found))
 
 
