@@ -188,27 +188,30 @@ def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
 def least_in_window(x: NDArray[np.float64], begin: int, end: int, beyond: float) -> NDArray[np.float64]:
     """Return out[k] = min of x[k + begin] to x[k + end], ends included, with ``beyond`` outside of x.
 
-    0 <= begin <= end.  A queue has the positions of values that are smaller than all values before them, as
-    seen from the window's begin.  Each position enters and leaves the queue once.
+    0 <= begin <= end.  A window of w samples spans at most two blocks of w: its least value is that from its
+    begin to the end of one block, or that from the begin of the next block to its end (van Herk, 1992).
 
     ``x`` (n,).
     """
-    n = x.shape[0]
-    out = np.empty(n)
-    queue = np.empty(n, np.int64)
-    first, last = 0, 0  # the queue is queue[first:last], its values falling from last to first
-    for k in range(n - 1, -1, -1):
-        entering = k + begin
-        if entering < n:
-            value = x[entering]
-            while last > first and x[queue[last - 1]] >= value:
-                last -= 1
-            queue[last] = entering
-            last += 1
-            while queue[first] > k + end:
-                first += 1
-        least = x[queue[first]] if last > first else np.inf
-        out[k] = min(least, beyond) if k + end >= n else least
+    n, w = x.shape[0], end - begin + 1
+    out, to_end, from_begin = np.full(n, np.inf), np.empty(n), np.empty(n)
+    for block in range(0, n, w):
+        last = min(block + w, n) - 1
+        from_begin[block] = x[block]
+        for k in range(block + 1, last + 1):
+            from_begin[k] = min(from_begin[k - 1], x[k])
+        to_end[last] = x[last]
+        for k in range(last - 1, block - 1, -1):
+            to_end[k] = min(to_end[k + 1], x[k])
+    inside = max(n - end, 0)  # windows that end within x
+    for k in range(inside):
+        out[k] = min(to_end[k + begin], from_begin[k + end])
+    least = np.inf
+    for k in range(n - begin - 1, inside - 1, -1):
+        least = min(least, x[k + begin])
+        out[k] = least
+    for k in range(inside, n):
+        out[k] = min(out[k], beyond)
     return out
 
 
