@@ -267,7 +267,7 @@ def doubts() -> Iterator[Break]:
 def reactions() -> Iterator[Break]:
     """Claims about when the arm gives way, and what it is told."""
     yield Break(
-        "gives way within 100 ms of a predicted hand",
+        "starts retreating within 100 ms of a predicted hand",
         "a controller whose critical distance is too short gives way that much later",
         "ms",
         lambda m: run.set_up(scenario(VISIT), avoidance={"critical_distance_m": 0.4 - m}),
@@ -277,7 +277,7 @@ def reactions() -> Iterator[Break]:
         1e-4,
     )
     yield Break(
-        "gives way within 100 ms of a true hand",
+        "starts retreating within 100 ms of a true hand",
         "a hand sensor that is blind for too long: the arm gives way that much later",
         "ms",
         lambda m: run.faulty(HandSensorBlind(until_s=m), STAYS),
@@ -296,7 +296,7 @@ def reactions() -> Iterator[Break]:
         40.0,
         whole=True,
     )
-    for sentence in ("never gives way without a hand", "never gives way without a hand within 600 mm"):
+    for sentence in ("never retreats without a hand", "never retreats without a hand within 600 mm"):
         yield Break(
             sentence,
             "an arm that gives way to a hand that much farther off than 600 mm",
@@ -435,7 +435,7 @@ def tasks() -> Iterator[Break]:
         0.01,
     )
     yield Break(
-        "gives way at most 3 times",
+        "retreats at most 3 times",
         "a hand that comes once more",
         "time",
         run.returning,
@@ -450,7 +450,7 @@ def tasks() -> Iterator[Break]:
         whole=True,
     )
     yield Break(
-        "task never starved longer than 10 s",
+        "task pauses at most 10 s",
         "a controller that stands still for that much longer",
         "s",
         lambda m: run.around(scenario(duration_s=16.0), run.Idle, m),

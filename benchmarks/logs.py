@@ -163,11 +163,14 @@ def write_log(trace: Trace, hand: RecordedHand, folder: Path) -> list[str]:
         "clock: {hands are ahead by: 0 ms, known to: 2 ms}\n"
         "joints: {known to: 0.01 mrad, accelerate at most: 20 rad/s2}\n"
         "hands:\n  forearm: FOREARM\n  longest gap: 200 ms\n  moves at most: 3 m/s\n"
-        "  known to: 1 mm\n"
+        "  known to: 1 mm\n  left out: [OTHERS]\n"
         f"  frame: {{at: [{', '.join(f'{x * 1e3:.4f} mm' for x in shift)}]}}\n"
         f"robot: {trace.scenario.robot.label}\nclaims: [hand distance never below 50 mm]\n"
     )
     elbow = "hands.csv#right_elbow" if track == "right_hand" else "not measured"
+    tracks = [name.removesuffix("_x_m") for name in rows[0].split(",") if name.endswith("_x_m")]
+    others = [f"hands.csv#{name}" for name in tracks if name not in (track, elbow.partition("#")[2])]
+    text = text.replace("OTHERS", ", ".join(others)) if others else text.replace("  left out: [OTHERS]\n", "")
     text = text.replace("HAND", hand.name).replace("TRACK", track).replace("FOREARM", elbow)
     (folder / "LOG.yaml").write_text(text)
     return rows

@@ -7,25 +7,30 @@ from pathlib import Path
 
 from safety_harness.base.exceptions import InputError, Place, ScenarioError
 from safety_harness.base.whole_file import write_text
+from safety_harness.claims.properties.catalogue import in_words_of_today
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, document, explain, result, say
 from safety_harness.scenario.compose import MAX_BYTES, tree_of
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.layout import laid_out
+from safety_harness.scenario.modern import modernised
 from safety_harness.scenario.ours import aside_lines, files_of
 
 TAKEN = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.PLAN)
 
 
-def format_files(paths: Sequence[Path], *, check: bool) -> int:
-    """Lay out every file, or with ``check`` print the files that would change; return the exit code."""
+def format_files(paths: Sequence[Path], *, check: bool, modernise: bool = False) -> int:
+    """Lay out every file, or with ``check`` print the files that would change; return the exit code.
+
+    With ``modernise``, words of earlier releases become today's.
+    """
     changed, failed = list[Path](), False
     for path in paths:
         try:
             files, aside = files_of(path, TAKEN)
             say(*aside_lines(aside))
             for file in files:
-                changed += [file] * _format(file, check=check)
+                changed += [file] * _format(file, check=check, modernise=modernise)
         except InputError as error:
             explain(error)
             failed = True
@@ -35,13 +40,13 @@ def format_files(paths: Sequence[Path], *, check: bool) -> int:
     return DIFFERS if check and changed else AS_EXPECTED
 
 
-def _format(file: Path, *, check: bool) -> bool:
+def _format(file: Path, *, check: bool, modernise: bool) -> bool:
     """Lay out one file, and return whether its layout was, or would be, another."""
     refuse_other_kind(file, *TAKEN)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=ScenarioError)
     old_text = decode(data, most=MAX_BYTES, file=file, error=ScenarioError)
     tree_of(old_text, file)  # refuses what is not ours
-    text = laid_out(old_text, file)
+    text = laid_out(modernised(old_text, in_words_of_today, file) if modernise else old_text, file)
     if text.encode() == data:
         return False
     if not check:

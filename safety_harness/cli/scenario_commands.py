@@ -102,6 +102,9 @@ def validate(files: Files, avoider: OfAvoider = None, controller: OfController =
 def fmt(
     files: Files,
     check: Annotated[bool, Option("--check", help="Change nothing; only say what would change.")] = False,
+    modernise: Annotated[
+        bool, Option("--modernise", help="Rewrite keys and claims of earlier releases in today's words.")
+    ] = False,
 ) -> int:
     """Lay scenario files out in the standard layout.
 
@@ -114,7 +117,7 @@ def fmt(
     """
     from safety_harness.cli.fmt import format_files
 
-    return format_files(files, check=check)
+    return format_files(files, check=check, modernise=modernise)
 
 
 @command(commands)

@@ -266,6 +266,7 @@ class Key:
         example: A value or lines, as in a file; empty: the default serves as example.
         or_else: The default in words, where ``fallback`` has no text of its own.
         said: The kind of value in words, where ``value`` cannot express it.
+        former: The name in earlier releases, which a file may still have; empty: the same.
         attribute: The field of the dataclass, which ``table_of`` fills in.
         fallback: The default of the field, likewise; REQUIRED if it has no default.
         within: The mappings that surround the key in the example.
@@ -278,6 +279,7 @@ class Key:
     example: str = ""
     or_else: str | None = None
     said: str = ""
+    former: str = ""
     attribute: str = ""
     fallback: Any = REQUIRED
     within: tuple[str, ...] = ()
@@ -356,7 +358,8 @@ class KeyTable:
 
     def read(self, field: Field) -> Any:
         """Return the object of the mapping ``field``."""
-        return self.made_of(field.fields(self.names))
+        former = {key.former: key.name for key in self.keys if key.former}
+        return self.made_of(field.fields(self.names, former=former))
 
     def made_of(self, given: Fields) -> Any:
         """Return the object of the given keys, with defaults for the rest."""
@@ -403,10 +406,11 @@ def key(
     or_else: str | None = None,
     *,
     said: str = "",
+    former: str = "",
     default: Any = MISSING,
 ) -> Any:
     """Return a field of a ``declared`` dataclass with its ``Key``, whose arguments these are."""
-    return keyed(Key(name, value, meaning, example, or_else, said), default=default)
+    return keyed(Key(name, value, meaning, example, or_else, said, former), default=default)
 
 
 def keyed(declaration: Key | KeyTable, *, default: Any = MISSING) -> Any:

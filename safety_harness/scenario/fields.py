@@ -243,15 +243,24 @@ class Field(NamedTuple):
             raise self.error(f"one {noun}: one of the keys {listed}", got=got, hint=hint)
         return chosen[0]
 
-    def fields(self, allowed: tuple[str, ...], *, hints: dict[str, str] | None = None) -> Fields:
+    def fields(
+        self,
+        allowed: tuple[str, ...],
+        *,
+        hints: dict[str, str] | None = None,
+        former: abc.Mapping[str, str] | None = None,
+    ) -> Fields:
         """Return the values of a mapping with certain keys, ``wrong`` if it has others.
 
         Args:
             allowed: The keys that it may have.
             hints: Advice for wrong keys that people are likely to try.
+            former: The present keys by their names in earlier releases.
 
         """
-        entries = self.entries(_mapping_with(allowed))
+        given = self.entries(_mapping_with(allowed))
+        renamed = {old: new for old, new in (former or {}).items() if new not in dict(given)}
+        entries = [(renamed.get(key, key), field) for key, field in given]
         wrong = None
         for key, field in entries:
             if key not in allowed:

@@ -383,6 +383,7 @@ def _ordered(value: WrittenValue, kind: Value | None) -> list[tuple[LayoutEntry,
     if table is TOP:
         known["matrix"], names = _MATRIX, _FIRST + names
     place = {name: names.index(name) for name in names}
+    place |= {key.former: place[key.name] for key in table.keys if key.former}
     ordered = sorted(value.entries, key=lambda item: place.get(item.name, len(names)))
     return [(entry, known.get(entry.name)) for entry in ordered]
 

@@ -117,8 +117,15 @@ class ReachForTcp:
         "head for the TCP, wherever it is, until that near, or give up; on the way, if the last two "
         "are there, stop that far from it for that long",
     )
-    until_distance_m: float = key("until", _DISTANCE, "the distance to the TCP at which the reach ends")
-    at_most_s: float = key("at most", LASTING, "when the hand gives up, if the TCP gives way for that long")
+    until_distance_m: float = key(
+        "stop at distance", _DISTANCE, "the distance to the TCP at which the reach ends", former="until"
+    )
+    at_most_s: float = key(
+        "give up after",
+        LASTING,
+        "when the hand gives up, if the TCP retreats for that long",
+        former="at most",
+    )
     hesitation: Hesitation | None = keyed(HESITATION, default=None)
 
 
@@ -128,9 +135,12 @@ class ReachForObject:
 
     speed_mps: float = key("reach for object", SPEEDS, "the same, straight to the object")
     until_distance_m: float = key(
-        "until", _DISTANCE, "the distance to the object's origin at which the reach ends"
+        "stop at distance",
+        _DISTANCE,
+        "the distance to the object's origin at which the reach ends",
+        former="until",
     )
-    at_most_s: float = key("at most", LASTING, "when the hand gives up")
+    at_most_s: float = key("give up after", LASTING, "when the hand gives up", former="at most")
     hesitation: Hesitation | None = keyed(HESITATION, default=None)
 
 
@@ -185,9 +195,9 @@ Reach = ReachForTcp | ReachForObject
 _EXAMPLES: dict[type[Any], str] = {
     Wait: "- wait: 1 s",
     MoveTo: "- move to: [840 mm, -350 mm, 5 mm]\n  speed: 0.5 m/s",
-    ReachForTcp: "- reach for tcp: 2 m/s\n  until: 100 mm\n  at most: 3 s",
-    ReachForObject: "- reach for object: 2 m/s\n  until: 100 mm\n  at most: 3 s\n  hesitating at: 400 mm\n"
-    "  for: 300 ms",
+    ReachForTcp: "- reach for tcp: 2 m/s\n  stop at distance: 100 mm\n  give up after: 3 s",
+    ReachForObject: "- reach for object: 2 m/s\n  stop at distance: 100 mm\n  give up after: 3 s\n"
+    "  hesitating at: 400 mm\n  for: 300 ms",
     FollowTcp: "- follow tcp: 0.3 m/s\n  keeping: 250 mm\n  for: 4 s",
     Wander: "- wander: 0.6 m/s\n  within: [[1.0 m, -0.6 m, 0 mm], [1.2 m, -0.4 m, 200 mm]]\n  for: 2 s",
     Sweep: "- sweep: 0.8 m/s\n  from: [0.9 m, -0.3 m, -100 mm]\n  to: [0.9 m, -0.6 m, -100 mm]\n  times: 3",

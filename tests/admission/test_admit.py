@@ -196,9 +196,9 @@ def test_every_example_of_the_catalogue_is_understood_and_written_back() -> None
         ("object in view or recovered within soon", "time", ""),
         ("gain switch reached within 600.5 iterations", "a whole number", ""),
         ("gain switch reached within 0 iterations", "a whole number", ""),
-        ("gives way at most three times", "a whole number", ""),
-        ("gives way at most 2000000 times", "a whole number from 1 to 1000000", ""),
-        ("task never starved longer than 2 h", "time", ""),
+        ("retreats at most three times", "a whole number", ""),
+        ("retreats at most 2000000 times", "a whole number from 1 to 1000000", ""),
+        ("task pauses at most 2 h", "time", ""),
     ],
 )
 def test_a_claim_that_is_none_is_refused(sentence: str, expected: str, hint: str) -> None:

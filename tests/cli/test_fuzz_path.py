@@ -29,8 +29,8 @@ hands:
     elbow towards: [1000 mm, -1200 mm, 500 mm]
     moves:
       - reach for tcp: from 0.5 m/s to 2 m/s
-        until: 50 mm
-        at most: 2 s
+        stop at distance: 50 mm
+        give up after: 2 s
 claims:
   proposed repulsive poses reachable: holds
   joint speeds within limits: holds

@@ -29,7 +29,7 @@ DISTANCE = "hand distance never below 50 mm"
 PURSUES = (
     TEXT.replace("duration: 400 ms", "duration: 3 s")
     .replace("from 0.2 m/s to 2 m/s", "from 0.9 m/s to 1.1 m/s")
-    .replace("until: 50 mm", "until: 80 mm")
+    .replace("stop at distance: 50 mm", "stop at distance: 80 mm")
 )
 
 

@@ -75,7 +75,7 @@ def test_two_people_of_whom_nobody_comes_near_are_told_so(tmp_path: Path, capsys
     pytest.importorskip("pybullet")
     file = tmp_path / "two.yaml"
     assert new("two-people", file) == AS_EXPECTED
-    text = file.read_text().replace("until: 100 mm", "until: 600 mm")
+    text = file.read_text().replace("stop at distance: 100 mm", "stop at distance: 600 mm")
     file.write_text(
         text.replace("[1050 mm, -500 mm", "[1350 mm, -800 mm").replace("[1150 mm, 150", "[1390 mm, 190")
     )

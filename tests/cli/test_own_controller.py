@@ -132,7 +132,7 @@ hands:
   hand distance never below 600 mm: violated
   joint speeds within limits: holds
   always not repulsing: inconclusive
-  gives way at most 3 times: inconclusive
+  retreats at most 3 times: inconclusive
   certain answers are used: inconclusive
 """
 SPACE = """\
@@ -146,8 +146,8 @@ hands:
     elbow towards: [1000 mm, -1200 mm, 500 mm]
     moves:
       - reach for tcp: from 1.5 m/s to 2 m/s
-        until: 50 mm
-        at most: 2 s
+        stop at distance: 50 mm
+        give up after: 2 s
 claims:
   hand distance never below 250 mm: holds
   joint speeds within limits: holds
@@ -227,7 +227,7 @@ def test_run_says_what_is_not_reported(trace: Path) -> None:
     assert run.known.of("mode") == run.known.of("decision.tick") == NOT_REPORTED
     found = json.loads((trace.parents[1] / "report.json").read_text())["runs"][0]
     why = {claim["claim"]: claim["reason"] for claim in found["claims"] if claim["verdict"] == "inconclusive"}
-    assert set(why) == {"always not repulsing", "gives way at most 3 times", "certain answers are used"}
+    assert set(why) == {"always not repulsing", "retreats at most 3 times", "certain answers are used"}
     assert all("not reported" in reason for reason in why.values()), why
 
 
@@ -248,7 +248,7 @@ def test_what_it_reports_of_itself_is_judged(folder: Path) -> None:
     data = json.loads((folder / "out-telling" / "report.json").read_text())["runs"][0]
     verdicts = {claim["claim"]: claim["verdict"] for claim in data["claims"]}
     assert verdicts["always not repulsing"] == "violated"
-    assert verdicts["gives way at most 3 times"] == "holds"
+    assert verdicts["retreats at most 3 times"] == "holds"
     run = load_trace(folder / "out-telling" / "traces" / "visit.trace")
     assert run.decisions["tick"].tolist() == [9]
     assert run.decisions["spread_threshold_m"] == 0.01

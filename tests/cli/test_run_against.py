@@ -24,8 +24,8 @@ hands:
     elbow towards: [1000 mm, -1200 mm, 500 mm]
     moves:
       - reach for tcp: {speed}
-        until: 50 mm
-        at most: 2 s
+        stop at distance: 50 mm
+        give up after: 2 s
 claims:
   hand distance never below {limit}: holds
 """

@@ -248,8 +248,8 @@ def test_a_refused_draw_of_a_space_is_no_mistake(
     monkeypatch.chdir(tmp_path)
     move = """
       - reach for tcp: 1 m/s
-        until: {one of: [100 mm, 600 mm, 601 mm, 602 mm]}
-        at most: 3 s
+        stop at distance: {one of: [100 mm, 600 mm, 601 mm, 602 mm]}
+        give up after: 3 s
         hesitating at: {one of: [1000 mm, 150 mm, 151 mm, 152 mm]}
         for: 300 ms
 """

@@ -27,7 +27,7 @@ hands:
     starts at: [1000 mm, -500 mm, 300 mm]
     elbow towards: [1600 mm, -1200 mm, 300 mm]
     moves:
-      - {reach for tcp: 2 m/s, until: 20 mm, at most: 2 s}
+      - {reach for tcp: 2 m/s, stop at distance: 20 mm, give up after: 2 s}
 claims:
   hand distance never below 50 mm: violated
 """
@@ -164,7 +164,7 @@ def test_a_violation_that_was_expected_of_another_avoider_is_not_ok_in_silence()
 
 def test_a_claim_that_cannot_concern_a_controller_is_not_applicable(folder: Path) -> None:
     """It counts neither for nor against; where no claim concerns it, nothing is shown."""
-    of_others = "  proposals lead away to within 10 mm: holds\n  task never starved longer than 10 s: holds\n"
+    of_others = "  proposals lead away to within 10 mm: holds\n  task pauses at most 10 s: holds\n"
     (folder / "both.yaml").write_text(
         REACH.replace(": violated", ": violated\n  trace finite and monotone: holds") + of_others
     )

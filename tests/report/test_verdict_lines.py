@@ -34,8 +34,8 @@ hands:
     moves:
       - wait: 500 ms
       - reach for tcp: 2 m/s
-        until: 20 mm
-        at most: 2 s
+        stop at distance: 20 mm
+        give up after: 2 s
 claims:
   joint speeds within limits: holds
   uncertain answers fall back within 2 cycles: inconclusive
@@ -64,7 +64,7 @@ def test_a_single_run_shows_claims_worst_first_with_moment_part_and_contact(reac
 
 
 def test_a_hand_that_touches_nothing_is_no_contact(reach: JudgedRun) -> None:
-    slow = REACH.replace("2 m/s", "200 mm/s").replace("until: 20 mm", "until: 600 mm")
+    slow = REACH.replace("2 m/s", "200 mm/s").replace("stop at distance: 20 mm", "stop at distance: 600 mm")
     (judged,) = run_scenarios(parse_scenario(slow), world=KINEMATIC).runs
     assert nearest_hand_words(judged.trace).startswith("nearest hand: right hand: ")
     alone = run_scenarios(

@@ -40,13 +40,13 @@ hands:
       - move to: [840 mm, -350 mm, 5 mm]
         speed: 0.5 m/s
       - reach for tcp: 2 m/s
-        until: 100 mm
-        at most: 3 s
+        stop at distance: 100 mm
+        give up after: 3 s
         hesitating at: 300 mm
         for: 400 ms
       - reach for object: 0.8 m/s
-        until: 150 mm
-        at most: 2 s
+        stop at distance: 150 mm
+        give up after: 2 s
       - wander: 0.9 m/s
         within: [[0.9 m, -0.6 m, 0 mm], [1.1 m, -0.4 m, 200 mm]]
         for: 3 s

@@ -50,8 +50,8 @@ hands:
           - one of:
               - wait: from 0.1 s to 1 s
               - reach for tcp: the reach speed
-                until: from 50 mm to 200 mm
-                at most: 2 s
+                stop at distance: from 50 mm to 200 mm
+                give up after: 2 s
               - withdraw: from 0.2 m/s to 0.4 m/s
             chances: [2, 1, 1]
       - move to: {shell: [1 m, 0 m, 0.5 m], from: 100 mm, to: 200 mm}

@@ -29,13 +29,13 @@ hands:
         within: [[0.9 m, -0.6 m, 0 mm], [from 1.0 m to 1.1 m, -0.4 m, 200 mm]]
         for: from 1 s to 2 s
       - reach for tcp: 1 m/s
-        until: 100 mm
-        at most: 2 s
+        stop at distance: 100 mm
+        give up after: 2 s
         hesitating at: from 200 mm to 400 mm
         for: from 100 ms to 500 ms
       - reach for object: from 0.5 m/s to 1 m/s
-        until: 100 mm
-        at most: 2 s
+        stop at distance: 100 mm
+        give up after: 2 s
       - sweep: 1 m/s
         from: [0.9 m, -0.3 m, 50 mm]
         to: [0.9 m, from -0.7 m to -0.5 m, 50 mm]

@@ -20,7 +20,7 @@ from safety_harness.claims.properties.catalogue import CATALOGUE
 EVERY = {(one.sentence, one.what): one for one in breaks()}
 STATED: list[dict[str, Any]] = json.loads(RESULTS.read_text("utf-8"))
 SLOW = ("converged to the desired pose",)  # 80 s of a run
-BISECTED = ("never gives way without a hand", "joint speeds within limits")
+BISECTED = ("never retreats without a hand", "joint speeds within limits")
 NEAR_SPEED = next(one for one in EVERY.values() if one.sentence == "TCP speed never above 250 mm/s")
 
 

@@ -106,3 +106,8 @@ CATALOGUE = Registry(_OWN, ExtensionPoint.CLAIMS, CatalogueEntry)
 def entry_claimed(sentence: str) -> tuple[CatalogueEntry, re.Match[str]] | None:
     """Return the entry of the catalogue for a sentence, with the match of its values; else None."""
     return next(((entry, match) for entry in CATALOGUE if (match := entry.understands(sentence))), None)
+
+
+def in_words_of_today(sentence: str) -> str:
+    """Return a sentence with the words of an earlier release in today's words, and any other as it is."""
+    return next(filter(None, (entry.in_words_of_today(sentence) for entry in CATALOGUE)), sentence)

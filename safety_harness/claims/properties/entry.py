@@ -42,8 +42,9 @@ class CatalogueEntry:
 
     ``prop`` is an example of it.  ``pattern`` matches every whole sentence that claims it, in either case,
     and ``make`` turns the match into the property.  By default both follow from the ``words`` of the example;
-    without fields, only its own sentence claims it.  ``formula`` is its formula, with {} for its limit, if it
-    has one.  The other fields are for people: ``rationale``, ``source``, the ``margin``'s formula, the
+    without fields, only its own sentence claims it.  ``former`` are words of earlier releases, with the same
+    fields in the same order; they claim it too.  ``formula`` is its formula, with {} for its limit, if it has
+    one.  The other fields are for people: ``rationale``, ``source``, the ``margin``'s formula, the
     ``parameters`` of sentence and settings, the runs in which it is ``exercised`` (else it is inconclusive),
     other reasons to be ``inconclusive``, the shipped ``scenario`` that exercises it, and the controller or
     avoider by which it is ``broken_by`` in the tests.
@@ -52,6 +53,7 @@ class CatalogueEntry:
     prop: Property
     pattern: str = ""
     make: Maker | None = None
+    former: tuple[str, ...] = ()
     formula: str = ""
     rationale: str
     source: str
@@ -92,11 +94,25 @@ class CatalogueEntry:
 
     def understands(self, sentence: str) -> re.Match[str] | None:
         """Return the match of a sentence that claims this property, whatever its case and outer spaces."""
-        words = PLURAL.sub(r"\1s?", self.words)
-        pattern = self.pattern or FIELD.sub(
-            lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", words
-        )
-        return re.fullmatch(pattern, sentence.strip(), re.IGNORECASE)
+        patterns = (self.pattern or _pattern(self.words), *map(_pattern, self.former))
+        matches = (re.fullmatch(pattern, sentence.strip(), re.IGNORECASE) for pattern in patterns)
+        return next(filter(None, matches), None)
+
+    def in_words_of_today(self, sentence: str) -> str | None:
+        """Return a sentence of ``former`` in today's words with its values as written; None for any other."""
+        patterns = map(_pattern, self.former)
+        matches = (re.fullmatch(pattern, sentence.strip(), re.IGNORECASE) for pattern in patterns)
+        match = next(filter(None, matches), None)
+        if match is None:
+            return None
+        values = iter(match.groups())
+        words = FIELD.sub(lambda _: next(values), self.words)
+        return re.sub(r"(\S+)( \w+)\(s\)", lambda found: found[1] + found[2] + "s" * (found[1] != "1"), words)
+
+
+def _pattern(words: str) -> str:
+    """Return the pattern of all sentences with these words, and a group for each field."""
+    return FIELD.sub(lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", PLURAL.sub(r"\1s?", words))
 
 
 def _limit(text: str, unit: str, scenario: Scenario, place: Place) -> float:

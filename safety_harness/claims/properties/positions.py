@@ -230,6 +230,7 @@ def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], way: NDArray[np.flo
 
 REPULSIVE_POSES = CatalogueEntry(
     prop=RepulsivePosesReachable(proposed=False),
+    pattern=r"(?:repulsive|retreat) poses reachable",
     rationale="a position out of reach is none to give way to: the arm stops short of it, near the hand",
     source="the paper, table 4",
     margin="how far beyond the chosen position the straight way goes on being reachable within the joint "
@@ -241,6 +242,7 @@ REPULSIVE_POSES = CatalogueEntry(
 PROPOSED_POSES = replace(
     REPULSIVE_POSES,
     prop=RepulsivePosesReachable(proposed=True),
+    pattern=r"proposed (?:repulsive|retreat) poses reachable",
     margin="the same for what the avoider proposed, before the gate",
     exercised="a decision was made",
     broken_by="an avoider that proposes a position two metres away",

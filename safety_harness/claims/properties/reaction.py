@@ -174,7 +174,7 @@ class GivesWay(Worded):
 
     within_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "gives way within {within_s:ms} of a predicted hand"
+    words: ClassVar[str] = "starts retreating within {within_s:ms} of a predicted hand"
 
     @reads(
         "transform_tcp_to_base",
@@ -210,7 +210,7 @@ class GivesWayToTrueHand(Worded):
 
     within_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "gives way within {within_s:ms} of a true hand"
+    words: ClassVar[str] = "starts retreating within {within_s:ms} of a true hand"
 
     @reads(
         "transform_tcp_to_base",
@@ -267,6 +267,7 @@ def _judged(
 
 GIVES_WAY = CatalogueEntry(
     prop=GivesWay(within_s=0.1),
+    former=("gives way within {within_s:ms} of a predicted hand",),
     rationale="every later step takes it for granted that the arm reacts within the time that its separation "
     "allows for",
     source="the paper, section 3.3; the reaction time T_r",
@@ -280,6 +281,7 @@ GIVES_WAY = CatalogueEntry(
 GIVES_WAY_TO_TRUE_HAND = replace(
     GIVES_WAY,
     prop=GivesWayToTrueHand(within_s=0.1),
+    former=("gives way within {within_s:ms} of a true hand",),
     rationale="a hand that is not seen, or seen elsewhere, is as much in danger as one that is: every claim "
     "about predictions passes it over",
     source="the project's own; the reaction time T_r, from the hand and not from what is known of it",
@@ -302,7 +304,7 @@ class GivesWayAtMost(Worded):
 
     most: int
     unit: Unit = Unit.COUNT
-    words: ClassVar[str] = "gives way at most {most:} time(s)"
+    words: ClassVar[str] = "retreats at most {most:} time(s)"
 
     @reads(also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -311,7 +313,7 @@ class GivesWayAtMost(Worded):
         times = len(entered)
         if times == 0:
             return unexercised(self, no_decision(trace))
-        reason = f"gave way {times} times" if times > 1 else "gave way once"
+        reason = f"left its task {times} times" if times > 1 else "left its task once"
         worst_time_s = trace.time_s[entered[min(times - 1, self.most)]]
         return judged(self, trace, self.most - times, worst_time_s, reason, exercised=times)
 
@@ -323,6 +325,7 @@ def gives_way_at(trace: Trace) -> NDArray[np.int64]:
 
 GIVES_WAY_AT_MOST = CatalogueEntry(
     prop=GivesWayAtMost(most=3),
+    former=("gives way at most {most:} time(s)",),
     rationale="an arm that goes to and fro before a hand is of no use, and nobody can foresee it",
     source="hysteresis, a common demand on switched controllers",
     margin="the times allowed less those at which the arm leaves its task to repulse or to stop",
@@ -352,7 +355,7 @@ class NoFalseAlarms(Worded):
     @property
     def words(self) -> str:
         """Return the sentence, with the limit where it is stated."""
-        return "never gives way without a hand" + " within {within_m:mm}" * (self.within_m is not None)
+        return "never retreats without a hand" + " within {within_m:mm}" * (self.within_m is not None)
 
     @reads(
         "transform_tcp_to_base",
@@ -366,7 +369,7 @@ class NoFalseAlarms(Worded):
         limit_m = self.limit_m(trace.scenario.settings)
         nearest_m = np.minimum(nearest_hand_m(trace), 2.0 * limit_m)
         alarms = beginnings(trace)
-        worst, margin_m, reason = 0, limit_m, "the arm never gave way"
+        worst, margin_m, reason = 0, limit_m, "the arm never retreated or stopped"
         if len(alarms):
             worst = int(alarms[np.argmax(nearest_m[alarms])])
             margin_m = limit_m - nearest_m[worst]
@@ -432,6 +435,7 @@ def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
 
 FALSE_ALARMS = CatalogueEntry(
     prop=NoFalseAlarms(),
+    former=("never gives way without a hand",),
     rationale="an arm that gives way to nobody loses time, and people then switch its avoidance off",
     source="the project's own",
     margin="the limit less the distance of the nearest true hand from the TCP when giving way begins",
@@ -443,5 +447,6 @@ FALSE_ALARMS = CatalogueEntry(
 FALSE_ALARMS_WITHIN = replace(
     FALSE_ALARMS,
     prop=NoFalseAlarms(within_m=0.6),
+    former=("never gives way without a hand within {within_m:mm}",),
     parameters="the limit",
 )

@@ -293,18 +293,18 @@ GAIN_SWITCH_ITERATIONS = replace(
 
 @dataclass(frozen=True, kw_only=True)
 class NeverStarved(Worded):
-    """``longest_s`` less the longest time that the task was starved.
+    """``longest_s`` less the longest time for which the task paused.
 
     The error is eq. 15's for the true pose, (distance^2 + angle^2)^(1/2) in metres and radians.  Below the
     root of the gain switch the task is done.  A tick is lost if the task is not done and the controller does
     not servo, or servoes with less than a tenth of the closed form's rate lambda |e|.  The loss is recovered
     when the error is 1 mm smaller than ever since the task was last done.  So a system that servoes and gives
-    way in turns, without coming nearer, starves.
+    way in turns, without coming nearer, pauses its task.
     """
 
     longest_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "task never starved longer than {longest_s:s}"
+    words: ClassVar[str] = "task pauses at most {longest_s:s}"
 
     @reads("transform_tcp_to_base", also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -316,7 +316,7 @@ class NeverStarved(Worded):
         worst, exercised = int(np.argmax(lost)), int(np.count_nonzero(away))
         margin_s = time_left_s(trace, self.longest_s, int(lost[worst]))
         if lost[-1] > 0 and margin_s >= 0.0:
-            reason = f"starved for {trace.time_s[lost[-1]]:.2f} s when the run ends"
+            reason = f"the task has paused for {trace.time_s[lost[-1]]:.2f} s when the run ends"
             return inconclusive(self, reason, exercised=exercised)
         reason = f"longest {trace.time_s[lost[worst]]:.2f} s"
 
@@ -330,7 +330,7 @@ class NeverStarved(Worded):
 
 
 def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return (n,) how many ticks the task has been starved at each tick, and (n,) whether it is not done."""
+    """Return (n,) how many ticks the task has paused at each tick, and (n,) whether it is not done."""
     settings = trace.scenario.settings
     distance_m, angle_rad = pose_errors(trace)
     error = hypot(distance_m, angle_rad)
@@ -362,13 +362,14 @@ def _lost(
 
 NEVER_STARVED = CatalogueEntry(
     prop=NeverStarved(longest_s=10.0),
+    former=("task never starved longer than {longest_s:s}",),
     rationale="an arm that stays away for good is of no use, and people will switch its safety off",
     source="the paper, section 5: servoing is taken up again and converges after giving way",
     margin="the limit less the longest time lost, above eq. 15's threshold, without servoing towards the "
     "desired pose, since the TCP was last nearer to it than before",
     parameters="the time allowed; the gain switch and the far gain of the settings",
     exercised="the TCP is farther off than the gain switch, in a run that is longer than the limit",
-    inconclusive="the run is not longer than the limit, or ends while the task is starved",
+    inconclusive="the run is not longer than the limit, or ends while the task pauses",
     broken_by="a controller that does nothing",
 )
 

@@ -30,7 +30,7 @@ def test_every_claim_of_the_catalogue_is_traced_to_one_hazard_by_its_key() -> No
 def test_the_key_of_a_claim_is_its_words_without_values() -> None:
     entry, _ = entry_claimed("GIVES WAY AT MOST 1 TIME") or (None, None)
     assert entry is not None
-    assert entry.key == "gives-way-at-most-times"
+    assert entry.key == "retreats-at-most-times"
 
 
 def test_separation_is_traced_to_the_technical_specification() -> None:

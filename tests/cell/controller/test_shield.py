@@ -72,8 +72,8 @@ hands:
     moves:
       - wait: 300 ms
       - reach for tcp: 2 m/s
-        until: 1 mm
-        at most: 1 s
+        stop at distance: 1 mm
+        give up after: 1 s
       - follow tcp: 1 m/s
         keeping: 1 mm
         for: 1500 ms
@@ -165,7 +165,7 @@ def test_who_was_decisive_is_said_with_when_and_for_whom() -> None:
 
 
 def test_an_avoider_that_gives_way_to_a_slow_hand_is_decisive_before_its_shield() -> None:
-    slow = REACH.replace("2 m/s", "150 mm/s").replace("at most: 1 s", "at most: 9 s").replace("4 s", "6 s", 1)
+    slow = REACH.replace("2 m/s", "150 mm/s").replace("after: 1 s", "after: 9 s").replace("4 s", "6 s", 1)
     text = f"{slow}avoider: opposite pose\nshield: speed and separation\n"
     found = attribute_shield(admit(parse_scenario(text)))
     assert found is not None

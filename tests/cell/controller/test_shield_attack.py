@@ -132,7 +132,7 @@ def episode(x: np.ndarray, number: int) -> tuple[str, Restless]:
         speed = _between(0.8, 2.0, pick(1.0, 1.0, next(v)))
         move = pick(
             f"move to: {to}\n        speed: {speed:.4f} m/s",
-            f"reach for tcp: {speed:.4f} m/s\n        until: 1 mm\n        at most: 2 s",
+            f"reach for tcp: {speed:.4f} m/s\n        stop at distance: 1 mm\n        give up after: 2 s",
         )
         hands += f"""  - hand: {side} hand
     starts at: {start}

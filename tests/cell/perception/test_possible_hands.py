@@ -109,8 +109,8 @@ hands:
     moves:
       - wait: 300 ms
       - reach for tcp: 1 m/s
-        until: 250 mm
-        at most: 2 s
+        stop at distance: 250 mm
+        give up after: 2 s
 claims:
   repulsion moves away from every hand: holds
 """

@@ -30,7 +30,7 @@ DISTANCE = "hand distance never below 50 mm"
 CLAIMS = (
     DISTANCE,
     "hand predictions within 50 mm",
-    "gives way within 100 ms of a predicted hand",
+    "starts retreating within 100 ms of a predicted hand",
     "repulsion moves away from every hand",
     "repulsive poses reachable",
     "protective separation kept",

@@ -210,7 +210,8 @@ def test_these_mean_to_be_formulas(sentence: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "sentence", ["joint speed within limits", "hand distance never below 50mm", "gives way within 100 ms", ""]
+    "sentence",
+    ["joint speed within limits", "hand distance never below 50mm", "starts retreating within 100 ms", ""],
 )
 def test_these_mean_to_be_claims_of_the_catalogue(sentence: str) -> None:
     assert not looks_like_formula(sentence)

@@ -55,7 +55,7 @@ def test_a_hand_that_comes_twice_makes_the_arm_give_way_twice() -> None:
 
 
 def test_once_is_one_time() -> None:
-    sentence = "gives way at most 1 time"
+    sentence = "retreats at most 1 time"
     prop = property_of(Claim(sentence=sentence, expected=Verdict.HOLDS), scenario())
     assert prop == GivesWayAtMost(most=1)
     assert prop.sentence == sentence

@@ -101,8 +101,8 @@ def test_a_hand_that_comes_near_within_the_window_is_an_occasion(seen: Trace) ->
         "no moving part touches a hand",
         "always hand distance > 50 mm",
         "nearest hand to TCP > 50 mm",
-        "gives way within 100 ms of a true hand",
-        "gives way within 100 ms of a predicted hand",
+        "starts retreating within 100 ms of a true hand",
+        "starts retreating within 100 ms of a predicted hand",
     ],
 )
 def test_the_tested_system_s_critical_distance_makes_no_occasion(sentence: str, critical_m: float) -> None:
@@ -133,16 +133,16 @@ def test_an_encounter_that_nobody_answered_is_no_evidence_of_an_answer(seen: Tra
         < 0.4
     )
     assert 0 < len(near) * 0.008 < 2.0
-    evaluation = said("gives way within 2 s of a true hand", blind)
+    evaluation = said("starts retreating within 2 s of a true hand", blind)
     assert (evaluation.verdict, evaluation.exercised) == (Verdict.INCONCLUSIVE, 0)
     assert "never gave way" in evaluation.reason
-    assert said("gives way within 100 ms of a true hand", blind).verdict is Verdict.VIOLATED
+    assert said("starts retreating within 100 ms of a true hand", blind).verdict is Verdict.VIOLATED
 
 
 def test_one_answer_does_not_stand_for_an_encounter_that_nobody_answered() -> None:
     twice = hand(*VISIT.moves, *VISIT.moves)
     blind_later = replace(scenario(twice, duration_s=5.0), faults=(HandSensorBlind(from_s=1.5),))
-    evaluation = said("gives way within 2 s of a true hand", made(blind_later))
+    evaluation = said("starts retreating within 2 s of a true hand", made(blind_later))
     assert (evaluation.verdict, evaluation.exercised) == (Verdict.INCONCLUSIVE, 1)
 
 

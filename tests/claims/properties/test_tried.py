@@ -34,8 +34,8 @@ hands:
           - wait: 600 ms
           - wait: 50 s
       - reach for tcp: from 1.5 m/s to 2 m/s
-        until: from 20 mm to 30 mm
-        at most: 2 s
+        stop at distance: from 20 mm to 30 mm
+        give up after: 2 s
 claims:
   hand distance never below 50 mm: holds
 """

@@ -223,7 +223,7 @@ robot: UR10
   - protective separation kept from hands at their own speeds
   - joint positions within limits
   - joint speeds within limits
-  - never gives way without a hand
+  - never retreats without a hand
 """
 
 
@@ -239,8 +239,8 @@ decisions:
   words: {{outcome: {{OK: proposed, OTHER: opposite, HALT: stop}}}}
 """
 TOLD_CLAIMS = """\
-  - gives way within 100 ms of a predicted hand
-  - gives way within 100 ms of a true hand
+  - starts retreating within 100 ms of a predicted hand
+  - starts retreating within 100 ms of a true hand
   - hand predictions within 60 mm
   - proposals lead away to within 10 mm
   - repulsion moves away from every hand to within 5 mm

@@ -95,7 +95,7 @@ def test_the_clock_that_is_said_wrongly_known_widens_what_is_certain(tmp_path: P
 def test_what_nobody_recorded_is_inconclusive_and_the_rest_is_the_logs(tmp_path: Path) -> None:
     found = trace_of(read_log(_log(tmp_path)))
     verdicts = {one.sentence: one for one in judge(found.trace)}
-    away = verdicts["never gives way without a hand"]
+    away = verdicts["never retreats without a hand"]
     assert away.verdict is Verdict.INCONCLUSIVE
     assert "mode" in away.unmeasured
     assert found.trace.known.recorded

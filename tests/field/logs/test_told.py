@@ -23,9 +23,9 @@ from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace
 
 SCENARIOS = Path(__file__).parents[3] / "scenarios"
-PREDICTED, TRUE = ("gives way within 100 ms of a predicted hand", "gives way within 100 ms of a true hand")
+PREDICTED, TRUE = (f"starts retreating within 100 ms of a {hand} hand" for hand in ("predicted", "true"))
 AWAY = "repulsion moves away from every hand to within 5 mm"
-ALARM, FORESEEN = "never gives way without a hand", "hand predictions within 60 mm"
+ALARM, FORESEEN = "never retreats without a hand", "hand predictions within 60 mm"
 SEPARATION = "protective separation kept from hands at their own speeds"
 
 

@@ -27,8 +27,8 @@ hands:
     moves:
       - wait: 300 ms
       - reach for tcp: 1 m/s
-        until: 100 mm
-        at most: 1.2 s
+        stop at distance: 100 mm
+        give up after: 1.2 s
 claims:
   joint speeds within limits: holds
 """

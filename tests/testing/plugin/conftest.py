@@ -32,8 +32,8 @@ hands:
     elbow towards: [1600 mm, -1200 mm, 300 mm]
     moves:
       - reach for tcp: {speed}
-        until: 20 mm
-        at most: 2 s
+        stop at distance: 20 mm
+        give up after: 2 s
 claims:
 """
 CLAIMS = "  hand distance never below 50 mm: {distance}\n  TCP speed never above 250 mm/s: holds\n"

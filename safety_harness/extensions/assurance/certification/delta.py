@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from safety_harness.base.exceptions import InputError, LedgerError, Place, StatisticsError
+from safety_harness.claims.properties.catalogue import in_words_of_today
 from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
 from safety_harness.claims.signals.separation import WALKING_MPS
 from safety_harness.extensions.assurance.campaign.identity import SYSTEM, Identity, edition_of
@@ -249,12 +250,14 @@ def delta_between(
 
 def _named(evidence: Evidence, edition: int) -> Evidence:
     """Return a report with its claims in today's words: edition 1 assumes that hands come at WALKING_MPS."""
-    if edition > 1:
-        return evidence
     kept = ProtectiveSeparation().sentence
     now = ProtectiveSeparation(hand_speed_mps=WALKING_MPS).sentence
-    claims = (replace(claim, sentence=now) if claim.sentence == kept else claim for claim in evidence.claims)
-    return replace(evidence, claims=tuple(claims))
+
+    def today(claim: ClaimEvidence) -> ClaimEvidence:
+        separation = edition <= 1 and claim.sentence == kept
+        return replace(claim, sentence=now if separation else in_words_of_today(claim.sentence))
+
+    return replace(evidence, claims=tuple(map(today, evidence.claims)))
 
 
 def _claims_by(evidence: Evidence) -> dict[str, ClaimEvidence]:

@@ -1,0 +1,60 @@
+"""Rewrite the words of earlier releases in a file; nothing else of its text changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from ruamel.yaml import YAML
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from safety_harness.scenario.codec import scalar_text
+from safety_harness.scenario.nodes import parse_tree
+from safety_harness.scenario.reference_tables import TOP
+
+# The present keys by the former keys, for each key that tells a mapping's kind.
+FORMER = {
+    table.told_by: {key.former: key.name for key in table.keys if key.former}
+    for table in (TOP, *TOP.below())
+    if any(key.former for key in table.keys)
+}
+
+
+def modernised(text: str, in_words_of_today: Callable[[str], str], file: Path | None = None) -> str:
+    """Return a file's text with today's keys and sentences.
+
+    Args:
+        text: The text of a scenario, space, suite or plan.
+        in_words_of_today: Returns today's words for a sentence of an earlier release, else the sentence.
+        file: The file, for errors.
+
+    Raises:
+        ScenarioError: The text is no tree of keys and values.
+
+    """
+    parse_tree(text, file)
+    root = YAML(typ="rt", pure=True).compose(text)
+    edits = sorted(_edits(root, in_words_of_today)) if root else []
+    for begin, end, new in reversed(edits):
+        text = text[:begin] + scalar_text(new) + text[end:]
+    return text
+
+
+def _edits(node: Node, in_words_of_today: Callable[[str], str]) -> Iterator[tuple[int, int, str]]:
+    """Yield (begin, end, new text) of each scalar with former words."""
+    if isinstance(node, ScalarNode):
+        if (new := in_words_of_today(node.value)) != node.value:
+            yield node.start_mark.index, node.end_mark.index, new
+    elif isinstance(node, SequenceNode):
+        for item in node.value:
+            yield from _edits(item, in_words_of_today)
+    elif isinstance(node, MappingNode):
+        names = {key.value for key, _ in node.value}
+        former = next((FORMER[name] for name in FORMER if name in names), {})
+        for key, value in node.value:
+            new = former.get(key.value)
+            if new is not None and new not in names:
+                yield key.start_mark.index, key.end_mark.index, new
+            else:
+                yield from _edits(key, in_words_of_today)
+            yield from _edits(value, in_words_of_today)
