@@ -27,11 +27,11 @@ def standard_normal(rng: np.random.Generator, shape: int | tuple[int, ...]) -> N
         again.bit_generator.state = before
         for k in far.tolist():
             again.standard_normal(k - done)
-            flat[k], done = np.copysign(_beyond(again.bit_generator), flat[k]), k + 1
+            flat[k], done = np.copysign(_draw_beyond_r(again.bit_generator), flat[k]), k + 1
     return drawn
 
 
-def _beyond(bits: np.random.BitGenerator) -> float:
+def _draw_beyond_r(bits: np.random.BitGenerator) -> float:
     """Return the size of the next draw, which is known to lie beyond R; the code follows numpy's."""
     while int(bits.random_raw()) & 0xFF:  # another layer, whose draw was rejected after one more number
         bits.random_raw()

@@ -42,10 +42,10 @@ _FAR = (
 )
 
 
-def _ratio(x: Any, of: tuple[tuple[float, ...], tuple[float, ...]]) -> Any:
+def _ratio(x: Any, coefficients: tuple[tuple[float, ...], tuple[float, ...]]) -> Any:
     """Return the ratio of two polynomials at x."""
-    above, below = of[0][0], of[1][0]
-    for a, b in zip(of[0][1:], of[1][1:], strict=True):
+    above, below = coefficients[0][0], coefficients[1][0]
+    for a, b in zip(coefficients[0][1:], coefficients[1][1:], strict=True):
         above, below = above * x + a, below * x + b
     return above / below
 

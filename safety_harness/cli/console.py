@@ -205,11 +205,11 @@ def _parts(line: str, columns: int) -> list[str]:
 def explain(error: Exception) -> None:
     """Print a user's mistake: its place, what was expected, what came, and the hint on its own line."""
     if (answer := _as_json.get()) is not None:
-        answer.errors.append(_told(error))
+        answer.errors.append(_error_fields(error))
     say(f"error: {explanation(error)}")
 
 
-def _told(error: Exception) -> dict[str, object]:
+def _error_fields(error: Exception) -> dict[str, object]:
     """Return an error as data."""
     told: dict[str, object] = {"kind": type(error).__name__, "message": str(error)}
     if isinstance(error, InputError):

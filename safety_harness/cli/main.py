@@ -134,12 +134,12 @@ def commands_of(group: typer.Typer) -> MutableMapping[str, Any]:
     return typer.main.get_group(holder).commands
 
 
-def _absent(name: str, about: str, hint: str) -> Any:
+def _absent(name: str, description: str, hint: str) -> Any:
     """Return a command for a package that is not installed; it explains how to install it."""
     commands = typer.Typer()
     settings = {"ignore_unknown_options": True, "allow_extra_args": True}
 
-    @commands.command(name, help=about, short_help=about, context_settings=settings)
+    @commands.command(name, help=description, short_help=description, context_settings=settings)
     def absent() -> None:
         raise MissingPackageError.of_option(name, "the package with this command", "none", hint)
 
@@ -164,8 +164,8 @@ for _core in CORE:
     app.add_typer(_core)
 
 
-def _say_version(asked: bool) -> None:
-    if asked:
+def _say_version(requested: bool) -> None:
+    if requested:
         result(f"{NAME} {installed_version()}")
         raise typer.Exit
 

@@ -106,20 +106,20 @@ def _named(now: Component, admitted: Admitted) -> str:
     return f"{now}, {admitted.scenario.controller}" if admitted.driver else str(now)
 
 
-def changes(before: Trace, after: Trace, apart: TraceDifference | None) -> list[str]:
+def changes(first: Trace, repeated: Trace, difference: TraceDifference | None) -> list[str]:
     """Return lines on software, machines and systems that differ from those of the trace, and what follows.
 
     Args:
-        before: The stored trace.
-        after: Its repetition.
-        apart: Their first difference beyond the tolerance for last bits, if there is one.
+        first: The stored trace.
+        repeated: Its repetition.
+        difference: Their first difference beyond the tolerance for last bits, if there is one.
 
     """
-    stored, now = before.provenance, after.provenance
+    stored, now = first.provenance, repeated.provenance
     names = ("package_version", "source_hash", "world", "python", "platform")
     values = ((name, getattr(stored, name), getattr(now, name)) for name in names)
     lines = [f"  {name}: {then} then, {new} now" for name, then, new in values if then != new]
-    lines += [f"  {line}" for line in before.system.changes(after.system)]
+    lines += [f"  {line}" for line in first.system.changes(repeated.system)]
     versions = dict(now.libraries + now.files)
     for name, then in stored.libraries + stored.files:
         if versions.get(name) != then:
@@ -131,7 +131,7 @@ def changes(before: Trace, after: Trace, apart: TraceDifference | None) -> list[
     lines.append(f"  machine: {now.machine if stored.machine == now.machine else machines}")
     if _of_earlier_arithmetic(stored, now):
         lines.append(f"  arithmetic {stored.arithmetic} then, {now.arithmetic} now: last bits differ")
-        lines[-1] += f"; not comparable from {apart.what} {apart.index} on" if apart else ""
+        lines[-1] += f"; not comparable from {difference.what} {difference.index} on" if difference else ""
     elif engine_elsewhere(stored, now):
         lines.append(f"  an engine's last bits may differ between machines: compared to {CLOSE:g}")
     elif same and stored.world == KINEMATIC.name:

@@ -86,11 +86,11 @@ def print_verdicts(runs: Sequence[JudgedRun], verbose: bool) -> None:
         result(*(block_of(runs[0]) if len(runs) == 1 else surprise_lines(runs)))
 
 
-def _print_summary(found: RunResult, verbose: bool) -> None:
+def _print_summary(finished: RunResult, verbose: bool) -> None:
     """Print verdicts, what was never exercised, and in one line the totals; the rest with ``verbose``."""
-    coverage, traces = found.coverage, [run.trace for run in found.runs]
-    if found.against is None:
-        print_verdicts(found.runs, verbose)
+    coverage, traces = finished.coverage, [run.trace for run in finished.runs]
+    if finished.against is None:
+        print_verdicts(finished.runs, verbose)
     overruled, took = overruling_lines(overruling_of_each(traces)), computing_time_lines(traces)
     if verbose:
         say(*table_lines(coverage, columns_of(sys.stderr)))
@@ -100,21 +100,22 @@ def _print_summary(found: RunResult, verbose: bool) -> None:
     if untested := untested_lines(coverage):
         say(f"error: {untested[0]}", *untested[1:])
         say("  What hands do is drawn by: safety-harness show FILE")
-    say(*[found.basis if verbose else short_basis(found.basis)] * bool(found.runs))
+    say(*[finished.basis if verbose else short_basis(finished.basis)] * bool(finished.runs))
     say(*(f"computing time: {line}" for line in took))
     say(*(f"shield: {line}" for line in shield_lines(traces)))
     say(*(f"gate: {line}" for line in possible_lines(traces)))
     say(*(overruled if verbose else overruled[:1]))
-    fallback = DecisionTally.of(traces).fallback
+    fallback = DecisionTally.from_traces(traces).fallback
     result(
-        f"{answer(found.runs)}, {len(found.runs)} of {found.planned + len(found.skipped)} scenarios run"
-        + (f", {len(found.failed)} could not be run to the end" if found.failed else "")
-        + (f", {not_taken_words(found.skipped)}" if found.skipped else "")
-        + (f", {len(found.refused)} of the inputs cannot be used" if found.refused else "")
+        f"{answer(finished.runs)}, "
+        f"{len(finished.runs)} of {finished.planned + len(finished.skipped)} scenarios run"
+        + (f", {len(finished.failed)} could not be run to the end" if finished.failed else "")
+        + (f", {not_taken_words(finished.skipped)}" if finished.skipped else "")
+        + (f", {len(finished.refused)} of the inputs cannot be used" if finished.refused else "")
         + (f"; {fallback}" if fallback else "")
     )
-    if found.against is not None:
-        result(*found.against.lines())
+    if finished.against is not None:
+        result(*finished.against.lines())
 
 
 def _say_next(runs: Sequence[JudgedRun], out: Path) -> None:
@@ -129,7 +130,7 @@ def _say_next(runs: Sequence[JudgedRun], out: Path) -> None:
             wrong.setdefault(command_line_reference(run.trace.scenario), []).append(run)
     for violated in wrong.values():
         files = [run.trace_file for run in violated if run.trace_file is not None]
-        command = replay_command(violated[0].trace.scenario, *files, verb="attribute", told=Path)
+        command = replay_command(violated[0].trace.scenario, *files, verb="attribute", shown_path=Path)
         next_step(command, "whose fault it is")
     file = runs[0].trace_file
     if len(runs) > 1 and not wrong:

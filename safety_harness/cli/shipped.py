@@ -37,7 +37,7 @@ def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these."
     found = [one for one in shipped_files() if kind in (None, one.kind)]
     document(
         files=[
-            {"kind": one.kind, "name": PREFIX + one.name, "about": one.about, "file": one.path}
+            {"kind": one.kind, "name": PREFIX + one.name, "about": one.description, "file": one.path}
             for one in found
         ]
     )
@@ -45,7 +45,7 @@ def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these."
         of_kind = [one for one in found if one.kind is each]
         width = max((len(PREFIX + one.name) for one in of_kind), default=0)
         say(*[""] * (number > 0), f"{each}, together {PREFIX}{each}:")
-        result(*(f"{PREFIX + one.name:<{width}}  {one.about}".rstrip() for one in of_kind))
+        result(*(f"{PREFIX + one.name:<{width}}  {one.description}".rstrip() for one in of_kind))
     return AS_EXPECTED
 
 

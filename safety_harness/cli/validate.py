@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import TypeVar
 
-from safety_harness.admission.admit import Checked, Looker
+from safety_harness.admission.admit import Checked, Checker
 from safety_harness.admission.avoiders import option_of, with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
@@ -52,11 +52,11 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         gathered = gather(others, spaces=True) if others or not added else Gathered()
         added += [file for file in gathered.aside if _is_added(file)]
         say(*aside_lines(file for file in gathered.aside if file not in added))
-        looker = Looker()  # which executes nothing
+        looker = Checker()  # which executes nothing
         checked, errors = usable(
             gathered.scenarios,
             lambda one: without_compiling(
-                lambda: looker.look(one if avoider is None else with_avoider(one, avoider))
+                lambda: looker.check(one if avoider is None else with_avoider(one, avoider))
             ),
         )
         untried = without_compiling(lambda: _untried(checked))
@@ -77,7 +77,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     tested = [one.scenario for one in gathered.mended if not one.faulty & _CHANGE_WHAT_IS_TESTED]
     if avoider is None:
         tested += gathered.scenarios
-    _, of_tested = usable(tested, looker.look_at_tested)
+    _, of_tested = usable(tested, looker.check_tested)
     errors = [*gathered.errors, *errors, *of_claims, *of_tested, *errors_of_spaces, *errors_of_added]
     errors = [inner for error in errors for inner in getattr(error, "errors", (error,))]
     errors.sort(key=lambda error: (str(error.place.file or ""), error.place.line or 0))
@@ -86,7 +86,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     for file, scenarios in groupby(checked, key=lambda one: one.scenario.file):
         if file not in bad:
             in_file = [one.scenario for one in scenarios]
-            result(f"ok {file}: {_words(in_file)}")
+            result(f"ok {file}: {_content_text(in_file)}")
             usable_files.append({"file": file, "kind": "scenario", "scenarios": [*map(_data, in_file)]})
     for space in spaces:
         result(f"ok {space.file}: a space, {_count(len(space.parameters), 'value')} that vary")
@@ -118,11 +118,11 @@ def _is_added(path: Path) -> bool:
     return kind is not None and kind.check is not None
 
 
-def _checked(path: Path, looker: Looker) -> tuple[InputFile, CheckedFile]:
+def _checked(path: Path, checker: Checker) -> tuple[InputFile, CheckedFile]:
     kind = added_input(path)
     assert kind is not None
     assert kind.check is not None
-    return kind, kind.check(path, looker.look)
+    return kind, kind.check(path, checker.check)
 
 
 def _whole(read: Callable[[], _Made]) -> _Made:
@@ -134,13 +134,13 @@ def _whole(read: Callable[[], _Made]) -> _Made:
     return made
 
 
-def _tried_space(found: tuple[Variant, Path], looker: Looker, avoider: str | None) -> ScenarioSpace:
+def _tried_space(variant_file: tuple[Variant, Path], checker: Checker, avoider: str | None) -> ScenarioSpace:
     """Return a space after one admissible draw, which another avoider could be asked in."""
-    variant, file = found
+    variant, file = variant_file
     space = space_of(variant.tree, file, name=variant.name)
     (drawn,) = draw_admissible(space, seed=0, count=1).scenarios
     if avoider is not None:
-        looker.look_at_tested(with_avoider(drawn, avoider))
+        checker.check_tested(with_avoider(drawn, avoider))
     return space
 
 
@@ -149,7 +149,7 @@ DRAWS = 5  # of a space, for what none of them would try
 
 def _untried_of(space: ScenarioSpace) -> list[str]:
     draws = draw_admissible(space, seed=0, count=DRAWS).scenarios
-    return _untried([*map(Looker().look, draws)], space)
+    return _untried([*map(Checker().check, draws)], space)
 
 
 def _untried(checked: Sequence[Checked], *spaces: ScenarioSpace) -> list[str]:
@@ -157,7 +157,7 @@ def _untried(checked: Sequence[Checked], *spaces: ScenarioSpace) -> list[str]:
     tried = TriedParts()
     for one in checked:
         tried.suppose(one.scenario, links_in_base(one.arm, one.joint_position_rad)[-1, :3, 3].copy())
-    return tried.lines(*spaces, of="runs beside an arm that stood still")
+    return tried.lines(*spaces, subject="runs beside an arm that stood still")
 
 
 def _data(scenario: Scenario) -> dict[str, object]:
@@ -170,7 +170,7 @@ def _data(scenario: Scenario) -> dict[str, object]:
     }
 
 
-def _words(scenarios: Sequence[Scenario]) -> str:
+def _content_text(scenarios: Sequence[Scenario]) -> str:
     """Return the content of a file: ``2 hands, 3 claims, 8 s``; for a matrix also its number of scenarios."""
     scenario = scenarios[0]
     words = [_count(len(scenario.hands), "hand"), _count(len(scenario.claims), "claim")]

@@ -189,7 +189,7 @@ def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
         "overruling": overruling_lines(overruling_of_each(traces)),
         "uncounted": sum(not are_counted(trace) for trace in traces),
         "unmeasured": sum(bool(found.unmeasured) for run in runs for _, found in run.judged_claims()),
-        "decisions": DecisionTally.of(traces),
+        "decisions": DecisionTally.from_traces(traces),
     }
     whole = whole and not (summary["cut_short"] or summary["without_claims"])
     fine = whole and not (summary["violated"] or summary["inconclusive"])
@@ -263,7 +263,7 @@ def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
         "file": file_name(run),
         "trace": "" if run.trace_file is None else shlex.quote(str(run.trace_file)),
         "trace_name": "" if run.trace_file is None else shlex.quote(run.trace_file.stem),
-        "tally": DecisionTally.of([run.trace]),
+        "tally": DecisionTally.from_traces([run.trace]),
         "measured": measured_rows(run.trace),
         "notes": notes(run),
     }
@@ -279,7 +279,7 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
     limits = {flag_words(flag): (trace.ticks["limits"] & flag.value) != 0 for flag in Limit if flag}
     return {
         "views": path_views(run, prefix=f"{section}-") if drawn else (),
-        "replay": replays.of(run, section),
+        "replay": replays.arguments_for(run, section),
         "timeline": Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
         "moment_time": f"{moment.time_s:.3f} s" if moment else "",
         "moment_claim": moment.claim + 1 if moment and moment.claim is not None else None,  # counted from 1

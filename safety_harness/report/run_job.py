@@ -23,7 +23,7 @@ from safety_harness.admission.avoiders import (
 )
 from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
 from safety_harness.admission.run_processes import RunProcesses, run_processes
-from safety_harness.admission.taking import NotTaken, made_equal, taken
+from safety_harness.admission.taking import Incompatible, accept, made_equal
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.base.extension_points import ExtensionPoint, part_named
@@ -153,7 +153,7 @@ def read_all(
     world: WorldEntry = REFERENCE,
     objects: Sequence[Scenario] = (),
     output: Output = QUIET,
-) -> tuple[list[list[Admitted]], list[NotTaken], list[InputError]]:
+) -> tuple[list[list[Admitted]], list[Incompatible], list[InputError]]:
     """Read and admit all scenarios, with the given avoider and with the reference as well.
 
     Args:
@@ -173,9 +173,9 @@ def read_all(
 
     """
 
-    def take(one: Scenario) -> list[Admitted] | NotTaken:
-        world.refuse(one)
-        return equal.get(one.name) or taken(one, avoiders, admit)
+    def take(scenario: Scenario) -> list[Admitted] | Incompatible:
+        world.refuse(scenario)
+        return equal.get(scenario.name) or accept(scenario, avoiders, admit)
 
     gathered = gather(paths) if paths or not objects else Gathered()
     for one in objects:
@@ -187,8 +187,8 @@ def read_all(
     equal = made_equal(gathered.scenarios, *avoiders[0])
     found, errors = usable(gathered.scenarios, take)
     return (
-        [one for one in found if not isinstance(one, NotTaken)],
-        [one for one in found if isinstance(one, NotTaken)],
+        [one for one in found if not isinstance(one, Incompatible)],
+        [one for one in found if isinstance(one, Incompatible)],
         [*gathered.errors, *errors],
     )
 
@@ -298,16 +298,18 @@ class RunSession:
                 if self.interrupted or self.unwritable is not None:
                     return
 
-    def _run_one(self, one: Admitted, apart: RunProcesses, folder: str, progress: RunsShown) -> JudgedRun:
+    def _run_one(
+        self, admitted: Admitted, processes: RunProcesses, folder: str, progress: RunsShown
+    ) -> JudgedRun:
         """Simulate a run here or in another process, save and judge it."""
-        trace = apart.trace(one) or run_trial(one, world=apart.world, on_tick=progress.tick)
+        trace = processes.trace(admitted) or run_trial(admitted, world=processes.world, on_tick=progress.tick)
         file = None if self.out is None else saved(trace, self.out / folder)
         judged = JudgedRun(
             trace=trace,
-            evaluations=tuple(prop.evaluate(trace) for prop in one.properties),
-            replay_command="" if file is None else replay_command(one.scenario, file),
+            evaluations=tuple(prop.evaluate(trace) for prop in admitted.properties),
+            replay_command="" if file is None else replay_command(admitted.scenario, file),
             trace_file=file,
-            notes=notes_of(one.scenario),
+            notes=notes_of(admitted.scenario),
         )
         if file is not None:
             self.written.add(file)
@@ -316,13 +318,13 @@ class RunSession:
         return judged
 
     def _take_finished(
-        self, left: Sequence[Sequence[Admitted]], apart: RunProcesses, progress: RunsShown
+        self, left: Sequence[Sequence[Admitted]], processes: RunProcesses, progress: RunsShown
     ) -> None:
         """Take the runs that other processes finished before Ctrl-C."""
         for one, *_ in left if self.asked.against is None else ():
-            if apart.is_done(one):
+            if processes.is_done(one):
                 with suppress(Exception):
-                    self._take(self._run_one(one, apart, TRACES, progress))
+                    self._take(self._run_one(one, processes, TRACES, progress))
 
     def _take(self, judged: JudgedRun) -> None:
         self.runs.append(judged)
@@ -331,7 +333,7 @@ class RunSession:
         if self.asked.against is None:
             self.output.detail(*every_line(judged))
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
-        say(*(f"note: {line}" for line in TriedParts.of(judged.trace).lines()))
+        say(*(f"note: {line}" for line in TriedParts.from_traces(judged.trace).lines()))
         self.interrupted = not judged.trace.complete
 
     def _compare(self, reference: JudgedRun) -> None:
@@ -340,7 +342,7 @@ class RunSession:
         mine, self.interrupted = self.runs[-1], not reference.trace.complete
         if not self.interrupted:
             pairs = zip(mine.evaluations, reference.evaluations, strict=True)
-            self.differences.append(RunDifference.of(mine.trace, reference.trace, pairs))
+            self.differences.append(RunDifference.from_traces(mine.trace, reference.trace, pairs))
             self.output.result(*self.differences[-1].lines(self.asked.against.reference))
 
     def _fail(self, name: str, error: Exception) -> None:

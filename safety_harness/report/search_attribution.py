@@ -30,7 +30,7 @@ MOST_ATTRIBUTED = 100  # groups of violations of one search
 def confirming_line(replay: Replay, attribution: Attribution) -> str:
     """Return the reference world's verdict on a violation, unchanged or with something changed."""
     margin = attribution.unit.margin_text(replay.margin)
-    return f"in {PYBULLET.label}, {replay.words or 'as it is'}: {replay.outcome.value}, {margin}"
+    return f"in {PYBULLET.label}, {replay.summary or 'as it is'}: {replay.outcome.value}, {margin}"
 
 
 def causes_of(counterexamples: int, causes: Mapping[str, Sequence[str]]) -> int:
@@ -51,16 +51,16 @@ class FaultsOfSearch:
     interrupted: bool
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The groups of violations by their cause, in one line."""
-        _, _, groups = self.tally.words.partition(": ")
+        _, _, groups = self.tally.summary.partition(": ")
         some = "" if self.attributed == self.groups else f"{self.attributed} of "
         return f"whose fault, of {some}{self.groups} groups of violations: {groups or 'not asked'}"
 
     def as_json(self) -> dict[str, object]:
         """Return the tally as JSON, with the numbers of groups and of attributed groups."""
         counts = {"groups_of_violations": self.groups, "attributed": self.attributed}
-        return {"words": self.words} | counts | self.tally.as_json()
+        return {"words": self.summary} | counts | self.tally.as_json()
 
 
 @dataclass(eq=False)
@@ -83,7 +83,7 @@ class SearchAttribution:
         self.found[scenario.name] = one
         changed = (replay for replay in there if replay.changes)
         return Explanation(
-            (f"whose fault: {one.words}", *(confirming_line(replay, one) for replay in changed)),
+            (f"whose fault: {one.summary}", *(confirming_line(replay, one) for replay in changed)),
             frozenset(one.mending or {f"{one.group}: {claim.sentence}"}),
             cost_s(KINEMATIC, [scenario] * (1 + len(one.replays)))
             + cost_s(PYBULLET, [scenario] * len(there)),
@@ -128,7 +128,7 @@ class SearchAttribution:
         found: list[Attribution] = []
         done = 0
         try:
-            with session.output.words() as tell:
+            with session.output.messages() as tell:
                 for together in _by_run(chosen):
                     tell(f"whose fault: {done} of {len(chosen)} groups of violations")
                     try:
@@ -138,7 +138,7 @@ class SearchAttribution:
                         session.output.say(f"a violation cannot be attributed: {described(error)}")
         except KeyboardInterrupt:
             session.findings.interrupted = True
-        tally = AttributionTally.of(found)
+        tally = AttributionTally.from_attributions(found)
         return FaultsOfSearch(tally, done, len(groups), session.interrupted)
 
     def _of_run(self, session: SearchSession, groups: list[Group]) -> tuple[Attribution, ...]:
@@ -185,6 +185,6 @@ def draw_attributions(groups: Mapping[str, int]) -> str:
     return tostring(root, encoding="unicode")
 
 
-def _text(root: Element, x: float, y: float, words: str, ink: Ink, weight: str = "400") -> None:
+def _text(root: Element, x: float, y: float, text: str, ink: Ink, weight: str = "400") -> None:
     attributes = {"x": f"{x:.1f}", "y": str(y), "fill": f"var({ink.variable})", "font-size": "12"}
-    SubElement(root, "text", {**attributes, "font-weight": weight}).text = words
+    SubElement(root, "text", {**attributes, "font-weight": weight}).text = text

@@ -24,7 +24,7 @@ from safety_harness.report.page_parts import asset
 from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.report.search_page import SearchEvidence, map_of, render
 from safety_harness.report.svg import standalone
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Driver
 from safety_harness.search.against import Reference
 from safety_harness.search.attribution.tally import as_json_of
@@ -119,9 +119,9 @@ def fuzz(
         return SearchResult(session, None, session.interrupted, session.unwritable)
     evidence = evidence_of(session, attribution)
     if evidence.faults is not None:
-        output.say(evidence.faults.words)
-    if session.trials.times.words:
-        output.say(f"computing time: {session.trials.times.words}")
+        output.say(evidence.faults.summary)
+    if session.trials.times.summary:
+        output.say(f"computing time: {session.trials.times.summary}")
     return SearchResult(session, evidence, session.interrupted)
 
 
@@ -223,7 +223,7 @@ class SearchResult:
 
 def _write_interim(session: SearchSession) -> None:
     """Write a page with the findings before explanations, which may take long or be ended."""
-    if session.keeps and session.findings.found and session.unwritable is None:
+    if session.keeps and session.findings.found_any and session.unwritable is None:
         unfinished = copy(session.findings)
         unfinished.interrupted = True  # as the page says if nothing replaces it
         try:
@@ -242,7 +242,7 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         title=trials.space.title,
         space=trials.space.name,
         tested=f"{option_of(tested).removeprefix('--')} {tested}",
-        computing_time="; ".join(filter(None, (cost, trials.times.words))),
+        computing_time="; ".join(filter(None, (cost, trials.times.summary))),
         seed=trials.seed,
         budget=session.budget,
         command=fuzz_command(session),
@@ -284,9 +284,9 @@ def fuzz_command(session: SearchSession) -> str:
     """Return the command line that makes all of this again."""
     trials = session.trials
     file = trials.space.file or Path(f"{trials.space.name}.yaml")
-    command = ["safety-harness", "fuzz", str(told(file))]
+    command = ["safety-harness", "fuzz", str(display_path(file))]
     command += ["--searcher", session.findings.searcher, "--budget", str(session.budget)]
-    command += ["--seed", str(trials.seed), "--out", str(told(session.out))]
+    command += ["--seed", str(trials.seed), "--out", str(display_path(session.out))]
     command += [] if trials.avoider is None else [option_of(trials.avoider), told_avoider(trials.avoider)]
     command += [] if trials.reference is None else ["--against", trials.reference.name]
     command += [word for sentence in trials.sentences for word in ("--claim", sentence)]

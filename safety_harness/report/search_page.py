@@ -28,7 +28,7 @@ from safety_harness.report.replay import Replays
 from safety_harness.report.search_attribution import FaultsOfSearch, causes_of, draw_attributions
 from safety_harness.report.svg import DASHES, Ink, plain
 from safety_harness.report.words import margin_words, with_minus
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.search.attribution.attribute import Attribution
 from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld
 from safety_harness.search.counterexample import DRAWS
@@ -126,7 +126,7 @@ def render(evidence: SearchEvidence) -> str:
         unconfirmed=[_group_row(findings, one.group) for one in evidence.unconfirmed],
         apart=[
             [
-                _told(one.complaint, run, f"apart-{number}-{world}-")
+                _view_of(one.complaint, run, f"apart-{number}-{world}-")
                 for world, run in enumerate((one.searched, one.confirming))
             ]
             for number, one in enumerate(evidence.unconfirmed, start=1)
@@ -190,7 +190,7 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
         "id": name,
         "shown": shown,
         "runs": sum(group.count for group in shown.groups),
-        "run_command": shlex.join(["safety-harness", "run", str(told(shown.path))]),
+        "run_command": shlex.join(["safety-harness", "run", str(display_path(shown.path))]),
         "replay_command": "" if trace is None else replay_command(one.shrunk.scenario, trace),
         "margin": "\u2013" if evaluation is None else margin_words(evaluation),
         "found_margin": found,
@@ -201,11 +201,13 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
         ),
         **_pictures(drawn, one.evaluations, one.complaint, f"{name}-"),
         "replay": drawn
-        and replays.of(JudgedRun(drawn, one.evaluations, "").under(one.complaint.sentence), name),
+        and replays.arguments_for(
+            JudgedRun(drawn, one.evaluations, "").under_claim(one.complaint.sentence), name
+        ),
     }
 
 
-def _told(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dict[str, object]:
+def _view_of(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dict[str, object]:
     """Return one world's view of a finding: in words, and drawn from above and from the side."""
     run = None if world is None else world.run
     evaluations: tuple[Evaluation, ...] = ()
@@ -226,7 +228,7 @@ def _pictures(
     """Return the first ``most`` drawings of a run and their moment; empty without a run."""
     if run is None or len(run.ticks) == 0:
         return {"views": (), "moment_time": "", "moment_of": ""}
-    judged = JudgedRun(run, evaluations, "").under(complaint.sentence)
+    judged = JudgedRun(run, evaluations, "").under_claim(complaint.sentence)
     views, moment = path_views(judged, prefix=prefix)[:most], shown_moment(judged)
     if moment is None:
         return {"views": views, "moment_time": "", "moment_of": ""}

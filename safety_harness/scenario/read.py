@@ -200,8 +200,8 @@ def _check_duration(duration_s: float, field: Field, settings: Settings) -> None
 def _settings(given: Fields, robot: AnyRobot) -> Settings:
     """Return the defaults with the values of the file; an own arm brings its own braking data."""
 
-    def read(found: tuple[str, Field]) -> tuple[str, Any]:
-        name, group = found
+    def read(named_group: tuple[str, Field]) -> tuple[str, Any]:
+        name, group = named_group
         if name == "braking" and isinstance(robot, OwnRobot):
             raise group.error("the braking of an own arm below the key robot", got="it in the settings")
         return name, read_group(group, name)

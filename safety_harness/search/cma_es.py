@@ -19,7 +19,7 @@ _MARGIN = 0.05  # beyond a face
 _PATIENCE = 10  # generations without an improvement
 
 
-def _within(points: Points) -> Points:
+def _folded(points: Points) -> Points:
     """Return ``points`` (m, n) in the unit cube: folded beyond a margin, and bent smoothly to the faces.
 
     More points lie at a face than after a reflection.  The package ``cma`` 4.5 does the same.
@@ -32,7 +32,7 @@ def _within(points: Points) -> Points:
     return np.where(high, 1.0 - over * over / (4.0 * _MARGIN), inside)
 
 
-def _before(point: Point) -> Point:
+def _unfolded(point: Point) -> Point:
     """Return what ``_within`` maps to ``point`` (n,)."""
     low = 2.0 * np.sqrt(_MARGIN * point) - _MARGIN
     high = 1.0 + _MARGIN - 2.0 * np.sqrt(_MARGIN * (1.0 - point))
@@ -54,7 +54,7 @@ class _Evolution:
 
     def __init__(self, mean: Point, step: float, rng: np.random.Generator, population: int | None) -> None:
         n = len(mean)
-        self._mean, self.sigma, self._rng = _before(mean), step, rng
+        self._mean, self.sigma, self._rng = _unfolded(mean), step, rng
         self._count = population or 4 + int(3 * log(n))
         weights = log(0.5 * (self._count + 1)) - log(np.arange(1.0, self._count + 1.0))
         better, worse = weights[: self._count // 2], weights[self._count // 2 :]
@@ -83,9 +83,9 @@ class _Evolution:
         draws = standard_normal(self._rng, (self._count, len(self._mean)))
         self._steps = product(draws * self._roots, self._axes.T)
         self._sizes = np.maximum((draws * draws).sum(axis=1), 1e-12)
-        return list(_within(self._mean + self.sigma * self._steps))
+        return list(_folded(self._mean + self.sigma * self._steps))
 
-    def tell(self, scores: NDArray[np.float64]) -> None:
+    def learn(self, scores: NDArray[np.float64]) -> None:
         """Learn the scores of the generation; less is better."""
         order, count = np.argsort(scores, kind="stable"), len(self._weights)
         chosen = self._steps[order[:count]]
@@ -173,7 +173,7 @@ class Descent:
         lowest = finite.min() if len(finite) else np.inf
         self.since_better = 0 if lowest < self.best - 1e-3 else self.since_better + 1
         self.best = min(self.best, lowest)
-        self._evolution.tell(np.where(np.isfinite(all_scores), all_scores, worst + 1.0))
+        self._evolution.learn(np.where(np.isfinite(all_scores), all_scores, worst + 1.0))
         self._population = []
 
     @property

@@ -338,9 +338,9 @@ def text_of(case: Counterexample, origin: Sequence[str], trace_file: Path | None
 
     """
     head = [f"A counterexample to: {case.complaint.sentence}", *origin]
-    if case.complaint.words != case.complaint.sentence:
+    if case.complaint.summary != case.complaint.sentence:
         head.insert(1, case.complaint.kind)
-    head.append(f"{case.shrunk.words}.".capitalize())
+    head.append(f"{case.shrunk.summary}.".capitalize())
     for evaluation in case.evaluations:
         head += _margins(evaluation, "")
     if isinstance(case.run, Trace):
@@ -371,7 +371,7 @@ def _evidence(trace: Trace) -> list[str]:
         f"world {made.world}, safety-harness {made.package_version}, Python {made.python}, {made.platform}",
         f"libraries: {libraries}",
         f"source {made.source_hash}",
-        f"{trace.system.words}, file {trace.system.tested.sha256 or 'none'}",
+        f"{trace.system.label}, file {trace.system.tested.sha256 or 'none'}",
         f"robot {trace.system.robot.sha256}",
         f"claims {hashlib.sha256(claims.encode()).hexdigest()}",
         f"seed {scenario.seed} (hands and sensors); seeds of the decisions: {seeds}",

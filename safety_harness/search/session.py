@@ -83,8 +83,8 @@ def _violations(count: int) -> str:
     return f"{count:,} violation{'s' * (count != 1)}"
 
 
-def _tell(tell: Callable[[str], None], where: str, what: str) -> None:
-    tell(f"{where}: {what}")
+def _report_at(report: Callable[[str], None], where: str, message: str) -> None:
+    report(f"{where}: {message}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +109,8 @@ class WrittenCounterexample:
         one = self.one
         margin = "-" if one.evaluation is None else one.evaluation.margin_text()
         return [
-            f"violated {margin:>13}  {one.complaint.words}{AS_EXPECTED if self.expected else ''}",
-            f"  {self.found_words}; {one.shrunk.words}" + f", {one.contact}" * one.shrunk.done,
+            f"violated {margin:>13}  {one.complaint.summary}{AS_EXPECTED if self.expected else ''}",
+            f"  {self.found_words}; {one.shrunk.summary}" + f", {one.contact}" * one.shrunk.done,
             *(f"  {line}" for line in one.circumstances[: one.complaint.reference is not None]),
             *(f"  {line}" for line in one.attribution),
             f"  safety-harness run {shlex.quote(str(self.path))}",
@@ -193,7 +193,7 @@ class SearchSession:
             folder: The folder below ``as-found`` for unshrunk findings; None saves no finding.
 
         """
-        cube = Cube.of(trials.space)
+        cube = Cube.from_space(trials.space)
         saved = _MOST_AS_FOUND if folder is None else 0
         budget = max(self.budget, LEAST_DRAWN) if folder is None else self.budget
 
@@ -222,7 +222,7 @@ class SearchSession:
         fallback = fallback_words(self.trials.unanswered, self.trials.decisions)
         self._draw_again()
         whole = summary(findings, self.budget) + (f"; {fallback}" if fallback else "")
-        overruled = filter(None, [self.trials.overruling.words])
+        overruled = filter(None, [self.trials.overruling.summary])
         lines = [*self.trials.space.notes, whole, *overruled, *nearest_lines(findings)]
         self.concluding(self)
         if self.baseline is not None:
@@ -338,7 +338,7 @@ class SearchSession:
         if not self.explains_all:
             self.allowance.total_s = each_s * sum(one.tried for one in searches)
         going = []
-        with self.output.words() as tell:
+        with self.output.messages() as tell:
             for one in examples:
                 self.allowance.share(last=one is examples[-1])
                 going += [one] if one.explain_next(tell) else []
@@ -465,7 +465,7 @@ class _Examples:
         self.again += group.count * (known := not causes.isdisjoint(told.causes))
         return known
 
-    def explain_next(self, tell: Callable[[str], None]) -> bool:
+    def explain_next(self, report: Callable[[str], None]) -> bool:
         """Explain the next violation that the confirming world shows; return whether there was any."""
         session = self.session
         while self.left and len(self.written) < MOST_SHRUNK and self.shrunk < 2 * MOST_SHRUNK:
@@ -479,7 +479,7 @@ class _Examples:
                 session.findings.interrupted = True
                 break
             at = f"{self.findings.sentence_of(group)}, example {self.shrunk + 1}"
-            case = session._counterexample(group, len(self.written) + 1, partial(_tell, tell, at))
+            case = session._counterexample(group, len(self.written) + 1, partial(_report_at, report, at))
             if case is None:
                 continue
             self.shrunk += 1
@@ -645,7 +645,7 @@ def against_lines(against: Against, findings: Findings, touching: int, overruled
 
     """
     lines = [f"against {against.reference}: {line}" for line in against.lines()]
-    if findings.tried and not (findings.found or overruled):
+    if findings.tried and not (findings.found_any or overruled):
         touch = f"; in {touching} of them a hand touched the arm" if touching else ""
         lines.append(
             f"nothing found that {against.reference} does not do as well, in {findings.tried} runs{touch}. A "
@@ -681,12 +681,12 @@ def remarks(trials: Trials, findings: Findings, overruled: str = "") -> list[str
         lines.append(f"nearest hand: {least}; in {touching} of {findings.tried} runs a hand touched the arm")
     if trials.against is not None:
         lines += against_lines(trials.against, findings, touching, overruled)
-    elif not findings.found and touching:
+    elif not findings.found_any and touching:
         lines.append(
             "no claim was violated: none here says that a hand must not touch the arm (--claim 'hand "
             "distance never below 1 mm' searches for that)"
         )
-    elif not findings.found and findings.tried:
+    elif not findings.found_any and findings.tried:
         lines.append(
             f"nothing found in {findings.tried} runs. A search estimates nothing: that is no evidence of "
             "safety in the rest of the space"

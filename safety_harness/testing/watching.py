@@ -147,13 +147,13 @@ def keep(test_id: str, violation: SafetyViolation) -> Path:
     head = [
         f"A failure of {test_id}",
         f"{evaluation.sentence}: {evaluation.verdict.value}, margin {evaluation.margin_text()}",
-        violation.trace.system.words,
+        violation.trace.system.label,
         "It is tried first whenever that test runs; delete this file when it need not be any more.",
     ]
     try:
         write_whole(file, "".join(f"# {line}\n" for line in head) + write_scenario(moved))
     except OSError as error:
-        raise OutputError.of(file, error) from error
+        raise OutputError.from_os_error(file, error) from error
     return file
 
 

@@ -26,7 +26,7 @@ from safety_harness.base.exceptions import InputError, Place, TraceError, refuse
 from safety_harness.base.shipped.contents import located
 from safety_harness.base.whole_file import replacing
 from safety_harness.scenario.faults import AvoiderLate, AvoiderSilent, Fault
-from safety_harness.scenario.files import as_path, refuse_no_file, told
+from safety_harness.scenario.files import as_path, display_path, refuse_no_file
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import EDITION, MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
@@ -129,7 +129,7 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         parts |= {f"robot/{digest}": text for digest, text in trace.scenario.robot.texts.items()}
     run = {
         "scenario_name": trace.scenario.name,
-        "scenario_file": str(told(trace.scenario.file)) if trace.scenario.file else None,
+        "scenario_file": str(display_path(trace.scenario.file)) if trace.scenario.file else None,
         "ended": trace.ended,
         "provenance": asdict(trace.provenance),
         "system": trace.system.as_dict,

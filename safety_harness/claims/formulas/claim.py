@@ -174,7 +174,7 @@ class _Asked:
         low, high = (_whole_run(side, self.trace) for side in (one.value_low, one.value_high))
         return comparison_bounds(atom, low, high)
 
-    def between(self, atom: Comparison | Truth) -> MarginBounds:
+    def bounds_between_ticks(self, atom: Comparison | Truth) -> MarginBounds:
         """Return margins from each tick to the next; a signal unknown at a tick is unknown after it too."""
         one = self.sampled[atom.signal]
         if isinstance(atom, Truth) or one.low is one.high:
@@ -187,7 +187,7 @@ class _Asked:
         """Return margins with the signal at its least, from each tick to the next, if it has a ``surely``."""
         one = self.sampled[atom.signal]
         if one.surely is None or isinstance(atom, Truth):
-            return self.between(atom)
+            return self.bounds_between_ticks(atom)
         low, high = (_whole_run(side, self.trace) for side in (one.low, one.surely))
         return comparison_bounds(atom, low, high)
 
@@ -206,7 +206,7 @@ class _Asked:
 
     def cases(self, atoms: Atoms) -> list[Case]:
         """Return the possible modes, where several were possible and the part asks for more than one mode."""
-        gaps = self.trace.known.of("mode").gaps
+        gaps = self.trace.known.measurement_of("mode").gaps
         several = len(MODES.keys() & self.sampled.keys()) > 1
         either = {mode for gap in gaps for mode in gap.either} if several else set()
         count, found = self.trace.scenario.ticks + 1, []
@@ -215,11 +215,11 @@ class _Asked:
             for gap in sorted(gaps, key=lambda one: one.either == ()):  # those of any mode last
                 where[gap.first : gap.after] = mode in gap.either
 
-            def told(atom: Comparison | Truth, mode: int = mode) -> MarginBounds:
+            def atom_margins(atom: Comparison | Truth, mode: int = mode) -> MarginBounds:
                 own = MODES.get(atom.signal) if isinstance(atom, Truth) else None
                 return atoms(atom) if own is None else truth_bounds(np.full(count, float(own == mode)))
 
-            found.append(Case(where, told))
+            found.append(Case(where, atom_margins))
         return found
 
     def exercised(self, at_ticks: Margins, *, perhaps: bool = False) -> tuple[int, str]:
@@ -264,13 +264,13 @@ class _Asked:
                     count, untried = own, self.untried(one, when[signal], near_m)
         return count, untried
 
-    def untried(self, one: Sampled, when: NDArray[np.bool_], near_m: float) -> str:
+    def untried(self, sampled: Sampled, when: NDArray[np.bool_], near_m: float) -> str:
         """Return the event that did not happen at the ticks ``when`` (n,) at which the part asks."""
         asked = "" if when.all() else " at any tick that the formula asks of"
-        if one.comes is None:
-            return f"{one.untried}{asked}"
-        whose, what = one.comes
-        nearest = nearest_of(self.trace, np.where(when, one.value, np.inf), near_m, whose, what)
+        if sampled.comes is None:
+            return f"{sampled.untried}{asked}"
+        whose, what = sampled.comes
+        nearest = nearest_of(self.trace, np.where(when, sampled.value, np.inf), near_m, whose, what)
         return (nearest or f"there was no {whose}") + asked
 
     def begun(self, surely: NDArray[np.bool_], never: NDArray[np.bool_]) -> int:
@@ -287,16 +287,18 @@ class _Asked:
     def lacking(self) -> tuple[str, ...]:
         """Return the columns that it reads and that are not wholly known."""
         known = self.trace.known
-        return () if known.whole else tuple(n for n in _columns_of(self.part) if known.of(n).limited)
+        return (
+            () if known.whole else tuple(n for n in _columns_of(self.part) if known.measurement_of(n).limited)
+        )
 
-    def lacks(self, columns: tuple[str, ...], told: str = "", exercised: int = 0) -> Evaluation:
+    def lacks(self, columns: tuple[str, ...], reason: str = "", exercised: int = 0) -> Evaluation:
         """Return inconclusive, since ``columns`` are not known well enough."""
         gaps = gaps_of(self.trace, columns)
         words = f"not measured: {', '.join(gaps)}" if gaps else ""
         rest = [name for name in columns if name not in gaps]
         if rest:
             words += f"{'; ' * bool(gaps)}known only to within an uncertainty: {', '.join(rest)}"
-        words += f"; {told}" * bool(told)
+        words += f"; {reason}" * bool(reason)
         return replace(inconclusive(self, words, exercised=exercised), unmeasured=columns)
 
     def nearest(self, trigger: Formula, at_ticks: Margins) -> str:
@@ -312,11 +314,13 @@ class _Asked:
         lacked = unit.margin_text(-float(low[tick])).removeprefix("+")
         return f": it lacked at least {lacked}, at {self.trace.time_s[tick]:.3f} s"
 
-    def undecided(self, at_ticks: Margins, between: Margins, surely: float, exercised: int) -> Evaluation:
+    def undecided(
+        self, at_ticks: Margins, between_ticks: Margins, surely: float, exercised: int
+    ) -> Evaluation:
         """Return inconclusive: a value is unknown or uncertain, or the bounds between ticks are too wide."""
         holds, uncertain = at_ticks.bounds.low[0] >= 0.0, self.trace.known.uncertain(self.lacking)
-        ends = [float(between.bounds.low[0]), surely]
-        told = self.told(Verdict.INCONCLUSIVE, between, exercised)
+        ends = [float(between_ticks.bounds.low[0]), surely]
+        told = self.evaluation_of(Verdict.INCONCLUSIVE, between_ticks, exercised)
         least, most = (self.unit.margin_text(end) for end in ends)
         if uncertain and np.isfinite(ends).all():
             why = f"between {least} and {most}, as {', '.join(uncertain)} may be that far off: {told.reason}"
@@ -327,20 +331,24 @@ class _Asked:
         if not self.lacking and (holds or np.isfinite(ends).all()):
             why = "it holds at the ticks, perhaps not between them" if holds else "it is not known so closely"
             return replace(told, reason=f"{why}: between {least} and {most} ({told.reason})")
-        return self.unknown(witness(between if holds else at_ticks, 0, self.period_s, low=True), exercised)
+        return self.unknown(
+            witness(between_ticks if holds else at_ticks, 0, self.period_s, low=True), exercised
+        )
 
-    def unknown(self, found: Witness, exercised: int) -> Evaluation:
+    def unknown(self, decisive: Witness, exercised: int) -> Evaluation:
         """Return the unknown value: at the tick that would decide, else the first."""
         trace, columns = self.trace, self.lacking
         why = "a window runs beyond the end of the run, which does not decide it"
         if not trace.complete:
             why = f"the run was cut short ({trace.ended})"
-        if found.tick < len(trace.ticks) and found.atom is not None:
-            every = sorted((found.atom.signal, *self.sampled), key=lambda one: not gaps_of(trace, one.reads))
+        if decisive.tick < len(trace.ticks) and decisive.atom is not None:
+            every = sorted(
+                (decisive.atom.signal, *self.sampled), key=lambda one: not gaps_of(trace, one.reads)
+            )
             for signal in every:  # first those that were not always measured
                 holes = _holes(self.sampled[signal])
                 if holes.any():
-                    tick = found.tick if holes[found.tick] else int(np.argmax(holes))
+                    tick = decisive.tick if holes[decisive.tick] else int(np.argmax(holes))
                     why = f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
                     gaps = gaps_of(trace, signal.reads)
                     columns = gaps_of(trace, gaps, tick) or gaps or columns
@@ -349,7 +357,9 @@ class _Asked:
             return self.lacks(columns, why, exercised)
         return inconclusive(self, why, exercised=exercised)
 
-    def told(self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True) -> Evaluation:
+    def evaluation_of(
+        self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True
+    ) -> Evaluation:
         """Return a verdict by the lower (or upper) bound of ``seen``, with the moment that decided it."""
         found = witness(seen, 0, self.period_s, low=low)
         margin, unit = float((seen.bounds.low if low else seen.bounds.high)[0]), self.unit
@@ -409,7 +419,8 @@ def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: b
             return asked.lacks(uncertain, f"{signal.words} is not judged by that")
         sampled[signal] = one if whole else as_known(signal, one, trace)
     at_ticks, between = (
-        margins(part, atoms, asked.period_s, asked.cases(atoms)) for atoms in (asked.at_ticks, asked.between)
+        margins(part, atoms, asked.period_s, asked.cases(atoms))
+        for atoms in (asked.at_ticks, asked.bounds_between_ticks)
     )
     low, surely = between.bounds.low[0], asked.surely(at_ticks)
     if low < 0.0 <= surely and not finely and any(signal.finer for signal in sampled):
@@ -418,13 +429,13 @@ def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: b
     if surely < 0.0:
         exercised = max(exercised, 1)
         if np.isfinite(low) and not asked.lacking:
-            return asked.told(Verdict.VIOLATED, between, exercised)
-        return asked.told(Verdict.VIOLATED, at_ticks, exercised, low=False)
+            return asked.evaluation_of(Verdict.VIOLATED, between, exercised)
+        return asked.evaluation_of(Verdict.VIOLATED, at_ticks, exercised, low=False)
     if low < 0.0:
         return asked.undecided(at_ticks, between, surely, exercised)
     if exercised == 0 and (asked.lacking or np.isinf(low)):  # nothing was asked at all
         return asked.unexercised(at_ticks, untried)
-    told = asked.told(Verdict.HOLDS, between, exercised)
+    told = asked.evaluation_of(Verdict.HOLDS, between, exercised)
     if exercised == 0:
         return replace(told, verdict=Verdict.INCONCLUSIVE, reason=f"never exercised: {untried}")
     if not trace.complete:
@@ -433,14 +444,14 @@ def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: b
     return told
 
 
-def _holes(one: Sampled) -> NDArray[np.bool_]:
+def _holes(sampled: Sampled) -> NDArray[np.bool_]:
     """Return (n,) the ticks at which a signal is not known, or not wholly."""
-    return np.isnan(one.value) if one.lost is None else np.isnan(one.value) | one.lost
+    return np.isnan(sampled.value) if sampled.lost is None else np.isnan(sampled.value) | sampled.lost
 
 
-def _impossible(signal: Signal, one: Sampled, trace: Trace) -> str:
+def _impossible(signal: Signal, sampled: Sampled, trace: Trace) -> str:
     """Return why a signal's values are not evidence; empty if a run can have them."""
-    found = signal.impossible(one) if isinstance(signal, Measure) else None
+    found = signal.impossible(sampled) if isinstance(signal, Measure) else None
     if found is None:
         return ""
     (tick, value), shown = found, shown_in(signal.dimension)

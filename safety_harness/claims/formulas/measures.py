@@ -75,10 +75,10 @@ class Measure(Signal):
     def __ge__(self, limit: Quantity | float) -> Comparison:
         return self._compare(Relation.AT_LEAST, limit)
 
-    def __eq__(self, other: object) -> bool:
-        if isinstance(other, Quantity | int | float):
-            raise formula_error(f"{self.words} beside a limit with <, <=, > or >=", f"== {other}")
-        return self is other
+    def __eq__(self, value: object) -> bool:
+        if isinstance(value, Quantity | int | float):
+            raise formula_error(f"{self.words} beside a limit with <, <=, > or >=", f"== {value}")
+        return self is value
 
     def __hash__(self) -> int:
         return id(self)

@@ -142,9 +142,9 @@ class _Parser:
                 hint = f'such as "(a {word} b) {self.now.text} c"'
             raise self.error(f'parentheses that say how far "{word}" reaches', hint=hint)
 
-    def until(self, word: Token, first: Formula, depth: int) -> Formula:
-        formula = self.made(word, Until, first, self.operand(depth), self.window("within"))
-        self.refuse_more(word)
+    def until(self, token: Token, first: Formula, depth: int) -> Formula:
+        formula = self.made(token, Until, first, self.operand(depth), self.window("within"))
+        self.refuse_more(token)
         return formula
 
     def far_begins(self) -> bool:
@@ -216,10 +216,10 @@ class _Parser:
     def signal(self) -> Signal:
         """Return the signal with the most words among those that match here."""
         ahead = [token.text for token in self.tokens[self.at :]]
-        found = [signal for signal in SIGNALS if ahead[: len(_words(signal))] == _words(signal)]
+        found = [signal for signal in SIGNALS if ahead[: len(_words_of(signal))] == _words_of(signal)]
         if found:
-            signal = max(found, key=lambda one: len(_words(one)))
-            self.at += len(_words(signal))
+            signal = max(found, key=lambda one: len(_words_of(one)))
+            self.at += len(_words_of(signal))
             return signal
         first, last = self.at, self.at
         while self.tokens[last].kind == "word" and (last == first or self.tokens[last].text not in KEYWORDS):
@@ -269,7 +269,7 @@ class _Parser:
         return end
 
 
-def _words(signal: Signal) -> list[str]:
+def _words_of(signal: Signal) -> list[str]:
     return signal.words.lower().split()
 
 

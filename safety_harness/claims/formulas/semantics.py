@@ -148,7 +148,7 @@ def _joined(formula: Formula, parts: list[MarginBounds], period_s: float) -> Mar
 
 def where_triggered(trigger: MarginBounds, response: MarginBounds) -> MarginBounds:
     """Return the response's margin where the trigger holds, inf where it does not, both where unknown."""
-    return MarginBounds(*_asked(trigger.low, trigger.high, response.low, response.high))
+    return MarginBounds(*_bounds_where_triggered(trigger.low, trigger.high, response.low, response.high))
 
 
 def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> MarginBounds:
@@ -185,8 +185,8 @@ def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @compiled
-def least_in_window(x: NDArray[np.float64], begin: int, end: int, beyond: float) -> NDArray[np.float64]:
-    """Return out[k] = min of x[k + begin] to x[k + end], ends included, with ``beyond`` outside of x.
+def least_in_window(x: NDArray[np.float64], begin: int, end: int, outside: float) -> NDArray[np.float64]:
+    """Return out[k] = min of x[k + begin] to x[k + end], ends included, with ``outside`` outside of x.
 
     0 <= begin <= end.  A queue has the positions of values that are smaller than all values before them, as
     seen from the window's begin.  Each position enters and leaves the queue once.
@@ -208,21 +208,21 @@ def least_in_window(x: NDArray[np.float64], begin: int, end: int, beyond: float)
             while queue[first] > k + end:
                 first += 1
         least = x[queue[first]] if last > first else np.inf
-        out[k] = min(least, beyond) if k + end >= n else least
+        out[k] = min(least, outside) if k + end >= n else least
     return out
 
 
 @compiled
 def until_from_here(
-    lasts: NDArray[np.float64], ends: NDArray[np.float64], beyond: float
+    lasts: NDArray[np.float64], ends: NDArray[np.float64], outside: float
 ) -> NDArray[np.float64]:
-    """Return out[k] = max over j >= k of min(ends[j], min of lasts[k:j]); ``beyond`` follows the last sample.
+    """Return out[k] = max over j >= k of min(ends[j], min of lasts[k:j]).
 
-    ``lasts`` and ``ends`` (n,).
+    ``outside`` follows the last sample, ``lasts`` and ``ends`` (n,).
     """
     n = lasts.shape[0]
     out = np.empty(n)
-    after = beyond
+    after = outside
     for k in range(n - 1, -1, -1):
         after = max(ends[k], min(lasts[k], after))
         out[k] = after
@@ -230,7 +230,9 @@ def until_from_here(
 
 
 @compiled
-def _asked(trigger_low: Values, trigger_high: Values, low: Values, high: Values) -> tuple[Values, Values]:
+def _bounds_where_triggered(
+    trigger_low: Values, trigger_high: Values, low: Values, high: Values
+) -> tuple[Values, Values]:
     """Return both ends (n,) of ``where_triggered``.
 
     ``trigger_low``, ``trigger_high``, ``low`` and ``high`` are of shape (n,).
@@ -239,20 +241,20 @@ def _asked(trigger_low: Values, trigger_high: Values, low: Values, high: Values)
 
 
 @compiled
-def _until(lasts: Values, ends: Values, begin: int, end: int, beyond: float) -> Values:
+def _until(lasts: Values, ends: Values, begin: int, end: int, outside: float) -> Values:
     """Return one end (n,) of an "until": with a window, second comes within it, and first lasts until then.
 
-    ``lasts`` and ``ends`` (n,), ``beyond`` follows the last sample.  Source: Donze, Ferrere and Maler,
+    ``lasts`` and ``ends`` (n,), ``outside`` follows the last sample.  Source: Donze, Ferrere and Maler,
     Efficient robust monitoring for STL, 2013.
     """
     if begin < 0:
         return until_from_here(lasts, ends, -np.inf)
-    lasting = until_from_here(lasts, ends, beyond)
+    lasting = until_from_here(lasts, ends, outside)
     if begin > 0:
-        shifted = np.full(len(lasts), beyond)
+        shifted = np.full(len(lasts), outside)
         shifted[: max(len(lasts) - begin, 0)] = lasting[begin:]
-        lasting = np.minimum(shifted, least_in_window(lasts, 0, begin - 1, beyond))
-    return np.minimum(-least_in_window(-ends, begin, end, -beyond), lasting)
+        lasting = np.minimum(shifted, least_in_window(lasts, 0, begin - 1, outside))
+    return np.minimum(-least_in_window(-ends, begin, end, -outside), lasting)
 
 
 @compiled
@@ -282,7 +284,7 @@ def operate(
     if operator == UNTIL:
         return _until(low, other_low, begin, end, -np.inf), _until(high, other_high, begin, end, np.inf)
     if operator == GLOBALLY:
-        low, high = _asked(low, high, other_low, other_high)
+        low, high = _bounds_where_triggered(low, high, other_low, other_high)
     if operator == EVENTUALLY:  # not always not
         low, high = -high, -low
     if begin < 0:
@@ -317,7 +319,7 @@ def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witne
         case Always(span=span) | Eventually(span=span):
             least = isinstance(formula, Always)
             at = _in_window(parts[0].bounds, tick, span, period_s, low=low, least=least)
-            return witness(parts[0], at, period_s, low=low) if at is not None else _beyond(margins)
+            return witness(parts[0], at, period_s, low=low) if at is not None else _no_witness(margins)
         case Globally():
             asked = where_triggered(parts[0].bounds, parts[1].bounds)
             at = _in_window(asked, tick, None, period_s, low=low, least=True)
@@ -327,7 +329,7 @@ def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witne
     return witness(parts[0], tick, period_s, low=low)
 
 
-def _beyond(margins: Margins) -> Witness:
+def _no_witness(margins: Margins) -> Witness:
     return Witness(len(margins.bounds.low), None)
 
 
@@ -369,7 +371,7 @@ def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *
     n = len(margins.bounds.low) - tick
     begin, end = (0, n - 1) if span is None else span.ticks(period_s)
     later = max(begin + 1 - n, 0 if end < n else 1)  # as many ticks beyond the last as matter
-    lasts, ends = (_from(part.bounds, tick, later) for part in (first, second))
+    lasts, ends = (_bounds_from(part.bounds, tick, later) for part in (first, second))
     ways = [
         np.minimum(e, np.append(np.inf, np.minimum.accumulate(f)[:-1]))[begin : end + 1]
         for f, e in ((lasts.low, ends.low), (lasts.high, ends.high))
@@ -378,11 +380,11 @@ def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *
     asked = MarginBounds(np.append(lasts.low[:j], ends.low[j]), np.append(lasts.high[:j], ends.high[j]))
     at = _extreme(_side(asked, low=low), asked.low < asked.high, least=True)
     if at >= n:
-        return _beyond(margins)
+        return _no_witness(margins)
     return witness(second if at == j else first, tick + at, period_s, low=low)
 
 
-def _from(bounds: MarginBounds, tick: int, later: int) -> MarginBounds:
+def _bounds_from(bounds: MarginBounds, tick: int, later: int) -> MarginBounds:
     """Return bounds from ``tick`` on, with ``later`` unknown ticks after the last."""
     return MarginBounds(
         np.append(bounds.low[tick:], np.full(later, -np.inf)),

@@ -91,7 +91,7 @@ class ClaimDifference:
             return VerdictChange.GONE
         return VerdictChange.LOST if less and reference is Verdict.HOLDS else VerdictChange.NONE
 
-    def words(self, reference: str) -> str:
+    def summary(self, reference: str) -> str:
         """Return the margins of both, or the verdict where there is no margin."""
         mine, other = (
             one.verdict.value if one.margin is None else one.margin_text()
@@ -110,7 +110,7 @@ class RunDifference:
     reference: Overruling
 
     @classmethod
-    def of(
+    def from_traces(
         cls, mine: Trace, reference: Trace, judged: Iterable[tuple[Evaluation, Evaluation]]
     ) -> RunDifference:
         """Return the difference of two traces and of their evaluations.
@@ -124,8 +124,8 @@ class RunDifference:
         return cls(
             run=mine.scenario.name,
             claims=tuple(ClaimDifference(mine=a, reference=b) for a, b in pairs),
-            mine=Overruling.of([mine]),
-            reference=Overruling.of([reference]),
+            mine=Overruling.from_traces([mine]),
+            reference=Overruling.from_traces([reference]),
         )
 
     def has(self, *changes: VerdictChange) -> bool:
@@ -136,7 +136,7 @@ class RunDifference:
         """Yield what the reference does not do, overruling included."""
         for one in self.claims:
             if one.change in _TOLD:
-                yield f"{one.change.value}: {self.run}: {one.mine.sentence}: {one.words(reference)}"
+                yield f"{one.change.value}: {self.run}: {one.mine.sentence}: {one.summary(reference)}"
         if self.more_overruled > 0.0:
             yield (
                 f"overruled more: {self.run}: {self.mine.overruled} of {self.mine.proposals} proposals "
@@ -230,7 +230,7 @@ class Against:
                 continue
             run, worst = max(found, key=lambda pair: -np.inf if np.isnan(pair[1].lost) else pair[1].lost)
             if worst.change in _TOLD and worst.lost > 0.0:
-                parts.append(f"the most lost in {run.run}: {worst.words(self.reference)}")
+                parts.append(f"the most lost in {run.run}: {worst.summary(self.reference)}")
             yield f"{sentence}: {'; '.join(parts)}"
         if not self.worse:
             yield f"{self.mine}: no violation that {self.reference} does not have, in {len(self.runs)} runs"
@@ -255,12 +255,12 @@ class Against:
         }
 
 
-def _as_json(one: ClaimDifference) -> dict[str, Any]:
-    margins = (found.margin for found in (one.mine, one.reference))
+def _as_json(difference: ClaimDifference) -> dict[str, Any]:
+    margins = (found.margin for found in (difference.mine, difference.reference))
     return {
-        "claim": one.mine.sentence,
-        "change": one.change.value,
-        "verdicts": [one.mine.verdict.value, one.reference.verdict.value],
+        "claim": difference.mine.sentence,
+        "change": difference.change.value,
+        "verdicts": [difference.mine.verdict.value, difference.reference.verdict.value],
         "margins_si": [m if m is not None and isfinite(m) else None for m in margins],
     }
 

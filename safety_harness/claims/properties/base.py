@@ -156,7 +156,7 @@ PER_SI = {"mm": 1e3, "mm/s": 1e3, "m/s": 1.0, "m/s2": 1.0, "deg/s2": 180.0 / np.
 
 
 class Worded(ABC):
-    """A property whose sentence is ``words``, with fields of its own as "within {within_m:mm}".
+    """A property whose sentence is ``wording``, with fields of its own as "within {within_m:mm}".
 
     The text after the colon is a unit of ``PER_SI``, "%" for a share, "1" for a number, or empty for a count.
     After a number or a count, "time(s)" stands for "time" where it is 1, and else for "times".
@@ -164,13 +164,13 @@ class Worded(ABC):
 
     @property
     @abstractmethod
-    def words(self) -> str:
+    def wording(self) -> str:
         """Return the sentence with the names of its fields."""
 
     @cached_property
     def sentence(self) -> str:
         """Return the words with the values of the fields, as the catalogue writes it."""
-        words = PLURAL.sub(lambda match: match[1] + "s" * (getattr(self, match[2]) != 1), self.words)
+        words = PLURAL.sub(lambda match: match[1] + "s" * (getattr(self, match[2]) != 1), self.wording)
         return FIELD.sub(lambda match: shown_limit(getattr(self, match[1]), match[2]), words)
 
 

@@ -89,12 +89,14 @@ class ClearWays:
         worst = min(parts, key=lambda part: part.margin or 0.0) if unknown is None else unknown
         return replace(worst, sentence=self.sentence, parts=parts)
 
-    def _part(self, trace: Trace, ways: list[Way], obstacle: int) -> Evaluation:
-        least_m = np.array([way.least_m[obstacle] for way in ways])
-        worst = ways[int(np.argmin(least_m))]  # the first NaN, if there is one
+    def _part(self, trace: Trace, repulsions: list[Way], obstacle: int) -> Evaluation:
+        least_m = np.array([way.least_m[obstacle] for way in repulsions])
+        worst = repulsions[int(np.argmin(least_m))]  # the first NaN, if there is one
         margin, time_s, name = worst.least_m[obstacle], worst.time_s[obstacle], OBSTACLES[obstacle]
-        most = min(float(way.most_m[obstacle]) for way in ways)
-        evaluation = judged(self, trace, margin, time_s, f"{name}: {worst.words}", len(ways) // 2, most=most)
+        most = min(float(way.most_m[obstacle]) for way in repulsions)
+        evaluation = judged(
+            self, trace, margin, time_s, f"{name}: {worst.words}", len(repulsions) // 2, most=most
+        )
         return replace(evaluation, sentence=f"repulsive ways clear of the {name}")
 
 
@@ -222,19 +224,19 @@ def above_polygon(
     for k in range(polygon.shape[0]):
         following = polygon[(k + 1) % polygon.shape[0]]
         least = min(least, segment_segment_distance(start, end, polygon[k], following))
-    if _over(start[0], start[1], polygon):
+    if _is_above(start[0], start[1], polygon):
         least = min(least, abs(first))
-    if _over(end[0], end[1], polygon):
+    if _is_above(end[0], end[1], polygon):
         least = min(least, abs(last))
     if first * last < 0.0:
         share = first / (first - last)
-        if _over(start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1]), polygon):
+        if _is_above(start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1]), polygon):
             least = 0.0
     return float(least)
 
 
 @compiled
-def _over(x: float, y: float, polygon: NDArray[np.float64]) -> bool:
+def _is_above(x: float, y: float, polygon: NDArray[np.float64]) -> bool:
     """Return whether a point is within a ``polygon`` (m, 3), seen from above, by the even-odd rule."""
     odd = False
     n = polygon.shape[0]

@@ -41,7 +41,7 @@ class CatalogueEntry:
     """A property of the catalogue.
 
     ``prop`` is an example of it.  ``pattern`` matches every whole sentence that claims it, in either case,
-    and ``make`` turns the match into the property.  By default both follow from the ``words`` of the example;
+    and ``make`` turns the match into the property.  By default both follow from the example's ``wording``;
     without fields, only its own sentence claims it.  ``formula`` is its formula, with {} for its limit, if it
     has one.  The other fields are for people: ``rationale``, ``source``, the ``margin``'s formula, the
     ``parameters`` of sentence and settings, the runs in which it is ``exercised`` (else it is inconclusive),
@@ -68,14 +68,14 @@ class CatalogueEntry:
         return self.prop.sentence
 
     @property
-    def words(self) -> str:
+    def wording(self) -> str:
         """Return the sentence with the names of fields in place of their values, as for ``Worded``."""
-        return getattr(self.prop, "words", self.example)
+        return getattr(self.prop, "wording", self.example)
 
     @property
     def key(self) -> str:
         """Return the identifier: the words without values, such as "hand-distance-never-below"."""
-        return "-".join(re.sub(r"[^a-z ]", "", FIELD.sub("", self.words).lower()).split())
+        return "-".join(re.sub(r"[^a-z ]", "", FIELD.sub("", self.wording).lower()).split())
 
     @property
     def unit(self) -> Unit:
@@ -86,13 +86,13 @@ class CatalogueEntry:
         """Return the property that ``match`` claims of ``scenario``; InadmissibleError at ``place``."""
         if self.make is not None:
             return self.make(match, scenario, place)
-        texts = enumerate(FIELD.findall(self.words), start=1)
+        texts = enumerate(FIELD.findall(self.wording), start=1)
         values = {name: _limit(match[k], unit, scenario, place) for k, (name, unit) in texts}
         return replace(self.prop, **values) if values else self.prop  # type: ignore[type-var]
 
     def understands(self, sentence: str) -> re.Match[str] | None:
         """Return the match of a sentence that claims this property, whatever its case and outer spaces."""
-        words = PLURAL.sub(r"\1s?", self.words)
+        words = PLURAL.sub(r"\1s?", self.wording)
         pattern = self.pattern or FIELD.sub(
             lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", words
         )
@@ -100,7 +100,7 @@ class CatalogueEntry:
 
 
 def _limit(text: str, unit: str, scenario: Scenario, place: Place) -> float:
-    """Read the value of a field of ``Worded.words`` from a sentence."""
+    """Read the value of a field of ``Worded.wording`` from a sentence."""
     if unit == "ms":
         return time_within(text, scenario, place)
     if unit in DIMENSIONS:
@@ -144,7 +144,7 @@ def count(text: str, place: Place) -> int:
     return int(text)
 
 
-def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
+def entry_fields(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
     """Yield (name, text) of everything that an entry has for people, in the order of reading."""
     yield "why", entry.rationale
     yield "source", entry.source

@@ -78,8 +78,8 @@ def kept_from_possible_hands(trace: Trace, decision: np.void, failed: str) -> bo
     return trace.known.missing([OF_DECISIONS + failed]) != () or bool(decision[failed] & Check.TOWARDS_A_HAND)
 
 
-def _add(findings: Findings, found: Findings) -> None:
-    for part, more in found.items():
+def _add(findings: Findings, added: Findings) -> None:
+    for part, more in added.items():
         findings[part] += more
 
 
@@ -101,22 +101,28 @@ def went(
 def concluded(
     prop: UncertainFallsBack | CertainIsUsed,
     trace: Trace,
-    found: Findings,
+    finding_lists: Findings,
     exercised: int,
     none: Callable[[], str],
 ) -> Evaluation:
     """Judge the worst finding, with an evaluation for each part; ``none`` says why there is no finding."""
-    if not any(found.values()):
+    if not any(finding_lists.values()):
         return unexercised(prop, none())
     lacked = f"no repulsion had time for {LEAST_WAY_M * 1e3:g} mm of way; a longer duration exercises it"
 
-    def said(findings: list[Finding]) -> Evaluation:
+    def evaluation_of(findings: list[Finding]) -> Evaluation:
         worst = worst_of(findings)
         reason = worst.what + (f", worst of {exercised} decisions" if exercised > 1 else "")
         return judged(prop, trace, worst.margin_m, worst.time_s, reason, exercised, lambda: lacked)
 
-    parts = [replace(said(one), sentence=f"{prop.sentence}: {part}") for part, one in found.items() if one]
-    return replace(said([finding for one in found.values() for finding in one]), parts=tuple(parts))
+    parts = [
+        replace(evaluation_of(one), sentence=f"{prop.sentence}: {part}")
+        for part, one in finding_lists.items()
+        if one
+    ]
+    return replace(
+        evaluation_of([finding for one in finding_lists.values() for finding in one]), parts=tuple(parts)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +138,7 @@ class UncertainFallsBack(Worded):
 
     cycles: int
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "uncertain answers fall back within {cycles:} cycles"
+    wording: ClassVar[str] = "uncertain answers fall back within {cycles:} cycles"
 
     @reads(*READS, also=[*ALSO, "decision.hand_position_in_base_m"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -278,14 +284,14 @@ class FallbackPoses:
         worst = min(tried, key=lambda part: -math.ulp(0.0) if part.margin is None else part.margin)
         return replace(worst, sentence=self.sentence, exercised=len(trace.decisions), parts=parts)
 
-    def _part(self, trace: Trace, what: str, findings: list[Finding]) -> Evaluation:
+    def _part(self, trace: Trace, title: str, findings: list[Finding]) -> Evaluation:
         if not findings:
-            evaluation = inconclusive(self, f"{what}: never exercised, no true hand was there")
+            evaluation = inconclusive(self, f"{title}: never exercised, no true hand was there")
         else:
             worst, count = worst_of(findings), len(findings)
-            reason = f"{what}{worst.what}: {f'worst of {count}' if count > 1 else 'one pose'}"
+            reason = f"{title}{worst.what}: {f'worst of {count}' if count > 1 else 'one pose'}"
             evaluation = judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=count)
-        return replace(evaluation, sentence=f"fallback poses {what}")
+        return replace(evaluation, sentence=f"fallback poses {title}")
 
 
 def _away(trace: Trace, decision: np.void) -> list[Finding]:

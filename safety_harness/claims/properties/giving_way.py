@@ -107,17 +107,17 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
     """
     decision, count, known = trace.decisions[number], len(trace.ticks), trace.known
     first, last = int(decision["tick"]), last_tick(trace, number)
-    gaps = ((gap.first, gap.after) for gap in known.of("decision").gaps)
+    gaps = ((gap.first, gap.after) for gap in known.measurement_of("decision").gaps)
     about = slice(*next((gap for gap in gaps if gap[0] <= first < gap[1]), (max(first - 1, 0), first + 2)))
     run, period_s = slice(first, last + 1), trace.scenario.settings.clock.control_period_s
     tcp_m, hands_m = trace.ticks["transform_tcp_to_base"][:, :3, 3], trace.ticks["hand_position_in_base_m"]
     columns = "transform_tcp_to_base", "hand_position_in_base_m"
-    off_m, hand_off_m = (known.within(name, count) for name in columns)
+    off_m, hand_off_m = (known.uncertainty_of(name, count) for name in columns)
     start_off_m = float(off_m[about].max() + np.linalg.norm(tcp_m[about] - tcp_m[first], axis=1).max())
     way_m, moved_m = decision["chosen_position_in_base_m"] - tcp_m[first], tcp_m[run] - tcp_m[first]
     length_m = length(way_m)
     velocities = np.array([velocity_at(trace, tick) for tick in range(*about.indices(count))])
-    speeds_mps = trace.ticks["tcp_speed_mps"] + known.within("tcp_speed_mps", count)
+    speeds_mps = trace.ticks["tcp_speed_mps"] + known.uncertainty_of("tcp_speed_mps", count)
     fastest_mps = float(np.nan_to_num(speeds_mps[about], nan=np.inf).max())
     dv_mps = 2.0 * float(off_m[about].max()) / period_s
     dv_mps = float(np.fmin(dv_mps, fastest_mps + np.linalg.norm(velocities, axis=1).max()))
@@ -392,19 +392,19 @@ def progress(
     trace: Trace,
     decision: np.void,
     last: int,
-    before: RepulsionProgress | None,
+    interrupted: RepulsionProgress | None,
     shares: Shares = MODEST,
 ) -> RepulsionProgress:
     """Return the progress from ``decision`` to the tick ``last``, beside a reference that takes ``shares``.
 
-    ``before`` is the progress of the repulsion that another hand interrupts.  Its due way and its lag are
-    added, so that deciding again and again does not replace moving.
+    ``interrupted`` is the progress of the repulsion that another hand interrupts.  Its due way and its lag
+    are added, so that deciding again and again does not replace moving.
     """
     first = int(decision["tick"])
     done = _followed(trace, decision, last, shares=shares)
     behind_m, due_m = done.behind_m, done.due_m
-    if before is not None:
-        behind_m, due_m = behind_m + max(before.behind_m, 0.0), due_m + before.due_m
+    if interrupted is not None:
+        behind_m, due_m = behind_m + max(interrupted.behind_m, 0.0), due_m + interrupted.due_m
     worst = int(np.argmax(behind_m))  # the first NaN, if there is one
     return RepulsionProgress(done.slack_m - float(behind_m[worst]), first + worst, float(behind_m[-1]), due_m)
 
@@ -479,11 +479,11 @@ def _behind(
     n = tcp_in_base_m.shape[0]
     behind = np.zeros(n)
     x, v, change = tcp_in_base_m[0].copy(), velocity_in_base_mps.copy(), np.empty(3)
-    way = _apart(x, target_in_base_m)
+    way = _distance(x, target_in_base_m)
     left = way
     for k in range(n):
-        left = _apart(x, target_in_base_m)
-        behind[k] = _apart(tcp_in_base_m[k], target_in_base_m) - left
+        left = _distance(x, target_in_base_m)
+        behind[k] = _distance(tcp_in_base_m[k], target_in_base_m) - left
         if k == n - 1:
             break
         if excused[k]:
@@ -507,6 +507,6 @@ def _behind(
 
 
 @compiled
-def _apart(a: Array3, b: Array3) -> float:
+def _distance(a: Array3, b: Array3) -> float:
     """Return |a - b| of two points."""
     return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)

@@ -27,7 +27,7 @@ class ObstacleDistance(Worded):
 
     minimum_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "obstacle distance never below {minimum_m:mm}"
+    wording: ClassVar[str] = "obstacle distance never below {minimum_m:mm}"
 
     @reads("joint_position_rad", "joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:

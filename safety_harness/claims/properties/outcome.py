@@ -54,7 +54,7 @@ class KeepsItsPlace(Worded):
 
     within_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "keeps its place within {within_m:mm}"
+    wording: ClassVar[str] = "keeps its place within {within_m:mm}"
 
     @reads("transform_tcp_to_base", "hand_position_in_base_m", ends=lambda prop, trace, _: prop.ends(trace))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -74,7 +74,7 @@ class KeepsItsPlace(Worded):
         errors_m, tcp_m = position_errors_m(trace), true_motion(trace).tcp_m
         found = []
         nearest_m = nearest_hand_m(trace) + farther_m * nearest_off_m(trace)
-        slack_m = 4.0 * farther_m * trace.known.of("transform_tcp_to_base").uncertainty
+        slack_m = 4.0 * farther_m * trace.known.measurement_of("transform_tcp_to_base").uncertainty
         for begin, end in np.transpose(runs_of(nearest_m > NoFalseAlarms().limit_m(trace.scenario.settings))):
             first = begin + left * bool(begin)
             ways_m = np.zeros(max(end - held - first, 0))
@@ -115,7 +115,7 @@ class ReactsWithin(Worded):
 
     within_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "reacts within {within_s:ms}"
+    wording: ClassVar[str] = "reacts within {within_s:ms}"
 
     @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["limits"], of_each_hand=True)
     def evaluate(self, trace: Trace) -> Evaluation:

@@ -208,19 +208,20 @@ def _reaches_m(_: Trace) -> dict[tuple[int, bytes], float]:
     return {}
 
 
-def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], way: NDArray[np.float64]) -> float:
-    """Return how far beyond (negative: short of) its end ``way`` (3,) can be gone from ``joints_rad`` (6,).
+def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], displacement: NDArray[np.float64]) -> float:
+    """Return how far beyond (negative: short of) its end a ``displacement`` (3,) can be gone.
 
+    It begins at ``joints_rad`` (6,).
     The result is at most 0.1 mm too small, but never below zero for a way that can be gone to its end.
     """
-    length_m = length(way)
+    length_m = length(displacement)
     if length_m == 0.0:
         return 0.0
     least = trace.scenario.settings.motion.min_singular_value
     kinematics = inverse_kinematics(trace.scenario.robot)
 
     def beyond_m(far_m: float) -> float:
-        gone_m = kinematics.reach_along(joints_rad, way / length_m, far_m, min_singular_value=least)
+        gone_m = kinematics.reach_along(joints_rad, displacement / length_m, far_m, min_singular_value=least)
         return gone_m - length_m
 
     found_m = beyond_m(length_m + BEYOND_M)

@@ -71,29 +71,31 @@ def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
     return margin, margin, True
 
 
-def optima_in_base_m(trace: Trace, found: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return (m, 3) the closed-form optimum of the questions of ``found`` (m,)."""
-    hands, tcps = found["hand_position_in_base_m"], found["tcp_position_in_base_m"]
+def optima_in_base_m(trace: Trace, proposals: NDArray[np.void]) -> NDArray[np.float64]:
+    """Return (m, 3) the closed-form optimum of the questions of ``proposals`` (m,)."""
+    hands, tcps = proposals["hand_position_in_base_m"], proposals["tcp_position_in_base_m"]
     return np.asarray(optimum_in_base_m(trace.scenario.settings, hands, tcps))
 
 
 def worst(
     prop: Property,
     trace: Trace,
-    found: NDArray[np.void],  # (m,)
+    proposals: NDArray[np.void],  # (m,)
     margins_m: NDArray[np.float64],  # (m,)
     shown_m: NDArray[np.float64],  # (m,)
-    what: str,
+    meaning: str,
 ) -> Evaluation:
     """Judge the proposal with the least margin, or the first without a margin.
 
-    The reason is its ``shown_m``, in mm, and ``what``, the meaning of that number.
+    The reason is its ``shown_m``, in mm, and ``meaning``, the meaning of that number.
     """
-    if len(found) == 0:
+    if len(proposals) == 0:
         return unexercised(prop, no_answer(trace))
     at = int(np.argmin(margins_m))  # the first NaN, if there is one
-    reason = f"{shown_m[at] * 1e3:.1f} mm {what}" + (f", worst of {len(found)}" if len(found) > 1 else "")
-    return judged(prop, trace, float(margins_m[at]), float(found["time_s"][at]), reason, len(found))
+    reason = f"{shown_m[at] * 1e3:.1f} mm {meaning}" + (
+        f", worst of {len(proposals)}" if len(proposals) > 1 else ""
+    )
+    return judged(prop, trace, float(margins_m[at]), float(proposals["time_s"][at]), reason, len(proposals))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +109,7 @@ class ProposalsLeadAway(Worded):
 
     tolerance_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "proposals lead away to within {tolerance_m:mm}"
+    wording: ClassVar[str] = "proposals lead away to within {tolerance_m:mm}"
 
     @reads(also=PROPOSAL, ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -127,7 +129,7 @@ class NearOptimum(Worded):
 
     within_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "proposals within {within_m:mm} of the optimum"
+    wording: ClassVar[str] = "proposals within {within_m:mm} of the optimum"
 
     @reads(also=PROPOSAL, ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -149,7 +151,7 @@ class WithinSpread(Worded):
     spreads: float
     allowance_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "proposals within {spreads:1} spread(s) and {allowance_m:mm} of the optimum"
+    wording: ClassVar[str] = "proposals within {spreads:1} spread(s) and {allowance_m:mm} of the optimum"
 
     @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -175,7 +177,7 @@ class NeverSureAndOff(Worded):
 
     within_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "proposals never sure and more than {within_m:mm} from the optimum"
+    wording: ClassVar[str] = "proposals never sure and more than {within_m:mm} from the optimum"
 
     @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -197,7 +199,7 @@ class FewOverruled(Worded):
 
     most: float
     unit: Unit = Unit.FRACTION
-    words: ClassVar[str] = "at most {most:%} of proposals overruled"
+    wording: ClassVar[str] = "at most {most:%} of proposals overruled"
 
     @reads(also=[*ANSWER, "decision.outcome"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -207,7 +209,7 @@ class FewOverruled(Worded):
         if asked == 0:
             return unexercised(self, no_answer(trace))
         told = not trace.known.missing(["decision.proposed_failed"])
-        reasons = Overruling.of([trace]).reasons if told else {}
+        reasons = Overruling.from_traces([trace]).reasons if told else {}
         why = ", ".join(f"{check.name} {n}" for check, n in reasons.items()).lower().replace("_", " ")
         reason = f"{count} of {asked} overruled" + (f" ({why})" if why else "")
         time_s = float(trace.decisions["time_s"][int(np.argmax(vetoed if count else made))])

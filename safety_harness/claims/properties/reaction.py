@@ -135,7 +135,9 @@ def _answer_ends(
 
 def _predicted_ends(prop: GivesWay, trace: Trace) -> tuple[float, float, bool]:
     known, ticks, count = trace.known, trace.ticks, len(trace.ticks)
-    off_m = known.within("transform_tcp_to_base", count) + known.within("predicted_hand_in_base_m", count)
+    off_m = known.uncertainty_of("transform_tcp_to_base", count) + known.uncertainty_of(
+        "predicted_hand_in_base_m", count
+    )
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
     apart_m, _ = predicted_apart_m(trace)
     told = known.measured("track_valid", ticks) & known.measured("predicted_hand_in_base_m", ticks)
@@ -153,7 +155,7 @@ def _true_ends(prop: GivesWayToTrueHand, trace: Trace) -> tuple[float, float, bo
 def nearest_off_m(trace: Trace) -> NDArray[np.float64]:
     """Return (n,) the error of the distance of the nearest hand from the TCP."""
     count = len(trace.ticks)
-    return trace.known.within("transform_tcp_to_base", count) + trace.known.within(
+    return trace.known.uncertainty_of("transform_tcp_to_base", count) + trace.known.uncertainty_of(
         "hand_position_in_base_m", count
     )
 
@@ -174,7 +176,7 @@ class GivesWay(Worded):
 
     within_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "gives way within {within_s:ms} of a predicted hand"
+    wording: ClassVar[str] = "gives way within {within_s:ms} of a predicted hand"
 
     @reads(
         "transform_tcp_to_base",
@@ -210,7 +212,7 @@ class GivesWayToTrueHand(Worded):
 
     within_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "gives way within {within_s:ms} of a true hand"
+    wording: ClassVar[str] = "gives way within {within_s:ms} of a true hand"
 
     @reads(
         "transform_tcp_to_base",
@@ -231,36 +233,40 @@ class GivesWayToTrueHand(Worded):
 def _judged(
     prop: GivesWay | GivesWayToTrueHand,
     trace: Trace,
-    near: NDArray[np.bool_],  # (n,) what counts as an occasion
+    is_near: NDArray[np.bool_],  # (n,) what counts as an occasion
     unanswered: Iterable[tuple[int, int]],
-    whose: str,
+    body: str,
     ignored: Sequence[slice] = (),  # encounters in which the arm never gave way
 ) -> Evaluation:
     """Judge the longest stretch in which a near hand was not answered."""
-    occasions = times_begun(near)
-    longest, since, open_from = 0, int(np.argmax(near)), len(near)  # in ticks
+    occasions = times_begun(is_near)
+    longest, since, open_from = 0, int(np.argmax(is_near)), len(is_near)  # in ticks
     for first, end in unanswered:
-        took = min(end, len(near) - 1) - first
-        if end == len(near) and time_left_s(trace, prop.within_s, took) >= 0.0:
+        took = min(end, len(is_near) - 1) - first
+        if end == len(is_near) and time_left_s(trace, prop.within_s, took) >= 0.0:
             open_from = first
         elif took > longest:
             longest, since = took, first
     margin_s = time_left_s(trace, prop.within_s, longest)
-    decided = times_begun(near[:open_from])  # one that gave way and is open again has been answered once
+    decided = times_begun(is_near[:open_from])  # one that gave way and is open again has been answered once
     if margin_s >= 0.0 and occasions == 0:
         true = isinstance(prop, GivesWayToTrueHand)
         return unexercised(prop, no_near_hand(trace) if true else no_predicted_hand(trace))
     if margin_s >= 0.0 and decided == 0:
-        had_ms = (len(near) - 1 - int(np.argmax(near))) * trace.scenario.settings.clock.control_period_s * 1e3
-        why = f"the run ends {had_ms:.0f} ms after a {whose} came near, before the {prop.within_s * 1e3:g} ms"
+        had_ms = (
+            (len(is_near) - 1 - int(np.argmax(is_near)))
+            * trace.scenario.settings.clock.control_period_s
+            * 1e3
+        )
+        why = f"the run ends {had_ms:.0f} ms after a {body} came near, before the {prop.within_s * 1e3:g} ms"
         return inconclusive(prop, f"{why} allowed; a longer duration exercises it")
-    reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near"
+    reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {body} came near"
     told = judged(prop, trace, margin_s, trace.time_s[since + longest], reason, decided)
-    left = next((one for one in ignored if one.stop < len(near)), None)
+    left = next((one for one in ignored if one.stop < len(is_near)), None)
     if left is None or told.verdict is not Verdict.HOLDS:
         return told
     when = f"from {trace.time_s[left.start]:.3f} s to {trace.time_s[left.stop]:.3f} s"
-    why = f"a {whose} was near {when} and left before the {prop.within_s * 1e3:g} ms allowed"
+    why = f"a {body} was near {when} and left before the {prop.within_s * 1e3:g} ms allowed"
     why += "; the arm never gave way to it"
     return replace(told, verdict=Verdict.INCONCLUSIVE, reason=why, exercised=decided - 1)
 
@@ -302,7 +308,7 @@ class GivesWayAtMost(Worded):
 
     most: int
     unit: Unit = Unit.COUNT
-    words: ClassVar[str] = "gives way at most {most:} time(s)"
+    wording: ClassVar[str] = "gives way at most {most:} time(s)"
 
     @reads(also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -350,7 +356,7 @@ class NoFalseAlarms(Worded):
     unit: Unit = Unit.LENGTH
 
     @property
-    def words(self) -> str:
+    def wording(self) -> str:
         """Return the sentence, with the limit where it is stated."""
         return "never gives way without a hand" + " within {within_m:mm}" * (self.within_m is not None)
 
@@ -421,7 +427,7 @@ def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
         begun = slice(max(first - 1, 0), first + int(inside[0]) + 1) if len(inside) else slice(0)
         if len(inside) and told[begun].all() and not singular[begun].any():
             highs.append(limit_m - min(float(near_m[begun].min()), 2.0 * limit_m))
-    gaps = [(gap.first, gap.after) for gap in trace.known.of("decision").gaps]
+    gaps = [(gap.first, gap.after) for gap in trace.known.measurement_of("decision").gaps]
     for tick in trace.decisions["tick"].tolist():
         about = next((gap for gap in gaps if gap[0] <= tick < gap[1]), (tick - 1, tick + 2))
         window = slice(max(about[0], 0), about[1])

@@ -98,7 +98,7 @@ class GainSwitchReached(Worded):
     unit: Unit = Unit.TIME
 
     @property
-    def words(self) -> str:
+    def wording(self) -> str:
         """Return the sentence, with the time allowed where it is stated."""
         return "gain switch reached" + " within {within_s:s}" * (self.within_s is not None)
 
@@ -210,7 +210,7 @@ def _converged_ends(trace: Trace, margin: float) -> tuple[float, float, bool]:
 
     A violation is not certain if a hand may have come near after all.
     """
-    off_m, first = trace.known.within("transform_tcp_to_base", len(trace.ticks)), left_at(trace) or 0
+    off_m, first = trace.known.uncertainty_of("transform_tcp_to_base", len(trace.ticks)), left_at(trace) or 0
     apart_m = (nearest_hand_m(trace) - nearest_off_m(trace))[first:]
     left = bool((apart_m >= trace.scenario.settings.avoidance.critical_distance_m).all())
     off = bool((position_errors_m(trace) - off_m > CONVERGED_POSITION_M).any())
@@ -257,7 +257,7 @@ class GainSwitchIterations(Worded):
 
     within: int
     unit: Unit = Unit.COUNT
-    words: ClassVar[str] = "gain switch reached within {within:} iterations"
+    wording: ClassVar[str] = "gain switch reached within {within:} iterations"
 
     @property
     def reads(self) -> tuple[str, ...] | None:
@@ -304,7 +304,7 @@ class NeverStarved(Worded):
 
     longest_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "task never starved longer than {longest_s:s}"
+    wording: ClassVar[str] = "task never starved longer than {longest_s:s}"
 
     @reads("transform_tcp_to_base", also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -384,7 +384,7 @@ class ObjectInView(Worded):
 
     within_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "object in view or recovered within {within_s:s}"
+    wording: ClassVar[str] = "object in view or recovered within {within_s:s}"
 
     @reads("tcp_speed_mps", also=["object_visible"])
     def evaluate(self, trace: Trace) -> Evaluation:

@@ -48,7 +48,7 @@ class IntervalRule:
     target: Target
 
     @classmethod
-    def of(cls, model: Model) -> IntervalRule | None:
+    def from_model(cls, model: Model) -> IntervalRule | None:
         """Return the rule of a model's calibration for the target of its card; None without a calibration."""
         if model.calibration is None:
             return None
@@ -91,7 +91,9 @@ class SpreadCalibration:
         wrong = next((f"{t.scenario.name}: {w}" for t in every if (w := first_inconsistency(t))), None)
         if wrong is not None:
             return inconclusive(self, f"a trace contradicts itself: {wrong}")
-        if lacking := [name for name in READ if any(trace.known.of(name).limited for trace in every)]:
+        if lacking := [
+            name for name in READ if any(trace.known.measurement_of(name).limited for trace in every)
+        ]:
             return not_measured(self, lacking)
         intervals = self.intervals or (_shipped(avoiders.pop()) if avoiders else None)
         if intervals is None:
@@ -100,7 +102,7 @@ class SpreadCalibration:
         if len(covered) < LEAST_DECISIONS:
             reason = f"{len(covered)} runs with an answered decision; {LEAST_DECISIONS} are needed"
             return inconclusive(self, reason, exercised=len(covered))
-        share = Proportion.of(covered)
+        share = Proportion.from_rows(covered)
         words = (
             f"{share.count} of {share.trials} hold {intervals.target.value}: "
             f"{share.share:.1%}, between {share.low:.1%} and {share.high:.1%}"
@@ -114,7 +116,7 @@ class SpreadCalibration:
 
 
 def _shipped(avoider: str) -> IntervalRule | None:
-    return IntervalRule.of(load_model(shipped_model(avoider))) if avoider in SHIPPED else None
+    return IntervalRule.from_model(load_model(shipped_model(avoider))) if avoider in SHIPPED else None
 
 
 def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:

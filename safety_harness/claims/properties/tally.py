@@ -159,17 +159,17 @@ def tally_claims(judged: Iterable[Judged]) -> tuple[ClaimTally, ...]:
     return tuple(_tally(sentence, found) for sentence, found in by_sentence.items())
 
 
-def _tally(sentence: str, found: Sequence[Judged]) -> ClaimTally:
-    evaluations = [one.evaluation for one in found]
+def _tally(sentence: str, outcomes: Sequence[Judged]) -> ClaimTally:
+    evaluations = [one.evaluation for one in outcomes]
     verdicts = [evaluation.verdict for evaluation in evaluations]
     conclusive = [
-        one for one in found if one.expected is not Verdict.INCONCLUSIVE and one.evaluation.applicable
+        one for one in outcomes if one.expected is not Verdict.INCONCLUSIVE and one.evaluation.applicable
     ]
     untested = bool(conclusive) and not any(_tested(one.evaluation) for one in conclusive)
-    finite = [one for one in found if isfinite(_margin(one))]
+    finite = [one for one in outcomes if isfinite(_margin(one))]
     return ClaimTally(
         sentence=sentence,
-        runs=len(found),
+        runs=len(outcomes),
         exercised=sum(occasions > 0 for occasions in map(_occasions, evaluations)),
         occasions=sum(map(_occasions, evaluations)),
         holds=verdicts.count(Verdict.HOLDS),
@@ -190,15 +190,15 @@ def _occasions(evaluation: Evaluation) -> int:
     return 0 if evaluation.unmeasured else evaluation.exercised
 
 
-def _margin(one: Judged) -> float:
-    return nan if one.evaluation.margin is None else one.evaluation.margin
+def _margin(outcome: Judged) -> float:
+    return nan if outcome.evaluation.margin is None else outcome.evaluation.margin
 
 
-def _nearness(one: Judged) -> tuple[float, str, str, str, str]:
+def _nearness(outcome: Judged) -> tuple[float, str, str, str, str]:
     """Return a key that sorts outcomes by their margins, or else by their texts."""
-    found = one.evaluation
-    margin = _margin(one) if isfinite(_margin(one)) else inf
-    return margin, one.run, found.reason, found.verdict.value, one.expected.value
+    found = outcome.evaluation
+    margin = _margin(outcome) if isfinite(_margin(outcome)) else inf
+    return margin, outcome.run, found.reason, found.verdict.value, outcome.expected.value
 
 
 def far_lines(tallies: Sequence[ClaimTally]) -> list[str]:

@@ -47,7 +47,7 @@ def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[flo
     at_ticks_m, between_m = distance_moved_m(trace)
     off_m, true, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace), np.inf
     low_m = closest_approach(trace, hand_paths(trace), off_m).low_m - RESOLUTION_M
-    known_rad = trace.known.within("joint_position_rad", len(trace.ticks))
+    known_rad = trace.known.uncertainty_of("joint_position_rad", len(trace.ticks))
     turned_rad = np.abs(np.diff(true.joints_rad, axis=0)) - (known_rad[1:] + known_rad[:-1])[:, None]
     turns = turned_rad >= STANDSTILL_RADPS * trace.scenario.settings.clock.control_period_s
     first = np.where(turns.any(axis=1), turns.argmax(axis=1), turns.shape[1])
@@ -96,7 +96,7 @@ class NoMovingPartTouches:
         return replace(said, reason=f"{said.reason}; {standing}") if standing else said
 
 
-def theorem_words(trace: Trace, said: Evaluation) -> str:
+def theorem_words(trace: Trace, evaluation: Evaluation) -> str:
     """Return what a run shows of its shield's theorem beside the verdict on touches; may be empty.
 
     Whether the theorem applies changes no verdict.
@@ -104,16 +104,16 @@ def theorem_words(trace: Trace, said: Evaluation) -> str:
     if trace.scenario.shield is None or len(trace.ticks) == 0:
         return ""
     broken = broken_assumptions(trace)
-    if refutes_theorem(trace, said):
+    if refutes_theorem(trace, evaluation):
         return "REFUTES THE SHIELD'S THEOREM: until then no assumption that a trace tells was broken"
     if broken and broken[0].number == NOT_KNOWN:
         return f"whether the shield's theorem applies is not known: {broken[0].text}"
     return f"the shield's theorem does not apply: {'; '.join(one.text for one in broken)}" if broken else ""
 
 
-def refutes_theorem(trace: Trace, said: Evaluation) -> bool:
+def refutes_theorem(trace: Trace, evaluation: Evaluation) -> bool:
     """Return whether a moving part was touched before any assumption of the shield's theorem broke."""
-    if trace.scenario.shield is None or said.verdict is not Verdict.VIOLATED:
+    if trace.scenario.shield is None or evaluation.verdict is not Verdict.VIOLATED:
         return False
     broken = broken_assumptions(trace)
     if not broken:
@@ -163,7 +163,7 @@ def closest_moving(trace: Trace, paths: HandPaths) -> Nearest:
                 continue  # it stands
             if lower_m[begin:end].min() > min(best.high_m, most_m):  # never of a NaN
                 continue  # nothing comes as near
-            arm = _beyond(arm_of(trace), int(first[begin]))
+            arm = _distal_part(arm_of(trace), int(first[begin]))
             if len(arm.capsules) == 0:
                 continue
             own = slice(begin, end + 1)
@@ -209,7 +209,7 @@ def _runs(first: NDArray[np.int64]) -> list[tuple[int, int]]:
     return list(zip([0, *cuts], [*cuts, len(first)], strict=True)) if len(first) else []
 
 
-def _beyond(arm: Arm, joint: int) -> Arm:
+def _distal_part(arm: Arm, joint: int) -> Arm:
     """Return the arm with only the capsules that the joint moves."""
     return Arm(arm.chain, _moved(arm.capsules.tobytes(), arm.capsules.dtype, joint), arm.reach_m)
 

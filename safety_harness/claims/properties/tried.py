@@ -41,7 +41,7 @@ class TriedParts:
     parts: dict[str, dict[str, bool]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, *traces: Trace) -> TriedParts:
+    def from_traces(cls, *traces: Trace) -> TriedParts:
         """Return the parts that ``traces`` exercised."""
         tried = cls()
         for trace in traces:
@@ -80,10 +80,10 @@ class TriedParts:
         known |= {part: tried or known.get(part, False) for part, tried in parts.items()}
         self.runs[title] = self.runs.get(title, 0) + runs
 
-    def lines(self, *spaces: ScenarioSpace, of: str = "runs") -> list[str]:
+    def lines(self, *spaces: ScenarioSpace, subject: str = "runs") -> list[str]:
         """Return a line for each title on the parts that no run exercised.
 
-        The values of ``spaces`` that vary in these parts alone follow.  ``of`` is the kind of runs.
+        The values of ``spaces`` that vary in these parts alone follow.  ``subject`` is the kind of runs.
         """
         titled, lines = {space.title: space for space in spaces}, []
         for title, parts in self.parts.items():
@@ -91,7 +91,8 @@ class TriedParts:
             values = untried_values(titled[title], idle) if idle and title in titled else []
             idle += [f"{name}, which varies" for name in values]
             if idle:
-                runs = f"{self.runs[title]} {of if self.runs[title] > 1 else of.replace('runs', 'run', 1)}"
+                noun = subject if self.runs[title] > 1 else subject.replace("runs", "run", 1)
+                runs = f"{self.runs[title]} {noun}"
                 lines.append(f"{UNTRIED} {runs} of {title!r}, and nothing is known of: {'; '.join(idle)}")
         return lines
 
@@ -166,9 +167,9 @@ def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
     return found
 
 
-def _differing(one: Scenario, other: Scenario) -> set[str]:
+def _differing(first: Scenario, second: Scenario) -> set[str]:
     """Return the moves and faults in which two scenarios differ; an empty word is any other difference."""
-    (mine, rest), (others, of_other) = (_split(scenario) for scenario in (one, other))
+    (mine, rest), (others, of_other) = (_split(scenario) for scenario in (first, second))
     changed = {part for part in mine.keys() | others.keys() if mine.get(part) != others.get(part)}
     return changed if rest == of_other else {*changed, ""}
 

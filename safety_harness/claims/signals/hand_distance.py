@@ -49,9 +49,9 @@ def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.floa
         return np.full(count, np.inf), np.full(count, np.inf)
     reach_m, period_s = float(arm_of(trace).reach_m.sum()), trace.scenario.settings.clock.control_period_s
     columns = ("hand_position_in_base_m", "elbow_position_in_base_m", *JOINTS)
-    hand_m, elbow_m, turned_rad, faster_radps = (known.within(name, count) for name in columns)
+    hand_m, elbow_m, turned_rad, faster_radps = (known.uncertainty_of(name, count) for name in columns)
     between_m = apart_between(hand_m, elbow_m, turned_rad * reach_m, faster_radps * reach_m, period_s)
-    return known.within("hand_distance_m", count), between_m
+    return known.uncertainty_of("hand_distance_m", count), between_m
 
 
 class Nearest(NamedTuple):
@@ -62,10 +62,10 @@ class Nearest(NamedTuple):
     hand: int = 0
     high_m: float = np.inf
 
-    def or_nearer(self, other: Nearest) -> Nearest:
+    def or_nearer(self, candidate: Nearest) -> Nearest:
         """Return the smaller of two."""
-        low = self if other.low_m >= self.low_m else other  # a NaN comes out
-        return low._replace(high_m=min(self.high_m, other.high_m))
+        low = self if candidate.low_m >= self.low_m else candidate  # a NaN comes out
+        return low._replace(high_m=min(self.high_m, candidate.high_m))
 
 
 def known_to(
@@ -168,9 +168,9 @@ def ends_between(
 
 
 @inlined
-def distance_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Return the distance of two points, ``one`` (3,) and ``other`` (3,)."""
-    x, y, z = other[0] - one[0], other[1] - one[1], other[2] - one[2]
+def distance_m(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    """Return the distance of two points, ``first`` (3,) and ``second`` (3,)."""
+    x, y, z = second[0] - first[0], second[1] - first[1], second[2] - first[2]
     return float(np.sqrt(x * x + y * y + z * z))
 
 
@@ -259,7 +259,10 @@ def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
         true.rates_radps,
         trace.overshoot_radps,
         period_s,
-        not (known.of("joint_position_rad").limited or known.of("joint_velocity_radps").limited),
+        not (
+            known.measurement_of("joint_position_rad").limited
+            or known.measurement_of("joint_velocity_radps").limited
+        ),
         any(one.substeps for one in WORLDS if one.name == world),
     )
 

@@ -40,15 +40,15 @@ def nearest_of(
     trace: Trace,
     distance_m: NDArray[np.float64],  # (n,) at each tick; what is not finite is not there
     limit_m: float,
-    whose: str,
-    what: str = "the TCP",
+    body: str,
+    target: str = "the TCP",
 ) -> str:
-    """Return how near a hand came to ``what``, when, and how near is enough; empty if no hand was there."""
+    """Return how near a hand came to ``target``, when, and how near is enough; empty if no hand was there."""
     there_m = np.where(np.abs(distance_m) < ENDLESS, distance_m, np.inf)
     tick = int(np.argmin(there_m))
     if not np.isfinite(there_m[tick]):
         return ""
-    came = f"the nearest {whose} came to {millimetres(there_m[tick], limit_m)} of {what}"
+    came = f"the nearest {body} came to {millimetres(there_m[tick], limit_m)} of {target}"
     return f"{came} at {trace.time_s[tick]:.3f} s; within {limit_m * 1e3:g} mm exercises it"
 
 
@@ -87,7 +87,7 @@ def no_predicted_hand(trace: Trace) -> str:
 
 def _not_all_seen(trace: Trace) -> bool:
     """Return whether a statement on near hands, predicted or true, would exceed what is known."""
-    return not trace.known.whole and any(trace.known.of(name).limited for name in SEEN)
+    return not trace.known.whole and any(trace.known.measurement_of(name).limited for name in SEEN)
 
 
 def no_decision(trace: Trace) -> str:
@@ -145,16 +145,16 @@ def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
     return f"the {which} spread of an answer was {spread}, at {time_s:.3f} s; {enough}, exercises it"
 
 
-def went(trace: Trace, place: str, asked: NDArray[np.bool_]) -> bool:
+def went(trace: Trace, place: str, counted: NDArray[np.bool_]) -> bool:
     """Return whether the column ``place`` certainly moves: between two ticks by more than its uncertainty.
 
-    Only stretches whose ticks are all ``asked`` (n,) count.
+    Only stretches whose ticks are all ``counted`` (n,) count.
     """
     values = trace.ticks[place] if trace.ticks[place].ndim == 2 else trace.ticks[place][:, :3, 3]
-    off, slow = 2.0 * trace.known.of(place).uncertainty, MOVES * trace.time_s[:, None]
-    for ticks in np.split(np.arange(len(values)), np.flatnonzero(np.diff(asked)) + 1):
+    off, slow = 2.0 * trace.known.measurement_of(place).uncertainty, MOVES * trace.time_s[:, None]
+    for ticks in np.split(np.arange(len(values)), np.flatnonzero(np.diff(counted)) + 1):
         for along in (values[ticks] - slow[ticks], -values[ticks] - slow[ticks]):
-            if asked[ticks].all() and np.any(along - np.fmin.accumulate(along) > off):
+            if counted[ticks].all() and np.any(along - np.fmin.accumulate(along) > off):
                 return True
     return False
 

@@ -306,12 +306,12 @@ def faster_mps(
 
 
 @compiled
-def _along(velocity: NDArray[np.float64], way: NDArray[np.float64], length: float) -> float:
-    """Return the component of a velocity along ``way``/``length``, at least 0; the speed if the length is 0.
+def _along(velocity: NDArray[np.float64], displacement: NDArray[np.float64], length: float) -> float:
+    """Return the component of a velocity along ``displacement``/``length``, at least 0.
 
-    ``velocity`` and ``way`` (3,).
+    If the length is 0, return the speed.  ``velocity`` and ``displacement`` (3,).
     """
     if length == 0.0:
         return sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
-    total = velocity[0] * way[0] + velocity[1] * way[1] + velocity[2] * way[2]
+    total = velocity[0] * displacement[0] + velocity[1] * displacement[1] + velocity[2] * displacement[2]
     return float(max(total / length, 0.0))

@@ -19,7 +19,7 @@ from safety_harness.claims.signals.true_motion import arm_of, true_motion
 from safety_harness.trace.trace import Trace, history, once_a_trace
 
 
-def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
+def speeds(at_tick: Values, mean: Values, *, moving_part: str) -> Sampled:
     """Sample the fastest of some speeds, with bounds between the ticks as ``speed_cells`` has them.
 
     Occasions are the ticks from which on it moves.  ``at_tick`` is of shape (n, joints) and ``mean``, from
@@ -28,7 +28,9 @@ def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
     value, low, high, mean = speed_cells(at_tick, mean)
     moves = value - MOVES
     moves[:-1] = np.fmax(moves[:-1], mean - MOVES)
-    return Sampled(value=value, low=low, high=high, tried=(moves, moves), untried=f"{of} never moves")
+    return Sampled(
+        value=value, low=low, high=high, tried=(moves, moves), untried=f"{moving_part} never moves"
+    )
 
 
 @once_a_trace
@@ -84,12 +86,12 @@ def larger(at_tick: Values, mean: Values) -> Values:
 def sample_tcp_speed(trace: Trace) -> Sampled:
     """Sample the TCP's speed; between ticks its mean counts too."""
     at_ticks, mean = tcp_speeds_mps(trace)
-    return speeds(at_ticks[:, None], mean[:, None], of="the TCP")
+    return speeds(at_ticks[:, None], mean[:, None], moving_part="the TCP")
 
 
 def sample_joint_speed(trace: Trace) -> Sampled:
     """Sample the fastest joint's speed; the commanded speed may be lower by ``known_to_radps``."""
-    found, off_radps = speeds(*joint_speeds_radps(trace), of="the arm"), known_to_radps(trace)
+    found, off_radps = speeds(*joint_speeds_radps(trace), moving_part="the arm"), known_to_radps(trace)
     return replace(
         found, low=found.low - off_radps, value_low=found.value - off_radps, value_high=found.value
     )

@@ -199,7 +199,7 @@ def first_stray(trace: Trace) -> int | None:
         for body, name in enumerate(BODIES):
             off_m = np.linalg.norm(stored_m[:, :, body] - moved_m[:, :, body], axis=2)
             same = ~known.measured(name, trace.ticks)[:, : off_m.shape[1]]
-            same |= off_m <= known.of(name).uncertainty + SAME_M
+            same |= off_m <= known.measurement_of(name).uncertainty + SAME_M
             stored_m[:, :, body][same] = moved_m[:, :, body][same]
     stray = ~np.isclose(stored_m, moved_m, rtol=0.0, atol=SAME_M, equal_nan=True)
     return int(np.argmax(stray.any(axis=(1, 2, 3)))) if stray.any() else None
@@ -209,19 +209,21 @@ def follows_unknown(trace: Trace) -> bool:
     """Return whether a hand heads for a TCP that was not measured everywhere and exactly."""
     moves = [move for hand in trace.scenario.hands if isinstance(hand, MovingHand) for move in hand.moves]
     seeks = any(isinstance(move, ReachForTcp | FollowTcp) for move in moves)
-    return seeks and trace.known.of("transform_tcp_to_base").limited
+    return seeks and trace.known.measurement_of("transform_tcp_to_base").limited
 
 
 def apart_moved_m(trace: Trace) -> NDArray[np.float64]:
     """Return (n,) the error [m] of a distance from hand to arm, by the uncertainty of hands and joints."""
     known, count = trace.known, len(trace.ticks)
-    hands, elbows = (known.within(name, count) for name in BODIES)
-    return np.maximum(hands, elbows) + known.within(JOINTS[0], count) * float(arm_of(trace).reach_m.sum())
+    hands, elbows = (known.uncertainty_of(name, count) for name in BODIES)
+    return np.maximum(hands, elbows) + known.uncertainty_of(JOINTS[0], count) * float(
+        arm_of(trace).reach_m.sum()
+    )
 
 
 def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
     """Return (n,) the error [m/s] of the TCP's velocity at each tick, by the uncertainty of the joints."""
-    turned_rad, faster_radps = (trace.known.within(name, len(trace.ticks)) for name in JOINTS)
+    turned_rad, faster_radps = (trace.known.uncertainty_of(name, len(trace.ticks)) for name in JOINTS)
     rates_radps = np.nan_to_num(true_motion(trace).rates_radps, nan=0.0, posinf=0.0, neginf=0.0)
     return np.asarray(velocity_off(arm_of(trace).reach_m, turned_rad, faster_radps, rates_radps))
 
@@ -383,22 +385,22 @@ def _follow(
 
 
 @njit_no_nrt
-def _evenly(before: Any, after: Any, period_s: float) -> bool:
+def _evenly(earlier: Any, later: Any, period_s: float) -> bool:
     """Return whether a hand's way within a tick is that of a velocity that changes evenly."""
     even = True
     for j in range(3):
-        mean_mps = 0.5 * (before.velocity_in_base_mps[j] + after.velocity_in_base_mps[j])
-        way_m = after.steady_in_base_m[j] - before.steady_in_base_m[j]
+        mean_mps = 0.5 * (earlier.velocity_in_base_mps[j] + later.velocity_in_base_mps[j])
+        way_m = later.steady_in_base_m[j] - earlier.steady_in_base_m[j]
         even = even and abs(way_m - mean_mps * period_s) < 1e-12
     return even
 
 
 @njit_no_nrt
-def _heads_for_tcp(before: Any, after: Any, moves: Any) -> bool:
+def _heads_for_tcp(earlier: Any, later: Any, moves: Any) -> bool:
     """Return whether a move of a hand within a tick heads for the TCP; others can be followed to any time."""
     heads = False
-    for row in range(before.current, min(after.current + 1, after.count)):
-        heads = heads or moves[before.first + row].kind >= REACH_FOR_TCP
+    for row in range(earlier.current, min(later.current + 1, later.count)):
+        heads = heads or moves[earlier.first + row].kind >= REACH_FOR_TCP
     return heads
 
 
@@ -442,12 +444,12 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
 
 def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
     """Return (n,) the largest error of one of ``DERIVED``, by the uncertainty of all its columns."""
-    off = trace.known.within(name, len(trace.ticks))
+    off = trace.known.uncertainty_of(name, len(trace.ticks))
     if name == "tcp_speed_mps":
         return off + tcp_velocity_moved_mps(trace)
     if name == "hand_distance_m":
         return off + apart_moved_m(trace)
-    turned_rad = trace.known.within(JOINTS[0], len(trace.ticks))
+    turned_rad = trace.known.uncertainty_of(JOINTS[0], len(trace.ticks))
     return off + turned_rad * (float(arm_of(trace).reach_m.sum()) + 6.0)  # an entry of a rotation: 6 at most
 
 

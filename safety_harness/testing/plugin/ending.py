@@ -110,7 +110,7 @@ class Ending:
         from safety_harness.trace.overruling import Overruling
 
         runs = {run: one for sent in self._sent for run, one in sent.run.overruled.items()}
-        return sum(runs.values(), Overruling()).words
+        return sum(runs.values(), Overruling()).summary
 
     def _against(self) -> list[str]:
         """Return the differences from the reference; they count as tested only if no test drew scenarios."""
@@ -155,20 +155,20 @@ class Ending:
         return tried.lines()
 
     def _remarks(self) -> list[str]:
-        from safety_harness.testing.failure_text import near
+        from safety_harness.testing.failure_text import nearest_path
 
         executed = dict.fromkeys(file for sent in self._sent for file in sent.executed)
         lines = [f"executed {file}" for file in executed]
         kept = [sent.run.kept for sent in self._sent if sent.run.kept]
         if kept:
             lines.append("scenarios of failures, tried first next time:")
-            lines += [f"  {near(file)}" for file in kept]
+            lines += [f"  {nearest_path(file)}" for file in kept]
         tried = [sent for sent in self._sent if sent.run.replayed]
         if tried:
             files = sum(len(sent.run.replayed) for sent in tried)
             passed = [file for sent in tried if not sent.failed for file in sent.run.replayed]
             lines.append(f"earlier failures tried first: {files}, in tests that pass now: {len(passed)}")
-            lines += [f"  {near(file)}" for file in passed]
+            lines += [f"  {nearest_path(file)}" for file in passed]
             as_kept = sum(len(sent.run.replayed) for sent in tried if sent.run.as_kept)
             lines += [f"  with the avoider of the file in which it is kept: {as_kept}"] if as_kept else []
         now = current()
@@ -176,7 +176,7 @@ class Ending:
             again = f"--hypothesis-seed={now.seed}"
             lines.append(f"profile {now.profile.name}; {again} draws the same scenarios again")
         if now.report is not None:
-            lines.append(self._unwritten or f"report: {near(now.report)}")
+            lines.append(self._unwritten or f"report: {nearest_path(now.report)}")
         return lines
 
     def _world(self) -> list[str]:

@@ -224,8 +224,8 @@ class _PastCapture(io.StringIO):
         return len(text)
 
 
-def _end(before: Session) -> None:
-    begin(before)
+def _end(previous: Session) -> None:
+    begin(previous)
 
 
 def _is_worker(config: pytest.Config) -> bool:

@@ -191,7 +191,7 @@ def read_findings(path: Path) -> Found:
         InputError: ``fuzz`` did not write the file; the error names the field.
 
     """
-    findings = typed(read_json(path, "the findings of a search"), Found, path, others=True)
+    findings = typed(read_json(path, "the findings of a search"), Found, path, further_fields=True)
     if not 0 <= findings.tried <= findings.budget:
         place, got = Place(file=path, field="tried"), str(findings.tried)
         raise InputError(place=place, expected=f"0 to {findings.budget} runs", got=got)
@@ -314,7 +314,7 @@ def _example(
     data: bytes | None = None,
 ) -> Example:
     """Return a counterexample with its margin and its ``replay`` command; ``numbered`` sets its number."""
-    index = run.under(sentence).about
+    index = run.under_claim(sentence).about
     shown = CounterexampleEvidence(
         number=0,
         claim=None if claim is None else claim + 1,

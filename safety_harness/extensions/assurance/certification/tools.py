@@ -246,7 +246,9 @@ def read_selftest(path: Path) -> SelfTest:
         InputError: The file is no selftest.json, or its trial has no fault; the error names the field.
 
     """
-    trial = typed(of_format(read_json(path, "a selftest.json"), FORMAT, path), _Trial, path, others=True)
+    trial = typed(
+        of_format(read_json(path, "a selftest.json"), FORMAT, path), _Trial, path, further_fields=True
+    )
     about, tried = trial.about, trial.faults
     faults = tuple(_caught(fault) for fault in tried if fault.state in ON_TRIAL)
     if not faults:
@@ -284,7 +286,7 @@ def read_oracles(path: Path) -> tuple[Oracle, ...]:
 
     """
     path = located(path)
-    table = typed(read_json(path, "a table of oracles"), list[_Oracle], path, others=True)
+    table = typed(read_json(path, "a table of oracles"), list[_Oracle], path, further_fields=True)
     return tuple(
         Oracle(part=row.what, against=row.oracle, largest=f"{row.largest:.2g} {row.unit}") for row in table
     )

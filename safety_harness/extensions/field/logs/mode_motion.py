@@ -37,7 +37,7 @@ def refuse_retreat_while_servoing(trace: Trace, log: CellLog) -> None:
         return
     servoing = known.measured("mode", ticks) & (ticks["mode"] == Mode.SERVOING)
     servoing &= known.measured(TCP, ticks) & known.measured(HAND, ticks).all(axis=1)
-    tcp_off_m, hand_off_m = (known.within(name, len(ticks)) for name in (TCP, HAND))
+    tcp_off_m, hand_off_m = (known.uncertainty_of(name, len(ticks)) for name in (TCP, HAND))
     far_m = position_errors_m(trace)
     tcp_m = true_motion(trace).tcp_m
     from_hands_m = tcp_m[:, None] - ticks[HAND]

@@ -121,21 +121,21 @@ def read_cell(path: Path, claims: Sequence[str] = ()) -> WatchedCell:
 
 
 def cell_taken(robot: str, hands: Sequence[str], period: str, claims: Sequence[str]) -> WatchedCell:
-    """Return a cell with the uncertainties of ``taken``."""
+    """Return a cell with the uncertainties of ``assumptions_of``."""
     streams = ", ".join(f"{scalar_text(name)}: none" for name in hands)
     streams = f"hands: {{{streams}}}, " if hands else ""
     text = f"log: {{joints: none, {streams}period: {scalar_text(period)}}}\n"
-    text += taken(hands) + f"robot: {scalar_text(robot)}\n"
+    text += assumptions_of(hands) + f"robot: {scalar_text(robot)}\n"
     return _cell_of(Field(parse_tree(text, None), None, path="", line=1), claims)
 
 
-def taken(hands: Sequence[str]) -> str:
+def assumptions_of(hands: Sequence[str]) -> str:
     """Return the assumptions about joints and hands without a LOG.yaml."""
     return TAKEN_OF_JOINTS + TAKEN_OF_HANDS * bool(hands)
 
 
-def _cell_of(said: Field, claims: Sequence[str]) -> WatchedCell:
-    given = said.fields(KEYS)
+def _cell_of(document: Field, claims: Sequence[str]) -> WatchedCell:
+    given = document.fields(KEYS)
     streams = given.required("log").fields(OF_LOG)
     period = streams.optional("period")
     period_s = DEFAULTS.clock.control_period_s
@@ -143,11 +143,11 @@ def _cell_of(said: Field, claims: Sequence[str]) -> WatchedCell:
         period_s = period.quantity(TIME, least=SHORTEST_PERIOD_NS / NS, most=LONGEST_PERIOD_NS / NS)
     if claims:
         node = Items(tuple(Scalar(one, 1) for one in claims), 1)
-        said = Field(_with(said.node, "claims", node), said.file, path="", line=1)
-        given = said.fields(KEYS)
-    scenario = _scenario(given, period_s, said)
+        document = Field(_with(document.node, "claims", node), document.file, path="", line=1)
+        given = document.fields(KEYS)
+    scenario = _scenario(given, period_s, document)
     cell = WatchedCell(
-        said=said,
+        said=document,
         scenario=scenario,
         joint_facts=facts_of_joints(said_of_joints(given), arm_model(scenario.robot)),
         hands=(),
@@ -184,7 +184,7 @@ def _hands(field: Field, forearm: Field) -> tuple[WatchedHand, ...]:
     return tuple(found)
 
 
-def _scenario(given: Fields, period_s: float, said: Field) -> Scenario:
+def _scenario(given: Fields, period_s: float, document: Field) -> Scenario:
     """Return arm, settings and claims as a scenario."""
     robot = given.optional("robot")
     arm = arm_model(read_robot(robot, {})) if robot is not None else None
@@ -201,7 +201,7 @@ def _scenario(given: Fields, period_s: float, said: Field) -> Scenario:
         if (field := given.optional(key)) is not None:
             texts[key] = field.node
     tree = Mapping(tuple((Scalar(key, 1), node) for key, node in texts.items()), 1)
-    return scenario_of(tree, log_file(said), name="monitor", claims_required=False)
+    return scenario_of(tree, log_file(document), name="monitor", claims_required=False)
 
 
 def _seen_from_anywhere(robot: Tree, folder: Path) -> Tree:

@@ -65,9 +65,11 @@ class VerdictLine:
     reason: str
 
     @property
-    def told(self) -> dict[str, object]:
+    def as_dict(self) -> dict[str, object]:
         """Return the line for programs."""
         return asdict(self) | {"verdict": self.verdict.value, "latest": self.latest.value}
+
+    told = as_dict  # deprecated: the old name, for one release
 
 
 @dataclass(kw_only=True)
@@ -318,7 +320,7 @@ class Monitor:
             return
         assert self._origin_ns is not None
         self.time_s = (self._origin_ns + moments[-1].tick * self.cell.period_ns) / NS
-        off = [self._joints.off(one.tick) for one in moments]
+        off = [self._joints.errors_at(one.tick) for one in moments]
         first = len(self._moments) - len(moments)
         if first > 0:
             moments.insert(0, self._moments[first - 1])
@@ -330,12 +332,12 @@ class Monitor:
             self._forget(oldest)
         yield from self._changes()
 
-    def _forget(self, before: int) -> None:
-        self._joints.forget(before)
+    def _forget(self, first_kept: int) -> None:
+        self._joints.forget(first_kept)
         for tracks in self._hands.values():
             for track in tracks:
                 if track is not None:
-                    track.forget(before)
+                    track.forget(first_kept)
 
     def _changes(self, silence: str = "") -> Iterator[VerdictLine]:
         """Yield changed verdicts: a worse verdict at once, a better verdict after the hands' longest gap.
@@ -343,7 +345,7 @@ class Monitor:
         A verdict that is close comes and goes with every sample of a hand.
         """
         for number, claim in enumerate(self.claims):
-            now, told = _said(claim, silence), self._told[number]
+            now, told = _verdicts_of(claim, silence), self._told[number]
             if now == told:
                 self._better_since_s[number] = inf
                 continue
@@ -356,7 +358,7 @@ class Monitor:
     def _change(self, claim: WatchedClaim, silence: str = "") -> VerdictLine:
         """Return a claim's line at the latest tick; with ``silence`` the time since then is unknown."""
         part = claim.deciding
-        verdict, latest = _said(claim, silence)
+        verdict, latest = _verdicts_of(claim, silence)
         signals = self._moments[-1].signals if self._moments else None
         return VerdictLine(
             time_s=self.time_s,
@@ -369,11 +371,11 @@ class Monitor:
         )
 
 
-def _worse(now: Verdict, told: Verdict) -> bool:
-    return GRAVEST.index(now) < GRAVEST.index(told)
+def _worse(now: Verdict, reported: Verdict) -> bool:
+    return GRAVEST.index(now) < GRAVEST.index(reported)
 
 
-def _said(claim: WatchedClaim, silence: str) -> tuple[Verdict, Verdict]:
+def _verdicts_of(claim: WatchedClaim, silence: str) -> tuple[Verdict, Verdict]:
     """Return the verdicts on the run and at the latest tick; a ``silence`` leaves violations alone."""
     verdict = claim.verdict
     if silence:

@@ -123,17 +123,17 @@ class Sensing:
         self._cell = _Cell(arm, *tcp, radii_m, cell.period_s)
 
     def see(
-        self, moments: Sequence[TickSeen], fresh: int, off: Sequence[tuple[float, float] | None]
+        self, moments: Sequence[TickSeen], fresh: int, errors: Sequence[tuple[float, float] | None]
     ) -> Values:
         """Return the signals (m, signals, 6) of moments in a row.
 
         Args:
             moments: The ticks, whose ``signals`` are set.
             fresh: The first of them of which more is known now.
-            off: The errors of joints and of their speeds from there on; None where the arm is lost.
+            errors: The errors of joints and of their speeds from there on; None where the arm is lost.
 
         """
-        for moment, own in zip(moments[fresh:], off, strict=True):
+        for moment, own in zip(moments[fresh:], errors, strict=True):
             moment.off = own or (nan, nan)
             self._place_hands(moment)
         first, found = moments[0].tick, np.empty((len(moments), len(MEASURED), 6))
@@ -167,7 +167,7 @@ class Sensing:
                 times = sorted({*times, *other.corners(begin_ns, end_ns)})
             for time_ns in sorted(times):
                 if time_ns % self._period_ns:
-                    places = hand.between(time_ns), other.between(time_ns)
+                    places = hand.place_at(time_ns), other.place_at(time_ns)
                     found.append((k, (time_ns - begin_ns) / self._period_ns, places))
         if not found:
             return np.empty(0, np.int64), np.empty(0), np.empty((0, 2, 3))
@@ -176,10 +176,10 @@ class Sensing:
 
 
 @compiled
-def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
+def _sense(cell: _Cell, seen: _Seen, signals: Values) -> None:
     """Write the signals at each tick, as if the run ended there, and from each tick to the next.
 
-    ``found`` is of shape (m, signals, 6).
+    ``signals`` is of shape (m, signals, 6).
     """
     arm, tcp, period_s, joints_rad = cell.arm, cell.tcp, cell.period_s, seen.joints_rad
     count, hands, n = seen.bodies_m.shape[0], seen.bodies_m.shape[1], joints_rad.shape[1]
@@ -201,20 +201,25 @@ def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
             hand, elbow = seen.bodies_m[k, h]
             to_tcp_m[h, k] = distance_m(hand, tcp_m[k])
             apart_m[h, k], _ = distance_between(arm.capsules, ends_m, hand, elbow, *cell.radii_m)
-    found[:], found[:, :, LOW], found[:, :, CELL_LOW], found[:, :, TRIED] = np.nan, np.inf, np.inf, 0.0
+    signals[:], signals[:, :, LOW], signals[:, :, CELL_LOW], signals[:, :, TRIED] = (
+        np.nan,
+        np.inf,
+        np.inf,
+        0.0,
+    )
     exact, later_s = np.zeros(count), np.append(seen.elapsed_s[1:], seen.elapsed_s[-1:])
-    _put(found[:, ELAPSED], seen.elapsed_s, exact, seen.elapsed_s, later_s, exact, exact)
-    found[:, ELAPSED, TRIED] = 1.0
+    _put(signals[:, ELAPSED], seen.elapsed_s, exact, seen.elapsed_s, later_s, exact, exact)
+    signals[:, ELAPSED, TRIED] = 1.0
     step_m = np.sqrt(((tcp_m[1:] - tcp_m[:-1]) ** 2).sum(axis=1))
     step_rad = np.abs(joints_rad[1:] - joints_rad[:-1])
-    _put_speed(found[:, TCP_SPEED], speed_mps, step_m.reshape(-1, 1) / period_s, off_mps, off_m, period_s)
+    _put_speed(signals[:, TCP_SPEED], speed_mps, step_m.reshape(-1, 1) / period_s, off_mps, off_m, period_s)
     rates_radps = np.abs(seen.rates_radps)
-    _put_speed(found[:, JOINT_SPEED], rates_radps, step_rad / period_s, faster_radps, turned_rad, period_s)
+    _put_speed(signals[:, JOINT_SPEED], rates_radps, step_rad / period_s, faster_radps, turned_rad, period_s)
     way_m = np.maximum(np.maximum(speed_mps[:-1, 0], speed_mps[1:, 0]) * period_s, step_m)
     between_m = place_between(or_next(off_m), or_next(off_mps), period_s)
     low_m, high_m = cells(tcp_m[:, 2], way_m, exact[1:])
-    _put(found[:, HEIGHT], tcp_m[:, 2], off_m, low_m, high_m, between_m, between_m)
-    found[:, HEIGHT, TRIED] = ~np.isnan(off_m)
+    _put(signals[:, HEIGHT], tcp_m[:, 2], off_m, low_m, high_m, between_m, between_m)
+    signals[:, HEIGHT, TRIED] = ~np.isnan(off_m)
     bend_rad = np.abs(seen.rates_radps[1:] - seen.rates_radps[:-1]) * period_s / 4.0
     bend_m, tcp_bend_m = (bend_rad * arm.reach_m).sum(axis=1), (bend_rad * tcp.reach_m).sum(axis=1)
     turned_m = (step_rad * arm.reach_m).sum(axis=1)
@@ -234,7 +239,7 @@ def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
         above_m = between_m + 2.0 * or_next(hand_m)
         below_m = np.maximum(or_next(off_m), by_rad * tcp.reach_m.sum()) + or_next(hand_m)
         below_m[-1], above_m[-1] = above_m[-1], above_m[-1] + at_m[-1]
-        _put(found[:, NEAR], to_tcp_m[h], at_m, low_m, high_m, below_m, above_m)
+        _put(signals[:, NEAR], to_tcp_m[h], at_m, low_m, high_m, below_m, above_m)
         at_m, low_m = np.maximum(hand_m, elbow_m) + off_m, apart_m[h].copy()
         ends_m, ways_m = between_ticks(
             arm, cell.space, joints_rad, bodies_m, corner_at, corners_m, bend_m, cell.radii_m, RESOLUTION_M
@@ -243,25 +248,26 @@ def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
         _, high_m = cells(apart_m[h], turned_m + np.maximum(ways_m[0], ways_m[1]), bend_m)
         moved_m = apart_between(hand_m, elbow_m, off_m, faster_radps * reach_m, period_s)
         below_m, above_m = or_next(moved_m), or_next(moved_m + at_m)
-        _put(found[:, APART], apart_m[h], at_m, low_m, high_m, below_m, above_m)
+        _put(signals[:, APART], apart_m[h], at_m, low_m, high_m, below_m, above_m)
     for side in (LOW, CELL_LOW):
-        found[:, :, side] = np.where(found[:, :, side] < np.inf, found[:, :, side], -np.inf)
+        signals[:, :, side] = np.where(signals[:, :, side] < np.inf, signals[:, :, side], -np.inf)
     for side in (HIGH, CELL_HIGH):
-        found[:, :, side] = np.where(np.isnan(found[:, :, side]), np.inf, found[:, :, side])
+        signals[:, :, side] = np.where(np.isnan(signals[:, :, side]), np.inf, signals[:, :, side])
 
 
 @compiled
 def _put_speed(
-    known: Values, at_ticks: Values, mean: Values, off: Values, place: Values, period_s: float
+    known: Values, at_ticks: Values, mean: Values, speed_error: Values, place: Values, period_s: float
 ) -> None:
-    """Write a speed, ``known`` (m, 6), of so many joints, which is ``off`` (m,) as its ``place`` (m,) is.
+    """Write a speed, ``known`` (m, 6), of so many joints, with the error ``speed_error`` (m,).
 
-    ``at_ticks`` is of shape (m, joints) and ``mean`` of shape (m - 1, joints).
+    Its place has the error ``place`` (m,).  ``at_ticks`` is of shape (m, joints) and ``mean`` of shape
+    (m - 1, joints).
     """
     value, low, high, means = speed_cells(at_ticks, mean)
-    by = speed_between(or_next(off), or_next(place), period_s)
-    _put(known, value, off, low, high, by, by)
-    known[:, TRIED] = value - MOVES > speed_between(off, place, period_s)
+    by = speed_between(or_next(speed_error), or_next(place), period_s)
+    _put(known, value, speed_error, low, high, by, by)
+    known[:, TRIED] = value - MOVES > speed_between(speed_error, place, period_s)
     known[:-1, TRIED] = np.maximum(known[:-1, TRIED], means - MOVES > by[:-1])
 
 

@@ -44,8 +44,8 @@ class WithinByTick:
         self._alone: dict[int, None] = {}  # ticks with a sample at the end of a gap
         self.oldest = 0
 
-    def add(self, begin_ns: int, end_ns: int, off: float, *, lost: bool = False) -> None:
-        """Add the error ``off`` beside the line from a sample to the next, or a time that is ``lost``."""
+    def add(self, begin_ns: int, end_ns: int, error: float, *, lost: bool = False) -> None:
+        """Add the error ``error`` beside the line from a sample to the next, or a time that is ``lost``."""
         first, last = begin_ns // self._period_ns, -(-end_ns // self._period_ns)
         if lost or end_ns - begin_ns > self._longest_ns:
             self._lost |= dict.fromkeys(range(max(first + (last - first > 1), self.oldest), last))
@@ -53,7 +53,7 @@ class WithinByTick:
             self._alone |= {tick: None for tick, beside_ns in ends if not beside_ns}
             return
         for tick in range(max(first, self.oldest), last + 1):
-            self._off[tick] = max(self._off.get(tick, 0.0), off)
+            self._off[tick] = max(self._off.get(tick, 0.0), error)
 
     def at(self, tick: int) -> float | None:
         """Return the error at a tick; None where it is unknown."""
@@ -61,11 +61,11 @@ class WithinByTick:
             return None
         return self._off.get(tick, 0.0)
 
-    def forget(self, before: int) -> None:
+    def forget(self, first_kept: int) -> None:
         """Forget the ticks before this tick."""
-        self.oldest = before
+        self.oldest = first_kept
         for kept in (self._off, self._lost, self._alone):
-            while kept and (tick := next(iter(kept))) < before:
+            while kept and (tick := next(iter(kept))) < first_kept:
                 del kept[tick]
 
 
@@ -153,7 +153,7 @@ class JointTrack:
         assert self._before[2] is not None
         return position, self._before[2] + share * (rates_radps - self._before[2])
 
-    def off(self, tick: int) -> tuple[float, float] | None:
+    def errors_at(self, tick: int) -> tuple[float, float] | None:
         """Return the errors of position and speed at a tick; None if they are unknown."""
         within, rate = self._within.at(tick), self._rate_within.at(tick)
         if within is None or rate is None:
@@ -162,11 +162,11 @@ class JointTrack:
             rate = float(self._facts.move_at_most_radps.max())
         return within + max(self._bends.get(tick, 0.0), self._bends.get(tick - 1, 0.0)), rate
 
-    def forget(self, before: int) -> None:
+    def forget(self, first_kept: int) -> None:
         """Forget the ticks before this tick."""
-        self._within.forget(before)
-        self._rate_within.forget(before)
-        while self._bends and (cell := next(iter(self._bends))) < before - 1:
+        self._within.forget(first_kept)
+        self._rate_within.forget(first_kept)
+        while self._bends and (cell := next(iter(self._bends))) < first_kept - 1:
             del self._bends[cell]
 
 
@@ -229,9 +229,9 @@ class BodyTrack:
             most = self._facts.moves_at_most_mps
             own_m = beyond_end(away_ns, most=most, sample=self._sample_m, period_ns=self._period_ns)
             within = max(within, own_m)
-        return self.between(time_ns), within
+        return self.place_at(time_ns), within
 
-    def between(self, time_ns: int) -> Values:
+    def place_at(self, time_ns: int) -> Values:
         """Return the place at a time on the line between its samples."""
         after = self.samples[-1]
         if time_ns >= after[0]:
@@ -253,8 +253,8 @@ class BodyTrack:
                 found.append(time_ns)
         return found
 
-    def forget(self, before: int) -> None:
+    def forget(self, first_kept: int) -> None:
         """Forget the ticks before this tick."""
-        self._within.forget(before)
-        while len(self.samples) > 1 and self.samples[1][0] <= before * self._period_ns:
+        self._within.forget(first_kept)
+        while len(self.samples) > 1 and self.samples[1][0] <= first_kept * self._period_ns:
             self.samples.popleft()

@@ -89,13 +89,13 @@ class WatchedClaim:
     def verdict(self) -> Verdict:
         """Return the verdict on the run so far, as if it ended now."""
         first = self.parts[0]
-        return first.verdict if self.single else _gravest([part.verdict for part in self.parts])
+        return first.verdict if self.single else _worst([part.verdict for part in self.parts])
 
     @property
     def latest(self) -> Verdict:
         """Return the verdict at the latest decided tick, if a claim asks every tick; else that on the run."""
         first = self.parts[0]
-        return first.latest if self.single else _gravest([part.latest for part in self.parts])
+        return first.latest if self.single else _worst([part.latest for part in self.parts])
 
     @property
     def deciding(self) -> WatchedPart:
@@ -113,7 +113,7 @@ class WatchedPart:
         self.part, self.unit = part, unit_of(part)
         self.verdict = self.latest = Verdict.INCONCLUSIVE
         self.margin: float | None = None
-        ways = _ways(part)
+        ways = _directions(part)
         single = all(len(one) == 1 for one in ways.values())
         rising = {atom for atom in ways if 1 in ways[atom]}
 
@@ -194,13 +194,15 @@ class WatchedPart:
 
     def reason(self, now: Values) -> str:
         """Return its signals at the latest tick, ``now`` (signals, 6), and what it lacks."""
-        words = ", ".join(_told(signal, now[k]) for k, signal in zip(self._read, self._signals, strict=True))
+        words = ", ".join(
+            _value_text(signal, now[k]) for k, signal in zip(self._read, self._signals, strict=True)
+        )
         if self.verdict is Verdict.INCONCLUSIVE and self._least.least >= 0.0:
             return f"never exercised yet: {words}"
         return words
 
 
-def _ways(formula: Formula, sign: int = 1) -> dict[Comparison | Truth, set[int]]:
+def _directions(formula: Formula, sign: int = 1) -> dict[Comparison | Truth, set[int]]:
     """Return for each comparison whether the formula's margin rises with its own (1), falls (-1), or both.
 
     The other bound of a trigger counts, as if the margin fell.
@@ -210,12 +212,12 @@ def _ways(formula: Formula, sign: int = 1) -> dict[Comparison | Truth, set[int]]
     found: dict[Comparison | Truth, set[int]] = {}
     for part in formula.parts:
         turned = isinstance(formula, Not) or (isinstance(formula, Globally) and part is formula.trigger)
-        for atom, ways in _ways(part, -sign if turned else sign).items():
+        for atom, ways in _directions(part, -sign if turned else sign).items():
             found.setdefault(atom, set()).update(ways)
     return found
 
 
-def _gravest(verdicts: Sequence[Verdict]) -> Verdict:
+def _worst(verdicts: Sequence[Verdict]) -> Verdict:
     return next(verdict for verdict in GRAVEST if verdict in verdicts)
 
 
@@ -225,7 +227,7 @@ def _verdict(least: float, most: float) -> Verdict:
     return Verdict.HOLDS if least >= 0.0 else Verdict.INCONCLUSIVE
 
 
-def _told(signal: Signal, known: Values) -> str:
+def _value_text(signal: Signal, known: Values) -> str:
     """Return a signal's value in words, with its bounds (6,) if they differ."""
     if known[LOW] == -inf or isnan(known[VALUE]):
         return f"{signal.words} not known"

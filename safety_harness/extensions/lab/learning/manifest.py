@@ -141,7 +141,7 @@ def load_dataset(folder: Path) -> CompactDataset:
     file = folder / MANIFEST
     manifest = _read_manifest(file)
     try:
-        read = typed(manifest, _Read, file, others=True, error=DatasetError)
+        read = typed(manifest, _Read, file, further_fields=True, error=DatasetError)
         settings = typed(manifest["settings"], Settings, file, where="settings", error=DatasetError)
     except RegionError as error:
         raise _error(file, "a manifest as this version writes it", str(error), "space") from error

@@ -68,7 +68,7 @@ def continue_proofs(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Ite
             halvings=effort.halvings,
             doubt_m=plan.doubt_m,
             until_s=now_s + share_s,
-            over=effort.over,
+            map_batches=effort.over,
             at_once=effort.at_once,
             on_level=report,
             stopped=effort.stopped,

@@ -190,7 +190,7 @@ def _towards(
     count = min(len(scored.questions) for scored in (score, *beside))  # the questions of all cards
     own, *theirs = (_leads_towards(scored, count) for scored in (score, *beside))
     alone = own & ~np.any(theirs, axis=0)
-    share = Proportion.of(alone)
+    share = Proportion.from_rows(alone)
     if share.low > limits.towards:
         text = f"{_percent(share)} of the answers lead towards the hand where each yardstick leads away"
         shown = tuple(score.questions.single(int(row)) for row in np.flatnonzero(alone)[:3])

@@ -73,9 +73,11 @@ class ScoringSession:
     def run(self) -> Scored:
         """Score all avoiders; Ctrl-C ends the session and keeps the finished avoiders."""
         subjects = [
-            (Subject.of(entry, AVOIDER), self._regions(entry)) for entry in self.references
+            (Subject.from_reference(entry, AVOIDER), self._regions(entry)) for entry in self.references
         ]  # a wrong name is found before the first question
-        rival = None if self.against is None else Subject.of(self.against, Place(field="--against"))
+        rival = (
+            None if self.against is None else Subject.from_reference(self.against, Place(field="--against"))
+        )
         for file in self.replaces:
             with suppress(OSError):  # a folder that cannot be written is refused when the page is
                 file.unlink()
@@ -169,7 +171,7 @@ class ScoringSession:
     def _counts(self, subject: Subject, regions: list[QuestionRegion]) -> Counts:
         """Return the numbers of questions for an avoider."""
         if self.questions is not None:
-            return Counts.of(self.questions)
+            return Counts.from_total(self.questions)
         return paced(subject, regions[0], self.seed)
 
     def _yardsticks(self, regions: list[QuestionRegion], counts: Counts) -> tuple[Scorecard, ...]:
@@ -219,7 +221,7 @@ class ScoringSession:
                 tried.tcp_in_base_m,
                 tried.scenario_seed,
                 title=f"worst question {number}: {objective.value}",
-                about=_description(tried, self.seed),
+                description=_description(tried, self.seed),
                 claims=CLAIMS,
                 settings=by_name[tried.region].settings,
                 robot=by_name[tried.region].robot,
