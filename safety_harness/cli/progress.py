@@ -74,8 +74,8 @@ def block() -> Iterator[Callable[[list[str]], None]]:
         with live, at_compilation(lambda: live.update(Text())):
             yield lambda lines: live.update(Text("\n".join(lines)))
     else:
-        with paced_lines() as tell:
-            yield lambda lines: tell(lines[0])
+        with paced_lines() as print_line:
+            yield lambda lines: print_line(lines[0])
 
 
 def _shown() -> dict[str, Any]:
@@ -100,10 +100,10 @@ def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
             with at_compilation(lambda: bar.update(task, share="")):
                 yield moved
         return
-    with paced_lines() as tell:
+    with paced_lines() as print_line:
 
         def print_step(done: int, message: str = "", at: str = "") -> None:
-            tell(f"{at}{message or f'{done:,}/{total:,} {unit}'}{where(done, total, pace)}")
+            print_line(f"{at}{message or f'{done:,}/{total:,} {unit}'}{where(done, total, pace)}")
 
         yield print_step
 

@@ -55,7 +55,7 @@ def run(
     say_shared_modules()
     output = terminal(verbose)
     try:
-        found = run_scenarios(paths, avoider=avoider, against=against, out=out, output=output, **options)
+        finished = run_scenarios(paths, avoider=avoider, against=against, out=out, output=output, **options)
     except InputErrors as error:
         go_on = "; --keep-going runs the others" if error.left else ""
         say(f"{len(error.errors)} of the inputs cannot be used; nothing was run{go_on}.")
@@ -63,21 +63,21 @@ def run(
     except KeyboardInterrupt:
         say("interrupted: nothing was run")
         return INTERRUPTED
-    if found.runs:
+    if finished.runs:
         try:
-            found = found.write(out, output=output)
+            finished = finished.write(out, output=output)
         except OutputError as error:
             explain(error)
-            return INTERRUPTED if found.interrupted else BAD_INPUT
+            return INTERRUPTED if finished.interrupted else BAD_INPUT
         except KeyboardInterrupt:
             say(f"no report was written; the traces are in {out / TRACES}")
             return INTERRUPTED
-        document(**json.loads((out / DATA).read_text("utf-8")), failed=found.failed)
-    _print_summary(found, verbose)
-    if found.runs:
+        document(**json.loads((out / DATA).read_text("utf-8")), failed=finished.failed)
+    _print_summary(finished, verbose)
+    if finished.runs:
         say(f"report: {out / REPORT} (for programs: {DATA})")
-        _say_next(found.runs, out)
-    return found.exit_code
+        _say_next(finished.runs, out)
+    return finished.exit_code
 
 
 def print_verdicts(runs: Sequence[JudgedRun], verbose: bool) -> None:
@@ -120,20 +120,20 @@ def _print_summary(finished: RunResult, verbose: bool) -> None:
 
 def _say_next(runs: Sequence[JudgedRun], out: Path) -> None:
     """Name the next command: for each avoider the one that attributes its violations, else one that shows."""
-    wrong: dict[str, list[JudgedRun]] = {}
+    unexpected: dict[str, list[JudgedRun]] = {}
     for run in runs:
         if any(
-            found.verdict is Verdict.VIOLATED
-            and (len(runs) == 1 or claim.given(found.margin) is Verdict.HOLDS)
-            for claim, found in run.judged_claims()
+            evaluation.verdict is Verdict.VIOLATED
+            and (len(runs) == 1 or claim.given(evaluation.margin) is Verdict.HOLDS)
+            for claim, evaluation in run.judged_claims()
         ):
-            wrong.setdefault(command_line_reference(run.trace.scenario), []).append(run)
-    for violated in wrong.values():
+            unexpected.setdefault(command_line_reference(run.trace.scenario), []).append(run)
+    for violated in unexpected.values():
         files = [run.trace_file for run in violated if run.trace_file is not None]
         command = replay_command(violated[0].trace.scenario, *files, verb="attribute", shown_path=Path)
         next_step(command, "whose fault it is")
     file = runs[0].trace_file
-    if len(runs) > 1 and not wrong:
+    if len(runs) > 1 and not unexpected:
         next_step(f"safety-harness judge {shlex.quote(str(out / TRACES))}/*.trace -v", "every verdict")
-    elif file is not None and not wrong:
+    elif file is not None and not unexpected:
         next_step(f"safety-harness view {shlex.quote(str(file))}", "the run in 3-D")

@@ -179,12 +179,12 @@ def schema(
     from safety_harness.scenario.kinds import titled
     from safety_harness.scenario.schema import scenario_schema
 
-    found = scenario_schema()
+    document = scenario_schema()
     if plans:
         if (of_plans := titled("plan").schema) is None:
             raise ScenarioError.of_option("--plan", "plans with a schema", "plans without one")
-        found = of_plans()
-    verbatim(json.dumps(found, indent=1, ensure_ascii=False))
+        document = of_plans()
+    verbatim(json.dumps(document, indent=1, ensure_ascii=False))
     return AS_EXPECTED
 
 

@@ -90,8 +90,8 @@ def sample(file: Path, *, out: Path, count: int, seed: int) -> int:
 
 
 def _draw(path: Path, scenarios: Sequence[Scenario], title: str, regions: Boxes = ()) -> Path:
-    looker = Checker()
-    previews = [preview_of(looker.check(scenario)) for scenario in scenarios]
+    checker = Checker()
+    previews = [preview_of(checker.check(scenario)) for scenario in scenarios]
     with writing(path):
         draw_scene(path, previews, title=title, regions=regions)
     result(str(path))

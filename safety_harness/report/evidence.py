@@ -41,8 +41,8 @@ _NOTHING: AboutRuns = {"coverage": None, "skipped": (), "refused": (), "against"
 
 def with_defaults(facts: AboutRuns) -> AboutRuns:
     """Return the facts with defaults for missing ones; TypeError for any other keyword."""
-    if others := facts.keys() - _NOTHING.keys():
-        raise TypeError(f"unknown keywords: {', '.join(sorted(others))}")
+    if unknown := facts.keys() - _NOTHING.keys():
+        raise TypeError(f"unknown keywords: {', '.join(sorted(unknown))}")
     return _NOTHING | facts
 
 
@@ -176,10 +176,10 @@ def as_expected(runs: Iterable[JudgedRun]) -> tuple[list[bool], int]:
 
 def answer(runs: Sequence[JudgedRun]) -> str:
     """Return in one line how many verdicts are as expected, and how many of each kind there are."""
-    expected, others = as_expected(runs)
+    expected, unexpected = as_expected(runs)
     counts = [sum(run.count(kind) for run in runs) for kind in Verdict]
     kinds = ("hold", "violated", "inconclusive", "claims not applicable to the controller")
-    words = [f"{count} {kind}" for count, kind in zip((*counts, others), kinds, strict=True) if count]
+    parts = [f"{count} {kind}" for count, kind in zip((*counts, unexpected), kinds, strict=True) if count]
     return f"{sum(expected)} of {len(expected)} verdicts as expected" + (
-        f" ({', '.join(words)})" if words else ""
+        f" ({', '.join(parts)})" if parts else ""
     )

@@ -39,7 +39,9 @@ STARTS_S, PYBULLET_COSTS = 5.0, 5.0  # as measured: to start a run, and the fact
 
 def cost_s(world: WorldEntry, runs: Sequence[Scenario]) -> float:
     """Return the cost of runs, in simulated seconds of the kinematic world."""
-    return (PYBULLET_COSTS if world == PYBULLET else 1.0) * sum(STARTS_S + one.duration_s for one in runs)
+    return (PYBULLET_COSTS if world == PYBULLET else 1.0) * sum(
+        STARTS_S + scenario.duration_s for scenario in runs
+    )
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ class Allowance:
         world: WorldEntry = getattr(runner, "world", KINEMATIC)
 
         def run(admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
-            self.spent_s += cost_s(world, [one.scenario for one in admitted])
+            self.spent_s += cost_s(world, [run.scenario for run in admitted])
             return runner(admitted)
 
         return run
@@ -304,13 +306,13 @@ def counterexample_of(
     on_step("asking whose fault it is")
     last = in_one_world(world, admit(shrunk.scenario), first if shrunk.scenario == scenario else None)
     claim = None if complaint.kind or shrunk.interrupted else complaint.claim
-    asked = allowance.has() or not allowance.explained
-    told = Explanation() if claim is None or not asked else explain(shrunk.scenario, claim)
-    allowance.spent_s += told.cost_s
-    allowance.explained |= bool(told.lines)
+    affordable = allowance.has() or not allowance.explained
+    explanation = Explanation() if claim is None or not affordable else explain(shrunk.scenario, claim)
+    allowance.spent_s += explanation.cost_s
+    allowance.explained |= bool(explanation.lines)
     draws = not (shrunk.interrupted or shrunk.scenario.driven)
     drawn = draws and allowance.has(cost_s(PYBULLET, [shrunk.scenario] * DRAWS))
-    is_cut |= (claim is not None and not asked) or draws is not drawn
+    is_cut |= (claim is not None and not affordable) or draws is not drawn
     return Counterexample(
         complaint,
         shrunk,
@@ -321,9 +323,9 @@ def counterexample_of(
         tuple(filter(None, (complaint.reference_words(last.run), *circumstances(last.run))))
         if isinstance(last.run, Trace)
         else (),
-        told.lines,
+        explanation.lines,
         confirm.share_of_draws(shrunk.scenario, DRAWS) if drawn else None,
-        told.causes,
+        explanation.causes,
         is_cut and not shrunk.interrupted,
     )
 

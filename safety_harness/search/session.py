@@ -106,24 +106,24 @@ class WrittenCounterexample:
     @property
     def lines(self) -> list[str]:
         """The counterexample, whose fault it is, and the command that runs it."""
-        one = self.one
-        margin = "-" if one.evaluation is None else one.evaluation.margin_text()
+        example = self.one
+        margin = "-" if example.evaluation is None else example.evaluation.margin_text()
         return [
-            f"violated {margin:>13}  {one.complaint.summary}{AS_EXPECTED if self.expected else ''}",
-            f"  {self.found_words}; {one.shrunk.summary}" + f", {one.contact}" * one.shrunk.done,
-            *(f"  {line}" for line in one.circumstances[: one.complaint.reference is not None]),
-            *(f"  {line}" for line in one.attribution),
+            f"violated {margin:>13}  {example.complaint.summary}{AS_EXPECTED if self.expected else ''}",
+            f"  {self.found_words}; {example.shrunk.summary}" + f", {example.contact}" * example.shrunk.done,
+            *(f"  {line}" for line in example.circumstances[: example.complaint.reference is not None]),
+            *(f"  {line}" for line in example.attribution),
             f"  safety-harness run {shlex.quote(str(self.path))}",
         ]
 
     @property
     def found_words(self) -> str:
         """How many violations led to it, and the confirmed margin and contact before it was shrunk."""
-        one, count = self.one, sum(group.count for group in self.groups)
-        words = [f"{_violations(count)} led to it"]
-        if one.evaluation is not None and one.found_margin is not None:
-            words.append(f"the worst by {one.evaluation.unit.margin_text(one.found_margin)}")
-        return ", ".join([*words, one.found_contact])
+        example, count = self.one, sum(group.count for group in self.groups)
+        parts = [f"{_violations(count)} led to it"]
+        if example.evaluation is not None and example.found_margin is not None:
+            parts.append(f"the worst by {example.evaluation.unit.margin_text(example.found_margin)}")
+        return ", ".join([*parts, example.found_contact])
 
 
 @dataclass(eq=False)
@@ -330,24 +330,28 @@ class SearchSession:
         searches = [self.findings] if self.baseline is None else [self.findings, self.baseline]
         examples = []
         for claim in claims:
-            found = next((one for one in searches if one.of_claim(claim)), self.findings)
-            groups = _one_of_each_kind_first(found.of_claim(claim))
+            findings = next((search for search in searches if search.of_claim(claim)), self.findings)
+            groups = _one_of_each_kind_first(findings.of_claim(claim))
             if groups:
-                examples.append(_Examples(self, claim, found, groups, found.sentence_of(groups[0])))
+                examples.append(_Examples(self, claim, findings, groups, findings.sentence_of(groups[0])))
         each_s = cost_s(KINEMATIC, [self.trials.space.simplest])
         if not self.explains_all:
-            self.allowance.total_s = each_s * sum(one.tried for one in searches)
+            self.allowance.total_s = each_s * sum(search.tried for search in searches)
         going = []
-        with self.output.messages() as tell:
-            for one in examples:
-                self.allowance.share(last=one is examples[-1])
-                going += [one] if one.explain_next(tell) else []
+        with self.output.messages() as report:
+            for example in examples:
+                self.allowance.share(last=example is examples[-1])
+                going += [example] if example.explain_next(report) else []
             self.allowance.share(last=True)
             while going:
-                others = self.allowance.has(AN_EXAMPLE * each_s)
-                going = [one for one in going if (one.claim is None or others) and one.explain_next(tell)]
-        for one in examples:
-            one.report()
+                affordable = self.allowance.has(AN_EXAMPLE * each_s)
+                going = [
+                    example
+                    for example in going
+                    if (example.claim is None or affordable) and example.explain_next(report)
+                ]
+        for example in examples:
+            example.report()
         self.output.say(*self.left)
 
     def _counterexample(
@@ -456,13 +460,13 @@ class _Examples:
 
     def _has_an_example(self, group: Group) -> bool:
         """Return whether the worst run of a group, as found, has the cause of an example."""
-        session, causes = self.session, {cause for one in self.written for cause in one.one.causes}
+        session, causes = self.session, {cause for written in self.written for cause in written.one.causes}
         if session.explains_all or self.claim is None or not causes:
             return False
         claim = session.trials.claims[self.claim]
-        told = session.explain(session._scenario_of(session.out, group.worst), claim)
-        session.allowance.spent_s += told.cost_s
-        self.again += group.count * (known := not causes.isdisjoint(told.causes))
+        explanation = session.explain(session._scenario_of(session.out, group.worst), claim)
+        session.allowance.spent_s += explanation.cost_s
+        self.again += group.count * (known := not causes.isdisjoint(explanation.causes))
         return known
 
     def explain_next(self, report: Callable[[str], None]) -> bool:
@@ -483,7 +487,9 @@ class _Examples:
             if case is None:
                 continue
             self.shrunk += 1
-            if (same := next((one for one in self.written if case.is_same_as(one.one)), None)) is not None:
+            if (
+                same := next((written for written in self.written if case.is_same_as(written.one)), None)
+            ) is not None:
                 same.groups.append(group)
             else:
                 self.written.append(session._save(case, [group], self.findings.searcher))

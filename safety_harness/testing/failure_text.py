@@ -83,11 +83,11 @@ def _decision(evaluation: Evaluation, trace: Trace) -> list[str]:
         return ["  no decision was made in this run"]
     worst_s = evaluation.worst_time_s
     times = trace.decisions["time_s"][: len(rows)]
-    before = np.flatnonzero(times <= (np.inf if worst_s is None else worst_s))
-    if not len(before):
+    earlier = np.flatnonzero(times <= (np.inf if worst_s is None else worst_s))
+    if not len(earlier):
         first = f"the first of {count_words(len(trace.decisions), 'decision', 'decisions')}"
         return [f"  no decision was made before that moment; {first} came at {float(times[0]):.3f} s"]
-    return _row(rows[int(before[-1])], len(trace.decisions))
+    return _row(rows[int(earlier[-1])], len(trace.decisions))
 
 
 def _row(row: DecisionRow, count: int) -> list[str]:

@@ -165,7 +165,7 @@ class Simulate:
                 test.refused[digest] = error
             raise
         self._traces[digest] = trace
-        while len(self._traces) > 1 and sum(len(one.ticks) for one in self._traces.values()) > MOST_TICKS:
+        while len(self._traces) > 1 and sum(len(trace.ticks) for trace in self._traces.values()) > MOST_TICKS:
             self._traces.popitem(last=False)
         return trace
 

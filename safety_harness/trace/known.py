@@ -250,8 +250,8 @@ def measurement(
     if most > 0.0:
         steps = np.floor(log(most / np.clip(off_by, most * 1e-6, most)) / log(LEVELS) + 1e-9)
         ends = (np.flatnonzero(np.diff(steps)) + 1).tolist()
-        for first, after in zip([0, *ends], [*ends, len(off_by)], strict=True):
+        for first, end in zip([0, *ends], [*ends, len(off_by)], strict=True):
             if steps[first] > 0.0:
-                closer.append(Closer(first=first, after=after, uncertainty=float(off_by[first:after].max())))
+                closer.append(Closer(first=first, after=end, uncertainty=float(off_by[first:end].max())))
     gaps, spans = tuple(gaps), tuple(closer)
     return Measurement(source=source, uncertainty=most, gaps=gaps, closer=spans, at_most_per_s=at_most_per_s)

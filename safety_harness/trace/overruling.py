@@ -22,7 +22,7 @@ REASONS: tuple[Check, ...] = tuple(check for check in Check if check and not che
 _READ = ("fault", "proposed_position_in_base_m", "outcome", "proposed_failed")  # of each decision
 _BITS = tuple((check, int(check)) for check in REASONS)  # a flag is slow to combine
 _NAMES = {check: str(check.name).lower() for check in REASONS}
-COUNTS = ("proposals", *(f"overruled_{what}" for what in ("replaced", "stopped", *_NAMES.values())))
+COUNTS = ("proposals", *(f"overruled_{reason}" for reason in ("replaced", "stopped", *_NAMES.values())))
 
 
 def answered(trace: Trace) -> NDArray[np.bool_]:

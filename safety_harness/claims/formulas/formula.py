@@ -156,8 +156,8 @@ class Always(_Over):
     span: Span | None = None
 
     def __str__(self) -> str:
-        words = f"always {self.span.phrase('for')}" if self.span else "always"
-        return f"{words} {operand(self.body)}"
+        head = f"always {self.span.phrase('for')}" if self.span else "always"
+        return f"{head} {operand(self.body)}"
 
 
 @dataclass(frozen=True)
@@ -170,8 +170,8 @@ class Eventually(_Over):
         body = operand(self.body)
         if self.span is None:  # "eventually within 1 s" is one operator
             return f"eventually ({body})" if body.startswith("within") else f"eventually {body}"
-        words = self.span.phrase("within")
-        return f"eventually {words} {body}" if words.startswith("from") else f"{words} {body}"
+        head = self.span.phrase("within")
+        return f"eventually {head} {body}" if head.startswith("from") else f"{head} {body}"
 
 
 @dataclass(frozen=True)
@@ -217,8 +217,8 @@ class Until(Formula):
         return (self.first, self.second)
 
     def __str__(self) -> str:
-        words = f"{joined(self.first)} until {joined(self.second)}"
-        return f"{words} {self.span.phrase('within')}" if self.span else words
+        text = f"{joined(self.first)} until {joined(self.second)}"
+        return f"{text} {self.span.phrase('within')}" if self.span else text
 
 
 @dataclass(frozen=True)
@@ -270,12 +270,18 @@ def joined(formula: Formula) -> str:
 
 def conjunction(*formulas: Formula) -> Formula:
     """Return all of ``formulas`` joined; their own members join the rest."""
-    return And(tuple(p for one in formulas for p in (one.members if isinstance(one, And) else (one,))))
+    return And(
+        tuple(
+            p for formula in formulas for p in (formula.members if isinstance(formula, And) else (formula,))
+        )
+    )
 
 
 def disjunction(*formulas: Formula) -> Formula:
     """Return the alternative of ``formulas``; their own members join the rest."""
-    return Or(tuple(p for one in formulas for p in (one.members if isinstance(one, Or) else (one,))))
+    return Or(
+        tuple(p for formula in formulas for p in (formula.members if isinstance(formula, Or) else (formula,)))
+    )
 
 
 def formula_of(value: object, operator: str) -> Formula:
@@ -287,14 +293,14 @@ def formula_of(value: object, operator: str) -> Formula:
 
 def _refuse_what_stands_at_the_top(formula: Formula) -> None:
     """Raise FormulaError for a part that is not a formula, or that only a whole claim can be."""
-    word = type(formula).__name__.lower()
+    operator = type(formula).__name__.lower()
     for part in formula.parts:
-        for node in formula_of(part, word).nodes():
+        for node in formula_of(part, operator).nodes():
             if isinstance(node, Globally | Initially):
                 begins = type(node).__name__.lower()
                 raise formula_error(
                     f'"{begins}" at the beginning of a claim, or of a part that "and" joins to others',
-                    f'"{node}" within "{word}"',
+                    f'"{node}" within "{operator}"',
                     "it is asked of the whole run already",
                 )
 
@@ -371,19 +377,19 @@ def dimension_of(formula: Formula) -> Dimension | None:
     if isinstance(formula, Comparison):
         return formula.signal.dimension
     parts = formula.parts[1:] if isinstance(formula, Globally) else formula.parts
-    found: list[tuple[Dimension, Formula]] = []
+    dimensions: list[tuple[Dimension, Formula]] = []
     for part in parts:
         dimension = dimension_of(part)
         if dimension is not None:
-            found.append((dimension, part))
-    for dimension, part in found[1:]:
-        if dimension is not found[0][0]:
+            dimensions.append((dimension, part))
+    for dimension, part in dimensions[1:]:
+        if dimension is not dimensions[0][0]:
             raise formula_error(
                 f"one kind of margin in {type(formula).__name__.lower()!r}, all of them lengths, say",
-                f'"{found[0][1]}" beside "{part}"',
+                f'"{dimensions[0][1]}" beside "{part}"',
                 'let one be a trigger, which has no margin: "whenever ... then ..."',
             )
-    return found[0][0] if found else None
+    return dimensions[0][0] if dimensions else None
 
 
 def signals_of(formula: Formula) -> tuple[Signal, ...]:

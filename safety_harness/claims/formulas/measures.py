@@ -52,9 +52,9 @@ class Measure(Signal):
         for side, unknown in ((sampled.value, np.nan), (sampled.low, -np.inf), (sampled.high, np.inf)):
             endless = (np.abs(side) >= ENDLESS) & ~(self.endless & np.isposinf(side))
             endless &= ~(unbounded & (side == unknown))
-            wrong = (side < least) | endless
-            if wrong.any():
-                tick = int(np.argmax(wrong))
+            out_of_range = (side < least) | endless
+            if out_of_range.any():
+                tick = int(np.argmax(out_of_range))
                 return tick, float(side[tick])
             least = -np.inf  # a bound may be below what it bounds
         return None

@@ -106,31 +106,33 @@ def ticks_asked(
     At the ticks ``begin`` (n,), an operator asks its parts at the ticks of its window, to its end.
     """
     formula, n = margins.formula, len(margins.bounds.low)
-    asked = np.arange(n) == 0 if begin is None else begin
+    begins = np.arange(n) == 0 if begin is None else begin
     if isinstance(formula, Comparison | Truth):
-        return [(formula, asked)]
-    whens = [asked] * len(margins.parts)
+        return [(formula, begins)]
+    whens = [begins] * len(margins.parts)
     if isinstance(formula, Always | Eventually | Until):
         first, last = (0, n) if formula.span is None else formula.span.ticks(period_s)
-        whens = [_windows(asked, 0 if k + 1 < len(whens) else first, last) for k in range(len(whens))]
+        whens = [_windows(begins, 0 if k + 1 < len(whens) else first, last) for k in range(len(whens))]
     elif isinstance(formula, Globally):
-        every = _windows(asked, 0, n)
+        every = _windows(begins, 0, n)
         whens = [every, every & (margins.parts[0].bounds.high >= 0.0)]
     pairs = zip(margins.parts, whens, strict=True)
-    return [one for part, when in pairs for one in ticks_asked(part, period_s, when)]
+    return [tick for part, when in pairs for tick in ticks_asked(part, period_s, when)]
 
 
 def _windows(begin: NDArray[np.bool_], first: int, last: int) -> NDArray[np.bool_]:
     """Return (n,) the ticks from ``first`` to ``last`` ticks after any of ``begin`` (n,)."""
-    before = np.append(0, np.cumsum(begin))
+    counts = np.append(0, np.cumsum(begin))
     ticks = np.arange(len(begin))
-    found: NDArray[np.bool_] = before[np.maximum(ticks - first + 1, 0)] > before[np.maximum(ticks - last, 0)]
-    return found
+    any_in_window: NDArray[np.bool_] = (
+        counts[np.maximum(ticks - first + 1, 0)] > counts[np.maximum(ticks - last, 0)]
+    )
+    return any_in_window
 
 
 def _of_any_case(bounds: MarginBounds, cases: list[tuple[NDArray[np.bool_], Margins]]) -> MarginBounds:
-    low = np.minimum.reduce([np.where(where, one.bounds.low, np.inf) for where, one in cases])
-    high = np.maximum.reduce([np.where(where, one.bounds.high, -np.inf) for where, one in cases])
+    low = np.minimum.reduce([np.where(where, margins.bounds.low, np.inf) for where, margins in cases])
+    high = np.maximum.reduce([np.where(where, margins.bounds.high, -np.inf) for where, margins in cases])
     some = np.logical_or.reduce([where for where, _ in cases])
     return MarginBounds(np.where(some, low, bounds.low), np.where(some, high, bounds.high))
 
@@ -140,10 +142,10 @@ def _joined(formula: Formula, parts: list[MarginBounds], period_s: float) -> Mar
         return parts[0]
     span = getattr(formula, "span", None)
     begin, end = NO_WINDOW if span is None else span.ticks(period_s)
-    operator, found = OPERATORS.index(type(formula)), parts[0]
-    for other in parts[1:] or parts:  # of three and more, two by two
-        found = MarginBounds(*operate(operator, begin, end, found.low, found.high, other.low, other.high))
-    return found
+    operator, bounds = OPERATORS.index(type(formula)), parts[0]
+    for part in parts[1:] or parts:  # of three and more, two by two
+        bounds = MarginBounds(*operate(operator, begin, end, bounds.low, bounds.high, part.low, part.high))
+    return bounds
 
 
 def where_triggered(trigger: MarginBounds, response: MarginBounds) -> MarginBounds:
@@ -222,10 +224,10 @@ def until_from_here(
     """
     n = lasts.shape[0]
     out = np.empty(n)
-    after = outside
+    later = outside
     for k in range(n - 1, -1, -1):
-        after = max(ends[k], min(lasts[k], after))
-        out[k] = after
+        later = max(ends[k], min(lasts[k], later))
+        out[k] = later
     return out
 
 
@@ -321,8 +323,8 @@ def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witne
             at = _in_window(parts[0].bounds, tick, span, period_s, low=low, least=least)
             return witness(parts[0], at, period_s, low=low) if at is not None else _no_witness(margins)
         case Globally():
-            asked = where_triggered(parts[0].bounds, parts[1].bounds)
-            at = _in_window(asked, tick, None, period_s, low=low, least=True)
+            triggered = where_triggered(parts[0].bounds, parts[1].bounds)
+            at = _in_window(triggered, tick, None, period_s, low=low, least=True)
             return witness(parts[1], at or 0, period_s, low=low)
         case Until(span=span):
             return _of_until(margins, tick, span, period_s, low=low)
@@ -356,12 +358,12 @@ def _in_window(
     """Return the tick that decides, or None where that is after the last tick."""
     values, n = _side(body, low=low), len(body.low)
     begin, end = (tick, n - 1) if span is None else (tick + t for t in span.ticks(period_s))
-    within = slice(begin, min(end, n - 1) + 1)
+    window = slice(begin, min(end, n - 1) + 1)
     if begin >= n:
         return None
-    at = begin + _extreme(values[within], body.low[within] < body.high[within], least=least)
-    beyond = -np.inf if low else np.inf
-    runs_on = end >= n and (beyond < values[at] if least else beyond > values[at])
+    at = begin + _extreme(values[window], body.low[window] < body.high[window], least=least)
+    outside = -np.inf if low else np.inf
+    runs_on = end >= n and (outside < values[at] if least else outside > values[at])
     return None if runs_on else at
 
 
@@ -372,13 +374,13 @@ def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *
     begin, end = (0, n - 1) if span is None else span.ticks(period_s)
     later = max(begin + 1 - n, 0 if end < n else 1)  # as many ticks beyond the last as matter
     lasts, ends = (_bounds_from(part.bounds, tick, later) for part in (first, second))
-    ways = [
+    candidates = [
         np.minimum(e, np.append(np.inf, np.minimum.accumulate(f)[:-1]))[begin : end + 1]
         for f, e in ((lasts.low, ends.low), (lasts.high, ends.high))
     ]
-    j = begin + _extreme(ways[0 if low else 1], ways[0] < ways[1], least=False)
-    asked = MarginBounds(np.append(lasts.low[:j], ends.low[j]), np.append(lasts.high[:j], ends.high[j]))
-    at = _extreme(_side(asked, low=low), asked.low < asked.high, least=True)
+    j = begin + _extreme(candidates[0 if low else 1], candidates[0] < candidates[1], least=False)
+    deciding = MarginBounds(np.append(lasts.low[:j], ends.low[j]), np.append(lasts.high[:j], ends.high[j]))
+    at = _extreme(_side(deciding, low=low), deciding.low < deciding.high, least=True)
     if at >= n:
         return _no_witness(margins)
     return witness(second if at == j else first, tick + at, period_s, low=low)

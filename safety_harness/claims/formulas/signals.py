@@ -68,9 +68,9 @@ def measure(
     **more: Any,
 ) -> Callable[[Sample], Measure]:
     """Return a decorator that makes a measure of a function from a trace, and adds it to ``SIGNALS``."""
-    said = partial(Measure, words=phrase, dimension=dimension, meaning=meaning, between=interpolation, **more)
-    said = partial(said, reads=tuple(reads))
-    return lambda sample: _listed(said(sample=sample))
+    make = partial(Measure, words=phrase, dimension=dimension, meaning=meaning, between=interpolation, **more)
+    make = partial(make, reads=tuple(reads))
+    return lambda sample: _listed(make(sample=sample))
 
 
 def flag(phrase: str, meaning: str, *, reads: Sequence[str]) -> Callable[[Sample], Flag]:
@@ -105,10 +105,10 @@ def in_mode(mode: Mode) -> Sample:
     """
 
     def sample(trace: Trace) -> Sampled:
-        found, gone = truth(trace.ticks["mode"] == mode), lost(trace, ["mode"])
+        is_mode, gone = truth(trace.ticks["mode"] == mode), lost(trace, ["mode"])
         if not gone.any():
-            return found
-        value = found.value.copy()
+            return is_mode
+        value = is_mode.value.copy()
         for gap in trace.known.measurement_of("mode").gaps:
             if gap.either and mode not in gap.either:
                 value[gap.first : gap.after], gone[gap.first : gap.after] = 0.0, False
@@ -190,8 +190,8 @@ def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -
         bend_m = bend_m if from_tcp else joint_bend_m(trace) + bend_m
         way_m = arm_m + np.maximum(hand_m, elbow_m)
         high[:-1, hand] = lipschitz_bounds(value[:-1, hand], value[1:, hand], way_m, bend_m)[1]
-    signal, what = (nearest_hand_to_tcp, "the TCP") if from_tcp else (hand_distance, "the arm's surface")
-    return replace(_nearest(signal, trace, value, low, high, what), surely=surely.min(axis=1))
+    signal, target = (nearest_hand_to_tcp, "the TCP") if from_tcp else (hand_distance, "the arm's surface")
+    return replace(_nearest(signal, trace, value, low, high, target), surely=surely.min(axis=1))
 
 
 tcp_speed = measure(
@@ -425,5 +425,5 @@ def _nearest(
 
 def _coming_near(distance: Sampled, body: str, target: str) -> Sampled:
     """Return the distance of ``body`` from ``target``, exercised each time that it falls below NEAR_M."""
-    near = NEAR_M - distance.value
-    return replace(distance, tried=(near, near), comes=(body, target))
+    margin_m = NEAR_M - distance.value
+    return replace(distance, tried=(margin_m, margin_m), comes=(body, target))

@@ -54,13 +54,13 @@ class AvoiderAnswered:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every decision."""
         own, silent = _own(trace), unanswered(trace)
-        asked, missing = int(np.count_nonzero(own)), int(np.count_nonzero(silent))
-        if asked == 0:
+        questions, missing = int(np.count_nonzero(own)), int(np.count_nonzero(silent))
+        if questions == 0:
             return unexercised(self, self._never_asked(trace))
         first = int(np.argmax(silent if missing else own))
         why = f"; first: {_fault_text(trace, first)}" if missing else ""
-        reason = f"{missing} of {asked} questions without a usable answer{why}"
-        return judged(self, trace, -missing, trace.decisions["time_s"][first], reason, exercised=asked)
+        reason = f"{missing} of {questions} questions without a usable answer{why}"
+        return judged(self, trace, -missing, trace.decisions["time_s"][first], reason, exercised=questions)
 
     def _never_asked(self, trace: Trace) -> str:
         suppressed = len(trace.decisions)

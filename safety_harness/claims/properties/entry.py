@@ -92,10 +92,8 @@ class CatalogueEntry:
 
     def understands(self, sentence: str) -> re.Match[str] | None:
         """Return the match of a sentence that claims this property, whatever its case and outer spaces."""
-        words = PLURAL.sub(r"\1s?", self.wording)
-        pattern = self.pattern or FIELD.sub(
-            lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", words
-        )
+        text = PLURAL.sub(r"\1s?", self.wording)
+        pattern = self.pattern or FIELD.sub(lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", text)
         return re.fullmatch(pattern, sentence.strip(), re.IGNORECASE)
 
 

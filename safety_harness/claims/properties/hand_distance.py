@@ -81,9 +81,11 @@ class HandDistance(Worded):
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
-        found = known_to(self.minimum_m, closest_approach, trace, paths)
-        part = capsule_name(trace, int(np.argmin(trace.ticks["hand_distance_m"][:, found.hand])), found.hand)
-        return judged_nearest(self, trace, found, self.minimum_m, self.occasion_m, part)
+        closest = known_to(self.minimum_m, closest_approach, trace, paths)
+        part = capsule_name(
+            trace, int(np.argmin(trace.ticks["hand_distance_m"][:, closest.hand])), closest.hand
+        )
+        return judged_nearest(self, trace, closest, self.minimum_m, self.occasion_m, part)
 
 
 def judged_nearest(

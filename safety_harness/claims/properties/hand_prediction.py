@@ -55,8 +55,8 @@ class HandPredictions(Worded):
     def _untracked(self, trace: Trace) -> str:
         horizon_ms = trace.scenario.settings.hand_filter.prediction_horizon_s * 1e3
         seen = np.flatnonzero(trace.ticks["track_valid"].any(axis=1))
-        what = f"first tracked at {trace.time_s[seen[0]]:.3f} s" if len(seen) else "never tracked"
-        return f"a hand was {what}; one tracked {horizon_ms:g} ms before the end of the run exercises it"
+        tracked = f"first tracked at {trace.time_s[seen[0]]:.3f} s" if len(seen) else "never tracked"
+        return f"a hand was {tracked}; one tracked {horizon_ms:g} ms before the end of the run exercises it"
 
 
 def _ends(prop: HandPredictions, trace: Trace) -> tuple[float, float, bool]:
@@ -70,13 +70,13 @@ def _ends(prop: HandPredictions, trace: Trace) -> tuple[float, float, bool]:
         later_m, before_m
     )
     there = ticks["track_valid"][:count]
-    told = known.measured("track_valid", ticks)[:count] & known.measured(FILLED[1], ticks)[:count]
-    sure = there & told[:, None]
+    known_ticks = known.measured("track_valid", ticks)[:count] & known.measured(FILLED[1], ticks)[:count]
+    sure = there & known_ticks[:, None]
     if not sure.any():
         return -np.inf, np.inf, False
     low = prop.maximum_m - float((errors_m + off_m[:, None])[sure].max())
     high = prop.maximum_m - float((errors_m - off_m[:, None])[sure].max())
-    return (low if told.all() else -np.inf), high, True
+    return (low if known_ticks.all() else -np.inf), high, True
 
 
 HAND_PREDICTIONS = CatalogueEntry(

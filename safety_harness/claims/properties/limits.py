@@ -23,7 +23,7 @@ from safety_harness.claims.signals.speeds import (
 from safety_harness.claims.signals.true_motion import JOINTS
 from safety_harness.claims.signals.uncertainty import (
     TCP,
-    Off,
+    ErrorOf,
     by_uncertainty_of,
     of_change,
     of_speed,
@@ -36,17 +36,17 @@ POSITION, RATE = JOINTS
 SPEED = "tcp_speed_mps"
 
 
-def _ends_by(error_of: Off, speed: str = "", place: str = "") -> Ends:
+def _ends_by(error_of: ErrorOf, speed: str = "", place: str = "") -> Ends:
     """Return ``ends`` for ``reads`` by the error of a margin; ``speed`` or ``place`` exercises it."""
 
     def ends(prop: object, trace: Trace, margin: float) -> tuple[float, float, bool]:
-        by = float(error_of(trace)[2])
+        error = float(error_of(trace)[2])
         fast = (
             not speed
             or np.abs(trace.ticks[speed]).max() - trace.known.measurement_of(speed).uncertainty > MOVES
         )
         moves = fast or (place != "" and went(trace, place, np.isfinite(trace.time_s)))
-        return margin - by, margin + by, bool(moves)
+        return margin - error, margin + error, bool(moves)
 
     return ends
 

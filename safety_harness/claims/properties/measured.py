@@ -88,8 +88,8 @@ def reads(
 
 def columns_read_by(prop: Property) -> tuple[str, ...] | None:
     """Return the columns that it reads; None for a property that does not state them."""
-    said = getattr(prop, "reads", getattr(prop.evaluate, "reads", None))
-    return None if said is None else tuple(said)
+    columns = getattr(prop, "reads", getattr(prop.evaluate, "reads", None))
+    return None if columns is None else tuple(columns)
 
 
 def not_measured(
@@ -99,10 +99,10 @@ def not_measured(
 
     The reason is "not reported" if the controller of a ``known`` run does not report any of them.
     """
-    words = detail or ", ".join(columns)
-    other = known is not None and known.unreported(columns)
-    why = "not reported" if other else "not measured"
-    return replace(inconclusive(prop, f"{why}: {words}"), unmeasured=tuple(columns), applicable=not other)
+    text = detail or ", ".join(columns)
+    unreported = known is not None and known.unreported(columns)
+    why = "not reported" if unreported else "not measured"
+    return replace(inconclusive(prop, f"{why}: {text}"), unmeasured=tuple(columns), applicable=not unreported)
 
 
 @dataclass(frozen=True)
@@ -127,17 +127,17 @@ class _Judging:
             and (known.missing([name]) or (known.measurement_of(name).gaps and name not in self.filled))
         ]
         if not lacking:
-            found = self.plain(prop, trace)
-            return self._widened(found, prop, trace, limited) if limited else found
-        words = ", ".join(_lack(trace, name) for name in lacking)
-        told = [words]
-        for which, piece in _pieces(trace, lacking, self.of_each_hand):
-            found = self.evaluate(prop, piece)
-            if found.verdict is Verdict.VIOLATED:
-                return replace(found, reason=f"{found.reason} ({which}; not measured: {words})")
-            words_of = found.verdict.value if found.margin is None else found.margin_text()
-            told.append(f"{which}: {words_of} ({found.reason})")
-        return not_measured(prop, lacking, "; ".join(told), known)
+            evaluation = self.plain(prop, trace)
+            return self._widened(evaluation, prop, trace, limited) if limited else evaluation
+        text = ", ".join(_lack(trace, name) for name in lacking)
+        reasons = [text]
+        for piece_name, piece in _pieces(trace, lacking, self.of_each_hand):
+            evaluation = self.evaluate(prop, piece)
+            if evaluation.verdict is Verdict.VIOLATED:
+                return replace(evaluation, reason=f"{evaluation.reason} ({piece_name}; not measured: {text})")
+            words_of = evaluation.verdict.value if evaluation.margin is None else evaluation.margin_text()
+            reasons.append(f"{piece_name}: {words_of} ({evaluation.reason})")
+        return not_measured(prop, lacking, "; ".join(reasons), known)
 
     def _widened(
         self, evaluation: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]
@@ -171,10 +171,10 @@ def _lack(trace: Trace, name: str) -> str:
     if trace.known.missing([name]) or first is None:
         return name
     names = [hand.name for hand in trace.scenario.hands]
-    whose = "" if first.hand is None else f" of {[*names, *['another hand'] * MAX_HANDS][first.hand]}"
+    of_hand = "" if first.hand is None else f" of {[*names, *['another hand'] * MAX_HANDS][first.hand]}"
     begin_s, end_s = (_time_s(trace, tick) for tick in (first.first, first.after))
     more = " and later" * (len(trace.known.measurement_of(name).gaps) > 1)
-    return f"{name}{whose} from {begin_s:.3f} to {end_s:.3f} s{more}"
+    return f"{name}{of_hand} from {begin_s:.3f} to {end_s:.3f} s{more}"
 
 
 def _time_s(trace: Trace, tick: int) -> float:
@@ -221,8 +221,8 @@ def _without(trace: Trace, lost: set[int]) -> Trace:
         ticks["hand_distance_m"][:, k], ticks["hand_distance_capsule"][:, k] = FAR_M[0], 0
     kept = {*range(len(hands))} - lost
     columns = {
-        name: replace(one, gaps=tuple(gap for gap in one.gaps if gap.hand in (None, *kept)))
-        for name, one in trace.known.columns.items()
+        name: replace(measurement, gaps=tuple(gap for gap in measurement.gaps if gap.hand in (None, *kept)))
+        for name, measurement in trace.known.columns.items()
         if name != PRESENCE
     }
     scenario = replace(trace.scenario, hands=tuple(hands))

@@ -84,8 +84,8 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
         needed_m = most_mps * (reaction_s + stop_s) + arm_mps * (reaction_s + 0.5 * stop_s)
         needed_m += 0.5 * period_s * (hand_mps + arm_mps)
         low = float(np.where(maybe, true.nearest_m - distance_m - needed_m, np.inf).min())
-    near = sure & (true.nearest_m + distance_m < prop.largest_m(settings))
-    return low, high, bool(near.any())
+    is_near = sure & (true.nearest_m + distance_m < prop.largest_m(settings))
+    return low, high, bool(is_near.any())
 
 
 def _may_be_stopping(trace: Trace) -> NDArray[np.bool_]:
@@ -169,7 +169,7 @@ class ProtectiveSeparation(Worded):
         if trace.ended == UNMEASURED:  # speeds at its last tick are not those of the whole run
             turns = turns & (np.arange(len(turns)) < len(turns) - 1)
         reaction_s, stop_s = _times_s(trace, self.stopped_from_mps(trace))
-        which, what = least_separation(
+        indices, values = least_separation(
             arm_of(trace),
             turns,
             true.joints_rad,
@@ -184,10 +184,10 @@ class ProtectiveSeparation(Worded):
             *_steps_m(trace),
             int(np.argmin(np.where(turns, true.nearest_m, np.inf))),
         )
-        tick, hand, capsule, body = (int(value) for value in which)
+        tick, hand, capsule, body = (int(value) for value in indices)
         if tick < 0:
             return None
-        distance_m, robot_mps, hand_mps, hand_moves_m, robot_moves_m = (float(value) for value in what)
+        distance_m, robot_mps, hand_mps, hand_moves_m, robot_moves_m = (float(value) for value in values)
         return Separation(
             tick=tick,
             hand=hand,
@@ -264,11 +264,11 @@ def _times_left_s(
     stopping = known & _may_be_stopping(trace)
     whole_s, by_tcp_s = stop_s.copy(), _full_times_s(trace, trace.ticks["tcp_speed_mps"], off_s)[1]
     stop_s[~known] = longest_s
-    for first, after in zip(*runs_of(stopping), strict=True):
+    for first, end in zip(*runs_of(stopping), strict=True):
         if first > 0 and not known[first - 1]:
-            stop_s[first:after] = longest_s
+            stop_s[first:end] = longest_s
             continue
-        run = slice(first, after)
+        run = slice(first, end)
         left_s = reaction_s[run] - (time_s[run] - time_s[first])
         braked = left_s <= 1e-9
         begun = first + int(np.argmax(braked))
@@ -282,10 +282,10 @@ def _times_left_s(
 def described(trace: Trace, separation: Separation) -> str:
     """Return a sentence on the pair and its terms."""
     part = capsules_of(trace).names[separation.capsule].replace("_", " ")
-    whose = trace.scenario.hands[separation.hand].name + ("'s forearm" if separation.forearm else "")
+    body = trace.scenario.hands[separation.hand].name + ("'s forearm" if separation.forearm else "")
     terms = " + ".join(f"{term.symbol} {term.length_m * 1e3:.1f}" for term in separation.terms)
     return (
-        f"{whose} {separation.distance_m * 1e3:.1f} mm from {part}; "
+        f"{body} {separation.distance_m * 1e3:.1f} mm from {part}; "
         f"needed are {separation.required_m * 1e3:.1f} mm = {terms} "
         f"(arm {separation.robot_speed_mps * 1e3:.0f} mm/s towards it, "
         f"v_h {separation.hand_speed_mps:.2f} m/s)"

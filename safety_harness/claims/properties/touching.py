@@ -88,12 +88,12 @@ class NoMovingPartTouches:
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
-        found = _nearest_moving(trace)
-        if found == Nearest():
+        nearest = _nearest_moving(trace)
+        if nearest == Nearest():
             return unexercised(self, f"the arm did not move while a hand was there: {OFF_THE_GOAL}")
-        said = judged_nearest(self, trace, found, 0.0, self.near_m, "a part that moves")
-        standing = theorem_words(trace, said)
-        return replace(said, reason=f"{said.reason}; {standing}") if standing else said
+        evaluation = judged_nearest(self, trace, nearest, 0.0, self.near_m, "a part that moves")
+        standing = theorem_words(trace, evaluation)
+        return replace(evaluation, reason=f"{evaluation.reason}; {standing}") if standing else evaluation
 
 
 def theorem_words(trace: Trace, evaluation: Evaluation) -> str:
@@ -108,7 +108,11 @@ def theorem_words(trace: Trace, evaluation: Evaluation) -> str:
         return "REFUTES THE SHIELD'S THEOREM: until then no assumption that a trace tells was broken"
     if broken and broken[0].number == NOT_KNOWN:
         return f"whether the shield's theorem applies is not known: {broken[0].text}"
-    return f"the shield's theorem does not apply: {'; '.join(one.text for one in broken)}" if broken else ""
+    return (
+        f"the shield's theorem does not apply: {'; '.join(assumption.text for assumption in broken)}"
+        if broken
+        else ""
+    )
 
 
 def refutes_theorem(trace: Trace, evaluation: Evaluation) -> bool:
@@ -118,7 +122,7 @@ def refutes_theorem(trace: Trace, evaluation: Evaluation) -> bool:
     broken = broken_assumptions(trace)
     if not broken:
         return True
-    held = slice(min(one.tick for one in broken) + 1)
+    held = slice(min(assumption.tick for assumption in broken) + 1)
     begun = replace(trace, ticks=trace.ticks[held], overshoot_radps=trace.overshoot_radps[held])
     return known_to(0.0, closest_moving, begun, hand_paths(begun)).high_m < 0.0
 
@@ -128,7 +132,9 @@ def theorem_bits(trace: Trace) -> int:
     if trace.scenario.shield is None or len(trace.ticks) == 0:
         return 0
     refuted = refutes_theorem(trace, NO_MOVING_PART_TOUCHES.prop.evaluate(trace))
-    return SHIELDED | refuted * REFUTED | sum(1 << one.number for one in broken_assumptions(trace))
+    return (
+        SHIELDED | refuted * REFUTED | sum(1 << assumption.number for assumption in broken_assumptions(trace))
+    )
 
 
 @once_a_trace
@@ -153,10 +159,10 @@ def closest_moving(trace: Trace, paths: HandPaths) -> Nearest:
     for hand in range(len(trace.scenario.hands)):
         at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
         nearest = _nearest_links(trace, hand)
-        before = np.minimum(at[:-1].astype(int), len(trace.ticks) - 2)
-        first = first_turning(trace)[before]
+        tick_before = np.minimum(at[:-1].astype(int), len(trace.ticks) - 2)
+        first = first_turning(trace)[tick_before]
         lower_m = _lower_bounds(arm_of(trace).reach_m, joints_rad, hand_m, elbow_m, distance_m, slack_m)
-        met = (nearest[before] > first) & (at[:-1] == before) & (first < joints_rad.shape[1])
+        met = (nearest[tick_before] > first) & (at[:-1] == tick_before) & (first < joints_rad.shape[1])
         most_m = distance_m[:-1][met].min(initial=np.inf)  # the result is not above it
         for begin, end in _runs(first):
             if first[begin] == joints_rad.shape[1]:
@@ -216,10 +222,10 @@ def _distal_part(arm: Arm, joint: int) -> Arm:
 
 @lru_cache(maxsize=64)
 def _moved(capsules: bytes, dtype: np.dtype[np.void], joint: int) -> NDArray[np.void]:
-    found = np.frombuffer(capsules, dtype)
-    found = found[found["link_index"] > joint].copy()
-    found.setflags(write=False)  # as all of them are: the same type for compiled code
-    return found
+    moving = np.frombuffer(capsules, dtype)
+    moving = moving[moving["link_index"] > joint].copy()
+    moving.setflags(write=False)  # as all of them are: the same type for compiled code
+    return moving
 
 
 def _known(
@@ -230,10 +236,10 @@ def _known(
     The memory layout is that of ``distance_m`` (k,), since compiled code distinguishes arrays by it.
     """
     whole = at == np.floor(at)
-    found = np.empty((len(at), 1 if distance_m.flags.c_contiguous else 2))[:, 0]
-    found[:] = np.where(whole & moves[np.minimum(at.astype(int), len(moves) - 1)], distance_m, np.inf)
-    found.setflags(write=distance_m.flags.writeable)
-    return found
+    known_m = np.empty((len(at), 1 if distance_m.flags.c_contiguous else 2))[:, 0]
+    known_m[:] = np.where(whole & moves[np.minimum(at.astype(int), len(moves) - 1)], distance_m, np.inf)
+    known_m.setflags(write=distance_m.flags.writeable)
+    return known_m
 
 
 NO_MOVING_PART_TOUCHES = CatalogueEntry(

@@ -54,10 +54,10 @@ def speed_cells(at_ticks: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
     """
 
     def largest(each: Any) -> Any:
-        found = each[:, 0].copy()
+        most = each[:, 0].copy()
         for joint in range(1, each.shape[1]):
-            found = np.maximum(found, each[:, joint])
-        return found
+            most = np.maximum(most, each[:, joint])
+        return most
 
     low, high = at_ticks.copy(), at_ticks.copy()
     low[:-1] = np.minimum(np.minimum(at_ticks[:-1], at_ticks[1:]), mean)

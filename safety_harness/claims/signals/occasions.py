@@ -95,10 +95,11 @@ def no_decision(trace: Trace) -> str:
     if _not_all_seen(trace):
         return no_predicted_hand(trace)
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    near = np.flatnonzero(trace.ticks["predicted_distance_m"] < critical_m)
-    if len(near) == 0:
+    near_ticks = np.flatnonzero(trace.ticks["predicted_distance_m"] < critical_m)
+    if len(near_ticks) == 0:
         return no_predicted_hand(trace)
-    came = f"a predicted hand came within {critical_m * 1e3:g} mm of the TCP at {trace.time_s[near[0]]:.3f} s"
+    time_s = trace.time_s[near_ticks[0]]
+    came = f"a predicted hand came within {critical_m * 1e3:g} mm of the TCP at {time_s:.3f} s"
     return f"{came}, and nothing was decided by the end of the run; a longer duration exercises it"
 
 
@@ -112,10 +113,10 @@ def no_position(trace: Trace) -> str:
 
 def no_answer(trace: Trace) -> str:
     """Return why the avoider never gave a usable answer."""
-    asked = len(trace.decisions)
-    if asked == 0:
+    questions = len(trace.decisions)
+    if questions == 0:
         return no_decision(trace)
-    return f"the avoider never answered; questions: {asked}, and one usable answer exercises it"
+    return f"the avoider never answered; questions: {questions}, and one usable answer exercises it"
 
 
 def no_time(due_m: float, least_m: float) -> str:
@@ -134,15 +135,15 @@ def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
         return f"{no_decision(trace)} if the avoider is {wanted}"
     largest_m = trace.decisions["proposed_spread_m"].max(axis=1)
     limit_m = trace.decisions["spread_threshold_m"]
-    told = np.flatnonzero((np.abs(largest_m) < ENDLESS) & (np.abs(limit_m) < ENDLESS))
-    if len(told) == 0:
+    known_rows = np.flatnonzero((np.abs(largest_m) < ENDLESS) & (np.abs(limit_m) < ENDLESS))
+    if len(known_rows) == 0:
         return "no answer had a spread and a threshold; one of an avoider that states both exercises it"
-    excess_m = largest_m[told] - limit_m[told]
-    at = told[int(np.argmax(excess_m) if above else np.argmin(excess_m))]
-    spread, which = millimetres(largest_m[at], limit_m[at]), "largest" if above else "smallest"
+    excess_m = largest_m[known_rows] - limit_m[known_rows]
+    at = known_rows[int(np.argmax(excess_m) if above else np.argmin(excess_m))]
+    spread, extreme = millimetres(largest_m[at], limit_m[at]), "largest" if above else "smallest"
     enough = f"{'above' if above else 'at most'} {limit_m[at] * 1e3:.6g} mm, the avoider's threshold"
     time_s = trace.decisions["time_s"][at]
-    return f"the {which} spread of an answer was {spread}, at {time_s:.3f} s; {enough}, exercises it"
+    return f"the {extreme} spread of an answer was {spread}, at {time_s:.3f} s; {enough}, exercises it"
 
 
 def went(trace: Trace, place: str, counted: NDArray[np.bool_]) -> bool:
@@ -151,10 +152,10 @@ def went(trace: Trace, place: str, counted: NDArray[np.bool_]) -> bool:
     Only stretches whose ticks are all ``counted`` (n,) count.
     """
     values = trace.ticks[place] if trace.ticks[place].ndim == 2 else trace.ticks[place][:, :3, 3]
-    off, slow = 2.0 * trace.known.measurement_of(place).uncertainty, MOVES * trace.time_s[:, None]
+    error, slow = 2.0 * trace.known.measurement_of(place).uncertainty, MOVES * trace.time_s[:, None]
     for ticks in np.split(np.arange(len(values)), np.flatnonzero(np.diff(counted)) + 1):
         for along in (values[ticks] - slow[ticks], -values[ticks] - slow[ticks]):
-            if counted[ticks].all() and np.any(along - np.fmin.accumulate(along) > off):
+            if counted[ticks].all() and np.any(along - np.fmin.accumulate(along) > error):
                 return True
     return False
 

@@ -44,8 +44,8 @@ def tcp_way_m(trace: Trace) -> Values:
     """Return (n-1,) the TCP's way within each tick, at its largest speed: at either end, or in the mean."""
     speed = trace.ticks["tcp_speed_mps"]
     steps = tcp_steps_m(trace)
-    way: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
-    return way
+    path_m: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
+    return path_m
 
 
 def turned_rad(trace: Trace) -> Values:
@@ -78,9 +78,9 @@ def larger(at_tick: Values, mean: Values) -> Values:
 
     ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
     """
-    found = at_tick.copy()
-    found[:-1] = np.maximum(found[:-1], mean)
-    return found
+    largest = at_tick.copy()
+    largest[:-1] = np.maximum(largest[:-1], mean)
+    return largest
 
 
 def sample_tcp_speed(trace: Trace) -> Sampled:
@@ -91,9 +91,9 @@ def sample_tcp_speed(trace: Trace) -> Sampled:
 
 def sample_joint_speed(trace: Trace) -> Sampled:
     """Sample the fastest joint's speed; the commanded speed may be lower by ``known_to_radps``."""
-    found, off_radps = speeds(*joint_speeds_radps(trace), moving_part="the arm"), known_to_radps(trace)
+    sampled, off_radps = speeds(*joint_speeds_radps(trace), moving_part="the arm"), known_to_radps(trace)
     return replace(
-        found, low=found.low - off_radps, value_low=found.value - off_radps, value_high=found.value
+        sampled, low=sampled.low - off_radps, value_low=sampled.value - off_radps, value_high=sampled.value
     )
 
 
@@ -116,15 +116,15 @@ def _arm_speeds_mps(
     """Return (n, 4) as ``arm_speeds_mps`` does."""
     n, joints, capsules = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
     transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
-    twists, found = np.empty((joints + 1, 6)), np.zeros((n, 4))
+    twists, speeds_mps = np.empty((joints + 1, 6)), np.zeros((n, 4))
     for k in range(n):
         forward_kinematics(arm.chain[0], joints_rad[k], transforms)
         place_capsules(arm.capsules, transforms, ends)
         link_twists(arm.chain[0].joint_axes, transforms, rates_radps[k], twists)
         x, y, z = tcp_velocity(arm.chain[0].joint_axes, transforms, rates_radps[k])
-        found[k, 1], found[k, 2], found[k, 3] = x, y, z
+        speeds_mps[k, 1], speeds_mps[k, 2], speeds_mps[k, 3] = x, y, z
         for capsule in range(capsules):
             speed = fastest_end(twists[min(arm.capsules[capsule].link_index, joints)], ends[capsule])
-            if not speed <= found[k, 0]:
-                found[k, 0] = speed
-    return found
+            if not speed <= speeds_mps[k, 0]:
+                speeds_mps[k, 0] = speed
+    return speeds_mps

@@ -16,7 +16,7 @@ from safety_harness.trace.trace import Trace, once_a_trace
 from safety_harness.trace.unmeasured import as_measured
 
 Bound = float | NDArray[np.float64]  # everywhere, or (n,) at each tick and from it to the next
-Off = Callable[[Trace], tuple[Bound, Bound, Bound]]
+ErrorOf = Callable[[Trace], tuple[Bound, Bound, Bound]]
 Truths = NDArray[np.bool_]
 TCP, TCP_SPEED, HANDS = "transform_tcp_to_base", "tcp_speed_mps", "hand_position_in_base_m"
 
@@ -36,11 +36,11 @@ def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tu
 
 def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
     """Return (n, hands) the ticks at which one of ``columns`` was not measured, for each possible hand."""
-    found = np.zeros((len(trace.ticks), *trace.ticks.dtype["hand_present"].shape), np.bool_)
+    lost_rows = np.zeros((len(trace.ticks), *trace.ticks.dtype["hand_present"].shape), np.bool_)
     for name in columns:
         for gap in trace.known.measurement_of(name).gaps:
-            found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = True
-    return found
+            lost_rows[gap.first : gap.after, ... if gap.hand is None else gap.hand] = True
+    return lost_rows
 
 
 def lost(trace: Trace, columns: Iterable[str]) -> Truths:
@@ -77,8 +77,8 @@ def as_known(signal: Signal, measured: Sampled, trace: Trace) -> Sampled:
     value_low, value_high = np.where(gone, -np.inf, value - at), value + at
     tried = measured.tried
     if tried is not None:
-        by, untold = (at, gone) if measured.comes else (above, cells)
-        least, most = tried[0] - by, tried[1] + by
+        error, untold = (at, gone) if measured.comes else (above, cells)
+        least, most = tried[0] - error, tried[1] + error
         tried = np.where(np.isnan(least), -np.inf, least), np.where(untold | np.isnan(most), np.inf, most)
     return replace(
         measured,
@@ -96,7 +96,7 @@ def as_known(signal: Signal, measured: Sampled, trace: Trace) -> Sampled:
 # (at, below, above) in SI.
 
 
-def by_uncertainty_of(*columns: str) -> Off:
+def by_uncertainty_of(*columns: str) -> ErrorOf:
     """Return the errors of a signal that is as uncertain as ``columns`` together."""
 
     def errors(trace: Trace) -> tuple[float, float, float]:
@@ -106,16 +106,16 @@ def by_uncertainty_of(*columns: str) -> Off:
     return errors
 
 
-def of_change(column: str) -> Off:
+def of_change(column: str) -> ErrorOf:
     """Return the errors of the mean change of ``column`` from tick to tick, in its unit per second."""
 
     def errors(trace: Trace) -> tuple[float, float, float]:
-        by = (
+        error = (
             2.0
             * trace.known.measurement_of(column).uncertainty
             / trace.scenario.settings.clock.control_period_s
         )
-        return by, by, by
+        return error, error, error
 
     return errors
 
@@ -123,17 +123,17 @@ def of_change(column: str) -> Off:
 def of_tcp_acceleration(trace: Trace) -> tuple[float, float, float]:
     """Return the errors of the mean change of the TCP's velocity, by those of joints and their speeds."""
     off_mps = float(tcp_velocity_moved_mps(trace).max())
-    by = 2.0 * off_mps / trace.scenario.settings.clock.control_period_s
-    return by, by, by
+    acceleration_error = 2.0 * off_mps / trace.scenario.settings.clock.control_period_s
+    return acceleration_error, acceleration_error, acceleration_error
 
 
-def of_speed(speed: str, position: str) -> Off:
+def of_speed(speed: str, position: str) -> ErrorOf:
     """Return the errors of a speed; a mean between ticks has those of both positions over the period."""
 
     def errors(trace: Trace) -> tuple[float, float, float]:
         at, place = (trace.known.measurement_of(name).uncertainty for name in (speed, position))
-        between = float(speed_between(at, place, trace.scenario.settings.clock.control_period_s))
-        return at, between, between
+        between_ticks = float(speed_between(at, place, trace.scenario.settings.clock.control_period_s))
+        return at, between_ticks, between_ticks
 
     return errors
 
@@ -141,8 +141,8 @@ def of_speed(speed: str, position: str) -> Off:
 def of_place(trace: Trace) -> tuple[float, float, float]:
     """Return the errors of a place of the TCP: its own, and between ticks half of the error of its way."""
     at, speed = (trace.known.measurement_of(name).uncertainty for name in (TCP, TCP_SPEED))
-    between = float(place_between(at, speed, trace.scenario.settings.clock.control_period_s))
-    return at, between, between
+    between_ticks = float(place_between(at, speed, trace.scenario.settings.clock.control_period_s))
+    return at, between_ticks, between_ticks
 
 
 def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
@@ -153,19 +153,19 @@ def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
     """
     if follows_unknown(trace):
         return np.inf, np.inf, np.inf
-    tcp, between, _ = of_place(trace)
+    tcp, between_ticks, _ = of_place(trace)
     columns = ("joint_position_rad", "joint_velocity_radps", HANDS)
     turned_rad, faster_radps, hand = (trace.known.measurement_of(name).uncertainty for name in columns)
     turned_rad += 0.5 * trace.scenario.settings.clock.control_period_s * faster_radps
     low = max(tcp, turned_rad * float(tcp_of(trace).reach_m.sum()))
-    return tcp + hand, low + hand, between + 2.0 * hand
+    return tcp + hand, low + hand, between_ticks + 2.0 * hand
 
 
 def of_hand_distance(trace: Trace) -> tuple[Bound, Bound, Bound]:
     """Return the errors of the hand distance: below by the catalogue's bound, above also by that at ticks."""
     at, moved = distance_moved_m(trace)
-    between, beside = np.maximum(at, moved), at + moved
-    return at, np.maximum(between, _next(between)), np.maximum(beside, _next(beside))
+    between_ticks, beside = np.maximum(at, moved), at + moved
+    return at, np.maximum(between_ticks, _next(between_ticks)), np.maximum(beside, _next(beside))
 
 
 def _next(value: NDArray[np.float64]) -> NDArray[np.float64]:

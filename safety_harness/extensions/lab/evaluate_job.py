@@ -142,7 +142,8 @@ class EvaluationResult:
         scored = self.scored
         if self.folder != out:
             moved = [
-                replace(one, worst=[_moved(shown, out) for shown in one.worst]) for one in scored.avoiders
+                replace(avoider, worst=[_moved(shown, out) for shown in avoider.worst])
+                for avoider in scored.avoiders
             ]
             scored = replace(scored, avoiders=moved)
         made = replace(self, scored=scored, folder=out)
@@ -150,7 +151,7 @@ class EvaluationResult:
         command = shlex.join([*self.command, "--out", str(display_path(out))])
         evidence = ScoreEvidence(scored=scored, command=command, generated_at=datetime.now(UTC))
         write_text(out / PAGE, render(evidence))
-        files = [shown.file.path for one in made.avoiders for shown in one.worst if shown.file.path]
+        files = [shown.file.path for avoider in made.avoiders for shown in avoider.worst if shown.file.path]
         if files:
             output.say(f"worst questions as scenarios: {files[0]} and {len(files) - 1} more")
         output.say(f"page: {out / PAGE} (for programs: {DATA})")

@@ -66,9 +66,14 @@ def prove(
     with ExitStack() as closing:
         stopped = closing.enter_context(one_more_ctrl_c(output.say, "interrupted: finishing the batch"))
         on_step = closing.enter_context(output.steps())
-        over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
+        map_batches = map if jobs == 1 else closing.enter_context(pool(jobs)).map
         effort = Effort(
-            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, show=on_step
+            seconds=60.0 * minutes,
+            halvings=halvings,
+            over=map_batches,
+            at_once=jobs,
+            stopped=stopped,
+            show=on_step,
         )
         for number, proof in enumerate(continue_proofs(read, begun, effort)):
             proofs[number] = proof

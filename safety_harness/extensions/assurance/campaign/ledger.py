@@ -392,13 +392,13 @@ class Ledger:
             return RepeatabilityResult(questions=0)
         order = "ORDER BY differing = 0, words = '', id"
         rows = list(self.all(f"SELECT questions, asked, differing, words, apart FROM repeated {order}"))
-        questions, asked, differing = (sum(row[k] for row in rows) for k in range(3))
+        questions, asked_again, differing = (sum(row[k] for row in rows) for k in range(3))
         kind: Callable[..., RepeatabilityResult] = RepeatabilityResult
         if any(row[4] & BY_RUNS for row in rows):
             kind = partial(DrivenAgain, of_avoider=any(row[4] & OF_AVOIDER for row in rows))
         return kind(
             questions=questions,
-            asked=asked,
+            asked=asked_again,
             differing=differing,
             words=next((row[3] for row in rows), ""),
             apart=any(row[4] & BY_PROCESS for row in rows),

@@ -249,20 +249,20 @@ def read_selftest(path: Path) -> SelfTest:
     trial = typed(
         of_format(read_json(path, "a selftest.json"), FORMAT, path), _Trial, path, further_fields=True
     )
-    about, tried = trial.about, trial.faults
+    facts, tried = trial.about, trial.faults
     faults = tuple(_caught(fault) for fault in tried if fault.state in ON_TRIAL)
     if not faults:
         place = Place(file=path, field="faults")
         raise InputError(place=place, expected="at least one fault that was on trial", got="none")
     return SelfTest(
-        profile=about.profile,
+        profile=facts.profile,
         faults=faults,
         false_alarms=tuple(str(fault.fault) for fault in tried if fault.state is FaultState.FALSE_ALARM),
-        source_hash=about.source_hash,
-        present=about.source_hash == source_hash(),
-        whole=not about.interrupted
-        and len(tried) >= about.planned
-        and "--fault" not in about.command.split(),
+        source_hash=facts.source_hash,
+        present=facts.source_hash == source_hash(),
+        whole=not facts.interrupted
+        and len(tried) >= facts.planned
+        and "--fault" not in facts.command.split(),
     )
 
 

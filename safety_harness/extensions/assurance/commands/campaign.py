@@ -50,7 +50,7 @@ _Cluster = Annotated[
     Option(help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file.", metavar="ADDRESS|FILE"),
 ]
 _Part = Annotated[str, Option(help="Only the K-th of N parts, for 'merge'.", metavar="K/N")]
-_ABOUT = "Run a declared plan of up to millions of episodes into a ledger that survives crashes."
+_HELP = "Run a declared plan of up to millions of episodes into a ledger that survives crashes."
 
 
 class RareWay(StrEnum):
@@ -60,7 +60,7 @@ class RareWay(StrEnum):
     SPLITTING = "splitting"
 
 
-commands = Typer(name="campaign", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+commands = Typer(name="campaign", no_args_is_help=True, help=_HELP, short_help=_HELP)
 _command = partial(
     command, commands, interrupted="interrupted; the ledger has all committed episodes", failed=DIFFERS
 )

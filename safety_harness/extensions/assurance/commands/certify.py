@@ -40,8 +40,8 @@ class _PlanOrCommand(TyperGroup):
 
 
 commands = Typer()
-_ABOUT = "Run a declared plan and write its evidence; declare, seal, delta."
-of_certify = Typer(name="certify", cls=_PlanOrCommand, help=_ABOUT, short_help=_ABOUT)
+_HELP = "Run a declared plan and write its evidence; declare, seal, delta."
+of_certify = Typer(name="certify", cls=_PlanOrCommand, help=_HELP, short_help=_HELP)
 
 
 @command(

@@ -33,8 +33,8 @@ class _Quantities(TyperGroup):
         return super().parse_args(ctx, joined)
 
 
-_ABOUT = "Make a scenario, and a space around it, of the log of a cell."
-of_scenarios = Typer(name="scenario", cls=_Quantities, no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+_HELP = "Make a scenario, and a space around it, of the log of a cell."
+of_scenarios = Typer(name="scenario", cls=_Quantities, no_args_is_help=True, help=_HELP, short_help=_HELP)
 commands = Typer()
 Log = Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")]
 OfCell = Annotated[
@@ -46,11 +46,11 @@ OfCell = Annotated[
         metavar="FILE",
     ),
 ]
-From = Annotated[
+Begin = Annotated[
     str | None,
     Option("--from", help="Begin of the used part, since the first sample: 1.5 s.", metavar="TIME"),
 ]
-To = Annotated[str | None, Option("--to", help="End of the used part.", metavar="TIME")]
+End = Annotated[str | None, Option("--to", help="End of the used part.", metavar="TIME")]
 ElbowTowards = Annotated[
     str | None,
     Option(
@@ -77,8 +77,8 @@ def scenario_from(
         str | None,
         Option(help="Factors of the hands' speed in the space: 0.8..1.25.", metavar="LOW..HIGH"),
     ] = None,
-    start: From = None,
-    to: To = None,
+    start: Begin = None,
+    to: End = None,
     desired_tcp: Annotated[
         str | None,
         Option(
@@ -222,8 +222,8 @@ def _point(text: str | None, option: str = "--elbow-towards") -> Vector3 | None:
 def compare_worlds(
     log: Log,
     scenario: OfCell = None,
-    start: From = None,
-    to: To = None,
+    start: Begin = None,
+    to: End = None,
     elbow_towards: ElbowTowards = None,
     out: Annotated[Path, Option(help="Folder for compare-worlds.json.")] = Path("reports/compare-worlds"),
 ) -> int:

@@ -17,7 +17,7 @@ from math import inf
 import numpy as np
 
 from safety_harness.base.exceptions import FormulaError, StreamError
-from safety_harness.claims.formulas.claim import GRAVEST
+from safety_harness.claims.formulas.claim import WORST_FIRST
 from safety_harness.claims.formulas.signals import hand_distance
 from safety_harness.extensions.field.logs.streams import NS, SHORTEST_STEP_NS
 from safety_harness.extensions.field.monitoring.cell import WatchedCell
@@ -99,11 +99,11 @@ class Monitor:
         self._sensing = Sensing(cell, tuple(self._hands.values()))
         revisable = int((cell.hand_facts.longest_gap_s + LATENCY_S) / cell.period_s) + 4
         self.claims: list[WatchedClaim] = []
-        for one in cell.scenario.claims:
+        for claim in cell.scenario.claims:
             try:
-                self.claims.append(self._watched(one.sentence, revisable))
+                self.claims.append(self._watched(claim.sentence, revisable))
             except FormulaError as error:
-                self.unwatched[one.sentence] = error
+                self.unwatched[claim.sentence] = error
         if self.unwatched and not (self.some and self.claims):
             raise next(iter(self.unwatched.values()))
         self.time_s = 0.0
@@ -315,16 +315,16 @@ class Monitor:
 
     def _judge_again(self, *, grown: bool = False) -> Iterator[VerdictLine]:
         """Judge the ticks that are known better now."""
-        moments = [one for one in self._moments if one.tick >= self._stale]
+        moments = [moment for moment in self._moments if moment.tick >= self._stale]
         if not moments:
             return
         assert self._origin_ns is not None
         self.time_s = (self._origin_ns + moments[-1].tick * self.cell.period_ns) / NS
-        off = [self._joints.errors_at(one.tick) for one in moments]
+        errors = [self._joints.errors_at(moment.tick) for moment in moments]
         first = len(self._moments) - len(moments)
         if first > 0:
             moments.insert(0, self._moments[first - 1])
-        seen = self._sensing.see(moments, len(moments) - len(off), off)
+        seen = self._sensing.see(moments, len(moments) - len(errors), errors)
         for claim in self.claims:
             claim.see(seen, moments[0].tick, grown=grown)
         self._stale = self._next
@@ -345,12 +345,12 @@ class Monitor:
         A verdict that is close comes and goes with every sample of a hand.
         """
         for number, claim in enumerate(self.claims):
-            now, told = _verdicts_of(claim, silence), self._told[number]
-            if now == told:
+            now, reported = _verdicts_of(claim, silence), self._told[number]
+            if now == reported:
                 self._better_since_s[number] = inf
                 continue
             since_s = self._better_since_s[number] = min(self._better_since_s[number], self.time_s)
-            worse = told is None or any(map(_worse, now, told))
+            worse = reported is None or any(map(_worse, now, reported))
             if worse or self.time_s - since_s >= self.cell.hand_facts.longest_gap_s:
                 self._told[number], self._better_since_s[number] = now, inf
                 yield self._change(claim, silence)
@@ -372,7 +372,7 @@ class Monitor:
 
 
 def _worse(now: Verdict, reported: Verdict) -> bool:
-    return GRAVEST.index(now) < GRAVEST.index(reported)
+    return WORST_FIRST.index(now) < WORST_FIRST.index(reported)
 
 
 def _verdicts_of(claim: WatchedClaim, silence: str) -> tuple[Verdict, Verdict]:

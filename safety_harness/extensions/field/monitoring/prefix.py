@@ -164,8 +164,8 @@ class _Node:
             reading.append((len(code), *_reading(formula, columns)))
         operator, rows = OPERATORS.index(type(formula)), [part.row for part in self.parts] or [0]
         row = rows[0]
-        for other in rows[1:-1]:  # of three and more, two by two
-            code.append((operator, row, other, *NO_WINDOW))
+        for further in rows[1:-1]:  # of three and more, two by two
+            code.append((operator, row, further, *NO_WINDOW))
             row = len(code) - 1
         code.append((operator, row, rows[-1], *(NO_WINDOW if span is None else span.ticks(period_s))))
         self.row: int = len(code) - 1
@@ -239,26 +239,26 @@ def _evaluate(
 
     A truth has limit 0.5 and an end of infinity.
     """
-    told = seen.shape[0]
+    count = seen.shape[0]
     for a in range(reading.shape[0]):
         node, signal, above, low, high = reading[a]
-        for k in range(max(told - (stop - first), 0), told):
+        for k in range(max(count - (stop - first), 0), count):
             least, most = seen[k, signal, low] - limits[a, 0], seen[k, signal, high] - limits[a, 0]
             if not above:
                 least, most = limits[a, 0] - seen[k, signal, high], limits[a, 0] - seen[k, signal, low]
             if limits[a, 1] == np.inf:
                 least, most = np.copysign(np.inf, least), np.copysign(np.inf, most)
-            values[node, 0, stop - told + k] = least if least != 0.0 else limits[a, 1]
-            values[node, 1, stop - told + k] = most if most != 0.0 else limits[a, 1]
+            values[node, 0, stop - count + k] = least if least != 0.0 else limits[a, 1]
+            values[node, 1, stop - count + k] = most if most != 0.0 else limits[a, 1]
     for i in range(code.shape[0]):
-        operator, one, other, begin, end = code[i]
+        operator, first_part, second_part, begin, end = code[i]
         if operator >= NOT:
             values[i, 0, first:stop], values[i, 1, first:stop] = operate(
                 operator,
                 begin,
                 end,
-                values[one, 0, first:stop],
-                values[one, 1, first:stop],
-                values[other, 0, first:stop],
-                values[other, 1, first:stop],
+                values[first_part, 0, first:stop],
+                values[first_part, 1, first:stop],
+                values[second_part, 0, first:stop],
+                values[second_part, 1, first:stop],
             )

@@ -137,7 +137,7 @@ def _lines(scored: ScoredAvoider, against: str) -> Iterator[str]:
     alike = all(repeat.differ == 0 for repeat in scored.card.repeats)
     same = f"the same bits in all {len(scored.card.repeats)} ways of asking"
     diff: Sequence[str] = [
-        f"{one.way.value}: {repeat_words(one)}" for one in scored.card.repeats if one.differ
+        f"{repeat.way.value}: {repeat_words(repeat)}" for repeat in scored.card.repeats if repeat.differ
     ]
     yield "asked again: " + (same if alike else "; ".join(diff))
     yield f"time: {times_words(scored.card)}"

@@ -99,8 +99,8 @@ _WITH_ARITHMETIC_0 = {
 
 def is_named_by(dataset: CompactDataset, sha256: str) -> bool:
     """Return whether ``sha256`` is the ``data_hash`` of a data set, also if an earlier arithmetic made it."""
-    found = data_hash(dataset)
-    return sha256 in (found, _WITH_ARITHMETIC_0.get(found))
+    digest = data_hash(dataset)
+    return sha256 in (digest, _WITH_ARITHMETIC_0.get(digest))
 
 
 def data_hash(dataset: CompactDataset) -> str:

@@ -14,7 +14,7 @@ from safety_harness.extensions.lab.proof.box_kernel import REFUTED, UNDECIDED
 from safety_harness.extensions.lab.proof.certificate import Proof, WrongQuestion
 from safety_harness.extensions.lab.proof.claims import ClaimKind, margins_of, optimum_constants
 from safety_harness.extensions.lab.proof.plan import ProofPlan
-from safety_harness.extensions.lab.proof.tree import BoxTree, Over, examined, work
+from safety_harness.extensions.lab.proof.tree import BoxTree, MapBatches, examined, work
 
 MOST_ASKED = 200_000  # questions at the centres of leaves
 WRONG_BY = 1e-8  # m or m2, beyond all rounding
@@ -33,7 +33,7 @@ class Effort:
 
     seconds: float
     halvings: int
-    over: Over = map
+    over: MapBatches = map
     at_once: int = 1
     stopped: Callable[[], bool] = field(default=lambda: False)
     show: OnStep = field(default=lambda text, share: None)

@@ -71,7 +71,7 @@ def halves(low: Floats, high: Floats, codes: Codes) -> Boxes:
     return lows, highs
 
 
-Over = Callable[[Callable[[Boxes], Codes], Iterable[Boxes]], Iterable[Codes]]
+MapBatches = Callable[[Callable[[Boxes], Codes], Iterable[Boxes]], Iterable[Codes]]
 
 
 def examined(
@@ -127,7 +127,7 @@ def work(
     halvings: int,
     until_s: float,
     doubt_m: float = np.nan,
-    map_batches: Over = map,
+    map_batches: MapBatches = map,
     at_once: int = 1,
     on_level: Callable[[BoxTree], Any] = lambda tree: None,
     stopped: Callable[[], bool] = lambda: False,

@@ -258,11 +258,13 @@ def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorec
     The same Python file in another folder may load other weights.  It returns a warning if only the
     answers agree.
     """
-    hashes = {one: avoider_sha256(scenario_of_avoider(one)) for one in (reference, against)}
-    keys = {(sha256, file_and_name(one)[1] if sha256 else one) for one, sha256 in hashes.items()}
+    hashes = {name: avoider_sha256(scenario_of_avoider(name)) for name in (reference, against)}
+    keys = {(sha256, file_and_name(name)[1] if sha256 else name) for name, sha256 in hashes.items()}
     pairs = zip(card.regions, beside.regions, strict=True)
-    asked = (compared(WayOfAsking.AGAIN, one.questions, one.answers, other.answers) for one, other in pairs)
-    if any(again.differ for again in asked):
+    comparisons = (
+        compared(WayOfAsking.AGAIN, first.questions, first.answers, second.answers) for first, second in pairs
+    )
+    if any(again.differ for again in comparisons):
         return []
     if len(keys) == 1:
         got = f"{against}, which is {reference} by its hash; a comparison with itself has no findings"
