@@ -121,7 +121,7 @@ def agreement(
 
 def raster(dataset: CompactDataset) -> None:
     """Images sampled at pixel centres against exact moments."""
-    errors = ImageErrors.of(DEFAULTS)
+    errors = ImageErrors.from_settings(DEFAULTS)
     numbers = np.arange(RASTER_POSES)
     candidates = candidates_of(dataset.settings, dataset.tcp_in_base, dataset.seed, numbers)
     agreement("raster", candidates, errors.select(candidates)[0], errors.select(candidates, raster=True)[0])
@@ -129,7 +129,7 @@ def raster(dataset: CompactDataset) -> None:
 
 def rendered(dataset: CompactDataset) -> None:
     """Rendered and thresholded images, with the arm at its true joint angles, against exact moments."""
-    errors = ImageErrors.of(DEFAULTS)
+    errors = ImageErrors.from_settings(DEFAULTS)
     numbers = np.arange(RENDERED_POSES)
     candidates = candidates_of(dataset.settings, dataset.tcp_in_base, dataset.seed, numbers)
     exact = errors.select(candidates)[0]
@@ -191,7 +191,7 @@ def ratios() -> list[Ratio]:
         own_s = (time.perf_counter() - began) / 1000
         labels = len(dataset) // 1000
         candidates = candidates_of(dataset.settings, dataset.tcp_in_base, dataset.seed, np.arange(1))[0]
-        image_s = rendered_errors(ImageErrors.of(DEFAULTS), candidates[:10])[1] / 10
+        image_s = rendered_errors(ImageErrors.from_settings(DEFAULTS), candidates[:10])[1] / 10
         turns.append((len(candidates) * image_s, own_s))
     note = f"a TCP of {labels} samples; ours {1e6 * min(own_s for _, own_s in turns):.0f} us"
     return [Ratio.of("data, rendered candidates over ours", [a / b for a, b in turns], note=note)]

@@ -29,7 +29,7 @@ def best_distance_m(checked: Checked, motions: int, seed: int = 0) -> float:
 
     Half of them are drawn anew, the others vary the best ones so far.
     """
-    rng, free = np.random.default_rng(seed), FreeArm.of(checked)
+    rng, free = np.random.default_rng(seed), FreeArm.from_checked(checked)
     drawn = _drawn(rng, motions - motions // 2)
     drawn[0] = [0.0, 0.0, 1.0]  # straight away from the hand, all the time
     drawn[1] = [0.0, 0.0, 0.0]  # stay

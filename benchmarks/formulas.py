@@ -34,9 +34,9 @@ SEED = 1
 NEAR = hand_distance() > mm(50)
 FORMULAS: tuple[tuple[str, Formula, str], ...] = (
     ("always", always(NEAR), "always (x > 0.05)"),
-    ("eventually within 0.2 s", eventually(NEAR, within=s(0.2)), "eventually[0,25] (x > 0.05)"),
-    ("eventually within 0.8 s", eventually(NEAR, within=s(0.8)), "eventually[0,100] (x > 0.05)"),
-    ("always for 0.8 s", always(NEAR, within=s(0.8)), "always[0,100] (x > 0.05)"),
+    ("eventually within 0.2 s", eventually(NEAR, window=s(0.2)), "eventually[0,25] (x > 0.05)"),
+    ("eventually within 0.8 s", eventually(NEAR, window=s(0.8)), "eventually[0,100] (x > 0.05)"),
+    ("always for 0.8 s", always(NEAR, window=s(0.8)), "always[0,100] (x > 0.05)"),
 )
 
 

@@ -31,7 +31,7 @@ from stream_lines import lines  # noqa: E402
 
 from safety_harness.extensions.field.monitoring.cell import read_cell  # noqa: E402
 from safety_harness.extensions.field.monitoring.monitor import Monitor  # noqa: E402
-from safety_harness.extensions.field.monitoring.sensing import APART, MEASURED  # noqa: E402
+from safety_harness.extensions.field.monitoring.sensing import HAND_DISTANCE, MEASURED  # noqa: E402
 from safety_harness.extensions.field.monitoring.watched import WatchedClaim  # noqa: E402
 
 with warnings.catch_warnings():
@@ -110,7 +110,7 @@ def formulas(count: int, stream: list[list[bytes]]) -> Iterator[Callable[[], obj
     def work(tick: int) -> Callable[[], object]:
         low, high = distances[tick] - 0.05, distances[tick] + 0.05
         seen = np.zeros((1, len(MEASURED), 6))
-        seen[0, APART] = distances[tick], low, high, low, high, 1.0
+        seen[0, HAND_DISTANCE] = distances[tick], low, high, low, high, 1.0
         return lambda: [claim.see(seen, tick, grown=True) for claim in watched]
 
     yield from map(work, range(len(stream)))

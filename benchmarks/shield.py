@@ -269,7 +269,7 @@ def gate(given: argparse.Namespace) -> str:
     for space in OF_COST:
         for share in WITHIN_SHARES:
             rule = None if share is None else GateRule(hands_within=share)
-            found = Overruling.of(run_many(draws(space, given.pairs, partial(replace, gate=rule))))
+            found = Overruling.from_traces(run_many(draws(space, given.pairs, partial(replace, gate=rule))))
             towards = found.reasons[Check.TOWARDS_A_HAND]
             shares = [
                 f"{n / max(found.proposals, 1):.1%}".replace("%", " %") for n in (towards, found.overruled)
@@ -358,7 +358,7 @@ def search(given: argparse.Namespace) -> str:
 def _searched(file: Path, world: ScenarioRunner, budget: int) -> str:
     """Runs, those with a verdict, those that violate the claim, the first of them, and the least margin."""
     trials = Trials(read_space(file), world, seed=SEED, sentences=(NO_MOVING_PART_TOUCHES.prop.sentence,))
-    cube = Cube.of(trials.space)
+    cube = Cube.from_space(trials.space)
     searcher = searcher_named("default")(cube, claims=len(trials.goals), seed=SEED)
     found = find_violations(cube, trials.goals, trials, searcher, budget=budget, batch=32)
     first = found.first_violation[0] or "-"

@@ -58,7 +58,7 @@ def main() -> None:
                 run_kinematic(admitter.admit(with_avoider(replace(one, claims=()), avoider))) for one in drawn
             ]
             shown, _ = row(path.stem, avoider, iter(traces))
-            gate = Overruling.of(traces)
+            gate = Overruling.from_traces(traces)
             rows.append(f"{shown} {gate.replaced + gate.stopped:,} of {gate.proposals:,} |")
             print(rows[-1], flush=True)
     head = HEAD.format(revision=revision, draws=draws, stream=STREAM, near=NEAR)

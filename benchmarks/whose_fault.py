@@ -74,7 +74,7 @@ def of_space(path: Path, draws: int, motions: int, seed: int) -> int:
         if attributions:
             took_s, worst_s = took_s + spent_s, max(worst_s, spent_s)
         found += [(one, each) for each in attributions]
-    tally = AttributionTally.of(each for _, each in found)
+    tally = AttributionTally.from_attributions(each for _, each in found)
     print(f"{path.stem}: {draws} draws", flush=True)
     if not found:
         print("  no violation")

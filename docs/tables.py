@@ -19,7 +19,7 @@ from architecture_picture import picture
 from safety_harness.base import extension_points
 from safety_harness.claims.formulas.signals import SIGNALS
 from safety_harness.claims.properties.catalogue import CATALOGUE
-from safety_harness.claims.properties.entry import told
+from safety_harness.claims.properties.entry import entry_fields
 from safety_harness.cli.main import ELSEWHERE, TASK_OF, app
 from safety_harness.extensions.assurance.campaign.plan_keys import PLAN, TABLES, TITLE
 from safety_harness.extensions.assurance.certification.evidence import schema as evidence_schema
@@ -70,12 +70,12 @@ def markdown(table: KeyTable) -> str:
     """The table as a page shows it; keys of an inner mapping follow the key that they stand below."""
     rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
     for key in table.keys:
-        rows.append(f"| `{key.name}` | {key.words} | {key.default} | {key.meaning} |")
+        rows.append(f"| `{key.name}` | {key.description} | {key.default} | {key.meaning} |")
         for inner in (
             key.value.tables if isinstance(key.value, Below) and not key.value.tables[0].path else ()
         ):
             rows += [
-                f"| `{key.name}`: `{one.name}` | {one.words} | {one.default} | {one.meaning} |"
+                f"| `{key.name}`: `{one.name}` | {one.description} | {one.default} | {one.meaning} |"
                 for one in inner.keys
             ]
     return _joined(rows)
@@ -95,7 +95,7 @@ def _joined(rows: list[str]) -> str:
 
 
 def _kind(key: Key) -> str:
-    return key.value.dimension.name if isinstance(key.value, QuantityValue) else key.value.words
+    return key.value.dimension.name if isinstance(key.value, QuantityValue) else key.value.description
 
 
 def names_of_wings() -> dict[str, tuple[str, ...]]:
@@ -154,7 +154,7 @@ def markdown_of_claims() -> str:
     for entry in CATALOGUE:
         cells = (f"`{entry.example}`", entry.unit.symbol or "a number", entry.exercised)
         rows.append(f"| {' | '.join((*cells, breaks.get(entry.example, 'not measured')))} |")
-        lines = [f"- *{name}*: {text}" for name, text in chain(told(entry), standards_of(entry))]
+        lines = [f"- *{name}*: {text}" for name, text in chain(entry_fields(entry), standards_of(entry))]
         sections.append("\n".join([f"### {entry.example}", "", *lines]))
     return "\n".join(rows) + "\n\n" + "\n\n".join(sections) + "\n"
 

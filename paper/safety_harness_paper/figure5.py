@@ -45,7 +45,7 @@ def measure(folder: Path, *, seed: int, settings: Settings) -> Json:
     tcps, hands = space.tcp.draw(rng, PAIRS), space.hand.draw(rng, PAIRS)
     candidates = candidates_of(settings, tcps, seed, np.arange(PAIRS))  # (pairs, 100, 3)
     offsets = candidates - tcps[:, None]
-    best, _ = ImageErrors.of(settings).select(candidates[:1])
+    best, _ = ImageErrors.from_settings(settings).select(candidates[:1])
     nominal = np.array(settings.avoidance.nominal_hand_position_in_base_m)
 
     def farther(hand: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> int:

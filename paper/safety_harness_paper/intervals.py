@@ -63,7 +63,7 @@ def mean_of(values: ArrayLike, of: str = "trainings") -> Estimate:
 
 def share_of(having: ArrayLike, of: str = "trials") -> Estimate:
     """A share of independent trials with its exact (Clopper-Pearson) interval."""
-    found = Proportion.of(np.asarray(having, dtype=np.bool_))
+    found = Proportion.from_rows(np.asarray(having, dtype=np.bool_))
     return Estimate(value=found.share, low=found.low, high=found.high, of=f"{found.trials} {of}")
 
 

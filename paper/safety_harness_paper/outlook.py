@@ -58,7 +58,7 @@ def measure(folder: Path, *, tcps: int, trials: int, draw_seed: int, settings: S
 def _selections(settings: Settings, tcps: int, seed: int) -> list[Json]:
     """Upright by exact and by sampled images, then tilted by exact ones."""
     rng = np.random.default_rng(seed)
-    cap, errors = CandidateCap.from_settings(settings), ImageErrors.of(settings)
+    cap, errors = CandidateCap.from_settings(settings), ImageErrors.from_settings(settings)
     desired = np.array(settings.cell.desired_tcp_position_in_base_m)
     starts = seen(settings).tcp.draw(rng, tcps)
     candidates = starts[:, None] + draw_many(cap, [rng] * tcps)  # (tcps, 100, 3)

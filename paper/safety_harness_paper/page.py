@@ -45,7 +45,7 @@ def render(results: Sequence[Result], about: About, runs: Runs = ()) -> str:
     replays = Replays()
     return render_page(
         "reproduction.html.j2",
-        of="safety_harness_paper",
+        package="safety_harness_paper",
         basis=basis([str(PYBULLET)], "in as many runs as each result states"),
         style="tables.css",
         results=results,
@@ -60,7 +60,7 @@ def render(results: Sequence[Result], about: About, runs: Runs = ()) -> str:
         minus=with_minus,
         replays=bool(runs),
         seen=[
-            (words, run, replays.of(run, f"seen-{number}"))
+            (words, run, replays.arguments_for(run, f"seen-{number}"))
             for number, (words, run) in enumerate(runs, start=1)
         ],
         drawings={result.name: _drawings(result) for result in results},

@@ -95,7 +95,7 @@ def reachable_starts(
     """
     lowest_m = settings.cell.table_height_m + settings.avoidance.table_clearance_m
     reference = np.array(settings.cell.preferred_joint_position_rad)
-    images = ImageErrors.of(settings)
+    images = ImageErrors.from_settings(settings)
     starts: list[Start] = []
     redrawn = 0
     while len(starts) < count:

@@ -28,7 +28,7 @@ from safety_harness.cli.console import (
 from safety_harness.cli.progress import paced_lines
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import count_words
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.trace.store import load_trace
 from safety_harness_paper.document import About, write_document
 from safety_harness_paper.document import document as document_of
@@ -82,7 +82,7 @@ def reproduce(
         scale=chosen.name,
         seed=seed,
         trainings=chosen.seeds,
-        command=_command(what, scale, told(out), seed, jobs),
+        command=_command(what, scale, display_path(out), seed, jobs),
         package_version=installed_version(),
         source_hash=source_hash_of(*Path(__file__).parent.glob("*.py")),
         software=tuple((name, metadata.version(name)) for name in LIBRARIES),
@@ -94,7 +94,7 @@ def reproduce(
     try:
         _write(out, results, about, _nearest(done))
     except OSError as error:
-        explain(OutputError.of(out, error))
+        explain(OutputError.from_os_error(out, error))
         return BAD_INPUT
     document(**document_of(results, about))
     for one in results:

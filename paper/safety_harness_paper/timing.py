@@ -50,7 +50,7 @@ def measure(
     """{"seconds": {what: [each call]}, "images": ...}."""
     hand = np.array(settings.avoidance.nominal_hand_position_in_base_m)
     tcp = np.array(settings.cell.desired_tcp_position_in_base_m) + [0.03, 0.1, -0.05]
-    cap, errors = CandidateCap.from_settings(settings), ImageErrors.of(settings)
+    cap, errors = CandidateCap.from_settings(settings), ImageErrors.from_settings(settings)
     found: dict[str, Any] = {}
     for name, done in ((DNN, dnn), (BAYESIAN, bayesian), (ENSEMBLE, ensemble)):
         avoider = avoider_in(done)

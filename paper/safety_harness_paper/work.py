@@ -121,7 +121,7 @@ class Workshop:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise OutputError.of(self.folder, error) from error
+            raise OutputError.from_os_error(self.folder, error) from error
         done = {task: found for task in ordered if (found := self.kept(task)) is not None}
         left = [task for task in ordered if task not in done]
         if done:
@@ -223,5 +223,5 @@ def _do(task: Task, needs: tuple[Done, ...], root: Path) -> Done:
         text = json.dumps(found, allow_nan=False)
         write_whole(folder / RESULT, text + "\n")
     except OSError as error:
-        raise OutputError.of(folder, error) from error
+        raise OutputError.from_os_error(folder, error) from error
     return Done(folder, json.loads(text))

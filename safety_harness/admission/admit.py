@@ -195,9 +195,9 @@ class Admitter:
         """Resolve and check a scenario; InadmissibleError has place, expectation and actual value."""
         checked = check(scenario)
         if scenario.driven:
-            return _driven(checked, self._drivers.of(scenario))
+            return _driven(checked, self._drivers.driver_for(scenario))
         with _placed(scenario):
-            avoider, sha256 = self._avoiders.of(scenario)
+            avoider, sha256 = self._avoiders.avoider_for(scenario)
         hand, tcp = first_question(scenario.settings)
         return _admitted(checked, avoider, sha256, self._answers(cast(Hashable, avoider), hand, tcp))
 
@@ -243,19 +243,19 @@ def admit(
     return _admitted(check(scenario), avoider, "", answers)
 
 
-class Looker:
+class Checker:
     """Checks scenarios as an ``Admitter`` does, but executes no user code."""
 
     def __init__(self) -> None:
         self._seen: set[tuple[str, Path | None, Settings]] = set()
 
-    def look(self, scenario: Scenario) -> Checked:
+    def check(self, scenario: Scenario) -> Checked:
         """Check a scenario; errors of its avoider's construction and answers only show in a run."""
         checked = check(scenario)
-        self.look_at_tested(scenario)
+        self.check_tested(scenario)
         return checked
 
-    def look_at_tested(self, scenario: Scenario) -> None:
+    def check_tested(self, scenario: Scenario) -> None:
         """Check the avoider or controller of a scenario alone, as ``look`` does."""
         key = scenario.under_test, folder_of(scenario), scenario.settings
         if key not in self._seen:
@@ -267,10 +267,10 @@ class Looker:
 def refuse_no_answer(scenario: Scenario) -> None:
     """Make the scenario's avoider and ask it once, or make its controller; errors as of ``admit``."""
     if scenario.driven:
-        Drivers().of(scenario)
+        Drivers().driver_for(scenario)
         return
     with _placed(scenario):
-        avoider, _ = Avoiders().of(scenario)
+        avoider, _ = Avoiders().avoider_for(scenario)
     if not answers_at_first(avoider, *first_question(scenario.settings)):
         raise _no_answer(scenario)
 

@@ -28,7 +28,7 @@ from safety_harness.cell.avoidance.python_file import refuse_undefined
 from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.cell.avoidance.simple import NearestCandidate, OppositePose
 from safety_harness.scenario.fields import SENTENCE, is_sentence
-from safety_harness.scenario.files import resolved, told
+from safety_harness.scenario.files import display_path, resolved
 from safety_harness.scenario.kinds import avoider_in, command_for, kind_of
 from safety_harness.scenario.model import (
     DEFAULT_AVOIDER,
@@ -79,7 +79,7 @@ class Avoiders:
         self._programs: dict[tuple[Path, str], tuple[Avoider, str]] = {}
         self._functions = lru_cache(maxsize=16)(lambda wanted: _made(wanted.scenario))
 
-    def of(self, scenario: Scenario) -> tuple[Avoider, str]:
+    def avoider_for(self, scenario: Scenario) -> tuple[Avoider, str]:
         """Return the scenario's avoider and the hash of its file; errors as of ``resolve_avoider``."""
         path, name = _file_of(scenario), file_and_name(scenario.avoider)[1]
         if path is None or not is_a_program(scenario.avoider):
@@ -181,8 +181,8 @@ def command_line_reference(scenario: Scenario) -> str:
 
 
 def told_avoider(reference: str) -> str:
-    """Return the reference of the system under test for a result: its file is ``told``."""
-    return str(with_file(reference, lambda file: str(told(Path(os.path.expanduser(file))))))
+    """Return the reference of the system under test for a result, with the name of its file for display."""
+    return str(with_file(reference, lambda file: str(display_path(Path(os.path.expanduser(file))))))
 
 
 def option_of(reference: str) -> str:
@@ -261,7 +261,11 @@ def _is_copy(tested: Scenario, reference: Scenario) -> bool:
 
 
 def replay_command(
-    scenario: Scenario, trace: Path, *others: Path, verb: str = "replay", told: Callable[[Path], Path] = told
+    scenario: Scenario,
+    trace: Path,
+    *others: Path,
+    verb: str = "replay",
+    shown_path: Callable[[Path], Path] = display_path,
 ) -> str:
     """Return the command that repeats runs of one avoider or controller.
 
@@ -273,10 +277,10 @@ def replay_command(
         trace: The trace.
         *others: Further traces.
         verb: The command that repeats runs.
-        told: Names the files; a command that is not stored may show them as they are.
+        shown_path: Names the files; a command that is not stored may show them as they are.
 
     """
-    parts = ["safety-harness", verb, *(str(told(file)) for file in (trace, *others))]
+    parts = ["safety-harness", verb, *(str(shown_path(file)) for file in (trace, *others))]
     if is_a_program(scenario.under_test):
         reference = command_line_reference(scenario)
         program = told_avoider(os.path.abspath(reference) if file_and_name(reference)[0] else reference)

@@ -152,14 +152,14 @@ def refuse_gate(scenario: Scenario) -> None:
     if scenario.gate is not None and (scenario.driven or not full):
         got = "another controller" if scenario.driven else "the gate of reach alone"
         raise scenario.inadmissible("the visual servo with its full gate, whose rule this is", got, "gate")
-    if scenario.gate is not None and not any(scenario.gate.words):
+    if scenario.gate is not None and not any(scenario.gate.demands):
         expected = "every hand within, or questions within"
         raise InadmissibleError(place=scenario.place("gate"), expected=expected, got="neither")
     region = None if scenario.gate is None else scenario.gate.questions_within
     for box in () if region is None else (region.hand, region.tcp):
         if not all(low < high for low, high in zip(box.low_m, box.high_m, strict=True)):
             expected = "boxes whose from is below to on each axis"
-            raise InadmissibleError(place=scenario.place("gate"), expected=expected, got=box.words)
+            raise InadmissibleError(place=scenario.place("gate"), expected=expected, got=box.summary)
 
 
 def refuse_late_drives(scenario: Scenario) -> None:

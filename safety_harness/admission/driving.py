@@ -90,7 +90,7 @@ class Drivers:
     def __init__(self) -> None:
         self._made: dict[tuple[str, Path | None], MadeDriver] = {}
 
-    def of(self, scenario: Scenario) -> MadeDriver:
+    def driver_for(self, scenario: Scenario) -> MadeDriver:
         """Return the controller of a scenario; InadmissibleError at its key if it does not exist."""
         key = scenario.controller, folder_of(scenario)
         if key not in self._made:

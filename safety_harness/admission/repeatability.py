@@ -319,7 +319,7 @@ class _Again:
             if self.asked >= least and time.monotonic() - begun_s > allowed_s / 2.0:
                 break
             scenario = sampled.scenario()
-            avoider, sha256 = avoiders.of(scenario)
+            avoider, sha256 = avoiders.avoider_for(scenario)
             if sha256 != (sampled.avoider_sha256 or sha256):
                 self.problem = "the avoider's file has changed since it was asked: it was not asked again"
                 return

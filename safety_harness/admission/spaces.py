@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from safety_harness.admission.admit import Looker
+from safety_harness.admission.admit import Checker
 from safety_harness.base.exceptions import InadmissibleError, InputError, ModelError, refuse_other_type
 from safety_harness.scenario.fields import one_mistake
 from safety_harness.scenario.model import Scenario
@@ -70,7 +70,7 @@ def draw_admissible(
         raise ValueError(f"expected a count of at least 1; got {count}")
     refused: Counter[str] = Counter()
     scenarios: list[Scenario] = []
-    checker = Looker()
+    checker = Checker()
     drawn = 0
     last: InputError | None = None
     while len(scenarios) < count:
@@ -79,7 +79,7 @@ def draw_admissible(
             raise _hopeless(space, len(scenarios), drawn, refused) from last
         try:
             scenario = space.draw(seed, drawn)
-            checker.look(scenario)
+            checker.check(scenario)
             scenarios.append(scenario)
         except InputError as error:
             refused[why_refused(error)] += 1

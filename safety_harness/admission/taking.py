@@ -21,7 +21,7 @@ _Looked = TypeVar("_Looked")
 
 
 @dataclass(frozen=True)
-class NotTaken:
+class Incompatible:
     """A valid scenario that cannot run with ``avoider``."""
 
     scenario: str
@@ -33,9 +33,9 @@ class NotTaken:
         return f"{self.scenario} is unsuitable for {self.avoider}: expected {e.expected}, got {e.got}"
 
 
-def taken(
+def accept(
     scenario: Scenario, avoiders: Sequence[tuple[str | None, str]], inspect: Callable[[Scenario], _Looked]
-) -> list[_Looked] | NotTaken:
+) -> list[_Looked] | Incompatible:
     """Return the results of a check for a scenario with each of several avoiders, or why one of them fails.
 
     Args:
@@ -57,12 +57,12 @@ def taken(
             if reference is None:
                 raise
             check(scenario)
-            return NotTaken(scenario.name, told_avoider(reference), error)
+            return Incompatible(scenario.name, told_avoider(reference), error)
         tested = made
     return results
 
 
-def made_equal(scenarios: Sequence[Scenario], reference: str | None, option: str) -> dict[str, NotTaken]:
+def made_equal(scenarios: Sequence[Scenario], reference: str | None, option: str) -> dict[str, Incompatible]:
     """Return the rows of a matrix that become equal with one avoider in place of theirs, by name.
 
     Such a row would have a result under a misleading name.
@@ -72,10 +72,10 @@ def made_equal(scenarios: Sequence[Scenario], reference: str | None, option: str
         return {}
     for row in scenarios:
         if row.name.endswith("]"):
-            with suppress(InputError):  # ``taken`` reports it for that scenario alone
+            with suppress(InputError):  # ``accept`` reports it for that scenario alone
                 same = write_scenario(replace(with_avoider(row, reference), claims=scenarios[0].claims))
                 rows.setdefault((row.file, same), []).append(row)
-    equal: dict[str, NotTaken] = {}
+    equal: dict[str, Incompatible] = {}
     for alike in rows.values():
         if len({row.under_test for row in alike}) > 1:
             names = ", ".join(row.name for row in alike)
@@ -84,11 +84,11 @@ def made_equal(scenarios: Sequence[Scenario], reference: str | None, option: str
                 expected="rows of a matrix that differ",
                 got=f"the same scenario in {names}, with one avoider in place of theirs",
             )
-            equal |= {row.name: NotTaken(row.name, told_avoider(reference), error) for row in alike}
+            equal |= {row.name: Incompatible(row.name, told_avoider(reference), error) for row in alike}
     return equal
 
 
-def not_taken_words(skipped: Sequence[NotTaken]) -> str:
+def not_taken_words(skipped: Sequence[Incompatible]) -> str:
     """Return how many scenarios each avoider cannot take, in words; empty for no scenario."""
     names = dict.fromkeys(case.avoider for case in skipped)
     return ", ".join(

@@ -60,8 +60,8 @@ class Pace:
         if self._since is None or self._compiled != Compiled.count:
             self._compiled, self._since = Compiled.count, (now_s, done) if done > 0.0 else None
             return None
-        since_s, before = self._since
-        return (done - before) / (now_s - since_s) if done > before and now_s > since_s else None
+        since_s, since_count = self._since
+        return (done - since_count) / (now_s - since_s) if done > since_count and now_s > since_s else None
 
 
 @dataclass

@@ -63,9 +63,9 @@ def sin_cos(angle_rad: Number) -> tuple[Number, Number]:
     odd = abs(n - 2.0 * ((0.5 * n + _ROUND) - _ROUND))
     fourth = n - 4.0 * (((0.25 * n - 0.375) + _ROUND) - _ROUND)  # 0 to 3
     sign = 1.0 - 2.0 * (fourth > 1.5)
-    beyond = x * _TO_INFINITY - x * _TO_INFINITY  # 0, or NaN of a large angle
+    infinite = x * _TO_INFINITY - x * _TO_INFINITY  # 0, or NaN of a large angle
     even = 1.0 - odd
-    return sign * (even * s + odd * c) + beyond, sign * (even * c - odd * s) + beyond
+    return sign * (even * s + odd * c) + infinite, sign * (even * c - odd * s) + infinite
 
 
 @arithmetic
@@ -162,9 +162,9 @@ def log(x: Number) -> Number:
 
 def log1p(x: Number) -> Number:
     """Return the logarithm of 1 + x, accurate near 0."""
-    near = 1.0 + np.asarray(x, np.float64)
+    near_one = 1.0 + np.asarray(x, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(near == 0.0, -np.inf, log(near) + (x - (near - 1.0)) / near)[()]
+        return np.where(near_one == 0.0, -np.inf, log(near_one) + (x - (near_one - 1.0)) / near_one)[()]
 
 
 def power(base: Number, exponent: Number) -> Number:

@@ -227,7 +227,7 @@ class OutputError(InputError):
     """A folder or file for results cannot be written."""
 
     @classmethod
-    def of(cls, path: Path, error: OSError) -> OutputError:
+    def from_os_error(cls, path: Path, error: OSError) -> OutputError:
         """Return the error for ``path`` with the message of the operating system."""
         return cls(place=Place(file=path), expected="a place that can be written", got=str(error))
 
@@ -269,7 +269,7 @@ class AvoiderError(SafetyHarnessError):
 
 
 class SearchOrderError(SafetyHarnessError):
-    """A call of ``ask`` or ``tell`` came out of turn, or a searcher proposed a point outside the cube."""
+    """A call of ``ask`` or ``tell_scores`` is out of turn, or a searcher's point is outside the cube."""
 
 
 class FlakyAvoiderError(AvoiderError):

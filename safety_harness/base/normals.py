@@ -19,19 +19,19 @@ _R, _INVERSE_R = 3.6541528853610087963519472518, 0.27366123732975827203338247596
 def standard_normal(rng: np.random.Generator, shape: int | tuple[int, ...]) -> NDArray[np.float64]:
     """Return independent draws; they leave the generator as its own ``standard_normal`` would."""
     bits = rng.bit_generator
-    before = bits.state
+    start_state = bits.state
     drawn = rng.standard_normal(shape)
     flat, done = drawn.reshape(-1), 0
     if len(far := np.flatnonzero(np.abs(flat) >= _R)):
         again = np.random.Generator(type(bits)())
-        again.bit_generator.state = before
+        again.bit_generator.state = start_state
         for k in far.tolist():
             again.standard_normal(k - done)
-            flat[k], done = np.copysign(_beyond(again.bit_generator), flat[k]), k + 1
+            flat[k], done = np.copysign(_draw_beyond_r(again.bit_generator), flat[k]), k + 1
     return drawn
 
 
-def _beyond(bits: np.random.BitGenerator) -> float:
+def _draw_beyond_r(bits: np.random.BitGenerator) -> float:
     """Return the size of the next draw, which is known to lie beyond R; the code follows numpy's."""
     while int(bits.random_raw()) & 0xFF:  # another layer, whose draw was rejected after one more number
         bits.random_raw()

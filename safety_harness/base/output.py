@@ -65,10 +65,12 @@ class Output:
         return cls(say=hear, result=hear, detail=hear)
 
     @contextmanager
-    def words(self) -> Iterator[Callable[[str], None]]:
+    def messages(self) -> Iterator[Callable[[str], None]]:
         """Yield a function that takes the next step in words, for work of unknown length."""
         with self.block() as show:
-            yield lambda words: show([words])
+            yield lambda step: show([step])
+
+    words = messages  # deprecated: the old name, for one release
 
     @contextmanager
     def steps(self) -> Iterator[Callable[[str, float], None]]:

@@ -27,7 +27,7 @@ class Proportion:
     high: float
 
     @classmethod
-    def of(cls, having: NDArray[np.bool_]) -> Proportion:
+    def from_rows(cls, having: NDArray[np.bool_]) -> Proportion:
         """Return the share of true rows (n,) with its two-sided interval (Clopper and Pearson, 1934).
 
         At the lower end, ``count`` successes or more have a chance of 2.5 %; at the upper end, ``count`` or

@@ -42,10 +42,10 @@ _FAR = (
 )
 
 
-def _ratio(x: Any, of: tuple[tuple[float, ...], tuple[float, ...]]) -> Any:
+def _ratio(x: Any, coefficients: tuple[tuple[float, ...], tuple[float, ...]]) -> Any:
     """Return the ratio of two polynomials at x."""
-    above, below = of[0][0], of[1][0]
-    for a, b in zip(of[0][1:], of[1][1:], strict=True):
+    above, below = coefficients[0][0], coefficients[1][0]
+    for a, b in zip(coefficients[0][1:], coefficients[1][1:], strict=True):
         above, below = above * x + a, below * x + b
     return above / below
 
@@ -78,8 +78,8 @@ def log_beta(a: Any, b: Any) -> Any:
     """Return the logarithm of the beta function, without the large terms that would cancel."""
     small, large = np.minimum(a, b), np.maximum(a, b)
     both = small + large
-    apart = (0.5 - large) * log1p(small / large) - small * (log(both) - 1.0)
-    return apart + _stirling(large) - _stirling(both) + log_gamma(small)
+    balance = (0.5 - large) * log1p(small / large) - small * (log(both) - 1.0)
+    return balance + _stirling(large) - _stirling(both) + log_gamma(small)
 
 
 def _stirling(x: Any) -> Any:
@@ -97,12 +97,12 @@ def _stirling(x: Any) -> Any:
 
 def _deviance(x: Any, mean: Any) -> Any:
     """Return x log(x / mean) + mean - x, without a difference of nearly equal numbers (Loader, 2000)."""
-    apart, v = x - mean, (x - mean) / (x + mean)
-    total, term = apart * v, 2.0 * x * v
+    deviation, v = x - mean, (x - mean) / (x + mean)
+    total, term = deviation * v, 2.0 * x * v
     for j in range(1, 12):
         term = term * v * v
         total = total + term / (2 * j + 1)
-    return np.where(np.abs(v) < 0.1, total, x * log(x / mean) - apart)
+    return np.where(np.abs(v) < 0.1, total, x * log(x / mean) - deviation)
 
 
 def upper_gamma(a: Any, x: Any) -> Any:
@@ -132,9 +132,9 @@ def beta_share(a: Any, b: Any, x: Any, *, above: bool = False) -> Any:
         turned = x > (a + 1.0) / (a + b + 2.0)
         p, q, y = np.where(turned, b, a), np.where(turned, a, b), np.where(turned, 1.0 - x, x)
         both, rest = p + q, np.where(turned, x, 1.0 - x)
-        apart = _deviance(p, both * y) + _deviance(q, both * rest)
-        apart = apart + _stirling(p) + _stirling(q) - _stirling(both) + _HALF_LOG_2PI
-        factor = np.sqrt(q / (p * both)) * exp(-apart)
+        deviance = _deviance(p, both * y) + _deviance(q, both * rest)
+        deviance = deviance + _stirling(p) + _stirling(q) - _stirling(both) + _HALF_LOG_2PI
+        factor = np.sqrt(q / (p * both)) * exp(-deviance)
 
         def term(m: int) -> tuple[Any, Any]:
             half = m // 2
@@ -181,17 +181,17 @@ def settled(crossed: Callable[[Floats], Any], low: float, high: float, guide: fl
         guide: A number near the crossing, from any library; it only saves time.
 
     """
-    first, last, near = (int(np.float64(end).view(np.int64)) >> _SPARE for end in (low, high, guide))
-    if first < near - _WINDOW and near + _WINDOW < last:
-        before, after = crossed(_of_44_bits([near - _WINDOW, near + _WINDOW]))
-        first, last = (near - _WINDOW if not before else first), (near + _WINDOW if after else last)
+    first, last, start = (int(np.float64(end).view(np.int64)) >> _SPARE for end in (low, high, guide))
+    if first < start - _WINDOW and start + _WINDOW < last:
+        lower, upper = crossed(_of_44_bits([start - _WINDOW, start + _WINDOW]))
+        first, last = first if lower else start - _WINDOW, start + _WINDOW if upper else last
     while last - first > 1:
         inside = np.unique(np.linspace(first, last, 34).astype(np.int64)[1:-1].clip(first + 1, last - 1))
         place = int(np.argmax(np.append(np.asarray(crossed(_of_44_bits(inside)), bool), np.True_)))
         ends = [first, *inside.tolist(), last]
         first, last = ends[place], ends[place + 1]
-    before, after = _of_44_bits([first, last]).tolist()
-    return float(before), float(after)
+    lower, upper = _of_44_bits([first, last]).tolist()
+    return float(lower), float(upper)
 
 
 def _of_44_bits(places: Any) -> Floats:

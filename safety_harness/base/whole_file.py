@@ -52,7 +52,7 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise OutputError.of(path, error) from error
+        raise OutputError.from_os_error(path, error) from error
 
 
 def write_text(path: Path, text: str) -> None:

@@ -167,9 +167,9 @@ def no_escapes() -> bool:
 
 def columns_of(stream: TextIO | None) -> int | None:
     """Return the width at which lines fold: COLUMNS or the terminal's; None for pipes and files."""
-    asked = os.environ.get("COLUMNS", "")
-    if asked.isdecimal() and 0 < int(asked) < 100_000:
-        return max(int(asked), _NARROWEST)
+    columns_text = os.environ.get("COLUMNS", "")
+    if columns_text.isdecimal() and 0 < int(columns_text) < 100_000:
+        return max(int(columns_text), _NARROWEST)
     try:
         return None if stream is None else os.get_terminal_size(stream.fileno()).columns or None
     except (OSError, ValueError):  # no terminal, or not even a file
@@ -186,12 +186,12 @@ def folded(text: str, columns: int | None) -> str:
 def _parts(line: str, columns: int) -> list[str]:
     if len(line) <= columns:
         return [line]
-    words = line.strip()
+    text = line.strip()
     indent = " " * min(len(line) - len(line.lstrip()), columns // 4)
     if columns < NARROW:
-        words = " ".join(words.split())
-    together = re.sub(r"(?<=\d) (?=[a-z%])", _NO_BREAK, words)  # a number and its unit
-    found = textwrap.wrap(
+        text = " ".join(text.split())
+    together = re.sub(r"(?<=\d) (?=[a-z%])", _NO_BREAK, text)  # a number and its unit
+    wrapped = textwrap.wrap(
         together,
         columns,
         initial_indent=indent,
@@ -199,23 +199,23 @@ def _parts(line: str, columns: int) -> list[str]:
         break_long_words=False,
         break_on_hyphens=False,
     )
-    return [part.replace(_NO_BREAK, " ") for part in found]
+    return [part.replace(_NO_BREAK, " ") for part in wrapped]
 
 
 def explain(error: Exception) -> None:
     """Print a user's mistake: its place, what was expected, what came, and the hint on its own line."""
     if (answer := _as_json.get()) is not None:
-        answer.errors.append(_told(error))
+        answer.errors.append(_error_fields(error))
     say(f"error: {explanation(error)}")
 
 
-def _told(error: Exception) -> dict[str, object]:
+def _error_fields(error: Exception) -> dict[str, object]:
     """Return an error as data."""
-    told: dict[str, object] = {"kind": type(error).__name__, "message": str(error)}
+    fields: dict[str, object] = {"kind": type(error).__name__, "message": str(error)}
     if isinstance(error, InputError):
         place = {name: getattr(error.place, name) for name in ("file", "line", "field")}
-        told |= place | {"expected": error.expected, "got": error.got, "hint": error.hint or None}
-    return told
+        fields |= place | {"expected": error.expected, "got": error.got, "hint": error.hint or None}
+    return fields
 
 
 def explain_each(errors: Sequence[InputError]) -> list[InputError]:

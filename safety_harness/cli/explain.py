@@ -89,9 +89,9 @@ def _explain(
 
 def _described(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
     """Yield (name, text) of everything that an entry or an added package states for people."""
-    from safety_harness.claims.properties.entry import told
+    from safety_harness.claims.properties.entry import entry_fields
 
-    yield from told(entry)
+    yield from entry_fields(entry)
     for _, note in loaded(ExtensionPoint.CLAIM_NOTES, FunctionType):
         yield from note(entry)
 
@@ -142,8 +142,8 @@ def _takes(key: Key) -> str:
         return f"a mapping with the keys {', '.join(dict.fromkeys(names))}"
     if isinstance(key.value, Several) and isinstance(key.value.of, Below):
         firsts = dict.fromkeys(table.told_by for table in key.value.of.tables)
-        return f"{key.value.words}, each a mapping with the key {' or '.join(firsts)}"
-    text = key.said if key.said and not _dimension(key.value) else key.value.words
+        return f"{key.value.description}, each a mapping with the key {' or '.join(firsts)}"
+    text = key.said if key.said and not _dimension(key.value) else key.value.description
     dimension = _dimension(key.value)
     if dimension is None or not dimension.units:
         return text

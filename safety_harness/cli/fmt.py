@@ -16,7 +16,7 @@ from safety_harness.scenario.layout import laid_out
 from safety_harness.scenario.modern import modernised
 from safety_harness.scenario.ours import aside_lines, files_of
 
-TAKEN = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.PLAN)
+FORMATTED_KINDS = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.PLAN)
 
 
 def format_files(paths: Sequence[Path], *, check: bool, modernise: bool = False) -> int:
@@ -27,7 +27,7 @@ def format_files(paths: Sequence[Path], *, check: bool, modernise: bool = False)
     changed, failed = list[Path](), False
     for path in paths:
         try:
-            files, aside = files_of(path, TAKEN)
+            files, aside = files_of(path, FORMATTED_KINDS)
             say(*aside_lines(aside))
             for file in files:
                 changed += [file] * _format(file, check=check, modernise=modernise)
@@ -42,7 +42,7 @@ def format_files(paths: Sequence[Path], *, check: bool, modernise: bool = False)
 
 def _format(file: Path, *, check: bool, modernise: bool) -> bool:
     """Lay out one file, and return whether its layout was, or would be, another."""
-    refuse_other_kind(file, *TAKEN)
+    refuse_other_kind(file, *FORMATTED_KINDS)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=ScenarioError)
     old_text = decode(data, most=MAX_BYTES, file=file, error=ScenarioError)
     tree_of(old_text, file)  # refuses what is not ours

@@ -75,7 +75,7 @@ def fuzz(
 
     say_shared_modules()
     output = terminal(verbose)
-    found = fuzz_space(
+    searched = fuzz_space(
         space,
         avoider=avoider,
         controller=controller,
@@ -89,8 +89,8 @@ def fuzz(
         out=out,
         output=output,
     ).kept(out, output)
-    document(**found.data())
-    read, asked = found.session.trials.space, one_of(avoider, controller)
-    tested = read.simplest if asked is None else with_avoider(read.simplest, asked)
+    document(**searched.data())
+    read, chosen = searched.session.trials.space, one_of(avoider, controller)
+    tested = read.simplest if chosen is None else with_avoider(read.simplest, chosen)
     say(f"tested in {read.name}: {tested_words(tested, named_system(tested))}")
-    return found.exit_code
+    return searched.exit_code

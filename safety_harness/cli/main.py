@@ -63,8 +63,8 @@ class _Commands(MutableMapping[str, Any]):
 
     def __init__(self, core: MutableMapping[str, Any]) -> None:
         self._made = {**core}
-        for name, found in core.items():
-            found.rich_help_panel = TASK_OF[name]
+        for name, commands in core.items():
+            commands.rich_help_panel = TASK_OF[name]
         self._parts: dict[str, RegisteredPart] = {}
         self._hidden: list[RegisteredPart] = []  # whose names are taken
         for part in parts(ExtensionPoint.COMMANDS):
@@ -75,10 +75,10 @@ class _Commands(MutableMapping[str, Any]):
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._made:
-            found = self._load(self._parts[name]) if name in self._parts else _absent(name, *ELSEWHERE[name])
-            if found is None:
+            loaded = self._load(self._parts[name]) if name in self._parts else _absent(name, *ELSEWHERE[name])
+            if loaded is None:
                 raise KeyError(name)
-            self._made[name] = found
+            self._made[name] = loaded
         return self._made[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -105,13 +105,13 @@ class _Commands(MutableMapping[str, Any]):
         """Return the command of a part's name in its Typer; None, with a warning, where there is none."""
         if (group := load(part, typer.Typer)) is None:
             return None if part.package else _absent(part.name, "Not installed.", REINSTALL)
-        if (found := commands_of(group).get(part.name)) is None:
+        if (loaded := commands_of(group).get(part.name)) is None:
             warn(part, f"it has no command {part.name}")
             return None
-        found.rich_help_panel = (
+        loaded.rich_help_panel = (
             TASK_OF.get(part.name) or part.package.removeprefix("safety_harness_").capitalize()
         )
-        return found
+        return loaded
 
 
 class _Group(TyperGroup):
@@ -134,18 +134,18 @@ def commands_of(group: typer.Typer) -> MutableMapping[str, Any]:
     return typer.main.get_group(holder).commands
 
 
-def _absent(name: str, about: str, hint: str) -> Any:
+def _absent(name: str, description: str, hint: str) -> Any:
     """Return a command for a package that is not installed; it explains how to install it."""
     commands = typer.Typer()
     settings = {"ignore_unknown_options": True, "allow_extra_args": True}
 
-    @commands.command(name, help=about, short_help=about, context_settings=settings)
+    @commands.command(name, help=description, short_help=description, context_settings=settings)
     def absent() -> None:
         raise MissingPackageError.of_option(name, "the package with this command", "none", hint)
 
-    found = commands_of(commands)[name]
-    found.rich_help_panel = "Not installed"
-    return found
+    placeholder = commands_of(commands)[name]
+    placeholder.rich_help_panel = "Not installed"
+    return placeholder
 
 
 OLDER_OPTIONS = {"workers": "jobs", "baseline": "compare-with-uniform"}  # the older names serve
@@ -164,8 +164,8 @@ for _core in CORE:
     app.add_typer(_core)
 
 
-def _say_version(asked: bool) -> None:
-    if asked:
+def _say_version(requested: bool) -> None:
+    if requested:
         result(f"{NAME} {installed_version()}")
         raise typer.Exit
 

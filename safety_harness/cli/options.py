@@ -78,7 +78,7 @@ Verbose = Annotated[bool, Option("--verbose", "-v", help="Print every line, not 
 Workers = Annotated[int | None, Option("--jobs", help="Processes; without it, one for each core.", min=1)]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
 _AsJson = Annotated[bool, Option("--json", help="One JSON document in place of lines for people.")]
-_Asked = ParamSpec("_Asked")
+_Parameters = ParamSpec("_Parameters")
 
 
 def _on_command_line(value: object) -> str:
@@ -93,7 +93,7 @@ def command(
     failed: int | None = None,
     then: str = "",
     json: bool = True,
-) -> Callable[[Callable[_Asked, int]], Callable[_Asked, int]]:
+) -> Callable[[Callable[_Parameters, int]], Callable[_Parameters, int]]:
     """A command of ``group``, of a function that returns an exit code, which it ends with.
 
     The user's mistakes are explained, and are exit code 2.  Any other error of ours is ``failed`` (None: it
@@ -102,9 +102,9 @@ def command(
     ``then``, with the values of its options in the places of their names.
     """
 
-    def registered(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
+    def registered(work: Callable[_Parameters, int]) -> Callable[_Parameters, int]:
         @wraps(work)
-        def answer(*args: _Asked.args, **options: _Asked.kwargs) -> int:
+        def answer(*args: _Parameters.args, **options: _Parameters.kwargs) -> int:
             try:
                 return work(*args, **options)
             except SafetyHarnessError as error:
@@ -119,7 +119,7 @@ def command(
                 say(interrupted)
                 return INTERRUPTED
 
-        def ended(*args: _Asked.args, **options: _Asked.kwargs) -> None:
+        def ended(*args: _Parameters.args, **options: _Parameters.kwargs) -> None:
             as_json = options.pop("as_json", False)
             answered = partial(answer, *args, **options)
             code = answered_as_json(answered) if as_json else answered()
@@ -129,10 +129,10 @@ def command(
 
         update_wrapper(ended, work)
         if json:
-            asked = signature(work, eval_str=True)
+            parameters = signature(work, eval_str=True)
             option = Parameter("as_json", Parameter.KEYWORD_ONLY, default=False, annotation=_AsJson)
-            ended.__signature__ = asked.replace(  # type: ignore[attr-defined]
-                parameters=[*asked.parameters.values(), option], return_annotation=None
+            ended.__signature__ = parameters.replace(  # type: ignore[attr-defined]
+                parameters=[*parameters.parameters.values(), option], return_annotation=None
             )
         short = cleandoc(work.__doc__ or "").partition("\n\n")[0]  # which lists of commands do not cut
         group.command(name, short_help=short)(ended)

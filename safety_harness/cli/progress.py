@@ -40,7 +40,7 @@ class PacedLines:
     _said_s: float = -math.inf
     _waiting: str = ""
 
-    def tell(self, line: str) -> None:
+    def take(self, line: str) -> None:
         """Take a line on the progress of a command."""
         self._waiting = line
         if self.now_s() - self._said_s >= EVERY_S:
@@ -61,7 +61,7 @@ def paced_lines() -> Iterator[Callable[[str], None]]:
         return
     lines = PacedLines()
     try:
-        yield lines.tell
+        yield lines.take
     finally:
         lines.end()
 
@@ -74,8 +74,8 @@ def block() -> Iterator[Callable[[list[str]], None]]:
         with live, at_compilation(lambda: live.update(Text())):
             yield lambda lines: live.update(Text("\n".join(lines)))
     else:
-        with paced_lines() as tell:
-            yield lambda lines: tell(lines[0])
+        with paced_lines() as print_line:
+            yield lambda lines: print_line(lines[0])
 
 
 def _shown() -> dict[str, Any]:
@@ -93,19 +93,19 @@ def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
         with Progress(*columns, TextColumn("{task.fields[share]}"), **_shown()) as bar:
             task = bar.add_task("", total=total, share="")
 
-            def moved(done: int, words: str = "", at: str = "") -> None:
+            def moved(done: int, message: str = "", at: str = "") -> None:
                 share = where(done, total, pace).removeprefix(", ")
-                bar.update(task, completed=done, description=words, share=share)
+                bar.update(task, completed=done, description=message, share=share)
 
             with at_compilation(lambda: bar.update(task, share="")):
                 yield moved
         return
-    with paced_lines() as tell:
+    with paced_lines() as print_line:
 
-        def told(done: int, words: str = "", at: str = "") -> None:
-            tell(f"{at}{words or f'{done:,}/{total:,} {unit}'}{where(done, total, pace)}")
+        def print_step(done: int, message: str = "", at: str = "") -> None:
+            print_line(f"{at}{message or f'{done:,}/{total:,} {unit}'}{where(done, total, pace)}")
 
-        yield told
+        yield print_step
 
 
 @contextmanager

@@ -64,27 +64,27 @@ def replay(path: Path, avoider: str | None = None) -> int:
     then, now = stored.provenance, fresh.provenance
     may_differ = _of_earlier_arithmetic(then, now) or engine_elsewhere(then, now)
     last_bits = difference is not None and may_differ
-    apart = first_difference(stored, fresh, CLOSE) if last_bits else difference
-    if apart is None:
+    deviation = first_difference(stored, fresh, CLOSE) if last_bits else difference
+    if deviation is None:
         counted = f"{len(fresh.ticks)} ticks, {len(fresh.decisions)} decisions"
         kind = f"equal to {CLOSE:g}" if last_bits else "identical"
         result(f"{kind}{', but' if repeated.problem else ''}: {stored.scenario.name}, {counted}")
     else:
-        result(f"{stored.scenario.name}: {apart}")
+        result(f"{stored.scenario.name}: {deviation}")
     (result if repeated.problem else say)(repeated.line)
-    changed = [] if difference is None else changes(stored, fresh, apart)
+    changed = [] if difference is None else changes(stored, fresh, deviation)
     say(*changed)
     document(
         scenario=stored.scenario.name,
         identical=difference is None,
         difference=None if difference is None else str(difference),
-        equal_within=CLOSE if last_bits and apart is None else None,
+        equal_within=CLOSE if last_bits and deviation is None else None,
         ticks=len(fresh.ticks),
         decisions=len(fresh.decisions),
         repeatability=repeated,
         changes=[line.strip() for line in changed],
     )
-    return AS_EXPECTED if apart is None and not repeated.problem else DIFFERS
+    return AS_EXPECTED if deviation is None and not repeated.problem else DIFFERS
 
 
 def _of_earlier_arithmetic(then: Provenance, now: Provenance) -> bool:
@@ -96,8 +96,8 @@ def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
     then = stored.system.controller
     now = admitted.driver.component if admitted.driver else Component(name=VISUAL_SERVO)
     known = then.sha256 if admitted.driver else ""
-    other = file_and_name(stored.scenario.controller)[1] != file_and_name(admitted.scenario.controller)[1]
-    if then.name != now.name or other or (known and known != now.sha256):
+    differs = file_and_name(stored.scenario.controller)[1] != file_and_name(admitted.scenario.controller)[1]
+    if then.name != now.name or differs or (known and known != now.sha256):
         place = Place(file=path, field="controller")
         raise TraceError(place=place, expected=f"{then}, which drove then", got=_named(now, admitted))
 
@@ -106,20 +106,20 @@ def _named(now: Component, admitted: Admitted) -> str:
     return f"{now}, {admitted.scenario.controller}" if admitted.driver else str(now)
 
 
-def changes(before: Trace, after: Trace, apart: TraceDifference | None) -> list[str]:
+def changes(first: Trace, repeated: Trace, difference: TraceDifference | None) -> list[str]:
     """Return lines on software, machines and systems that differ from those of the trace, and what follows.
 
     Args:
-        before: The stored trace.
-        after: Its repetition.
-        apart: Their first difference beyond the tolerance for last bits, if there is one.
+        first: The stored trace.
+        repeated: Its repetition.
+        difference: Their first difference beyond the tolerance for last bits, if there is one.
 
     """
-    stored, now = before.provenance, after.provenance
+    stored, now = first.provenance, repeated.provenance
     names = ("package_version", "source_hash", "world", "python", "platform")
     values = ((name, getattr(stored, name), getattr(now, name)) for name in names)
     lines = [f"  {name}: {then} then, {new} now" for name, then, new in values if then != new]
-    lines += [f"  {line}" for line in before.system.changes(after.system)]
+    lines += [f"  {line}" for line in first.system.changes(repeated.system)]
     versions = dict(now.libraries + now.files)
     for name, then in stored.libraries + stored.files:
         if versions.get(name) != then:
@@ -131,7 +131,7 @@ def changes(before: Trace, after: Trace, apart: TraceDifference | None) -> list[
     lines.append(f"  machine: {now.machine if stored.machine == now.machine else machines}")
     if _of_earlier_arithmetic(stored, now):
         lines.append(f"  arithmetic {stored.arithmetic} then, {now.arithmetic} now: last bits differ")
-        lines[-1] += f"; not comparable from {apart.what} {apart.index} on" if apart else ""
+        lines[-1] += f"; not comparable from {difference.what} {difference.index} on" if difference else ""
     elif engine_elsewhere(stored, now):
         lines.append(f"  an engine's last bits may differ between machines: compared to {CLOSE:g}")
     elif same and stored.world == KINEMATIC.name:

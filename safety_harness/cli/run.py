@@ -55,7 +55,7 @@ def run(
     say_shared_modules()
     output = terminal(verbose)
     try:
-        found = run_scenarios(paths, avoider=avoider, against=against, out=out, output=output, **options)
+        finished = run_scenarios(paths, avoider=avoider, against=against, out=out, output=output, **options)
     except InputErrors as error:
         go_on = "; --keep-going runs the others" if error.left else ""
         say(f"{len(error.errors)} of the inputs cannot be used; nothing was run{go_on}.")
@@ -63,21 +63,21 @@ def run(
     except KeyboardInterrupt:
         say("interrupted: nothing was run")
         return INTERRUPTED
-    if found.runs:
+    if finished.runs:
         try:
-            found = found.write(out, output=output)
+            finished = finished.write(out, output=output)
         except OutputError as error:
             explain(error)
-            return INTERRUPTED if found.interrupted else BAD_INPUT
+            return INTERRUPTED if finished.interrupted else BAD_INPUT
         except KeyboardInterrupt:
             say(f"no report was written; the traces are in {out / TRACES}")
             return INTERRUPTED
-        document(**json.loads((out / DATA).read_text("utf-8")), failed=found.failed)
-    _print_summary(found, verbose)
-    if found.runs:
+        document(**json.loads((out / DATA).read_text("utf-8")), failed=finished.failed)
+    _print_summary(finished, verbose)
+    if finished.runs:
         say(f"report: {out / REPORT} (for programs: {DATA})")
-        _say_next(found.runs, out)
-    return found.exit_code
+        _say_next(finished.runs, out)
+    return finished.exit_code
 
 
 def print_verdicts(runs: Sequence[JudgedRun], verbose: bool) -> None:
@@ -86,11 +86,11 @@ def print_verdicts(runs: Sequence[JudgedRun], verbose: bool) -> None:
         result(*(block_of(runs[0]) if len(runs) == 1 else surprise_lines(runs)))
 
 
-def _print_summary(found: RunResult, verbose: bool) -> None:
+def _print_summary(finished: RunResult, verbose: bool) -> None:
     """Print verdicts, what was never exercised, and in one line the totals; the rest with ``verbose``."""
-    coverage, traces = found.coverage, [run.trace for run in found.runs]
-    if found.against is None:
-        print_verdicts(found.runs, verbose)
+    coverage, traces = finished.coverage, [run.trace for run in finished.runs]
+    if finished.against is None:
+        print_verdicts(finished.runs, verbose)
     overruled, took = overruling_lines(overruling_of_each(traces)), computing_time_lines(traces)
     if verbose:
         say(*table_lines(coverage, columns_of(sys.stderr)))
@@ -100,39 +100,40 @@ def _print_summary(found: RunResult, verbose: bool) -> None:
     if untested := untested_lines(coverage):
         say(f"error: {untested[0]}", *untested[1:])
         say("  What hands do is drawn by: safety-harness show FILE")
-    say(*[found.basis if verbose else short_basis(found.basis)] * bool(found.runs))
+    say(*[finished.basis if verbose else short_basis(finished.basis)] * bool(finished.runs))
     say(*(f"computing time: {line}" for line in took))
     say(*(f"shield: {line}" for line in shield_lines(traces)))
     say(*(f"gate: {line}" for line in possible_lines(traces)))
     say(*(overruled if verbose else overruled[:1]))
-    fallback = DecisionTally.of(traces).fallback
+    fallback = DecisionTally.from_traces(traces).fallback
     result(
-        f"{answer(found.runs)}, {len(found.runs)} of {found.planned + len(found.skipped)} scenarios run"
-        + (f", {len(found.failed)} could not be run to the end" if found.failed else "")
-        + (f", {not_taken_words(found.skipped)}" if found.skipped else "")
-        + (f", {len(found.refused)} of the inputs cannot be used" if found.refused else "")
+        f"{answer(finished.runs)}, "
+        f"{len(finished.runs)} of {finished.planned + len(finished.skipped)} scenarios run"
+        + (f", {len(finished.failed)} could not be run to the end" if finished.failed else "")
+        + (f", {not_taken_words(finished.skipped)}" if finished.skipped else "")
+        + (f", {len(finished.refused)} of the inputs cannot be used" if finished.refused else "")
         + (f"; {fallback}" if fallback else "")
     )
-    if found.against is not None:
-        result(*found.against.lines())
+    if finished.against is not None:
+        result(*finished.against.lines())
 
 
 def _say_next(runs: Sequence[JudgedRun], out: Path) -> None:
     """Name the next command: for each avoider the one that attributes its violations, else one that shows."""
-    wrong: dict[str, list[JudgedRun]] = {}
+    unexpected: dict[str, list[JudgedRun]] = {}
     for run in runs:
         if any(
-            found.verdict is Verdict.VIOLATED
-            and (len(runs) == 1 or claim.given(found.margin) is Verdict.HOLDS)
-            for claim, found in run.judged_claims()
+            evaluation.verdict is Verdict.VIOLATED
+            and (len(runs) == 1 or claim.given(evaluation.margin) is Verdict.HOLDS)
+            for claim, evaluation in run.judged_claims()
         ):
-            wrong.setdefault(command_line_reference(run.trace.scenario), []).append(run)
-    for violated in wrong.values():
+            unexpected.setdefault(command_line_reference(run.trace.scenario), []).append(run)
+    for violated in unexpected.values():
         files = [run.trace_file for run in violated if run.trace_file is not None]
-        command = replay_command(violated[0].trace.scenario, *files, verb="attribute", told=Path)
+        command = replay_command(violated[0].trace.scenario, *files, verb="attribute", shown_path=Path)
         next_step(command, "whose fault it is")
     file = runs[0].trace_file
-    if len(runs) > 1 and not wrong:
+    if len(runs) > 1 and not unexpected:
         next_step(f"safety-harness judge {shlex.quote(str(out / TRACES))}/*.trace -v", "every verdict")
-    elif file is not None and not wrong:
+    elif file is not None and not unexpected:
         next_step(f"safety-harness view {shlex.quote(str(file))}", "the run in 3-D")

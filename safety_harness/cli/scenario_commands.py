@@ -149,8 +149,9 @@ def explain(
 
 @command(commands)
 def claims(
-    words: Annotated[
-        list[str] | None, Argument(help="A claim, or words of it, such as: hand distance.")
+    phrases: Annotated[
+        list[str] | None,
+        Argument(help="A claim, or words of it, such as: hand distance.", metavar="WORDS"),
     ] = None,
 ) -> int:
     """List the claims about a run, or explain some of them.
@@ -163,7 +164,7 @@ def claims(
     """
     from safety_harness.cli.explain import explain_claims
 
-    return explain_claims(words or [])
+    return explain_claims(phrases or [])
 
 
 @command(commands, json=False)
@@ -181,12 +182,12 @@ def schema(
     from safety_harness.scenario.kinds import titled
     from safety_harness.scenario.schema import scenario_schema
 
-    found = scenario_schema()
+    document = scenario_schema()
     if plans:
         if (of_plans := titled("plan").schema) is None:
             raise ScenarioError.of_option("--plan", "plans with a schema", "plans without one")
-        found = of_plans()
-    verbatim(json.dumps(found, indent=1, ensure_ascii=False))
+        document = of_plans()
+    verbatim(json.dumps(document, indent=1, ensure_ascii=False))
     return AS_EXPECTED
 
 
@@ -247,7 +248,7 @@ def view(
     trace: Annotated[
         Path, Argument(help="A trace of an earlier run, or the description of a log.", metavar="TRACE")
     ],
-    other: Annotated[
+    second: Annotated[
         Path | None, Argument(help="Another one, to be shown beside it in step.", metavar="TRACE")
     ] = None,
     out: Annotated[Path | None, Option(help="The page. Default: reports/view/NAME.html.")] = None,
@@ -266,7 +267,7 @@ def view(
     """
     from safety_harness.cli.view import view as view_runs
 
-    return view_runs([trace] if other is None else [trace, other], out, opens=opens)
+    return view_runs([trace] if second is None else [trace, second], out, opens=opens)
 
 
 @command(commands, interrupted="interrupted: this picture and those after it were not drawn")

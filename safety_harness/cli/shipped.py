@@ -34,18 +34,18 @@ def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these."
     stands for its file wherever a command takes a file. shipped:scenarios and so on stand for their folders.
     Exit code 0.
     """
-    found = [one for one in shipped_files() if kind in (None, one.kind)]
+    files = [file for file in shipped_files() if kind in (None, file.kind)]
     document(
         files=[
-            {"kind": one.kind, "name": PREFIX + one.name, "about": one.about, "file": one.path}
-            for one in found
+            {"kind": file.kind, "name": PREFIX + file.name, "about": file.description, "file": file.path}
+            for file in files
         ]
     )
     for number, each in enumerate(ShippedKind if kind is None else (kind,)):
-        of_kind = [one for one in found if one.kind is each]
-        width = max((len(PREFIX + one.name) for one in of_kind), default=0)
+        of_kind = [file for file in files if file.kind is each]
+        width = max((len(PREFIX + file.name) for file in of_kind), default=0)
         say(*[""] * (number > 0), f"{each}, together {PREFIX}{each}:")
-        result(*(f"{PREFIX + one.name:<{width}}  {one.about}".rstrip() for one in of_kind))
+        result(*(f"{PREFIX + file.name:<{width}}  {file.description}".rstrip() for file in of_kind))
     return AS_EXPECTED
 
 
@@ -67,7 +67,7 @@ def copy(
     from safety_harness.scenario.kinds import FileKind, kind_of
 
     source = located(name if is_shipped(name) else PREFIX + name)
-    copies = {folder / way: path.read_bytes() for way, path in _with_references(source).items()}
+    copies = {folder / relative: path.read_bytes() for relative, path in _with_references(source).items()}
     for path, data in copies.items():
         if path.exists() and not overwrite and not (path.is_file() and path.read_bytes() == data):
             got = "another one; nothing was copied"
@@ -89,16 +89,16 @@ def _with_references(source: Path) -> dict[Path, Path]:
     import os
 
     waiting = sorted(source.rglob("*")) if source.is_dir() else [source]
-    found: dict[Path, None] = {}
+    references: dict[Path, None] = {}
     while waiting:
         path = waiting.pop(0)
-        if path.is_file() and path not in found and "__pycache__" not in path.parts:
-            found[path] = None
+        if path.is_file() and path not in references and "__pycache__" not in path.parts:
+            references[path] = None
             waiting += _references(path) if path.suffix == ".yaml" else ()
-    licences = {path.with_name("LICENSE"): None for path in found}  # of recordings
-    found |= {path: None for path in licences if path.is_file()}
-    root = Path(os.path.commonpath([source.parent, *(path.parent for path in found)]))
-    return {path.relative_to(root): path for path in found}
+    licences = {path.with_name("LICENSE"): None for path in references}  # of recordings
+    references |= {path: None for path in licences if path.is_file()}
+    root = Path(os.path.commonpath([source.parent, *(path.parent for path in references)]))
+    return {path.relative_to(root): path for path in references}
 
 
 def _references(path: Path) -> Iterator[Path]:
@@ -129,8 +129,8 @@ def docs(
     """
     from safety_harness.base.shipped.documents import missing, path_of, section_named, site
 
-    words = " ".join(section or [])
-    path, anchor = path_of(section_named(words)) if words else (site() / "index.html", "")
+    heading = " ".join(section or [])
+    path, anchor = path_of(section_named(heading)) if heading else (site() / "index.html", "")
     if not path.is_file():
         raise missing()
     place = f"#{anchor}" if anchor else ""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.admission.admit import Looker
+from safety_harness.admission.admit import Checker
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.preview import preview_of
 from safety_harness.admission.spaces import draw_admissible
@@ -90,8 +90,8 @@ def sample(file: Path, *, out: Path, count: int, seed: int) -> int:
 
 
 def _draw(path: Path, scenarios: Sequence[Scenario], title: str, regions: Boxes = ()) -> Path:
-    looker = Looker()
-    previews = [preview_of(looker.look(scenario)) for scenario in scenarios]
+    checker = Checker()
+    previews = [preview_of(checker.check(scenario)) for scenario in scenarios]
     with writing(path):
         draw_scene(path, previews, title=title, regions=regions)
     result(str(path))

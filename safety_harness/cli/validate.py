@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import TypeVar
 
-from safety_harness.admission.admit import Checked, Looker
+from safety_harness.admission.admit import Checked, Checker
 from safety_harness.admission.avoiders import option_of, with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
@@ -47,25 +47,25 @@ _CHANGE_WHAT_IS_TESTED = frozenset({"avoider", "controller", "robot", "settings"
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     """Print a line for each usable file and all mistakes of the other files; return the exit code."""
     added = [path for path in paths if _is_added(located(path))]
-    others = [path for path in paths if path not in added]
+    scenario_paths = [path for path in paths if path not in added]
     try:
-        gathered = gather(others, spaces=True) if others or not added else Gathered()
+        gathered = gather(scenario_paths, spaces=True) if scenario_paths or not added else Gathered()
         added += [file for file in gathered.aside if _is_added(file)]
         say(*aside_lines(file for file in gathered.aside if file not in added))
-        looker = Looker()  # which executes nothing
+        checker = Checker()  # which executes nothing
         checked, errors = usable(
             gathered.scenarios,
             lambda one: without_compiling(
-                lambda: looker.look(one if avoider is None else with_avoider(one, avoider))
+                lambda: checker.check(one if avoider is None else with_avoider(one, avoider))
             ),
         )
         untried = without_compiling(lambda: _untried(checked))
         spaces, errors_of_spaces = usable(
             gathered.spaces,
-            lambda one: without_compiling(lambda: _whole(lambda: _tried_space(one, looker, avoider))),
+            lambda one: without_compiling(lambda: _whole(lambda: _tried_space(one, checker, avoider))),
         )
         read, errors_of_added = usable(
-            added, lambda one: without_compiling(lambda: _whole(lambda: _checked(located(one), looker)))
+            added, lambda one: without_compiling(lambda: _whole(lambda: _checked(located(one), checker)))
         )
     except KeyboardInterrupt:
         say("interrupted")
@@ -74,10 +74,14 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     read_in_part = (*gathered.scenarios, *(mended.scenario for mended in gathered.mended))
     claims = [(claim, scenario) for scenario in read_in_part for claim in scenario.claims]
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
-    tested = [one.scenario for one in gathered.mended if not one.faulty & _CHANGE_WHAT_IS_TESTED]
+    tested = [
+        gathered_scenario.scenario
+        for gathered_scenario in gathered.mended
+        if not gathered_scenario.faulty & _CHANGE_WHAT_IS_TESTED
+    ]
     if avoider is None:
         tested += gathered.scenarios
-    _, of_tested = usable(tested, looker.look_at_tested)
+    _, of_tested = usable(tested, checker.check_tested)
     errors = [*gathered.errors, *errors, *of_claims, *of_tested, *errors_of_spaces, *errors_of_added]
     errors = [inner for error in errors for inner in getattr(error, "errors", (error,))]
     errors.sort(key=lambda error: (str(error.place.file or ""), error.place.line or 0))
@@ -85,17 +89,17 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     usable_files: list[dict[str, object]] = []
     for file, scenarios in groupby(checked, key=lambda one: one.scenario.file):
         if file not in bad:
-            in_file = [one.scenario for one in scenarios]
-            result(f"ok {file}: {_words(in_file)}")
+            in_file = [gathered_scenario.scenario for gathered_scenario in scenarios]
+            result(f"ok {file}: {_content_text(in_file)}")
             usable_files.append({"file": file, "kind": "scenario", "scenarios": [*map(_data, in_file)]})
     for space in spaces:
         result(f"ok {space.file}: a space, {_count(len(space.parameters), 'value')} that vary")
         usable_files.append({"file": space.file, "kind": "space", "parameters": len(space.parameters)})
-    for kind, one in read:
-        result(f"ok {one.file}: {kind.words}, {one.words}")
-        usable_files.append({"file": one.file, "kind": kind.title} | one.data)
+    for kind, added_file in read:
+        result(f"ok {added_file.file}: {kind.words}, {added_file.words}")
+        usable_files.append({"file": added_file.file, "kind": kind.title} | added_file.data)
     document(usable=usable_files)
-    for space in (*spaces, *(space for _, one in read for space in one.spaces)):
+    for space in (*spaces, *(space for _, checked in read for space in checked.spaces)):
         untried += without_compiling(partial(_untried_of, space))
     say(*(f"note: {line}" for line in untried))
     if errors:
@@ -118,29 +122,29 @@ def _is_added(path: Path) -> bool:
     return kind is not None and kind.check is not None
 
 
-def _checked(path: Path, looker: Looker) -> tuple[InputFile, CheckedFile]:
+def _checked(path: Path, checker: Checker) -> tuple[InputFile, CheckedFile]:
     kind = added_input(path)
     assert kind is not None
     assert kind.check is not None
-    return kind, kind.check(path, looker.look)
+    return kind, kind.check(path, checker.check)
 
 
 def _whole(read: Callable[[], _Made]) -> _Made:
     """Return what ``read`` returns; InputErrors has every mistake that it finds on the way."""
-    with every_mistake() as found:
+    with every_mistake() as mistakes:
         made = read()
-    if found:
-        raise InputErrors(found)
+    if mistakes:
+        raise InputErrors(mistakes)
     return made
 
 
-def _tried_space(found: tuple[Variant, Path], looker: Looker, avoider: str | None) -> ScenarioSpace:
+def _tried_space(variant_file: tuple[Variant, Path], checker: Checker, avoider: str | None) -> ScenarioSpace:
     """Return a space after one admissible draw, which another avoider could be asked in."""
-    variant, file = found
+    variant, file = variant_file
     space = space_of(variant.tree, file, name=variant.name)
     (drawn,) = draw_admissible(space, seed=0, count=1).scenarios
     if avoider is not None:
-        looker.look_at_tested(with_avoider(drawn, avoider))
+        checker.check_tested(with_avoider(drawn, avoider))
     return space
 
 
@@ -149,15 +153,15 @@ DRAWS = 5  # of a space, for what none of them would try
 
 def _untried_of(space: ScenarioSpace) -> list[str]:
     draws = draw_admissible(space, seed=0, count=DRAWS).scenarios
-    return _untried([*map(Looker().look, draws)], space)
+    return _untried([*map(Checker().check, draws)], space)
 
 
 def _untried(checked: Sequence[Checked], *spaces: ScenarioSpace) -> list[str]:
     """Return lines on moves and faults that no scenario would try beside an arm that stays at its start."""
     tried = TriedParts()
-    for one in checked:
-        tried.suppose(one.scenario, links_in_base(one.arm, one.joint_position_rad)[-1, :3, 3].copy())
-    return tried.lines(*spaces, of="runs beside an arm that stood still")
+    for draw in checked:
+        tried.suppose(draw.scenario, links_in_base(draw.arm, draw.joint_position_rad)[-1, :3, 3].copy())
+    return tried.lines(*spaces, subject="runs beside an arm that stood still")
 
 
 def _data(scenario: Scenario) -> dict[str, object]:
@@ -170,14 +174,14 @@ def _data(scenario: Scenario) -> dict[str, object]:
     }
 
 
-def _words(scenarios: Sequence[Scenario]) -> str:
+def _content_text(scenarios: Sequence[Scenario]) -> str:
     """Return the content of a file: ``2 hands, 3 claims, 8 s``; for a matrix also its number of scenarios."""
     scenario = scenarios[0]
-    words = [_count(len(scenario.hands), "hand"), _count(len(scenario.claims), "claim")]
-    words += [f"{scenario.duration_s:g} s", scenario.under_test]
+    parts = [_count(len(scenario.hands), "hand"), _count(len(scenario.claims), "claim")]
+    parts += [f"{scenario.duration_s:g} s", scenario.under_test]
     if len(scenarios) > 1:
-        words.insert(0, _count(len(scenarios), "scenario"))
-    return ", ".join(words)
+        parts.insert(0, _count(len(scenarios), "scenario"))
+    return ", ".join(parts)
 
 
 def _count(number: int, noun: str, many: str = "") -> str:

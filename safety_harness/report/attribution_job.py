@@ -96,7 +96,7 @@ class AttributionResult:
     @property
     def tally(self) -> AttributionTally:
         """Return the attributions in groups."""
-        return AttributionTally.of(self.attributions)
+        return AttributionTally.from_attributions(self.attributions)
 
     @property
     def exit_code(self) -> int:
@@ -107,7 +107,7 @@ class AttributionResult:
         return DIFFERS if missing or self.failed else AS_EXPECTED
 
     def __repr__(self) -> str:
-        summary = self.tally.words if self.attributions else "nothing to attribute"
+        summary = self.tally.summary if self.attributions else "nothing to attribute"
         return f"<violations in {KINEMATIC}, {summary}>"
 
     def data(self) -> dict[str, object]:
@@ -148,7 +148,7 @@ def attribute_all(
                     output.say(f"error: {admitted.scenario.name} could not be run again: {described(error)}")
                 else:
                     if shield is not None:
-                        output.result(f"{admitted.scenario.name}: {shield.words}")
+                        output.result(f"{admitted.scenario.name}: {shield.summary}")
                         output.result(*(f"    {entry}" for entry in slowings(shield.trace)))
                     for entry in attributions:
                         done.append(entry)
@@ -162,7 +162,7 @@ def attribute_all(
 
 def _lines(cause: Attribution, confirming: Admitted | None) -> Iterator[str]:
     """Yield the line of one violation, and the lines of PyBullet's runs if ``confirming`` has the run."""
-    yield f"{cause.scenario}: {cause.claim.sentence}: {cause.unit.margin_text(cause.margin)}: {cause.words}"
+    yield f"{cause.scenario}: {cause.claim.sentence}: {cause.unit.margin_text(cause.margin)}: {cause.summary}"
     if confirming is not None and cause.answer is not AttributionAnswer.NOT_ATTRIBUTED:
         yield from (f"    {confirming_line(again, cause)}" for again in confirmed(confirming, cause))
 

@@ -14,7 +14,7 @@ from safety_harness.base.whole_file import write_whole
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.report.evidence import JudgedRun, answer, basis_of
 from safety_harness.report.words import margin_words
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Claim, Verdict
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
@@ -102,7 +102,7 @@ def _result(run: JudgedRun, claim: Claim, evaluation: Evaluation, expected: bool
     }
     file = claim.place.file or run.trace.scenario.file
     if file is not None:
-        physical: dict[str, Any] = {"artifactLocation": {"uri": quote(told(file).as_posix())}}
+        physical: dict[str, Any] = {"artifactLocation": {"uri": quote(display_path(file).as_posix())}}
         if claim.place.line is not None:
             physical["region"] = {"startLine": claim.place.line}
         result["locations"] = [{"physicalLocation": physical}]

@@ -69,7 +69,7 @@ class DecisionTally:
     unanswered: int
 
     @classmethod
-    def of(cls, traces: Iterable[Trace]) -> DecisionTally:
+    def from_traces(cls, traces: Iterable[Trace]) -> DecisionTally:
         """Count the decisions of all ``traces`` together."""
         counts: Counter[int] = Counter()
         faults = missing = 0
@@ -106,7 +106,7 @@ class DecisionTally:
 
 def are_counted(trace: Trace) -> bool:
     """Return whether the trace has measured the outcomes of its decisions."""
-    return is_measured(trace) and decided(trace, "tick") and not trace.known.of("faults").limited
+    return is_measured(trace) and decided(trace, "tick") and not trace.known.measurement_of("faults").limited
 
 
 def avoiders(traces: Iterable[Trace]) -> list[tuple[str, int]]:
@@ -126,14 +126,15 @@ def overruling_of_each(traces: Iterable[Trace]) -> dict[str, Overruling]:
     sums: dict[str, Overruling] = {}
     for trace in traces:
         name = trace.system.tested.name
-        sums[name] = sums.get(name, Overruling()) + Overruling.of([trace])
+        sums[name] = sums.get(name, Overruling()) + Overruling.from_traces([trace])
     return {name: row for name, row in sums.items() if row.proposals}
 
 
 def overruling_lines(each: Mapping[str, Overruling]) -> list[str]:
     """Return a line for all avoiders together, then a line per avoider if there are several."""
-    whole = sum(each.values(), Overruling()).words
-    return [whole, *(f"{name}: {row.words}" for name, row in each.items() if len(each) > 1)] if whole else []
+    whole = sum(each.values(), Overruling()).summary
+    rows = [f"{name}: {row.summary}" for name, row in each.items() if len(each) > 1]
+    return [whole, *rows] if whole else []
 
 
 def decision_rows(trace: Trace) -> list[DecisionRow]:
@@ -145,8 +146,8 @@ def decision_rows(trace: Trace) -> list[DecisionRow]:
         return []
     trace = as_measured(trace)
 
-    def known(words: str, *names: str) -> str:
-        return words if decided(trace, *names) else "\u2013"
+    def known(text: str, *names: str) -> str:
+        return text if decided(trace, *names) else "\u2013"
 
     return [
         DecisionRow(
@@ -168,7 +169,7 @@ def decision_rows(trace: Trace) -> list[DecisionRow]:
             ),
             faulty=bool(decision["fault"]),
             chosen=point_words(decision["chosen_position_in_base_m"]),
-            certified="" if trace.certified is None else trace.certified.decisions[number - 1].words,
+            certified="" if trace.certified is None else trace.certified.decisions[number - 1].summary,
         )
         for number, decision in enumerate(trace.decisions[:MOST_DECISION_ROWS], start=1)
     ]
@@ -218,11 +219,11 @@ class ComputingTime:
     times: AnswersTook
 
     @classmethod
-    def of(cls, trace: Trace) -> ComputingTime:
+    def from_trace(cls, trace: Trace) -> ComputingTime:
         """Return the computing time in the record of ``trace``."""
         cost = trace.scenario.settings.avoidance.decision_time
         cost_text = NOT_MODELLED if trace.scenario.driven else cost_words(cost, most_cost_s(trace))
-        return cls(trace.system.tested.name, cost_text, AnswersTook.of(trace))
+        return cls(trace.system.tested.name, cost_text, AnswersTook.from_trace(trace))
 
 
 def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
@@ -246,7 +247,7 @@ def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
 def computing_times(traces: Iterable[Trace]) -> list[ComputingTime]:
     """Return the computing times of runs with decisions, or with a timed controller."""
     return [
-        ComputingTime.of(trace)
+        ComputingTime.from_trace(trace)
         for trace in traces
         if len(trace.answer_s)
         or (len(trace.decisions) and not trace.scenario.driven and decided(trace, "decision_time_s"))
@@ -267,7 +268,7 @@ def lines_of(runs: Iterable[ComputingTime]) -> list[str]:
     return [
         f"{tested}: {line}"
         for (tested, cost_text), times in groups.items()
-        for line in (cost_text, times.words)
+        for line in (cost_text, times.summary)
         if line
     ]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypedDict
 
 from safety_harness.admission.repeatability import RepeatabilityResult
-from safety_harness.admission.taking import NotTaken
+from safety_harness.admission.taking import Incompatible
 from safety_harness.base.exceptions import InputError
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.answered import DEFAULT_CLAIM, by_default, is_claimed
@@ -30,7 +30,7 @@ class AboutRuns(TypedDict, total=False):
     """
 
     coverage: Sequence[ClaimTally] | None
-    skipped: Sequence[NotTaken]
+    skipped: Sequence[Incompatible]
     refused: Sequence[InputError]
     against: Against | None
     repeated: RepeatabilityResult | None
@@ -39,11 +39,11 @@ class AboutRuns(TypedDict, total=False):
 _NOTHING: AboutRuns = {"coverage": None, "skipped": (), "refused": (), "against": None, "repeated": None}
 
 
-def with_defaults(about: AboutRuns) -> AboutRuns:
+def with_defaults(facts: AboutRuns) -> AboutRuns:
     """Return the facts with defaults for missing ones; TypeError for any other keyword."""
-    if others := about.keys() - _NOTHING.keys():
-        raise TypeError(f"unknown keywords: {', '.join(sorted(others))}")
-    return _NOTHING | about
+    if unknown := facts.keys() - _NOTHING.keys():
+        raise TypeError(f"unknown keywords: {', '.join(sorted(unknown))}")
+    return _NOTHING | facts
 
 
 SEVERITY = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
@@ -109,10 +109,12 @@ class JudgedRun:
         """Count the claims with this verdict."""
         return sum(e.verdict is verdict and e.applicable for _, e in self.judged_claims())
 
-    def under(self, sentence: str) -> JudgedRun:
+    def under_claim(self, sentence: str) -> JudgedRun:
         """Return the same run below the heading of a claim; below no claim's if it lacks that sentence."""
         sentences = [claim.sentence for claim in self.trace.scenario.claims]
         return replace(self, about=sentences.index(sentence) if sentence in sentences else None)
+
+    under = under_claim  # deprecated: the old name, for one release
 
     def shown_claim(self) -> int | None:
         """Return the index of the claim whose worst moment each picture and replay shows, or None.
@@ -174,10 +176,10 @@ def as_expected(runs: Iterable[JudgedRun]) -> tuple[list[bool], int]:
 
 def answer(runs: Sequence[JudgedRun]) -> str:
     """Return in one line how many verdicts are as expected, and how many of each kind there are."""
-    expected, others = as_expected(runs)
+    expected, unexpected = as_expected(runs)
     counts = [sum(run.count(kind) for run in runs) for kind in Verdict]
     kinds = ("hold", "violated", "inconclusive", "claims not applicable to the controller")
-    words = [f"{count} {kind}" for count, kind in zip((*counts, others), kinds, strict=True) if count]
+    parts = [f"{count} {kind}" for count, kind in zip((*counts, unexpected), kinds, strict=True) if count]
     return f"{sum(expected)} of {len(expected)} verdicts as expected" + (
-        f" ({', '.join(words)})" if words else ""
+        f" ({', '.join(parts)})" if parts else ""
     )

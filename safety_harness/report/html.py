@@ -117,8 +117,8 @@ def render(
     **about: Unpack[AboutRuns],
 ) -> str:
     """Return the page as text; the same arguments give the same bytes."""
-    said = with_defaults(about)
-    summary = _summary(runs, whole=not (interrupted or said["skipped"] or said["refused"]))
+    facts = with_defaults(about)
+    summary = _summary(runs, whole=not (interrupted or facts["skipped"] or facts["refused"]))
     summary["interrupted"] = interrupted
     fallback = summary["decisions"].fallback
     replays = Replays()
@@ -134,18 +134,20 @@ def render(
         replays=True,
         sections=sections,
         worst=_worst(sections),
-        unlike=[(one, row) for one in sections for row in one["claims"] if not row["as_expected"]],
+        unlike=[
+            (section, row) for section in sections for row in section["claims"] if not row["as_expected"]
+        ],
         most_told=MOST_TOLD,
         tabled=_tabled(sections),
         parted=_parted(sections),
         most_full=MOST_IN_FULL,
         most_open=MOST_OPEN,
-        coverage=tallies(runs) if said["coverage"] is None else said["coverage"],
-        basis=basis_of(runs, said["coverage"]),
-        skipped=said["skipped"],
-        refused=refused_data(said["refused"]),
-        against=said["against"],
-        repeated=said["repeated"],
+        coverage=tallies(runs) if facts["coverage"] is None else facts["coverage"],
+        basis=basis_of(runs, facts["coverage"]),
+        skipped=facts["skipped"],
+        refused=refused_data(facts["refused"]),
+        against=facts["against"],
+        repeated=facts["repeated"],
         most_decisions=MOST_DECISION_ROWS,
         share=share_words,
         count=count_words,
@@ -158,10 +160,10 @@ def render(
 def _worst(sections: Sequence[Row]) -> Row | None:
     """Return the worst violation of the drawn runs, an unexpected one first, and a picture of its moment."""
     violated = [
-        ((row["as_expected"], one["run"].shown_claim() != row["number"] - 1), one, row)
-        for one in sections
-        for row in one["claims"]
-        if one.get("views") and row["found"].verdict is Verdict.VIOLATED
+        ((row["as_expected"], section["run"].shown_claim() != row["number"] - 1), section, row)
+        for section in sections
+        for row in section["claims"]
+        if section.get("views") and row["found"].verdict is Verdict.VIOLATED
     ]
     if not violated:
         return None
@@ -188,8 +190,10 @@ def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
         "shield": shield_lines(traces),
         "overruling": overruling_lines(overruling_of_each(traces)),
         "uncounted": sum(not are_counted(trace) for trace in traces),
-        "unmeasured": sum(bool(found.unmeasured) for run in runs for _, found in run.judged_claims()),
-        "decisions": DecisionTally.of(traces),
+        "unmeasured": sum(
+            bool(evaluation.unmeasured) for run in runs for _, evaluation in run.judged_claims()
+        ),
+        "decisions": DecisionTally.from_traces(traces),
     }
     whole = whole and not (summary["cut_short"] or summary["without_claims"])
     fine = whole and not (summary["violated"] or summary["inconclusive"])
@@ -213,10 +217,10 @@ def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
     """Return for each run whether it is drawn: surprises, each claim's worst and violations first."""
     margins: dict[str, tuple[float, int]] = {}
     for k, run in enumerate(runs):
-        for claim, found in run.judged_claims():
-            if found.margin is not None:
+        for claim, evaluation in run.judged_claims():
+            if evaluation.margin is not None:
                 margins[claim.sentence] = min(
-                    (float(found.margin), k), margins.get(claim.sentence, (np.inf, k))
+                    (float(evaluation.margin), k), margins.get(claim.sentence, (np.inf, k))
                 )
     worst = {k for _, k in margins.values()}
 
@@ -246,7 +250,7 @@ def _parted(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
         hundred = section["number"] // MOST_AT_ONCE
         return hundred, hundred > 0 and not section["full"]
 
-    return [(later, list(found)) for (_, later), found in groupby(sections, part)]
+    return [(later, list(group)) for (_, later), group in groupby(sections, part)]
 
 
 def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
@@ -263,7 +267,7 @@ def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
         "file": file_name(run),
         "trace": "" if run.trace_file is None else shlex.quote(str(run.trace_file)),
         "trace_name": "" if run.trace_file is None else shlex.quote(run.trace_file.stem),
-        "tally": DecisionTally.of([run.trace]),
+        "tally": DecisionTally.from_traces([run.trace]),
         "measured": measured_rows(run.trace),
         "notes": notes(run),
     }
@@ -275,11 +279,11 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
     trace = run.trace
     drawn = len(trace.ticks) > 0
     moment = shown_moment(run)
-    modes = {words: trace.ticks["mode"] == mode for mode, words in MODE_WORDS.items()}
+    modes = {mode_name: trace.ticks["mode"] == mode for mode, mode_name in MODE_WORDS.items()}
     limits = {flag_words(flag): (trace.ticks["limits"] & flag.value) != 0 for flag in Limit if flag}
     return {
         "views": path_views(run, prefix=f"{section}-") if drawn else (),
-        "replay": replays.of(run, section),
+        "replay": replays.arguments_for(run, section),
         "timeline": Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
         "moment_time": f"{moment.time_s:.3f} s" if moment else "",
         "moment_claim": moment.claim + 1 if moment and moment.claim is not None else None,  # counted from 1
@@ -293,8 +297,14 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
         "kind": tested_words([trace]),
         "limits": _ticks_rows(trace, "limits", limits),
         "slowings": [
-            (f"{one.from_s:.3f}", f"{one.to_s:.3f}", one.part, one.hand, f"{100.0 * one.least_scale:.0f} %")
-            for one in slowings(trace)[:MOST_SLOWINGS]
+            (
+                f"{slowing.from_s:.3f}",
+                f"{slowing.to_s:.3f}",
+                slowing.part,
+                slowing.hand,
+                f"{100.0 * slowing.least_scale:.0f} %",
+            )
+            for slowing in slowings(trace)[:MOST_SLOWINGS]
         ],
         "modes": _ticks_rows(trace, "mode", modes),
         "measured_ticks": {name: int(measured(trace, name).sum()) for name in ("mode", "limits")},
@@ -311,14 +321,14 @@ def claim_rows(run: JudgedRun) -> list[Row]:
         {
             "number": number,
             "claim": claim,
-            "found": found,
+            "found": evaluation,
             "as_expected": expected,
-            "margin": margin_words(found),
-            "margin_sort": "" if found.margin is None else f"{float(found.margin)!r}",
-            "worst": "\u2013" if found.worst_time_s is None else f"{found.worst_time_s:.3f} s",
-            "worst_sort": "" if found.worst_time_s is None else f"{found.worst_time_s!r}",
+            "margin": margin_words(evaluation),
+            "margin_sort": "" if evaluation.margin is None else f"{float(evaluation.margin)!r}",
+            "worst": "\u2013" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s",
+            "worst_sort": "" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s!r}",
         }
-        for number, ((claim, found), expected) in enumerate(judged, start=1)
+        for number, ((claim, evaluation), expected) in enumerate(judged, start=1)
     ]
 
 
@@ -348,21 +358,21 @@ def _ticks_rows(trace: Trace, name: str, masks: dict[str, NDArray[np.bool_]]) ->
 
 def notes(run: JudgedRun) -> list[str]:
     """Return notes for the reader: the caller's, on recordings, and on faults that acted."""
-    told = dict.fromkeys((*run.notes, *notes_of(run.trace.scenario)))  # commands note the recordings too
-    return [*told, *acted_faults(run.trace)]
+    all_notes = dict.fromkeys((*run.notes, *notes_of(run.trace.scenario)))  # commands note the recordings too
+    return [*all_notes, *acted_faults(run.trace)]
 
 
 def acted_faults(trace: Trace) -> list[str]:
     """Return a sentence on each fault of the scenario, with the number of ticks on which it acted."""
-    found = []
+    faults = []
     for k, fault in enumerate(trace.scenario.faults):
         mask = (trace.ticks["faults"] >> k & 1) != 0
         if not measured(trace, "faults").all():
-            found.append(f"Fault: {fault_words(fault)}. Whether it always acted was not measured.")
+            faults.append(f"Fault: {fault_words(fault)}. Whether it always acted was not measured.")
             continue
         ticks = int(np.count_nonzero(mask))
         when = f"first at {trace.time_s[int(np.argmax(mask))]:.3f} s" if ticks else "so it changed nothing"
-        found.append(
+        faults.append(
             f"Fault: {fault_words(fault)}. It acted on {count_words(ticks, 'tick', 'ticks')}, {when}."
         )
-    return found
+    return faults

@@ -13,7 +13,7 @@ from safety_harness.claims.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.run_result import TRACES, saved, write_files
 from safety_harness.scenario.fields import SENTENCE, is_sentence
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.scenario.kinds import is_log, recorded_run
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.units import shown
@@ -70,6 +70,12 @@ def write_judged(
     runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]
 ) -> None:
     """Write the report of runs that the harness judged without simulating; OutputError if it cannot."""
-    arguments = ["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))]
+    arguments = [
+        "safety-harness",
+        "judge",
+        *(str(display_path(path)) for path in paths),
+        "--out",
+        str(display_path(out)),
+    ]
     command, title = shlex.join(arguments), "Judged without simulating"
     write_files(out, runs, title=title, command=command, interrupted=False, refused=refused)

@@ -25,7 +25,7 @@ class MeasuredRow:
     gaps: str
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """Return the row as one line, which may be long."""
         how = f"{self.source}, within {self.within}" if self.within else self.source
         gaps = f"; not measured {self.gaps}" if self.gaps else ""
@@ -38,7 +38,7 @@ def measured_rows(trace: Trace) -> list[MeasuredRow]:
         return []
     groups: dict[tuple[bool, str, str, str], list[str]] = {}
     for name in COLUMNS_OF_A_TRACE:
-        fact = trace.known.of(name)
+        fact = trace.known.measurement_of(name)
         key = (fact.source is Source.NONE, fact.source.value, _accuracy(name, fact), _gaps(trace, fact.gaps))
         groups.setdefault(key, []).append(name)
     rest = (Source.SIMULATED.value, "", "")
@@ -51,9 +51,8 @@ def measured_rows(trace: Trace) -> list[MeasuredRow]:
 def measured_lines(trace: Trace) -> list[str]:
     """Return the rows below the run's name; empty if all is simulated truth."""
     rows = measured_rows(trace)
-    return (
-        [f"what was measured of {trace.scenario.name}:", *(f"  {row.words}" for row in rows)] if rows else []
-    )
+    head = [f"what was measured of {trace.scenario.name}:"] if rows else []
+    return head + [f"  {row.summary}" for row in rows]
 
 
 def known_data(trace: Trace) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from safety_harness.report.decisions import (
 from safety_harness.report.evidence import AboutRuns, JudgedRun, basis_of, tallies, with_defaults
 from safety_harness.report.knowledge import known_data
 from safety_harness.report.shielding import shield_data
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.trace.overruling import Overruling, is_measured
 
 FORMAT = "safety-harness report 1"
@@ -92,7 +92,7 @@ def refused_data(refused: Sequence[InputError]) -> list[dict[str, Any]]:
     """Return place and reason for each input that cannot be used."""
     return [
         {
-            "file": None if error.place.file is None else str(told(error.place.file)),
+            "file": None if error.place.file is None else str(display_path(error.place.file)),
             "line": error.place.line,
             "field": error.place.field,
             "reason": f"expected {error.expected}; got {error.got}",
@@ -115,7 +115,7 @@ def run_data(run: JudgedRun) -> dict[str, Any]:
     return {
         "scenario": scenario.name,
         "title": scenario.title,
-        "file": str(told(scenario.file)) if scenario.file else None,
+        "file": str(display_path(scenario.file)) if scenario.file else None,
         "seed": scenario.seed,
         "system": trace.system.as_dict,
         "world": trace.provenance.world,
@@ -124,10 +124,10 @@ def run_data(run: JudgedRun) -> dict[str, Any]:
         "complete": trace.complete,
         "ended": trace.ended,
         "known": known_data(trace),
-        "trace_file": str(told(file)) if file else None,
+        "trace_file": str(display_path(file)) if file else None,
         "trace_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file else None,
-        "decisions": asdict(DecisionTally.of([trace])) if are_counted(trace) else None,
-        "overruling": Overruling.of([trace]).named if is_measured(trace) else None,
+        "decisions": asdict(DecisionTally.from_traces([trace])) if are_counted(trace) else None,
+        "overruling": Overruling.from_traces([trace]).named if is_measured(trace) else None,
         "avoider_answered": None if scenario.driven else _outcome(AvoiderAnswered().evaluate(trace)),
         "computing_time": computing_time_lines([trace]),
         **({"refused_for_possible_hands": refused_for_possible(trace)} if asks_of_hands(trace) else {}),

@@ -59,13 +59,13 @@ def added_sections(page: str, shown: object, prefix: str = "") -> list[dict[str,
     return added
 
 
-def templates(of: str = PACKAGE) -> Environment:
+def templates(package: str = PACKAGE) -> Environment:
     """Return the templates; they escape their values, and a missing name is an error.
 
-    ``of`` is a package with templates of its own beside the shared ones.
+    ``package`` is a package with templates of its own beside the shared ones.
     """
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((of, PACKAGE))]),
+        loader=ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((package, PACKAGE))]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -82,9 +82,9 @@ def _headings(page: str) -> list[tuple[str, Markup]]:
     return [(name, Markup(text)) for name, text in parts if not name.endswith("-heading")]
 
 
-def asset(name: str, of: str = PACKAGE) -> str:
-    """Return the text of a style sheet or script beside the templates, from ``of`` if that package has it."""
-    own = files(of) / "templates" / name
+def asset(name: str, package: str = PACKAGE) -> str:
+    """Return the text of a style sheet or script beside the templates, if possible from ``package``."""
+    own = files(package) / "templates" / name
     return (own if own.is_file() else files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")
 
 
@@ -92,7 +92,7 @@ def render_page(
     template: str,
     *,
     basis: str,
-    of: str = PACKAGE,
+    package: str = PACKAGE,
     style: str = "",
     scripts: tuple[str, ...] = (),
     replays: bool = False,
@@ -103,7 +103,7 @@ def render_page(
     Args:
         template: The name of the template.
         basis: The grounds of the page's verdicts; empty for a page without verdicts.
-        of: The package of the template.
+        package: The package of the template.
         style: A style sheet that follows the shared one.
         scripts: Scripts that follow the shared one.
         replays: Whether the page has the 3-D viewer of replays.  The page then carries three.js as text,
@@ -111,16 +111,16 @@ def render_page(
         values: The values of the template.
 
     """
-    script = "".join(asset(name, of) for name in ("report.js", *scripts))
+    script = "".join(asset(name, package) for name in ("report.js", *scripts))
     sheets, also = [style] if style else [], ""
     if replays:
         script += f'const THREE_DEFLATED="{_three()}";\n{asset("replay.js")}'
         sheets, also = [*sheets, "replay.css"], f"' 'sha256-{_hash(asset(THREE))}"
     return (
-        templates(of)
+        templates(package)
         .get_template(template)
         .render(
-            style=Markup("".join(asset(name, of) for name in ("report.css", *sheets))),
+            style=Markup("".join(asset(name, package) for name in ("report.css", *sheets))),
             script=Markup(script),
             script_hash=Markup(_hash(script) + also),
             basis=basis,

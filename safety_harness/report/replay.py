@@ -56,7 +56,7 @@ class Replays:
         self._meshes: dict[ArmModel, str] = {}  # and in which replay they are
         self._explained = ""  # the replay that says what is drawn
 
-    def of(self, run: JudgedRun, name: str, **more: object) -> dict[str, object] | None:
+    def arguments_for(self, run: JudgedRun, name: str, **more: object) -> dict[str, object] | None:
         """Return the arguments of the macro ``replay``; None for a run without ticks, or on a full page.
 
         Args:
@@ -119,7 +119,7 @@ def replay_data(run: JudgedRun) -> dict[str, Any]:
         "views": _views(settings),
         "tracks": used,
         **({} if trace.known.whole else {"lacking": "not measured"}),
-        "modes": {str(int(mode)): words for mode, words in MODE_WORDS.items()} | modes,
+        "modes": {str(int(mode)): mode_name for mode, mode_name in MODE_WORDS.items()} | modes,
         "mode_inks": {str(int(mode)): ink.variable for mode, ink in MODE_INK.items()},
         "decisions": _decisions(trace),
         "worst": _worst(run),

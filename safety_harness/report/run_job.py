@@ -23,7 +23,7 @@ from safety_harness.admission.avoiders import (
 )
 from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
 from safety_harness.admission.run_processes import RunProcesses, run_processes
-from safety_harness.admission.taking import NotTaken, made_equal, taken
+from safety_harness.admission.taking import Incompatible, accept, made_equal
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.base.extension_points import ExtensionPoint, part_named
@@ -94,7 +94,7 @@ def run(
     paths, objects = _paths_and_objects(scenarios)
     admitted, skipped, errors = read_all(paths, tested, reference, chosen, objects, output)
     if skipped and not admitted:
-        errors += [one.error for one in skipped]
+        errors += [skip.error for skip in skipped]
     refused = each_once(errors)
     for error in refused:
         output.explain(error)
@@ -107,14 +107,16 @@ def run(
                 (where / folder).mkdir(parents=True, exist_ok=True)
     options = ["--keep-going"] * keep_going + ["--mcap"] * mcap
     named = {option_of(tested or ""): tested, "--against": reference}
-    options += [word for option, one in named.items() if one for word in (option, told_avoider(one))]
+    options += [
+        part for option, reference in named.items() if reference for part in (option, told_avoider(reference))
+    ]
     options += [] if chosen is REFERENCE else ["--world", chosen.label]
     differences, beside = list[RunDifference](), None
     if reference is not None:
         mine = "what each file names" if tested is None else told_avoider(tested)
         beside = Against(mine=mine, reference=told_avoider(reference), runs=differences)
-    output.say(*(f"skipped: {one}" for one in skipped))
-    asked = RunResult(
+    output.say(*(f"skipped: {skip}" for skip in skipped))
+    job = RunResult(
         given=(*paths, *objects),
         options=tuple(options),
         planned=len(admitted),
@@ -123,7 +125,7 @@ def run(
         against=beside,
         mcap=mcap,
     )
-    return RunSession(asked, where, chosen, output, differences).run(admitted, jobs)
+    return RunSession(job, where, chosen, output, differences).run(admitted, jobs)
 
 
 def _reference(given: str | Path | None) -> str | None:
@@ -135,14 +137,14 @@ def _paths_and_objects(
     given: ScenarioInput | Iterable[ScenarioInput],
 ) -> tuple[list[Path], list[Scenario]]:
     one_by_one = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else [given]
-    objects = [one for one in one_by_one if isinstance(one, Scenario)]
+    objects = [given for given in one_by_one if isinstance(given, Scenario)]
     paths = []
-    for one in one_by_one:
-        if isinstance(one, Path):
-            paths.append(one)
-        elif not isinstance(one, Scenario):
-            as_path(one, "run(scenarios)")
-            paths.append(Path(one))
+    for each in one_by_one:
+        if isinstance(each, Path):
+            paths.append(each)
+        elif not isinstance(each, Scenario):
+            as_path(each, "run(scenarios)")
+            paths.append(Path(each))
     return paths, objects
 
 
@@ -153,7 +155,7 @@ def read_all(
     world: WorldEntry = REFERENCE,
     objects: Sequence[Scenario] = (),
     output: Output = QUIET,
-) -> tuple[list[list[Admitted]], list[NotTaken], list[InputError]]:
+) -> tuple[list[list[Admitted]], list[Incompatible], list[InputError]]:
     """Read and admit all scenarios, with the given avoider and with the reference as well.
 
     Args:
@@ -173,22 +175,22 @@ def read_all(
 
     """
 
-    def take(one: Scenario) -> list[Admitted] | NotTaken:
-        world.refuse(one)
-        return equal.get(one.name) or taken(one, avoiders, admit)
+    def take(scenario: Scenario) -> list[Admitted] | Incompatible:
+        world.refuse(scenario)
+        return equal.get(scenario.name) or accept(scenario, avoiders, admit)
 
     gathered = gather(paths) if paths or not objects else Gathered()
-    for one in objects:
-        gathered.take(one)
+    for instance in objects:
+        gathered.take(instance)
     output.say(*aside_lines(gathered.aside))
     if gathered.scenarios:
         world.opener()
     avoiders = [(avoider, option_of(avoider or ""))] + ([] if against is None else [(against, "--against")])
     equal = made_equal(gathered.scenarios, *avoiders[0])
-    found, errors = usable(gathered.scenarios, take)
+    accepted, errors = usable(gathered.scenarios, take)
     return (
-        [one for one in found if not isinstance(one, NotTaken)],
-        [one for one in found if isinstance(one, NotTaken)],
+        [outcome for outcome in accepted if not isinstance(outcome, Incompatible)],
+        [outcome for outcome in accepted if isinstance(outcome, Incompatible)],
         [*gathered.errors, *errors],
     )
 
@@ -213,9 +215,9 @@ class RunsShown:
             self._show(done)
 
     def _show(self, done: int) -> None:
-        before, self._shown = sum(s.ticks + 1 for s in self.scenarios[: self._number]), done
+        ticks_before, self._shown = sum(s.ticks + 1 for s in self.scenarios[: self._number]), done
         name, at = self.scenarios[self._number].name, f"[{self._number + 1}/{len(self.scenarios)}] "
-        self.show(before + done, name, at)
+        self.show(ticks_before + done, name, at)
 
 
 @contextmanager
@@ -274,20 +276,20 @@ class RunSession:
 
     def _run_all(self, admitted: Sequence[Sequence[Admitted]], jobs: int | None) -> None:
         """Run all in order, each with its reference, until Ctrl-C or a full disk."""
-        flat = [one for each in admitted for one in each]
+        flat = [run for each in admitted for run in each]
         with (
-            watching_runs([one.scenario for one in flat], self.output) as progress,
+            watching_runs([run.scenario for run in flat], self.output) as progress,
             run_processes(flat, self.world, jobs) as apart,
         ):
-            for number, (one, *others) in enumerate(admitted):
-                progress.begin(number * (1 + len(others)))
-                name = one.scenario.name
+            for number, (own, *references) in enumerate(admitted):
+                progress.begin(number * (1 + len(references)))
+                name = own.scenario.name
                 try:
-                    self._take(self._run_one(one, apart, TRACES, progress))
-                    for other in others[: not self.interrupted]:
+                    self._take(self._run_one(own, apart, TRACES, progress))
+                    for reference_run in references[: not self.interrupted]:
                         progress.begin(2 * number + 1)
-                        name += f" with {command_line_reference(other.scenario)}"
-                        self._compare(self._run_one(other, apart, OF_REFERENCE, progress))
+                        name += f" with {command_line_reference(reference_run.scenario)}"
+                        self._compare(self._run_one(reference_run, apart, OF_REFERENCE, progress))
                 except KeyboardInterrupt:
                     self._take_finished(admitted[number:], apart, progress)
                     self.interrupted = True
@@ -298,16 +300,18 @@ class RunSession:
                 if self.interrupted or self.unwritable is not None:
                     return
 
-    def _run_one(self, one: Admitted, apart: RunProcesses, folder: str, progress: RunsShown) -> JudgedRun:
+    def _run_one(
+        self, admitted: Admitted, processes: RunProcesses, folder: str, progress: RunsShown
+    ) -> JudgedRun:
         """Simulate a run here or in another process, save and judge it."""
-        trace = apart.trace(one) or run_trial(one, world=apart.world, on_tick=progress.tick)
+        trace = processes.trace(admitted) or run_trial(admitted, world=processes.world, on_tick=progress.tick)
         file = None if self.out is None else saved(trace, self.out / folder)
         judged = JudgedRun(
             trace=trace,
-            evaluations=tuple(prop.evaluate(trace) for prop in one.properties),
-            replay_command="" if file is None else replay_command(one.scenario, file),
+            evaluations=tuple(prop.evaluate(trace) for prop in admitted.properties),
+            replay_command="" if file is None else replay_command(admitted.scenario, file),
             trace_file=file,
-            notes=notes_of(one.scenario),
+            notes=notes_of(admitted.scenario),
         )
         if file is not None:
             self.written.add(file)
@@ -316,13 +320,13 @@ class RunSession:
         return judged
 
     def _take_finished(
-        self, left: Sequence[Sequence[Admitted]], apart: RunProcesses, progress: RunsShown
+        self, left: Sequence[Sequence[Admitted]], processes: RunProcesses, progress: RunsShown
     ) -> None:
         """Take the runs that other processes finished before Ctrl-C."""
-        for one, *_ in left if self.asked.against is None else ():
-            if apart.is_done(one):
+        for admitted, *_ in left if self.asked.against is None else ():
+            if processes.is_done(admitted):
                 with suppress(Exception):
-                    self._take(self._run_one(one, apart, TRACES, progress))
+                    self._take(self._run_one(admitted, processes, TRACES, progress))
 
     def _take(self, judged: JudgedRun) -> None:
         self.runs.append(judged)
@@ -331,7 +335,7 @@ class RunSession:
         if self.asked.against is None:
             self.output.detail(*every_line(judged))
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
-        say(*(f"note: {line}" for line in TriedParts.of(judged.trace).lines()))
+        say(*(f"note: {line}" for line in TriedParts.from_traces(judged.trace).lines()))
         self.interrupted = not judged.trace.complete
 
     def _compare(self, reference: JudgedRun) -> None:
@@ -340,7 +344,7 @@ class RunSession:
         mine, self.interrupted = self.runs[-1], not reference.trace.complete
         if not self.interrupted:
             pairs = zip(mine.evaluations, reference.evaluations, strict=True)
-            self.differences.append(RunDifference.of(mine.trace, reference.trace, pairs))
+            self.differences.append(RunDifference.from_traces(mine.trace, reference.trace, pairs))
             self.output.result(*self.differences[-1].lines(self.asked.against.reference))
 
     def _fail(self, name: str, error: Exception) -> None:
@@ -356,8 +360,10 @@ class RunSession:
         if self.out is None:
             return
         kinds = [f"{at}/{kind}" for at in (TRACES, OF_REFERENCE) for kind in KINDS]
-        found = {one for kind in kinds for one in self.out.glob(kind) if one.lstat().st_mtime < self.begun_s}
-        for file in sorted(one for one in found if not {one, one.parent} & self.written):
+        earlier = {
+            path for kind in kinds for path in self.out.glob(kind) if path.lstat().st_mtime < self.begun_s
+        }
+        for file in sorted(file for file in earlier if not {file, file.parent} & self.written):
             names = (f"{file.name}{EARLIER}" + f"-{k}" * (k > 1) for k in count(1))
             name = next(name for name in names if not os.path.lexists(file.with_name(name)))
             self.output.say(f"of an earlier run: {file}, from now on {name}")

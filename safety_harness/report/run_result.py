@@ -12,7 +12,7 @@ from typing import Any
 
 from safety_harness.admission.avoiders import as_seen_from, replay_command
 from safety_harness.admission.repeatability import RepeatabilityResult
-from safety_harness.admission.taking import NotTaken
+from safety_harness.admission.taking import Incompatible
 from safety_harness.base.exceptions import InputError, OutputError
 from safety_harness.base.extension_points import ExtensionPoint, part_named
 from safety_harness.base.interrupts import one_more_ctrl_c
@@ -22,7 +22,7 @@ from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.tally import ClaimTally, untested_lines
 from safety_harness.report.evidence import JudgedRun, as_expected, basis_of, tallies, worst_verdict
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.store import save_trace
@@ -57,7 +57,7 @@ class RunResult:
     given: tuple[Path | Scenario, ...] = ()
     options: tuple[str, ...] = ()
     planned: int = 0
-    skipped: tuple[NotTaken, ...] = ()
+    skipped: tuple[Incompatible, ...] = ()
     refused: tuple[InputError, ...] = ()
     failed: tuple[str, ...] = ()
     against: Against | None = None
@@ -186,8 +186,8 @@ class RunResult:
             file = item if isinstance(item, Path) else out / GIVEN / f"{item.name}.yaml"
             if isinstance(item, Scenario):
                 write_text(file, write_scenario(as_seen_from(file.parent, item)))
-            parts.append(str(told(file)))
-        return shlex.join([*parts, "--out", str(told(out)), *self.options])
+            parts.append(str(display_path(file)))
+        return shlex.join([*parts, "--out", str(display_path(out)), *self.options])
 
 
 def write_files(out: Path, runs: Sequence[JudgedRun], *, title: str, command: str, **of_all: Any) -> None:

@@ -30,7 +30,7 @@ MOST_ATTRIBUTED = 100  # groups of violations of one search
 def confirming_line(replay: Replay, attribution: Attribution) -> str:
     """Return the reference world's verdict on a violation, unchanged or with something changed."""
     margin = attribution.unit.margin_text(replay.margin)
-    return f"in {PYBULLET.label}, {replay.words or 'as it is'}: {replay.outcome.value}, {margin}"
+    return f"in {PYBULLET.label}, {replay.summary or 'as it is'}: {replay.outcome.value}, {margin}"
 
 
 def causes_of(counterexamples: int, causes: Mapping[str, Sequence[str]]) -> int:
@@ -51,16 +51,16 @@ class FaultsOfSearch:
     interrupted: bool
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The groups of violations by their cause, in one line."""
-        _, _, groups = self.tally.words.partition(": ")
+        _, _, groups = self.tally.summary.partition(": ")
         some = "" if self.attributed == self.groups else f"{self.attributed} of "
         return f"whose fault, of {some}{self.groups} groups of violations: {groups or 'not asked'}"
 
     def as_json(self) -> dict[str, object]:
         """Return the tally as JSON, with the numbers of groups and of attributed groups."""
         counts = {"groups_of_violations": self.groups, "attributed": self.attributed}
-        return {"words": self.words} | counts | self.tally.as_json()
+        return {"words": self.summary} | counts | self.tally.as_json()
 
 
 @dataclass(eq=False)
@@ -75,17 +75,20 @@ class SearchAttribution:
         self.found.pop(scenario.name, None)  # of an example that had its name before it was merged
         try:
             admitted = self._admitter.admit(scenario)
-            (one,) = attribute(admitted, (claim,))
-            asked = one.answer is AttributionAnswer.ATTRIBUTED and PYBULLET.is_installed
-            there = confirmed(admitted, one) if asked else ()
+            (attribution,) = attribute(admitted, (claim,))
+            in_pybullet = attribution.answer is AttributionAnswer.ATTRIBUTED and PYBULLET.is_installed
+            there = confirmed(admitted, attribution) if in_pybullet else ()
         except Exception as error:  # what was found must not be lost for want of an explanation
             return Explanation((f"whose fault: cannot be told: {described(error)}",))
-        self.found[scenario.name] = one
+        self.found[scenario.name] = attribution
         changed = (replay for replay in there if replay.changes)
         return Explanation(
-            (f"whose fault: {one.words}", *(confirming_line(replay, one) for replay in changed)),
-            frozenset(one.mending or {f"{one.group}: {claim.sentence}"}),
-            cost_s(KINEMATIC, [scenario] * (1 + len(one.replays)))
+            (
+                f"whose fault: {attribution.summary}",
+                *(confirming_line(replay, attribution) for replay in changed),
+            ),
+            frozenset(attribution.mending or {f"{attribution.group}: {claim.sentence}"}),
+            cost_s(KINEMATIC, [scenario] * (1 + len(attribution.replays)))
             + cost_s(PYBULLET, [scenario] * len(there)),
         )
 
@@ -98,47 +101,47 @@ class SearchAttribution:
 
         Each file is listed once, under the change that mends most.
         """
-        paths = [one.path for one in session.written if self.explains(one)]
+        paths = [written.path for written in session.written if self.explains(written)]
         left = [(change, path.name) for path in paths for change in self.found[path.stem].mending]
-        found: dict[str, list[str]] = {}
+        mended: dict[str, list[str]] = {}
         while left:
             change, count = Counter(change for change, _ in left).most_common(1)[0]
             if count == 1:
                 break
-            found[change] = [name for one, name in left if one == change]
-            left = [(one, name) for one, name in left if name not in found[change]]
-        if found:
-            count = causes_of(len(session.written), found)
-            told = "1 cause" if count == 1 else f"{count} causes"
-            session.output.say(f"{told} in {len(session.written)} counterexamples")
-        for change, files in found.items():
+            mended[change] = [name for change_left, name in left if change_left == change]
+            left = [(change_left, name) for change_left, name in left if name not in mended[change]]
+        if mended:
+            count = causes_of(len(session.written), mended)
+            count_text = "1 cause" if count == 1 else f"{count} causes"
+            session.output.say(f"{count_text} in {len(session.written)} counterexamples")
+        for change, files in mended.items():
             session.output.say(
                 f"one cause of {len(files)} counterexamples: {change} mends {', '.join(files)}"
             )
-        return found
+        return mended
 
     def of_search(self, session: SearchSession) -> FaultsOfSearch | None:
         """Attribute all groups; None without any, if not all are explained, or after an interruption."""
         searches = [session.findings] + ([] if session.baseline is None else [session.baseline])
-        groups = [group for one in searches for group in one.groups if group.claim is not None]
+        groups = [group for findings in searches for group in findings.groups if group.claim is not None]
         if not groups or session.interrupted or not session.explains_all:
             return None
         every = -(-len(groups) // MOST_ATTRIBUTED)
         chosen = groups[::every]
-        found: list[Attribution] = []
+        attributions: list[Attribution] = []
         done = 0
         try:
-            with session.output.words() as tell:
+            with session.output.messages() as report:
                 for together in _by_run(chosen):
-                    tell(f"whose fault: {done} of {len(chosen)} groups of violations")
+                    report(f"whose fault: {done} of {len(chosen)} groups of violations")
                     try:
-                        found += self._of_run(session, together)
+                        attributions += self._of_run(session, together)
                         done += len(together)
                     except Exception as error:
                         session.output.say(f"a violation cannot be attributed: {described(error)}")
         except KeyboardInterrupt:
             session.findings.interrupted = True
-        tally = AttributionTally.of(found)
+        tally = AttributionTally.from_attributions(attributions)
         return FaultsOfSearch(tally, done, len(groups), session.interrupted)
 
     def _of_run(self, session: SearchSession, groups: list[Group]) -> tuple[Attribution, ...]:
@@ -185,6 +188,6 @@ def draw_attributions(groups: Mapping[str, int]) -> str:
     return tostring(root, encoding="unicode")
 
 
-def _text(root: Element, x: float, y: float, words: str, ink: Ink, weight: str = "400") -> None:
+def _text(root: Element, x: float, y: float, text: str, ink: Ink, weight: str = "400") -> None:
     attributes = {"x": f"{x:.1f}", "y": str(y), "fill": f"var({ink.variable})", "font-size": "12"}
-    SubElement(root, "text", {**attributes, "font-weight": weight}).text = words
+    SubElement(root, "text", {**attributes, "font-weight": weight}).text = text

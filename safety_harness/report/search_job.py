@@ -24,7 +24,7 @@ from safety_harness.report.page_parts import asset
 from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.report.search_page import SearchEvidence, map_of, render
 from safety_harness.report.svg import standalone
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Driver
 from safety_harness.search.against import Reference
 from safety_harness.search.attribution.tally import as_json_of
@@ -95,14 +95,14 @@ def fuzz(
         expected = "another searcher, to compare with uniform sampling"
         raise ScenarioError.of_option("--compare-with-uniform", expected, "--searcher uniform")
     attribution = SearchAttribution()
-    asked = one_of(avoider, controller)
-    reference = reference_for(asked, against)
+    chosen = one_of(avoider, controller)
+    reference = reference_for(chosen, against)
     session = search_space(
         Trials(
             space if isinstance(space, ScenarioSpace) else read_space(space),
             in_kinematic,
             seed=seed,
-            avoider=asked,
+            avoider=chosen,
             sentences=tuple(claims),
             reference=None if reference is None else Reference(reference),
         ),
@@ -119,9 +119,9 @@ def fuzz(
         return SearchResult(session, None, session.interrupted, session.unwritable)
     evidence = evidence_of(session, attribution)
     if evidence.faults is not None:
-        output.say(evidence.faults.words)
-    if session.trials.times.words:
-        output.say(f"computing time: {session.trials.times.words}")
+        output.say(evidence.faults.summary)
+    if session.trials.times.summary:
+        output.say(f"computing time: {session.trials.times.summary}")
     return SearchResult(session, evidence, session.interrupted)
 
 
@@ -164,11 +164,11 @@ class SearchResult:
         return DIFFERS if self.session.differs or not alike else AS_EXPECTED
 
     def __repr__(self) -> str:
-        findings, found = self.findings, len(self.counterexamples)
+        findings, count = self.findings, len(self.counterexamples)
         runs = sum(group.count for group in findings.groups if group.claim is not None)
-        words = f"{found} counterexamples of {runs} violating runs" if runs else "no violation found"
+        summary = f"{count} counterexamples of {runs} violating runs" if runs else "no violation found"
         basis = basis_of_search(findings, self.session.confirmed)
-        return f"<{self.session.trials.space.name}: {words} in {findings.tried} runs. {basis}>"
+        return f"<{self.session.trials.space.name}: {summary} in {findings.tried} runs. {basis}>"
 
     def data(self) -> dict[str, object]:
         """Return the content of findings.json; empty after a full disk."""
@@ -199,12 +199,12 @@ class SearchResult:
             raise ScenarioError.of_option("write(folder)", "a search that came to its end", "a full disk")
         evidence = replace(self.evidence, command=fuzz_command(session), shown=tuple(session.written))
         made = replace(self, session=session, evidence=evidence)
-        with one_more_ctrl_c(output.say, f"writing {out / PAGE}; Ctrl-C once more gives it up") as asked:
+        with one_more_ctrl_c(output.say, f"writing {out / PAGE}; Ctrl-C once more gives it up") as given_up:
             write_text(out / FINDINGS, json.dumps(made.data(), indent=1) + "\n")
             write_text(out / COVERAGE, standalone(map_of(evidence), style=asset("report.css")))
             write_text(out / PAGE, render(evidence))
         output.say(f"page: {out / PAGE} (for programs: {FINDINGS})")
-        return replace(made, interrupted=self.interrupted or asked())
+        return replace(made, interrupted=self.interrupted or given_up())
 
     def kept(self, folder: Path, output: Output) -> SearchResult:
         """Write the files, report what prevents that, and name the command that runs the counterexamples."""
@@ -223,7 +223,7 @@ class SearchResult:
 
 def _write_interim(session: SearchSession) -> None:
     """Write a page with the findings before explanations, which may take long or be ended."""
-    if session.keeps and session.findings.found and session.unwritable is None:
+    if session.keeps and session.findings.found_any and session.unwritable is None:
         unfinished = copy(session.findings)
         unfinished.interrupted = True  # as the page says if nothing replaces it
         try:
@@ -242,7 +242,7 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         title=trials.space.title,
         space=trials.space.name,
         tested=f"{option_of(tested).removeprefix('--')} {tested}",
-        computing_time="; ".join(filter(None, (cost, trials.times.words))),
+        computing_time="; ".join(filter(None, (cost, trials.times.summary))),
         seed=trials.seed,
         budget=session.budget,
         command=fuzz_command(session),
@@ -284,12 +284,12 @@ def fuzz_command(session: SearchSession) -> str:
     """Return the command line that makes all of this again."""
     trials = session.trials
     file = trials.space.file or Path(f"{trials.space.name}.yaml")
-    command = ["safety-harness", "fuzz", str(told(file))]
+    command = ["safety-harness", "fuzz", str(display_path(file))]
     command += ["--searcher", session.findings.searcher, "--budget", str(session.budget)]
-    command += ["--seed", str(trials.seed), "--out", str(told(session.out))]
+    command += ["--seed", str(trials.seed), "--out", str(display_path(session.out))]
     command += [] if trials.avoider is None else [option_of(trials.avoider), told_avoider(trials.avoider)]
     command += [] if trials.reference is None else ["--against", trials.reference.name]
-    command += [word for sentence in trials.sentences for word in ("--claim", sentence)]
+    command += [part for sentence in trials.sentences for part in ("--claim", sentence)]
     command += ["--explain", "all"] if session.explains_all else []
     return shlex.join(command + ["--compare-with-uniform"] * (session.baseline is not None))
 
@@ -326,14 +326,14 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
             for group in findings.groups
         ],
         "confirmed_in_pybullet": evidence.confirmed,
-        "not_confirmed_in_pybullet": [_of_group(trials, one.group) for one in evidence.unconfirmed],
+        "not_confirmed_in_pybullet": [_of_group(trials, example.group) for example in evidence.unconfirmed],
         "counterexamples": [shown.path.name for shown in evidence.shown],
         "flips_near_the_limit": list(evidence.flips),
         "more_overruled_than_the_reference": evidence.overruled,
         "causes": evidence.causes,
         "not_explained": list(evidence.left),
         "attribution_of_counterexamples": {
-            name: as_json_of(one) for name, one in evidence.attributed.items()
+            name: as_json_of(attribution) for name, attribution in evidence.attributed.items()
         },
         "attribution": None if evidence.faults is None else evidence.faults.as_json(),
         "coverage": {str(cell): count for cell, count in sorted(trials.coverage.counts.items())},
@@ -359,11 +359,13 @@ def _of_claims(findings: Findings) -> list[dict[str, object]]:
             "violated": int(findings.violated[k]),
             "first_violation_after": int(findings.first_violation[k]) or None,
             "least_margin_si": None
-            if near is None or _leads(goal, near.margins[k])
-            else float(near.margins[k]),
-            "least_margins_so_far_si": [one for one in findings.improvements[k] if not _leads(goal, one[1])],
+            if nearest is None or _leads(goal, nearest.margins[k])
+            else float(nearest.margins[k]),
+            "least_margins_so_far_si": [
+                improvement for improvement in findings.improvements[k] if not _leads(goal, improvement[1])
+            ],
         }
-        for k, (goal, near) in enumerate(zip(findings.goals, findings.nearest, strict=True))
+        for k, (goal, nearest) in enumerate(zip(findings.goals, findings.nearest, strict=True))
     ]
 
 

@@ -28,7 +28,7 @@ from safety_harness.report.replay import Replays
 from safety_harness.report.search_attribution import FaultsOfSearch, causes_of, draw_attributions
 from safety_harness.report.svg import DASHES, Ink, plain
 from safety_harness.report.words import margin_words, with_minus
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.search.attribution.attribute import Attribution
 from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld
 from safety_harness.search.counterexample import DRAWS
@@ -91,7 +91,7 @@ class SearchEvidence:
     @property
     def shrunk(self) -> int:
         """The number of groups that were shrunk."""
-        return sum(len(one.groups) for one in self.shown)
+        return sum(len(shown.groups) for shown in self.shown)
 
 
 def render(evidence: SearchEvidence) -> str:
@@ -108,7 +108,7 @@ def render(evidence: SearchEvidence) -> str:
         e=evidence,
         searches=searches,
         claims=[
-            (goal.sentence, [_claim_line(one, k) for one in searches])
+            (goal.sentence, [_claim_line(findings, k) for findings in searches])
             for k, goal in enumerate(findings.goals)
         ],
         causes=causes_of(len(evidence.shown), evidence.causes),
@@ -123,14 +123,14 @@ def render(evidence: SearchEvidence) -> str:
             for claim in (*range(len(findings.goals)), None)
             for group in findings.of_claim(claim)
         ][:MOST_GROUPS],
-        unconfirmed=[_group_row(findings, one.group) for one in evidence.unconfirmed],
+        unconfirmed=[_group_row(findings, example.group) for example in evidence.unconfirmed],
         apart=[
             [
-                _told(one.complaint, run, f"apart-{number}-{world}-")
-                for world, run in enumerate((one.searched, one.confirming))
+                _view_of(example.complaint, run, f"apart-{number}-{world}-")
+                for world, run in enumerate((example.searched, example.confirming))
             ]
-            for number, one in enumerate(evidence.unconfirmed, start=1)
-            if one.searched is not None
+            for number, example in enumerate(evidence.unconfirmed, start=1)
+            if example.searched is not None
         ],
         map=Markup(map_of(evidence)),
         faults_picture=Markup(
@@ -158,9 +158,9 @@ def map_of(evidence: SearchEvidence) -> str:
 
 def _claim_line(findings: Findings, claim: int) -> dict[str, str]:
     """Return a claim's row in one search: how often and how soon it was violated, and the least margin."""
-    first, near = int(findings.first_violation[claim]), findings.nearest[claim]
+    first, nearest = int(findings.first_violation[claim]), findings.nearest[claim]
     goal = findings.goals[claim]
-    least = "\u2013" if near is None else with_minus(goal.margin_text(float(near.margins[claim])))
+    least = "\u2013" if nearest is None else with_minus(goal.margin_text(float(nearest.margins[claim])))
     return {
         "violated": f"{findings.violated[claim]:,} of {findings.evidence[claim]:,}",
         "first": f"{first:,}" if first else "\u2013",
@@ -179,45 +179,48 @@ def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, in
 
 def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dict[str, Any]:
     """Return the values of a counterexample's section, with the commands that repeat it."""
-    one, evaluation, trace = shown.one, shown.one.evaluation, shown.trace_file
-    found = "\u2013"
-    if evaluation is not None and one.found_margin is not None:
-        found = with_minus(evaluation.unit.margin_text(one.found_margin))
-    run = one.run if isinstance(one.run, Trace) else None
-    drawn = run if run is not None and len(one.evaluations) == len(run.scenario.claims) else None
+    example, evaluation, trace = shown.one, shown.one.evaluation, shown.trace_file
+    found_margin = "\u2013"
+    if evaluation is not None and example.found_margin is not None:
+        found_margin = with_minus(evaluation.unit.margin_text(example.found_margin))
+    run = example.run if isinstance(example.run, Trace) else None
+    drawn = run if run is not None and len(example.evaluations) == len(run.scenario.claims) else None
     name = f"counterexample-{number}"
     return {
         "id": name,
         "shown": shown,
         "runs": sum(group.count for group in shown.groups),
-        "run_command": shlex.join(["safety-harness", "run", str(told(shown.path))]),
-        "replay_command": "" if trace is None else replay_command(one.shrunk.scenario, trace),
+        "run_command": shlex.join(["safety-harness", "run", str(display_path(shown.path))]),
+        "replay_command": "" if trace is None else replay_command(example.shrunk.scenario, trace),
         "margin": "\u2013" if evaluation is None else margin_words(evaluation),
-        "found_margin": found,
-        "parts": [line for each in one.evaluations for line in _part_lines(each, 0)],
+        "found_margin": found_margin,
+        "parts": [line for each in example.evaluations for line in _part_lines(each, 0)],
         "run": run,
         "card_view": next(
-            iter(_pictures(drawn, one.evaluations, one.complaint, f"card-{number}-")["views"][1:2]), ""
+            iter(_pictures(drawn, example.evaluations, example.complaint, f"card-{number}-")["views"][1:2]),
+            "",
         ),
-        **_pictures(drawn, one.evaluations, one.complaint, f"{name}-"),
+        **_pictures(drawn, example.evaluations, example.complaint, f"{name}-"),
         "replay": drawn
-        and replays.of(JudgedRun(drawn, one.evaluations, "").under(one.complaint.sentence), name),
+        and replays.arguments_for(
+            JudgedRun(drawn, example.evaluations, "").under_claim(example.complaint.sentence), name
+        ),
     }
 
 
-def _told(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dict[str, object]:
+def _view_of(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dict[str, object]:
     """Return one world's view of a finding: in words, and drawn from above and from the side."""
     run = None if world is None else world.run
     evaluations: tuple[Evaluation, ...] = ()
     verdict, drawn = "inconclusive", None
     if world is None or not isinstance(run, Trace):
-        words = f"no run: {described(run)}" if isinstance(run, Exception) else "not run"
+        text = f"no run: {described(run)}" if isinstance(run, Exception) else "not run"
     else:
-        drawn, evaluations, words = run, world.evaluations, "it does not happen"
+        drawn, evaluations, text = run, world.evaluations, "it does not happen"
         if complaint.claim is not None:
-            verdict, words = evaluations[0].verdict.value, margin_words(evaluations[0])
+            verdict, text = evaluations[0].verdict.value, margin_words(evaluations[0])
     pictures = _pictures(drawn, evaluations, complaint, prefix, most=2)
-    return {"sentence": complaint.sentence, "words": words, "verdict": verdict, "run": drawn, **pictures}
+    return {"sentence": complaint.sentence, "words": text, "verdict": verdict, "run": drawn, **pictures}
 
 
 def _pictures(
@@ -226,14 +229,14 @@ def _pictures(
     """Return the first ``most`` drawings of a run and their moment; empty without a run."""
     if run is None or len(run.ticks) == 0:
         return {"views": (), "moment_time": "", "moment_of": ""}
-    judged = JudgedRun(run, evaluations, "").under(complaint.sentence)
+    judged = JudgedRun(run, evaluations, "").under_claim(complaint.sentence)
     views, moment = path_views(judged, prefix=prefix)[:most], shown_moment(judged)
     if moment is None:
         return {"views": views, "moment_time": "", "moment_of": ""}
-    of = "when a hand was nearest"
+    moment_text = "when a hand was nearest"
     if moment.claim is not None:
-        of = f"the worst moment of {evaluations[moment.claim].sentence}"
-    return {"views": views, "moment_time": f"{moment.time_s:.3f} s", "moment_of": of}
+        moment_text = f"the worst moment of {evaluations[moment.claim].sentence}"
+    return {"views": views, "moment_time": f"{moment.time_s:.3f} s", "moment_of": moment_text}
 
 
 def _part_lines(evaluation: Evaluation, depth: int) -> list[dict[str, object]]:
@@ -255,7 +258,7 @@ def progress_figure(searches: list[Findings], *, prefix: str) -> str:
     violation.  Empty if no claim has a margin yet, and with a reference, whose scores are no margins.
     """
     goals = searches[0].goals
-    claims = [k for k in range(len(goals)) if any(one.improvements[k] for one in searches)]
+    claims = [k for k in range(len(goals)) if any(findings.improvements[k] for findings in searches)]
     if not claims or goals[0].against:
         return ""
     height = TOP_PX + len(claims) * (PANEL_PX + GAP_PX)
@@ -266,7 +269,7 @@ def progress_figure(searches: list[Findings], *, prefix: str) -> str:
         for findings, ink, dashes in zip(searches, INKS, DASHES, strict=False):
             _curve(axes, findings, claim, ink, dashes)
         _decorate(axes, searches, claim)
-    names = " and ".join(one.searcher for one in searches)
+    names = " and ".join(findings.searcher for findings in searches)
     return picture.svg(
         prefix=prefix,
         title="Least margin so far, over the runs",
@@ -290,7 +293,7 @@ def _curve(axes: Axes, findings: Findings, claim: int, ink: Ink, dashes: tuple[f
 
 def _decorate(axes: Axes, searches: list[Findings], claim: int) -> None:
     goal = searches[0].goals[claim]
-    most = max(2, *(one.tried for one in searches))
+    most = max(2, *(findings.tried for findings in searches))
     axes.x.log = True
     axes.x.show(1.0, most)
     axes.x.ticks = [(10**k, f"{10**k:,}") for k in range(12) if 10**k <= most]

@@ -359,7 +359,7 @@ def _limit_lines(axes: Axes, limits: list[tuple[str, float]]) -> None:
     for value, names in named.items():
         height = axes.y.at(value)
         right = 1.0
-        while any(abs(height - taken) < LABEL_PX and right == place for taken, place in used):
+        while any(abs(height - used_height) < LABEL_PX and right == place for used_height, place in used):
             right -= 0.25
         used.append((height, right))
         label = f"{' and '.join(names)}: {value:g}"

@@ -60,26 +60,26 @@ class ClaimLine:
     @property
     def rank(self) -> tuple[bool, int, float]:
         """Sort key, worst first: surprises, then the gravest verdict, then the margin in its unit's scale."""
-        found = self.evaluation
-        margin = inf if found.margin is None else found.margin / SCALES[found.unit]
-        return not self.differs, SEVERITY.index(found.verdict), margin
+        evaluation = self.evaluation
+        margin = inf if evaluation.margin is None else evaluation.margin / SCALES[evaluation.unit]
+        return not self.differs, SEVERITY.index(evaluation.verdict), margin
 
 
 def lines_of(run: JudgedRun) -> Iterator[ClaimLine]:
     """Yield the verdict on each claim of a run, in the order of its file."""
     place = run.trace.scenario.places.get("avoider")
     overridden = place.field if place is not None and (place.field or "").startswith("--") else ""
-    for (claim, found), same in zip(run.judged_claims(), run.as_expected, strict=True):
-        words, remark = found.verdict.value, ""
-        if not found.applicable:
-            words = "not applicable"
+    for (claim, evaluation), same in zip(run.judged_claims(), run.as_expected, strict=True):
+        text, remark = evaluation.verdict.value, ""
+        if not evaluation.applicable:
+            text = "not applicable"
         elif not same:
-            words, remark = words.upper(), f" (expected {claim.expectation})"
-        elif found.verdict is not Verdict.HOLDS:
-            words += ", as expected"
-        if overridden and claim.is_loosely(found.verdict):
+            text, remark = text.upper(), f" (expected {claim.expectation})"
+        elif evaluation.verdict is not Verdict.HOLDS:
+            text += ", as expected"
+        if overridden and claim.is_loosely(evaluation.verdict):
             remark = f" (expected of another than {overridden}: it may be for another reason)"
-        yield ClaimLine(run.trace.scenario.name, claim.sentence, found, words, remark, not same)
+        yield ClaimLine(run.trace.scenario.name, claim.sentence, evaluation, text, remark, not same)
 
 
 def every_line(run: JudgedRun) -> Iterator[str]:
@@ -96,7 +96,7 @@ def block_of(run: JudgedRun) -> Iterator[str]:
     """Yield the lines on a single run: what was tested, the nearest hand, and the claims, worst first."""
     lines = sorted((line for line in lines_of(run) if line.evaluation.applicable), key=lambda line: line.rank)
     yield f"{tested_line(run)}, in {made_in(run.trace)}, seed {run.trace.scenario.seed}"
-    yield from [words for words in [nearest_hand_words(run.trace)] if words]
+    yield from [text for text in [nearest_hand_words(run.trace)] if text]
     wide = max((len(line.words) for line in lines), default=0)
     longest = min(max((len(line.sentence) for line in lines), default=0), LONGEST)
     for line in lines:
@@ -111,18 +111,18 @@ def nearest_hand_words(trace: Trace) -> str:
     A simulated contact has the highest speeds of hand and TCP just before.  Empty for a run without hands,
     and where the distance was not measured.
     """
-    found = nearest_hand(trace)
-    if found.margin is None or found.worst_time_s is None:
+    nearest = nearest_hand(trace)
+    if nearest.margin is None or nearest.worst_time_s is None:
         return ""
-    moment = f"{found.reason} at {found.worst_time_s:.3f} s"
-    if found.verdict is not Verdict.VIOLATED or not trace.known.simulated:
-        return f"{'contact' if found.verdict is Verdict.VIOLATED else 'nearest hand'}: {moment}"
+    moment = f"{nearest.reason} at {nearest.worst_time_s:.3f} s"
+    if nearest.verdict is not Verdict.VIOLATED or not trace.known.simulated:
+        return f"{'contact' if nearest.verdict is Verdict.VIOLATED else 'nearest hand'}: {moment}"
     period_s = trace.scenario.settings.clock.control_period_s
-    last = min(int(found.worst_time_s / period_s), len(trace.ticks) - 1)
-    before = trace.ticks[max(last - int(BEFORE_S / period_s), 0) : last + 1]
-    hand = int(np.argmin(before["hand_distance_m"][-1]))
-    before = before[before["hand_present"][:, hand]]
-    hand_m, tcp_m = before["hand_position_in_base_m"][:, hand], before["transform_tcp_to_base"][:, :3, 3]
+    last = min(int(nearest.worst_time_s / period_s), len(trace.ticks) - 1)
+    moments = trace.ticks[max(last - int(BEFORE_S / period_s), 0) : last + 1]
+    hand = int(np.argmin(moments["hand_distance_m"][-1]))
+    moments = moments[moments["hand_present"][:, hand]]
+    hand_m, tcp_m = moments["hand_position_in_base_m"][:, hand], moments["transform_tcp_to_base"][:, :3, 3]
     steps_m = [np.linalg.norm(np.diff(path_m, axis=0), axis=1).max(initial=0.0) for path_m in (hand_m, tcp_m)]
     hand_words, tcp_words = (f"at up to {1e3 * step_m / period_s:.0f} mm/s" for step_m in steps_m)
     return f"contact: {moment}; before, the hand moved {hand_words}, the tool {tcp_words}"
@@ -132,13 +132,15 @@ def surprise_lines(runs: Sequence[JudgedRun]) -> Iterator[str]:
     """Yield of many runs each verdict that differs from the expected one, then those that decide nothing."""
     lines = [line for run in runs for line in lines_of(run) if line.evaluation.applicable]
     differing = sorted((line for line in lines if line.differs), key=lambda line: line.rank)
-    undecided = [one for one in lines if not one.differs and one.evaluation.verdict is Verdict.INCONCLUSIVE]
-    for found in (differing, undecided):
-        for line in found[:MOST_LINES]:
+    undecided = [
+        line for line in lines if not line.differs and line.evaluation.verdict is Verdict.INCONCLUSIVE
+    ]
+    for group in (differing, undecided):
+        for line in group[:MOST_LINES]:
             yield f"{line.words}  {line.run}: {line.sentence}  {line.margin}{line.remark}".rstrip()
             yield f"    {line.evaluation.reason}"
-        if len(found) > MOST_LINES:
-            yield f"... {len(found) - MOST_LINES} more like these; -v prints every verdict"
+        if len(group) > MOST_LINES:
+            yield f"... {len(group) - MOST_LINES} more like these; -v prints every verdict"
 
 
 def tested_line(run: JudgedRun) -> str:

@@ -172,9 +172,9 @@ def changes(scenario: Scenario) -> list[tuple[str, str, str]]:
 def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
     """Return the subject of a verdict: avoider or controller, shield, gate, and each changed setting."""
     shield = [] if scenario.shield is None else [f"shield {scenario.shield.kind.value}"]
-    gate = [] if scenario.gate is None else [f"gate {', '.join(scenario.gate.words)}"]
+    gate = [] if scenario.gate is None else [f"gate {', '.join(scenario.gate.demands)}"]
     changed = (f"{name} {value}" for name, _, value in changes(scenario))
-    return ", ".join([system.words, *shield, *gate, *changed]) + unknown_files(scenario)
+    return ", ".join([system.label, *shield, *gate, *changed]) + unknown_files(scenario)
 
 
 def unknown_files(scenario: Scenario) -> str:

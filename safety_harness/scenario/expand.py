@@ -192,14 +192,14 @@ def mistakes_of(variant: Variant, file: Path, mended: list[Mended]) -> list[Inpu
     """
     errors, tree, faulty, there = list[InputError](), variant.tree, set[str](), set[str]()
     while True:
-        with every_mistake() as found:
+        with every_mistake() as mistakes:
             scenario = scenario_of_variant(replace(variant, tree=tree), file)
-        if not found:
+        if not mistakes:
             mended.append(Mended(scenario, frozenset(faulty)))
-        if not isinstance(tree, Mapping) or not found:
-            return errors or found
+        if not isinstance(tree, Mapping) or not mistakes:
+            return errors or mistakes
         there = there or {key.text for key, _ in tree.entries}
-        named = [(_top_key(tree, error), error) for error in found]
+        named = [(_top_key(tree, error), error) for error in mistakes]
         for name, error in named:
             if not faulty:
                 errors.append(error)

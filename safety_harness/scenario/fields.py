@@ -40,52 +40,52 @@ def is_sentence(text: str) -> bool:
     return bool(text.strip()) and text.isprintable() and len(text) <= _LONGEST_SENTENCE
 
 
-_found: ContextVar[list[InputError] | None] = ContextVar("_found", default=None)
+_mistakes: ContextVar[list[InputError] | None] = ContextVar("_mistakes", default=None)
 
 
 @contextmanager
 def every_mistake() -> Iterator[list[InputError]]:
     """Yield the list of all mistakes within the context; readers go on after a mistake as far as they can."""
-    found: list[InputError] = []
-    token = _found.set(found)
+    mistakes: list[InputError] = []
+    token = _mistakes.set(mistakes)
     try:
-        yield found
+        yield mistakes
     except InputError as error:
         noted(error)
     finally:
-        _found.reset(token)
+        _mistakes.reset(token)
 
 
 @contextmanager
 def one_mistake() -> Iterator[None]:
     """Let readers stop at the first mistake within ``every_mistake``: for draws that may be refused."""
-    token = _found.set(None)
+    token = _mistakes.set(None)
     try:
         yield
     finally:
-        _found.reset(token)
+        _mistakes.reset(token)
 
 
 def noted(error: InputError) -> InputError:
     """Keep and return a mistake within ``every_mistake``, and raise it elsewhere."""
-    found = _found.get()
-    if found is None:
+    mistakes = _mistakes.get()
+    if mistakes is None:
         raise error
-    if error not in found:
-        found.append(error)
+    if error not in mistakes:
+        mistakes.append(error)
     return error
 
 
 def each(read: Callable[[T], V], items: Iterable[T]) -> list[V]:
     """Return ``read`` of each item, or raise the first mistake (within ``every_mistake`` after all)."""
-    made, wrong = [], list[InputError]()
+    made, mistakes = [], list[InputError]()
     for item in items:
         try:
             made.append(read(item))
         except InputError as error:
-            wrong.append(noted(error))
-    if wrong:
-        raise wrong[0]
+            mistakes.append(noted(error))
+    if mistakes:
+        raise mistakes[0]
     return made
 
 
@@ -261,13 +261,13 @@ class Field(NamedTuple):
         given = self.entries(_mapping_with(allowed))
         renamed = {old: new for old, new in (former or {}).items() if new not in dict(given)}
         entries = [(renamed.get(key, key), field) for key, field in given]
-        wrong = None
+        mistake = None
         for key, field in entries:
             if key not in allowed:
                 hint = (hints or {}).get(key) or near_miss(key, allowed)
                 expected = f"one of the keys {', '.join(allowed)}"
-                wrong = noted(field.error(expected, got=f'the key "{shown(key)}"', hint=hint))
-        return Fields(self, {key: field for key, field in entries if key in allowed}, wrong)
+                mistake = noted(field.error(expected, got=f'the key "{shown(key)}"', hint=hint))
+        return Fields(self, {key: field for key, field in entries if key in allowed}, mistake)
 
 
 @lru_cache

@@ -95,7 +95,7 @@ def resolved(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def told(path: Path) -> Path:
+def display_path(path: Path) -> Path:
     """Return the name of a file for a result: relative to the working directory, or its name alone.
 
     Results are public, and a path from the root reveals a machine and its user.  A relative path stays

@@ -31,7 +31,7 @@ class PositionBox:
         return float(np.min(sides))
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """Its corners in words."""
         low, high = (", ".join(f"{1e3 * x:g}" for x in corner) for corner in (self.low_m, self.high_m))
         return f"({low}) to ({high}) mm"
@@ -58,9 +58,9 @@ class AskedRegion:
         return float(np.min([self.hand.depth_m(hand_in_base_m), self.tcp.depth_m(tcp_in_base_m)]))
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """Both boxes in words."""
-        return f"hands {self.hand.words}, TCPs {self.tcp.words}"
+        return f"hands {self.hand.summary}, TCPs {self.tcp.summary}"
 
 
 @declared
@@ -84,12 +84,12 @@ class GateRule:
     )
 
     @property
-    def words(self) -> Iterator[str]:
+    def demands(self) -> Iterator[str]:
         """Its demands, each in a few words."""
         if self.hands_within is not None:
             yield f"every hand within {100.0 * self.hands_within:g} %"
         if self.questions_within is not None:
-            yield f"questions within {self.questions_within.words}"
+            yield f"questions within {self.questions_within.summary}"
 
 
 GATE = table_of(GateRule, "gate", path="gate")

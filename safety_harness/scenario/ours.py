@@ -14,7 +14,7 @@ from pathlib import Path
 
 from safety_harness.base.exceptions import Place, ScenarioError
 from safety_harness.base.shipped.contents import PREFIX, located
-from safety_harness.scenario.files import TITLES, resolved, told
+from safety_harness.scenario.files import TITLES, display_path, resolved
 from safety_harness.scenario.kinds import HEAD_BYTES, SUFFIXES, FileKind, kind_of
 from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar, Sequence, parse_tree
@@ -99,7 +99,7 @@ def aside_lines(files: Iterable[Path]) -> list[str]:
     for file in files:
         kind = kind_of(file)
         noun = "not ours" if kind is None or (kind in _SHARED and not is_ours(file)) else kind.words
-        by_kind.setdefault(noun, []).append(str(told(file)))
+        by_kind.setdefault(noun, []).append(str(display_path(file)))
     return [f"left aside, {noun}: {', '.join(names)}" for noun, names in by_kind.items()]
 
 

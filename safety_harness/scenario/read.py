@@ -200,17 +200,17 @@ def _check_duration(duration_s: float, field: Field, settings: Settings) -> None
 def _settings(given: Fields, robot: AnyRobot) -> Settings:
     """Return the defaults with the values of the file; an own arm brings its own braking data."""
 
-    def read(found: tuple[str, Field]) -> tuple[str, Any]:
-        name, group = found
+    def read(named_group: tuple[str, Field]) -> tuple[str, Any]:
+        name, group = named_group
         if name == "braking" and isinstance(robot, OwnRobot):
             raise group.error("the braking of an own arm below the key robot", got="it in the settings")
         return name, read_group(group, name)
 
-    found = [(name, given.required(key)) for key, name in TOP_GROUPS.items() if key in given]
+    named_groups = [(name, given.required(key)) for key, name in TOP_GROUPS.items() if key in given]
     if "settings" in given:
         groups = given.required("settings").fields(tuple(SETTINGS_KEYS), hints=_misplaced())
-        found += [(SETTINGS_KEYS[key], group) for key, group in groups.by_key.items()]
-    changes = dict(each(read, found))
+        named_groups += [(SETTINGS_KEYS[key], group) for key, group in groups.by_key.items()]
+    changes = dict(each(read, named_groups))
     if isinstance(robot, OwnRobot):
         changes["braking"] = robot.braking.settings
     return replace(DEFAULTS, **changes)

@@ -47,9 +47,11 @@ def _expectation(claim: Claim) -> str:
 
 CLAIMS = FreeKeys(
     of=Text(
-        words=EXPECTED, pattern=f"^(holds|violated|inconclusive|violated{BY_AT_MOST}.+)$", writes=_expectation
+        description=EXPECTED,
+        pattern=f"^(holds|violated|inconclusive|violated{BY_AT_MOST}.+)$",
+        writes=_expectation,
     ),
-    words="mapping, at least one",
+    description="mapping, at least one",
     expected="a mapping of claims, such as hand distance never below 50 mm: holds",
     least=1,
 )
@@ -102,7 +104,7 @@ def _title(field: Field) -> str:
 
 def _prose(expected: str) -> Text:
     """Return the kind of a text of several lines."""
-    return Text(words="text", reads=lambda field: field.prose(expected, lines=True))
+    return Text(description="text", reads=lambda field: field.prose(expected, lines=True))
 
 
 def _added(name: str) -> Key:
@@ -126,7 +128,7 @@ def _write_added(values: tuple[tuple[str, Any], ...]) -> dict[str, Tree]:
     return {name: _added(name).value.write(value) for name, value in values}
 
 
-_LINE = Text(words="text, one line", reads=_title)
+_LINE = Text(description="text, one line", reads=_title)
 TOP = KeyTable(
     name="a scenario",
     keys=(
@@ -182,7 +184,7 @@ TOP = KeyTable(
         ),
         Key(
             "avoider",
-            Text(words="name or file", expected="the name of an avoider"),
+            Text(description="name or file", expected="the name of an avoider"),
             "what proposes repulsive positions: a name, `FILE.py:NAME` or `FILE.safetensors` "
             "([avoiders](how-to/avoider.md))",
             "opposite pose",
@@ -191,7 +193,7 @@ TOP = KeyTable(
         ),
         Key(
             "controller",
-            Text(words="name or file", expected="the name of a controller"),
+            Text(description="name or file", expected="the name of a controller"),
             "what drives the arm: a name, or a program of yours; only the visual servo has an avoider "
             "([controllers](how-to/controller.md))",
             "stop when near",
@@ -243,7 +245,9 @@ TOP = KeyTable(
         Key(
             "faults",
             Several(
-                of=Below(tables=fault_tables()), words=f"list of at most {MOST_FAULTS}", most=MOST_FAULTS
+                of=Below(tables=fault_tables()),
+                description=f"list of at most {MOST_FAULTS}",
+                most=MOST_FAULTS,
             ),
             "what goes wrong, and when",
             "faults:\n  - hand sensor: freezes\n    from: 500 ms\n    for: 200 ms",
@@ -272,7 +276,7 @@ TOP = KeyTable(
         ),
         Key(
             "extensions",
-            Text(words="mapping", reads=_read_added, writes=_write_added, or_mapping=True),
+            Text(description="mapping", reads=_read_added, writes=_write_added, or_mapping=True),
             "keys that installed packages add, each read by its package "
             "([how](explanation/architecture.md#how-a-wing-registers-its-parts))",
             "{}",
@@ -295,14 +299,14 @@ COMPOSED = KeyTable(
     keys=(
         Key(
             "extends",
-            Text(words="path"),
+            Text(description="path"),
             f"the file whose values hold where this one says nothing; at most {LONGEST_CHAIN} in a chain",
             "bases/overhead.yaml",
             "none",
         ),
         Key(
             "without",
-            Several(of=Text(words="key or claim"), words="list of keys and claims", least=1),
+            Several(of=Text(description="key or claim"), description="list of keys and claims", least=1),
             "what of the extended file does not hold: keys at its top, or claims",
             "[hands, hand distance never below 50 mm]",
             "none",
@@ -332,7 +336,7 @@ SUITE = KeyTable(
         ),
         Key(
             "scenarios",
-            Several(of=Text(words="path"), words="list of paths", least=1),
+            Several(of=Text(description="path"), description="list of paths", least=1),
             "files, folders and other suites, relative to this file",
             "[fast-reach.yaml, recorded]",
         ),

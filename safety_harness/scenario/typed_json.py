@@ -68,7 +68,7 @@ def typed(
     file: Path,
     *,
     where: str = "",
-    others: bool = False,
+    further_fields: bool = False,
     defaults: bool = False,
     error: type[InputError] = InputError,
 ) -> T:
@@ -79,7 +79,7 @@ def typed(
         kind: The type; an object must have all fields of its dataclass.
         file: The file, for errors.
         where: The path to the data in the file.
-        others: Whether objects may have further fields, and lack fields with a default.
+        further_fields: Whether objects may have further fields, and lack fields with a default.
         defaults: Whether objects may lack fields with a default.
         error: The type of the error, which has the path of the first wrong field.
 
@@ -91,7 +91,7 @@ def typed(
 
     try:
         made = msgspec.convert(data, kind)
-        refusals = [] if others else list(_other_fields(data, made, "", defaults))
+        refusals = [] if further_fields else list(_other_fields(data, made, "", defaults))
     except ValueError as reason:
         message, path = re.fullmatch(r"(.*?)(?: - at `\$(.*)`)?", str(reason), re.DOTALL).groups("")  # type: ignore[union-attr]
         expected, _, got = message.removeprefix("Expected ").replace("`", "").partition(", got ")

@@ -32,7 +32,9 @@ def difference_of(mine: Evaluation, reference: Evaluation) -> float:
     return difference(mine.margin, reference.margin, SCALES[mine.unit], tolerance(mine, reference))
 
 
-def difference(mine: float | None, reference: float | None, scale: float, by: float | None = None) -> float:
+def difference(
+    mine: float | None, reference: float | None, scale: float, tolerance: float | None = None
+) -> float:
     """Return the value that leads a search for a difference, in the unit of both margins; less is better.
 
     The value is negative exactly where ``mine`` < 0 and the reference keeps the claim by the tolerance; it
@@ -44,7 +46,7 @@ def difference(mine: float | None, reference: float | None, scale: float, by: fl
         mine: The margin of the avoider under test [unit of ``scale``]; None or NaN if it is unknown.
         reference: The margin of the reference; without it, a violation counts whole.
         scale: The scale of the unit.
-        by: The tolerance; None: ``TOLERANCE`` times the scale.
+        tolerance: The tolerance; None: ``TOLERANCE`` times the scale.
 
     Returns:
         The difference; NaN if it is unknown.
@@ -54,7 +56,7 @@ def difference(mine: float | None, reference: float | None, scale: float, by: fl
         return float("nan")
     if reference is None or isnan(reference):
         return mine if mine < 0.0 else float("nan")
-    short = (TOLERANCE * scale if by is None else by) - reference
+    short = (TOLERANCE * scale if tolerance is None else tolerance) - reference
     if mine < 0.0 and short <= 0.0:
         return mine - reference
     ahead = (mine - reference + max(mine, 0.0) + max(short, 0.0)) / scale
@@ -106,7 +108,7 @@ class Reference:
             return False
         return evaluation.margin is None or evaluation.margin >= tolerance(evaluation)
 
-    def words(self, claim: Claim, run: Trace) -> str:
+    def verdict_text(self, claim: Claim, run: Trace) -> str:
         """Return the reference's verdict and margin for ``claim`` in words."""
         judged = self.said_of(claim, run)
         verdict = "no run" if judged is None else f"{judged.verdict.value}, {judged.margin_text()}"

@@ -19,7 +19,7 @@ _MARGIN = 0.05  # beyond a face
 _PATIENCE = 10  # generations without an improvement
 
 
-def _within(points: Points) -> Points:
+def _folded(points: Points) -> Points:
     """Return ``points`` (m, n) in the unit cube: folded beyond a margin, and bent smoothly to the faces.
 
     More points lie at a face than after a reflection.  The package ``cma`` 4.5 does the same.
@@ -28,11 +28,11 @@ def _within(points: Points) -> Points:
     folded = width - np.abs(width - np.mod(points + _MARGIN, 2.0 * width))  # from 0 to the width
     low, high = folded < 2.0 * _MARGIN, folded > 1.0
     inside = np.where(low, folded * folded / (4.0 * _MARGIN), folded - _MARGIN)
-    over = width - folded
-    return np.where(high, 1.0 - over * over / (4.0 * _MARGIN), inside)
+    mirrored = width - folded
+    return np.where(high, 1.0 - mirrored * mirrored / (4.0 * _MARGIN), inside)
 
 
-def _before(point: Point) -> Point:
+def _unfolded(point: Point) -> Point:
     """Return what ``_within`` maps to ``point`` (n,)."""
     low = 2.0 * np.sqrt(_MARGIN * point) - _MARGIN
     high = 1.0 + _MARGIN - 2.0 * np.sqrt(_MARGIN * (1.0 - point))
@@ -54,7 +54,7 @@ class _Evolution:
 
     def __init__(self, mean: Point, step: float, rng: np.random.Generator, population: int | None) -> None:
         n = len(mean)
-        self._mean, self.sigma, self._rng = _before(mean), step, rng
+        self._mean, self.sigma, self._rng = _unfolded(mean), step, rng
         self._count = population or 4 + int(3 * log(n))
         weights = log(0.5 * (self._count + 1)) - log(np.arange(1.0, self._count + 1.0))
         better, worse = weights[: self._count // 2], weights[self._count // 2 :]
@@ -66,8 +66,8 @@ class _Evolution:
         self._one_share = 2.0 / ((n + 1.3) * (n + 1.3) + effective)
         many = 2.0 * (effective - 2.0 + 1.0 / effective) / ((n + 2.0) * (n + 2.0) + effective)
         self._many_share = min(1.0 - self._one_share, many)
-        apart = worse.sum() * worse.sum() / np.maximum((worse * worse).sum(), 1e-12)
-        most = 1.0 + self._one_share / self._many_share, 1.0 + 2.0 * apart / (effective + 2.0)
+        worse_share = worse.sum() * worse.sum() / np.maximum((worse * worse).sum(), 1e-12)
+        most = 1.0 + self._one_share / self._many_share, 1.0 + 2.0 * worse_share / (effective + 2.0)
         most = min(*most, (1.0 - self._one_share - self._many_share) / (n * self._many_share))
         self._worse = most * worse / max(-float(worse.sum()), 1e-12)  # their directions become shorter
         self._usual = float(np.sqrt(n)) * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n * n))
@@ -83,15 +83,15 @@ class _Evolution:
         draws = standard_normal(self._rng, (self._count, len(self._mean)))
         self._steps = product(draws * self._roots, self._axes.T)
         self._sizes = np.maximum((draws * draws).sum(axis=1), 1e-12)
-        return list(_within(self._mean + self.sigma * self._steps))
+        return list(_folded(self._mean + self.sigma * self._steps))
 
-    def tell(self, scores: NDArray[np.float64]) -> None:
+    def learn(self, scores: NDArray[np.float64]) -> None:
         """Learn the scores of the generation; less is better."""
         order, count = np.argsort(scores, kind="stable"), len(self._weights)
         chosen = self._steps[order[:count]]
         step = product(self._weights, chosen)
         self._mean = self._mean + self.sigma * step
-        a, c, one, many = self._path_share, self._long_share, self._one_share, self._many_share
+        a, c, one_share, many = self._path_share, self._long_share, self._one_share, self._many_share
         white = product(self._axes, product(self._axes.T, step) / self._roots)
         self._path = (1.0 - a) * self._path + np.sqrt(a * (2.0 - a) * self._effective) * white
         self._generations, self._forgotten = self._generations + 1, self._forgotten * (1.0 - a) * (1.0 - a)
@@ -101,10 +101,15 @@ class _Evolution:
         if short:
             self._long_path = self._long_path + np.sqrt(c * (2.0 - c) * self._effective) * step
         weights = np.concatenate([self._weights, self._worse * n / self._sizes[order[count:]]])
-        left = 1.0 - one - many * (1.0 + float(self._worse.sum())) + (0.0 if short else one * c * (2.0 - c))
+        left = (
+            1.0
+            - one_share
+            - many * (1.0 + float(self._worse.sum()))
+            + (0.0 if short else one_share * c * (2.0 - c))
+        )
         ranked = product(self._steps[order].T * weights, self._steps[order])
         self._covariance = left * self._covariance + many * ranked
-        self._covariance += one * np.outer(self._long_path, self._long_path)
+        self._covariance += one_share * np.outer(self._long_path, self._long_path)
         self.sigma *= float(exp(min(1.0, a / self._damping * (size / self._usual - 1.0))))
 
     @property
@@ -173,7 +178,7 @@ class Descent:
         lowest = finite.min() if len(finite) else np.inf
         self.since_better = 0 if lowest < self.best - 1e-3 else self.since_better + 1
         self.best = min(self.best, lowest)
-        self._evolution.tell(np.where(np.isfinite(all_scores), all_scores, worst + 1.0))
+        self._evolution.learn(np.where(np.isfinite(all_scores), all_scores, worst + 1.0))
         self._population = []
 
     @property

@@ -42,7 +42,7 @@ class Complaint:
         return self.kind if self.claim is None else self.claim.sentence
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The complaint in words, with the avoider's fault if it gave no answer."""
         return f"{self.sentence}: {self.kind}" if self.claim is not None and self.kind else self.sentence
 
@@ -66,7 +66,7 @@ class Complaint:
         """Return the reference's verdict on the claim in words; empty without a reference."""
         if self.claim is None or self.reference is None or isinstance(run, Exception):
             return ""
-        return self.reference.words(self.claim, run)
+        return self.reference.verdict_text(self.claim, run)
 
 
 def failure_of(run: Trace | Exception) -> str:

@@ -39,7 +39,9 @@ STARTS_S, PYBULLET_COSTS = 5.0, 5.0  # as measured: to start a run, and the fact
 
 def cost_s(world: WorldEntry, runs: Sequence[Scenario]) -> float:
     """Return the cost of runs, in simulated seconds of the kinematic world."""
-    return (PYBULLET_COSTS if world == PYBULLET else 1.0) * sum(STARTS_S + one.duration_s for one in runs)
+    return (PYBULLET_COSTS if world == PYBULLET else 1.0) * sum(
+        STARTS_S + scenario.duration_s for scenario in runs
+    )
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ class Allowance:
         world: WorldEntry = getattr(runner, "world", KINEMATIC)
 
         def run(admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
-            self.spent_s += cost_s(world, [one.scenario for one in admitted])
+            self.spent_s += cost_s(world, [run.scenario for run in admitted])
             return runner(admitted)
 
         return run
@@ -304,13 +306,13 @@ def counterexample_of(
     on_step("asking whose fault it is")
     last = in_one_world(world, admit(shrunk.scenario), first if shrunk.scenario == scenario else None)
     claim = None if complaint.kind or shrunk.interrupted else complaint.claim
-    asked = allowance.has() or not allowance.explained
-    told = Explanation() if claim is None or not asked else explain(shrunk.scenario, claim)
-    allowance.spent_s += told.cost_s
-    allowance.explained |= bool(told.lines)
+    affordable = allowance.has() or not allowance.explained
+    explanation = Explanation() if claim is None or not affordable else explain(shrunk.scenario, claim)
+    allowance.spent_s += explanation.cost_s
+    allowance.explained |= bool(explanation.lines)
     draws = not (shrunk.interrupted or shrunk.scenario.driven)
     drawn = draws and allowance.has(cost_s(PYBULLET, [shrunk.scenario] * DRAWS))
-    is_cut |= (claim is not None and not asked) or draws is not drawn
+    is_cut |= (claim is not None and not affordable) or draws is not drawn
     return Counterexample(
         complaint,
         shrunk,
@@ -321,9 +323,9 @@ def counterexample_of(
         tuple(filter(None, (complaint.reference_words(last.run), *circumstances(last.run))))
         if isinstance(last.run, Trace)
         else (),
-        told.lines,
+        explanation.lines,
         confirm.share_of_draws(shrunk.scenario, DRAWS) if drawn else None,
-        told.causes,
+        explanation.causes,
         is_cut and not shrunk.interrupted,
     )
 
@@ -338,9 +340,9 @@ def text_of(case: Counterexample, origin: Sequence[str], trace_file: Path | None
 
     """
     head = [f"A counterexample to: {case.complaint.sentence}", *origin]
-    if case.complaint.words != case.complaint.sentence:
+    if case.complaint.summary != case.complaint.sentence:
         head.insert(1, case.complaint.kind)
-    head.append(f"{case.shrunk.words}.".capitalize())
+    head.append(f"{case.shrunk.summary}.".capitalize())
     for evaluation in case.evaluations:
         head += _margins(evaluation, "")
     if isinstance(case.run, Trace):
@@ -371,7 +373,7 @@ def _evidence(trace: Trace) -> list[str]:
         f"world {made.world}, safety-harness {made.package_version}, Python {made.python}, {made.platform}",
         f"libraries: {libraries}",
         f"source {made.source_hash}",
-        f"{trace.system.words}, file {trace.system.tested.sha256 or 'none'}",
+        f"{trace.system.label}, file {trace.system.tested.sha256 or 'none'}",
         f"robot {trace.system.robot.sha256}",
         f"claims {hashlib.sha256(claims.encode()).hexdigest()}",
         f"seed {scenario.seed} (hands and sensors); seeds of the decisions: {seeds}",

@@ -60,7 +60,7 @@ class Cube:
         return len(self.columns)
 
     @classmethod
-    def of(cls, space: ScenarioSpace) -> Cube:
+    def from_space(cls, space: ScenarioSpace) -> Cube:
         """Return the cube of a scenario ``space``."""
         columns = [Column() for _ in range(space.dimension)]
         for parameter in space.parameters:
@@ -80,6 +80,8 @@ class Cube:
             return mask
 
         return cls(tuple(columns), same, used)
+
+    of = from_space  # deprecated: the old name, for one release
 
     @property
     def flat_columns(self) -> NDArray[np.int64]:

@@ -35,7 +35,7 @@ class Goal:
     against: str = ""
 
     @classmethod
-    def of(cls, prop: Property, against: str = "") -> Goal:
+    def from_property(cls, prop: Property, against: str = "") -> Goal:
         """Return the goal of a property, with the scale of its unit.
 
         Args:
@@ -44,6 +44,8 @@ class Goal:
 
         """
         return cls(prop.sentence, SCALES[prop.unit], prop.unit, against)
+
+    of = from_property  # deprecated: the old name, for one release
 
     def margin_text(self, margin: float) -> str:
         """Return a margin [SI] as text in its display unit; a dash for a difference that is no finding."""
@@ -151,9 +153,11 @@ class Findings:
         self.improvements: list[list[tuple[int, float]]] = [[] for _ in self.goals]
 
     @property
-    def found(self) -> bool:
+    def found_any(self) -> bool:
         """Whether there is any violation or run error."""
         return bool(self.groups)
+
+    found = found_any  # deprecated: the old name, for one release
 
     def of_claim(self, claim: int | None) -> list[Group]:
         """Return the groups of ``claim``, or of run errors (None), worst first."""

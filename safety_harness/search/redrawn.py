@@ -67,27 +67,35 @@ def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Tria
         if not groups:
             continue
         drawn = drawn or draw()
-        anywhere = _lost((one.claims[claim].mine, one.claims[claim].reference) for one in drawn.differences)
+        anywhere = _lost(
+            (difference.claims[claim].mine, difference.claims[claim].reference)
+            for difference in drawn.differences
+        )
         draws = PAIRS // len(groups[:MOST_GROUPS])
-        own = [_redrawn(trials, admitter, one, claim, draws) for one in groups[:MOST_GROUPS]]
+        own = [_redrawn(trials, admitter, group, claim, draws) for group in groups[:MOST_GROUPS]]
         again = np.concatenate(own)
         much_by = np.inf if goal.unit in _OF_DECISIONS else goal.scale
         often, much = _alone(anywhere), _alone(np.concatenate([again, anywhere]), much_by)
         certain = sign_test(*much) < chance and much[0] > much[1]
         certain |= sign_test(*often) < chance and often[0] - often[1] > OFTEN * len(anywhere)
-        mere = [one for one, pairs in zip(groups, own, strict=False) if not np.subtract(*_alone(pairs)) > 0]
+        mere = [
+            group for group, pairs in zip(groups, own, strict=False) if not np.subtract(*_alone(pairs)) > 0
+        ]
         flips = groups if not certain else mere if len(mere) < len(groups) else []
-        findings.groups = [one for one in findings.groups if all(one is not flip for flip in flips)]
+        findings.groups = [group for group in findings.groups if all(group is not flip for flip in flips)]
         if flips:
             pairs_of_flips = [
-                pairs for one, pairs in zip(groups, own, strict=False) if any(one is flip for flip in flips)
+                pairs
+                for group, pairs in zip(groups, own, strict=False)
+                if any(group is flip for flip in flips)
             ]
             flipped = np.concatenate([np.empty((0, 2)), *pairs_of_flips])
             (worse, better), (more, fewer) = _alone(flipped), often
             lines.append(
-                f"{goal.sentence}: {sum(one.count for one in flips)} runs; drawn again, {goal.against} alone "
-                f"keeps it in {worse} of {len(flipped)} pairs, and alone violates it in {better}; of "
-                f"{len(anywhere)} pairs anywhere in the space, in {more} and in {fewer}"
+                f"{goal.sentence}: {sum(group.count for group in flips)} runs; "
+                f"drawn again, {goal.against} alone keeps it in {worse} "
+                f"of {len(flipped)} pairs, and alone violates it in {better}; "
+                f"of {len(anywhere)} pairs anywhere in the space, in {more} and in {fewer}"
             )
     return lines
 

@@ -81,7 +81,7 @@ class AskTell:
         self._asked = points
         return points
 
-    def tell(self, scores: Scores, cells: Sequence[Hashable] | None = None) -> None:
+    def tell_scores(self, scores: Scores, cells: Sequence[Hashable] | None = None) -> None:
         """Give the searcher the scores of the points that ``ask`` returned last.
 
         Args:
@@ -158,7 +158,7 @@ def find_violations(
         while findings.tried < budget and not (enough is not None and enough(findings)):
             points = ask_tell.ask(min(batch, budget - findings.tried))
             outcomes = evaluate(points, findings.asked)
-            ask_tell.tell(outcomes.margins / scales, outcomes.cells)
+            ask_tell.tell_scores(outcomes.margins / scales, outcomes.cells)
             findings.add(points, outcomes)
             if on_progress is not None:
                 on_progress(findings)

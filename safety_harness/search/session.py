@@ -83,8 +83,8 @@ def _violations(count: int) -> str:
     return f"{count:,} violation{'s' * (count != 1)}"
 
 
-def _tell(tell: Callable[[str], None], where: str, what: str) -> None:
-    tell(f"{where}: {what}")
+def _report_at(report: Callable[[str], None], where: str, message: str) -> None:
+    report(f"{where}: {message}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,24 +106,24 @@ class WrittenCounterexample:
     @property
     def lines(self) -> list[str]:
         """The counterexample, whose fault it is, and the command that runs it."""
-        one = self.one
-        margin = "-" if one.evaluation is None else one.evaluation.margin_text()
+        example = self.one
+        margin = "-" if example.evaluation is None else example.evaluation.margin_text()
         return [
-            f"violated {margin:>13}  {one.complaint.words}{AS_EXPECTED if self.expected else ''}",
-            f"  {self.found_words}; {one.shrunk.words}" + f", {one.contact}" * one.shrunk.done,
-            *(f"  {line}" for line in one.circumstances[: one.complaint.reference is not None]),
-            *(f"  {line}" for line in one.attribution),
+            f"violated {margin:>13}  {example.complaint.summary}{AS_EXPECTED if self.expected else ''}",
+            f"  {self.found_words}; {example.shrunk.summary}" + f", {example.contact}" * example.shrunk.done,
+            *(f"  {line}" for line in example.circumstances[: example.complaint.reference is not None]),
+            *(f"  {line}" for line in example.attribution),
             f"  safety-harness run {shlex.quote(str(self.path))}",
         ]
 
     @property
     def found_words(self) -> str:
         """How many violations led to it, and the confirmed margin and contact before it was shrunk."""
-        one, count = self.one, sum(group.count for group in self.groups)
-        words = [f"{_violations(count)} led to it"]
-        if one.evaluation is not None and one.found_margin is not None:
-            words.append(f"the worst by {one.evaluation.unit.margin_text(one.found_margin)}")
-        return ", ".join([*words, one.found_contact])
+        example, count = self.one, sum(group.count for group in self.groups)
+        parts = [f"{_violations(count)} led to it"]
+        if example.evaluation is not None and example.found_margin is not None:
+            parts.append(f"the worst by {example.evaluation.unit.margin_text(example.found_margin)}")
+        return ", ".join([*parts, example.found_contact])
 
 
 @dataclass(eq=False)
@@ -193,7 +193,7 @@ class SearchSession:
             folder: The folder below ``as-found`` for unshrunk findings; None saves no finding.
 
         """
-        cube = Cube.of(trials.space)
+        cube = Cube.from_space(trials.space)
         saved = _MOST_AS_FOUND if folder is None else 0
         budget = max(self.budget, LEAST_DRAWN) if folder is None else self.budget
 
@@ -222,7 +222,7 @@ class SearchSession:
         fallback = fallback_words(self.trials.unanswered, self.trials.decisions)
         self._draw_again()
         whole = summary(findings, self.budget) + (f"; {fallback}" if fallback else "")
-        overruled = filter(None, [self.trials.overruling.words])
+        overruled = filter(None, [self.trials.overruling.summary])
         lines = [*self.trials.space.notes, whole, *overruled, *nearest_lines(findings)]
         self.concluding(self)
         if self.baseline is not None:
@@ -330,24 +330,28 @@ class SearchSession:
         searches = [self.findings] if self.baseline is None else [self.findings, self.baseline]
         examples = []
         for claim in claims:
-            found = next((one for one in searches if one.of_claim(claim)), self.findings)
-            groups = _one_of_each_kind_first(found.of_claim(claim))
+            findings = next((search for search in searches if search.of_claim(claim)), self.findings)
+            groups = _one_of_each_kind_first(findings.of_claim(claim))
             if groups:
-                examples.append(_Examples(self, claim, found, groups, found.sentence_of(groups[0])))
+                examples.append(_Examples(self, claim, findings, groups, findings.sentence_of(groups[0])))
         each_s = cost_s(KINEMATIC, [self.trials.space.simplest])
         if not self.explains_all:
-            self.allowance.total_s = each_s * sum(one.tried for one in searches)
+            self.allowance.total_s = each_s * sum(search.tried for search in searches)
         going = []
-        with self.output.words() as tell:
-            for one in examples:
-                self.allowance.share(last=one is examples[-1])
-                going += [one] if one.explain_next(tell) else []
+        with self.output.messages() as report:
+            for example in examples:
+                self.allowance.share(last=example is examples[-1])
+                going += [example] if example.explain_next(report) else []
             self.allowance.share(last=True)
             while going:
-                others = self.allowance.has(AN_EXAMPLE * each_s)
-                going = [one for one in going if (one.claim is None or others) and one.explain_next(tell)]
-        for one in examples:
-            one.report()
+                affordable = self.allowance.has(AN_EXAMPLE * each_s)
+                going = [
+                    example
+                    for example in going
+                    if (example.claim is None or affordable) and example.explain_next(report)
+                ]
+        for example in examples:
+            example.report()
         self.output.say(*self.left)
 
     def _counterexample(
@@ -456,16 +460,16 @@ class _Examples:
 
     def _has_an_example(self, group: Group) -> bool:
         """Return whether the worst run of a group, as found, has the cause of an example."""
-        session, causes = self.session, {cause for one in self.written for cause in one.one.causes}
+        session, causes = self.session, {cause for written in self.written for cause in written.one.causes}
         if session.explains_all or self.claim is None or not causes:
             return False
         claim = session.trials.claims[self.claim]
-        told = session.explain(session._scenario_of(session.out, group.worst), claim)
-        session.allowance.spent_s += told.cost_s
-        self.again += group.count * (known := not causes.isdisjoint(told.causes))
+        explanation = session.explain(session._scenario_of(session.out, group.worst), claim)
+        session.allowance.spent_s += explanation.cost_s
+        self.again += group.count * (known := not causes.isdisjoint(explanation.causes))
         return known
 
-    def explain_next(self, tell: Callable[[str], None]) -> bool:
+    def explain_next(self, report: Callable[[str], None]) -> bool:
         """Explain the next violation that the confirming world shows; return whether there was any."""
         session = self.session
         while self.left and len(self.written) < MOST_SHRUNK and self.shrunk < 2 * MOST_SHRUNK:
@@ -479,11 +483,13 @@ class _Examples:
                 session.findings.interrupted = True
                 break
             at = f"{self.findings.sentence_of(group)}, example {self.shrunk + 1}"
-            case = session._counterexample(group, len(self.written) + 1, partial(_tell, tell, at))
+            case = session._counterexample(group, len(self.written) + 1, partial(_report_at, report, at))
             if case is None:
                 continue
             self.shrunk += 1
-            if (same := next((one for one in self.written if case.is_same_as(one.one)), None)) is not None:
+            if (
+                same := next((written for written in self.written if case.is_same_as(written.one)), None)
+            ) is not None:
                 same.groups.append(group)
             else:
                 self.written.append(session._save(case, [group], self.findings.searcher))
@@ -645,7 +651,7 @@ def against_lines(against: Against, findings: Findings, touching: int, overruled
 
     """
     lines = [f"against {against.reference}: {line}" for line in against.lines()]
-    if findings.tried and not (findings.found or overruled):
+    if findings.tried and not (findings.found_any or overruled):
         touch = f"; in {touching} of them a hand touched the arm" if touching else ""
         lines.append(
             f"nothing found that {against.reference} does not do as well, in {findings.tried} runs{touch}. A "
@@ -681,12 +687,12 @@ def remarks(trials: Trials, findings: Findings, overruled: str = "") -> list[str
         lines.append(f"nearest hand: {least}; in {touching} of {findings.tried} runs a hand touched the arm")
     if trials.against is not None:
         lines += against_lines(trials.against, findings, touching, overruled)
-    elif not findings.found and touching:
+    elif not findings.found_any and touching:
         lines.append(
             "no claim was violated: none here says that a hand must not touch the arm (--claim 'hand "
             "distance never below 1 mm' searches for that)"
         )
-    elif not findings.found and findings.tried:
+    elif not findings.found_any and findings.tried:
         lines.append(
             f"nothing found in {findings.tried} runs. A search estimates nothing: that is no evidence of "
             "safety in the rest of the space"

@@ -26,7 +26,7 @@ from safety_harness.scenario.model import (
 from safety_harness.scenario.moves import REACHING_MPS, ReachForObject, ReachForTcp
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
-from safety_harness.space.tracing import Path, leaves, value_at, with_value, words
+from safety_harness.space.tracing import Path, leaves, path_text, value_at, with_value
 
 FINER = 3  # levels of round numbers, each ten times finer; a finer number stays unchanged
 LEAST_S, LEAST_MPS = 0.1, 0.1  # one step of the grid below: a smaller target would be no round number
@@ -222,7 +222,7 @@ class Shrunk:
         return self.settled or bool(self.steps)
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """Whether and in how many runs it was shrunk."""
         shrunk = f"shrunk in {self.used} runs" + ("" if self.settled else ", not to the end")
         return shrunk if self.done else "not shrunk"
@@ -324,7 +324,7 @@ class _Shrinking:
 
     def _set(self, knob: ShrinkTarget, value: float) -> bool:
         """Try one value of a number."""
-        step = f"{words(knob.path)} = {value:.6g}"
+        step = f"{path_text(knob.path)} = {value:.6g}"
         return self._accept(step, with_value(self.scenario, knob.path, value))
 
     def _accept(self, step: str, candidate: Scenario) -> bool:

@@ -149,7 +149,7 @@ class Trials:
         self.properties: tuple[Property, ...] = tuple(property_of(claim, simplest) for claim in self.claims)
         name = "" if self.reference is None else self.reference.name
         self.of_others = np.zeros(len(self.properties), bool)  # claims that do not apply to the controller
-        self.goals = tuple(Goal.of(prop, name) for prop in self.properties)
+        self.goals = tuple(Goal.from_property(prop, name) for prop in self.properties)
         # "the avoider answered" leads a search only without another claim.
         self.answered = next((claim for claim in expected if claim not in self.claims), None)
 
@@ -233,9 +233,9 @@ class Trials:
             self.decisions += len(trace.decisions)
             self.repeatability.add(trace)
             self.tried.add(trace)
-            self.times += AnswersTook.of(trace)
+            self.times += AnswersTook.from_trace(trace)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
-            self.overruling += Overruling.of([trace])
+            self.overruling += Overruling.from_traces([trace])
             own = reference is None or not fault_of(reference)
             mishaps[k] = without_numbers(fault_of(trace)) if self.answered and own else ""
             self.nearest_hand_m = min(self.nearest_hand_m, least_hand_distance_m(trace))
@@ -258,7 +258,9 @@ class Trials:
         A difference below zero is always conclusive.
         """
         theirs = [prop.evaluate(reference) for prop in self.properties]
-        self.differences.append(RunDifference.of(mine, reference, zip(evaluations, theirs, strict=True)))
+        self.differences.append(
+            RunDifference.from_traces(mine, reference, zip(evaluations, theirs, strict=True))
+        )
         for claim, (my_evaluation, their_evaluation) in enumerate(zip(evaluations, theirs, strict=True)):
             margins[claim] = difference_of(my_evaluation, their_evaluation)
             conclusive[claim] &= their_evaluation.verdict is not Verdict.INCONCLUSIVE

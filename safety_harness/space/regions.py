@@ -60,8 +60,8 @@ class SeenRegions:
 def paper_seen(settings: Settings, source: str = "the paper") -> SeenRegions:
     """Return the paper's seen space: TCPs about the desired position, hands about the nominal position."""
     return SeenRegions(
-        hand=Box.about(settings.avoidance.nominal_hand_position_in_base_m, SEEN_HAND_HALF_SIZE_M),
-        tcp=Box.about(settings.cell.desired_tcp_position_in_base_m, SEEN_TCP_HALF_SIZE_M),
+        hand=Box.centred_at(settings.avoidance.nominal_hand_position_in_base_m, SEEN_HAND_HALF_SIZE_M),
+        tcp=Box.centred_at(settings.cell.desired_tcp_position_in_base_m, SEEN_TCP_HALF_SIZE_M),
         source=source,
     )
 

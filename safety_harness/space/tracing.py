@@ -92,7 +92,7 @@ def form_of(root: T, numbers: Mapping[Path, int]) -> Callable[[Sequence[Any]], T
     return lambda values: kind(**fixed | {step: part(values) for step, part in parts})
 
 
-def words(path: Path) -> str:
+def path_text(path: Path) -> str:
     """Return a path as text: ``hands[0].moves[1].speed_mps``."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
     return text.removeprefix(".")

@@ -155,7 +155,7 @@ def run_of(trace: Trace) -> Run:
     """Return the record that a session keeps of a run: names, seed, world and soundness."""
     return Run(
         name=trace.scenario.name,
-        tested=trace.system.words,
+        tested=trace.system.label,
         seed=trace.scenario.seed,
         sound=trace.complete and unreadable(trace, TRUTH) is None and _is_measured(trace),
         world=made_in(trace),
@@ -244,8 +244,8 @@ def against_reference(
         new = RunDifference(
             run=trace.scenario.name,
             claims=(),
-            mine=Overruling.of([trace]),
-            reference=Overruling.of([reference]),
+            mine=Overruling.from_traces([trace]),
+            reference=Overruling.from_traces([reference]),
         )
         run = test.differences.setdefault(digest_of(trace.scenario), new)
         claims = (*run.claims, difference)
@@ -264,7 +264,7 @@ def is_shared(difference: ClaimDifference | None) -> bool:
 
 def note_of(difference: ClaimDifference) -> str:
     """Return the line of a failure that compares it with the reference's run of the scenario."""
-    return f"{difference.change.value}: {difference.words(_name())}"
+    return f"{difference.change.value}: {difference.summary(_name())}"
 
 
 def _comparison(difference: ClaimDifference) -> str:

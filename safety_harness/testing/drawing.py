@@ -18,7 +18,7 @@ from safety_harness.scenario.nodes import Scalar
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.space.strategy import strategy
-from safety_harness.testing.simulating import as_asked, digest_of, looker, sought_from
+from safety_harness.testing.simulating import as_asked, checker, digest_of, sought_from
 
 _MARK = "_safety_harness_scenarios"
 
@@ -58,7 +58,7 @@ def _of_files(path: Path) -> st.SearchStrategy[Scenario]:
     if gathered.errors:
         raise gathered.errors[0]
     for scenario in gathered.scenarios:
-        looker.look(as_asked(scenario))
+        checker.check(as_asked(scenario))
     parts: list[st.SearchStrategy[Scenario]] = []
     if gathered.scenarios:
         parts.append(_marked(st.sampled_from(gathered.scenarios)))
@@ -74,7 +74,7 @@ def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
         InputError: admission refuses nearly every draw of the space.
 
     """
-    looker.look(as_asked(first_of(space)))
+    checker.check(as_asked(first_of(space)))
     return _marked(_admissible(space), one_system(space))
 
 
@@ -110,7 +110,7 @@ def _marked(
 def _admissible(draw: st.DrawFn, space: ScenarioSpace) -> Scenario:
     scenario = draw(strategy(space))
     try:
-        looker.look(as_asked(scenario))
+        checker.check(as_asked(scenario))
     except InputError:  # out of reach, out of view: what one draw in so many is
         reject()
     name = f"{space.name}#{digest_of(scenario)[:6]}"

@@ -66,9 +66,9 @@ def _facts(evaluation: Evaluation, trace: Trace) -> list[str]:
         for part in evaluation.parts
     ]
     lines.append(f"  exercised {count_words(evaluation.exercised, 'time', 'times')}")
-    lines.append(f"  run       {trace.scenario.name}, {trace.system.words}, seed {trace.scenario.seed}")
+    lines.append(f"  run       {trace.scenario.name}, {trace.system.label}, seed {trace.scenario.seed}")
     tested = tested_words(trace.scenario, trace.system)
-    lines += [f"  tested    {tested}"] * (tested != trace.system.words)
+    lines += [f"  tested    {tested}"] * (tested != trace.system.label)
     if not trace.complete:
         lines.append(f"  ended     {trace.ended}")
     return lines
@@ -83,11 +83,11 @@ def _decision(evaluation: Evaluation, trace: Trace) -> list[str]:
         return ["  no decision was made in this run"]
     worst_s = evaluation.worst_time_s
     times = trace.decisions["time_s"][: len(rows)]
-    before = np.flatnonzero(times <= (np.inf if worst_s is None else worst_s))
-    if not len(before):
+    earlier = np.flatnonzero(times <= (np.inf if worst_s is None else worst_s))
+    if not len(earlier):
         first = f"the first of {count_words(len(trace.decisions), 'decision', 'decisions')}"
         return [f"  no decision was made before that moment; {first} came at {float(times[0]):.3f} s"]
-    return _row(rows[int(before[-1])], len(trace.decisions))
+    return _row(rows[int(earlier[-1])], len(trace.decisions))
 
 
 def _row(row: DecisionRow, count: int) -> list[str]:
@@ -104,7 +104,7 @@ def _scenario(scenario: Scenario, test: TestRun | None) -> list[str]:
     """Return the scenario's text, or its file if the reader has that."""
     if (test is None or not test.draws) and _is_what_its_file_holds(scenario):
         assert scenario.file is not None
-        return [f"  scenario  {near(scenario.file)}"]
+        return [f"  scenario  {nearest_path(scenario.file)}"]
     title = "the scenario, made smaller:" if test is not None and test.draws else "the scenario:"
     return [title, *(f"  {line}" for line in write_scenario(scenario).splitlines())]
 
@@ -121,7 +121,7 @@ def again(scenario: Scenario, test: TestRun | None, *, runs: bool) -> list[str]:
         lines.append("  " + shlex.join(["pytest", test.id, *own, *_with("--safety-world", chosen)]))
     if file is not None and runs:
         own += _with("--world", chosen)
-        lines.append("  " + shlex.join(["safety-harness", "run", str(near(file)), *own]))
+        lines.append("  " + shlex.join(["safety-harness", "run", str(nearest_path(file)), *own]))
     return ["to see it again:", *lines] if lines else []
 
 
@@ -142,7 +142,7 @@ def in_store(scenario: Scenario) -> bool:
     return file is not None and session().failures.resolve() in file.resolve().parents
 
 
-def near(file: Path) -> Path:
+def nearest_path(file: Path) -> Path:
     """Return a path relative to the working directory if it is below it, and a shipped file's name."""
     try:
         return file.resolve().relative_to(Path.cwd())

@@ -115,8 +115,8 @@ class TestRun:
     def note(self, judgement: Judgement, trace: Trace | None) -> None:
         """Count a judgement, and keep it if it is the worst of its sentence so far."""
         self.judgements.append(judgement)
-        before = self.worst.get(judgement.evaluation.sentence)
-        if before is None or judgement.severity < before.severity:
+        earlier = self.worst.get(judgement.evaluation.sentence)
+        if earlier is None or judgement.severity < earlier.severity:
             self.show(judgement, trace)
 
     def show(self, judgement: Judgement, trace: Trace | None) -> None:
@@ -159,5 +159,5 @@ def session() -> Session:
 def begin(new: Session) -> Session:
     """Make ``new`` the session of this process, and return the session before it."""
     global _current
-    before, _current = _current, new
-    return before
+    previous, _current = _current, new
+    return previous

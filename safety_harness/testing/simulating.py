@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from weakref import WeakKeyDictionary, WeakSet
 
-from safety_harness.admission.admit import Admitted, Admitter, Looker, admit
+from safety_harness.admission.admit import Admitted, Admitter, Checker, admit
 from safety_harness.admission.avoiders import command_line_reference, option_of, with_avoider
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import FlakyAvoiderError, InputError, Place
@@ -73,15 +73,15 @@ def avoiders_asked() -> list[tuple[str | None, str]]:
     return [(now.avoider, option_of(now.avoider or "")), *reference]
 
 
-looker = Looker()  # what is collected is looked at, and nothing of a user's executed
+checker = Checker()  # what is collected is looked at, and nothing of a user's executed
 admitter = Admitter()  # one for all: an avoider that keeps something of a run is refused as flaky
 
 
-def sought_from(path: Path, asked: FrameType | None) -> Path:
+def sought_from(path: Path, caller: FrameType | None) -> Path:
     """Return a relative path from the folder of the calling file, else from pytest's root."""
-    if path.is_absolute() or asked is None:
+    if path.is_absolute() or caller is None:
         return path
-    beside = Path(asked.f_code.co_filename).parent / path
+    beside = Path(caller.f_code.co_filename).parent / path
     return Path(os.path.abspath(beside if beside.exists() else session().root / path))
 
 
@@ -137,8 +137,8 @@ class Simulate:
         if test is None or not test.counts:
             return trace
         if len(trace.decisions):
-            test.overruled[run] = Overruling.of([trace])
-        test.tried[run] = TriedParts.of(trace)
+            test.overruled[run] = Overruling.from_traces([trace])
+        test.tried[run] = TriedParts.from_traces(trace)
         if test.fallback is None and by_default(trace) is not None:
             test.fallback = trace
         return trace
@@ -165,7 +165,7 @@ class Simulate:
                 test.refused[digest] = error
             raise
         self._traces[digest] = trace
-        while len(self._traces) > 1 and sum(len(one.ticks) for one in self._traces.values()) > MOST_TICKS:
+        while len(self._traces) > 1 and sum(len(trace.ticks) for trace in self._traces.values()) > MOST_TICKS:
             self._traces.popitem(last=False)
         return trace
 

@@ -35,7 +35,7 @@ from safety_harness.testing.simulating import digest_of
 
 PHASES = (Phase.explicit, Phase.generate, Phase.target, Phase.shrink)
 # A simulation takes as long as it takes, and which draws can be tried is not up to the test.
-OFF = (
+SUPPRESSED_CHECKS = (
     HealthCheck.too_slow,
     HealthCheck.filter_too_much,
     HealthCheck.data_too_large,
@@ -66,7 +66,7 @@ def under_profile(own: settings | None = None, *, fixed: bool = False) -> settin
         print_blob=False,
         report_multiple_bugs=False,
         phases=[phase for phase in PHASES if phase in own.phases],
-        suppress_health_check=[*own.suppress_health_check, *OFF],
+        suppress_health_check=[*own.suppress_health_check, *SUPPRESSED_CHECKS],
     )
 
 
@@ -147,13 +147,13 @@ def keep(test_id: str, violation: SafetyViolation) -> Path:
     head = [
         f"A failure of {test_id}",
         f"{evaluation.sentence}: {evaluation.verdict.value}, margin {evaluation.margin_text()}",
-        violation.trace.system.words,
+        violation.trace.system.label,
         "It is tried first whenever that test runs; delete this file when it need not be any more.",
     ]
     try:
         write_whole(file, "".join(f"# {line}\n" for line in head) + write_scenario(moved))
     except OSError as error:
-        raise OutputError.of(file, error) from error
+        raise OutputError.from_os_error(file, error) from error
     return file
 
 

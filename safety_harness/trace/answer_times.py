@@ -28,7 +28,7 @@ class AnswersTook:
     limit_s: float = 0.0
 
     @classmethod
-    def of(cls, trace: Trace) -> AnswersTook:
+    def from_trace(cls, trace: Trace) -> AnswersTook:
         """Return the times from the record of one run. Answers that were given together have no time."""
         settings, took_s = trace.scenario.settings, trace.answer_s
         limit_s = 0.0
@@ -38,16 +38,16 @@ class AnswersTook:
         slow = int(np.count_nonzero(took_s > limit_s))
         return cls(len(took_s), slow, float(np.max(took_s, initial=0.0)), limit_s)
 
-    def __add__(self, other: AnswersTook) -> AnswersTook:
+    def __add__(self, addend: AnswersTook) -> AnswersTook:
         return AnswersTook(
-            self.answers + other.answers,
-            self.slow + other.slow,
-            max(self.slowest_s, other.slowest_s),
-            max(self.limit_s, other.limit_s),
+            self.answers + addend.answers,
+            self.slow + addend.slow,
+            max(self.slowest_s, addend.slowest_s),
+            max(self.limit_s, addend.limit_s),
         )
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The sentence about slow answers; empty while the 95th percentile is within the limit."""
         if self.slow <= MOST_SLOW * self.answers:
             return ""

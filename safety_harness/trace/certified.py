@@ -41,7 +41,7 @@ class CertifiedDecision:
         return next((sameness for sameness in order if sameness in both), Sameness.SAME)
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The sameness in words, such as ``not the same: leads away``."""
         if self.whole in (Sameness.SAME, Sameness.NONE):
             return str(self.whole.value)
@@ -58,7 +58,7 @@ class CertifiedDecisions:
     decisions: tuple[CertifiedDecision, ...]
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The number of decisions of each sameness, in words."""
         counts = {kind: sum(decision.whole is kind for decision in self.decisions) for kind in Sameness}
         parts = [f"{count} {kind.value}" for kind, count in counts.items() if count]

@@ -22,7 +22,7 @@ REASONS: tuple[Check, ...] = tuple(check for check in Check if check and not che
 _READ = ("fault", "proposed_position_in_base_m", "outcome", "proposed_failed")  # of each decision
 _BITS = tuple((check, int(check)) for check in REASONS)  # a flag is slow to combine
 _NAMES = {check: str(check.name).lower() for check in REASONS}
-COUNTS = ("proposals", *(f"overruled_{what}" for what in ("replaced", "stopped", *_NAMES.values())))
+COUNTS = ("proposals", *(f"overruled_{reason}" for reason in ("replaced", "stopped", *_NAMES.values())))
 
 
 def answered(trace: Trace) -> NDArray[np.bool_]:
@@ -57,7 +57,7 @@ class Overruling:
     reasons: Counter[Check] = field(default_factory=Counter)
 
     @classmethod
-    def of(cls, traces: Iterable[Trace]) -> Overruling:
+    def from_traces(cls, traces: Iterable[Trace]) -> Overruling:
         """Return the counts of all ``traces`` together."""
         return reduce(add, map(cls._of_one, traces)) if (traces := list(traces)) else cls()
 
@@ -75,12 +75,12 @@ class Overruling:
             Counter({check: n for check, bit in _BITS if (n := sum(flags & bit != 0 for flags in failed))}),
         )
 
-    def __add__(self, other: Overruling) -> Overruling:
+    def __add__(self, addend: Overruling) -> Overruling:
         return Overruling(
-            self.proposals + other.proposals,
-            self.replaced + other.replaced,
-            self.stopped + other.stopped,
-            self.reasons + other.reasons,
+            self.proposals + addend.proposals,
+            self.replaced + addend.replaced,
+            self.stopped + addend.stopped,
+            self.reasons + addend.reasons,
         )
 
     @property
@@ -101,7 +101,7 @@ class Overruling:
         return {"overruled": self.overruled, **dict(zip(COUNTS, self.counts, strict=True))}
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """A line with the most frequent reason first; empty without proposals."""
         if not self.proposals:
             return ""

@@ -78,7 +78,7 @@ def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
 def machine() -> str:
     """Return the kind of this machine in words: its processor, its C library and our machine code."""
     there = getattr(_imported(LIBRARIES["numpy"]), "__cpu_features__", {})
-    features = [words for words, names in FEATURES.items() if any(there.get(name) for name in names)]
+    features = [feature for feature, names in FEATURES.items() if any(there.get(name) for name in names)]
     c_library = " ".join(platform.libc_ver()).strip() or "an unnamed C library"
     processor = f"{platform.machine()} with {', '.join(features) or 'no vector features'}"
     return f"{processor}, {c_library}, {code_in_use()}"

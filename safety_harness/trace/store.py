@@ -26,7 +26,7 @@ from safety_harness.base.exceptions import InputError, Place, TraceError, refuse
 from safety_harness.base.shipped.contents import located
 from safety_harness.base.whole_file import replacing
 from safety_harness.scenario.faults import AvoiderLate, AvoiderSilent, Fault
-from safety_harness.scenario.files import as_path, refuse_no_file, told
+from safety_harness.scenario.files import as_path, display_path, refuse_no_file
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import EDITION, MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
@@ -50,7 +50,7 @@ from safety_harness.trace.trace import Provenance, Trace, no_interventions, not_
 
 FORMAT = "safety-harness trace 4"
 IN_PART = "safety-harness trace 5"  # that says what is known of its columns, which others know all of
-BEFORE = "safety-harness trace 3"  # whose decisions do not say when the avoider was asked
+EARLIER_FORMAT = "safety-harness trace 3"  # whose decisions do not say when the avoider was asked
 HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
 ARRAY_HEADER_BYTES = 20_000  # room for the header of an array
@@ -129,7 +129,7 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         parts |= {f"robot/{digest}": text for digest, text in trace.scenario.robot.texts.items()}
     run = {
         "scenario_name": trace.scenario.name,
-        "scenario_file": str(told(trace.scenario.file)) if trace.scenario.file else None,
+        "scenario_file": str(display_path(trace.scenario.file)) if trace.scenario.file else None,
         "ended": trace.ended,
         "provenance": asdict(trace.provenance),
         "system": trace.system.as_dict,
@@ -235,7 +235,7 @@ class _Reader:
         run, avoider = self._run()
         scenario = self._scenario(run)
         most = scenario.ticks + 1
-        old = self._format == BEFORE
+        old = self._format == EARLIER_FORMAT
         joints = len(
             scenario.settings.cell.preferred_joint_position_rad
         )  # one for each, as admission sees to
@@ -351,7 +351,7 @@ class _Reader:
         """Check the format, and that every other part has a hash."""
         self._unpack(archive, HEADER, SMALL_BYTES)
         header = self._json(HEADER, _Header)
-        if header.format not in (FORMAT, BEFORE, IN_PART):
+        if header.format not in (FORMAT, EARLIER_FORMAT, IN_PART):
             raise self._error(f"the format {FORMAT!r}", repr(header.format), "format")
         self._hashes, self._format = header.sha256, header.format
         for name in sorted(header.sha256.keys() ^ (self._parts.keys() - {HEADER})):

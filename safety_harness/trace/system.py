@@ -61,7 +61,7 @@ class SystemUnderTest:
         return replace(self, controller=part) if self.avoider is None else replace(self, avoider=part)
 
     @property
-    def words(self) -> str:
+    def label(self) -> str:
         """The user's part in a line: ``avoider opposite pose``, or ``controller stop when near``."""
         return f"{'controller' if self.avoider is None else 'avoider'} {self.tested.name}"
 
@@ -114,7 +114,7 @@ def system_of(
         robot_sha256 = hashlib.sha256(f"{robot_sha256} {_text(mounted)}".encode()).hexdigest()
     servo, gate, perception, whole = _parts(settings)
     if scenario.gate is not None:
-        gate = replace(gate, name=", ".join([gate.name, *scenario.gate.words]))
+        gate = replace(gate, name=", ".join([gate.name, *scenario.gate.demands]))
     return SystemUnderTest(
         controller=controller or servo,
         avoider=avoider if controller is None else None,

@@ -11,7 +11,7 @@ from safety_harness.base.proportions import Proportion, share_words, sign_test
 @pytest.mark.parametrize("trials", [1, 2, 7, 59, 1_000, 30_000])
 def test_the_interval_is_clopper_and_pearson_s(trials: int) -> None:
     for count in {0, 1, trials // 100, trials // 2, trials - 1, trials}:
-        found = Proportion.of(np.arange(trials) < count)
+        found = Proportion.from_rows(np.arange(trials) < count)
         exact = scipy.stats.binomtest(count, trials).proportion_ci(0.95, method="exact")
         assert (found.count, found.trials, found.share) == (count, trials, count / trials)
         noted("scipy", "exact intervals of a share", "", (found.low, found.high), (exact.low, exact.high))
@@ -20,12 +20,12 @@ def test_the_interval_is_clopper_and_pearson_s(trials: int) -> None:
 
 def test_no_failure_in_fifty_still_leaves_seven_in_a_hundred() -> None:
     """1 - 0.025^(1/50), by hand."""
-    assert Proportion.of(np.zeros(50, bool)).high == pytest.approx(1 - 0.025 ** (1 / 50))
+    assert Proportion.from_rows(np.zeros(50, bool)).high == pytest.approx(1 - 0.025 ** (1 / 50))
 
 
 def test_no_trial_is_no_share() -> None:
     with pytest.raises(ValueError, match="at least one"):
-        Proportion.of(np.empty(0, bool))
+        Proportion.from_rows(np.empty(0, bool))
 
 
 @pytest.mark.parametrize(("more", "fewer"), [(0, 0), (1, 0), (0, 22), (3, 3), (10, 1), (400, 300)])

@@ -8,7 +8,7 @@ import pytest
 
 from safety_harness.claims.properties.base import Unit
 from safety_harness.claims.properties.catalogue import CATALOGUE
-from safety_harness.claims.properties.entry import told
+from safety_harness.claims.properties.entry import entry_fields
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.scenario_commands import claims as explain_claims
 
@@ -26,7 +26,7 @@ def test_a_claim_is_explained_whole(entry: object, capsys: pytest.CaptureFixture
     found = next(one for one in CATALOGUE if one is entry)
     assert explain_claims(found.example.upper().split()) == AS_EXPECTED
     out = " ".join(capsys.readouterr().out.split())
-    for name, text in told(found):
+    for name, text in entry_fields(found):
         assert f"{name} {' '.join(text.split())}" in out
 
 
@@ -56,5 +56,5 @@ def test_every_unit_has_its_word() -> None:
 def test_the_page_says_of_every_claim_what_its_entry_says() -> None:
     for entry in CATALOGUE:
         section = PAGE.split(f"### {entry.example}\n", 1)[1].split("\n#", 1)[0]
-        for name, text in told(entry):
+        for name, text in entry_fields(entry):
             assert f"- *{name}*: {text}\n" in section + "\n"

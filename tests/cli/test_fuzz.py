@@ -201,7 +201,7 @@ def test_a_full_disk_costs_no_finding(
     space: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(path: Path, text: str) -> None:
-        raise OutputError.of(path, OSError(28, "No space left on device"))
+        raise OutputError.from_os_error(path, OSError(28, "No space left on device"))
 
     monkeypatch.setattr(search_session, "write_text", full)
     assert fuzz(space, out=tmp_path / "out", budget=50) == BAD_INPUT

@@ -17,7 +17,7 @@ def of(answer: AttributionAnswer) -> Attribution:
 
 
 def test_bars_are_as_long_as_the_shares_and_said_in_words() -> None:
-    tally = AttributionTally.of(
+    tally = AttributionTally.from_attributions(
         [of(AttributionAnswer.UNAVOIDABLE)] * 3 + [of(AttributionAnswer.NOT_ATTRIBUTED)]
     )
     root = ElementTree.fromstring(draw_attributions(tally.groups))

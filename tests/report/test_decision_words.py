@@ -85,17 +85,19 @@ def test_a_spread_above_its_threshold_never_looks_like_one_that_is_not(
 def test_the_outcomes_of_all_runs_are_counted_together() -> None:
     faulty = changed(fault=["", FAULT, ""])
     traces = [faulty, factory.no_hands_run().trace, factory.holds_run().trace]
-    tally = DecisionTally.of(traces)
+    tally = DecisionTally.from_traces(traces)
     assert (tally.made, tally.proposed, tally.opposite, tally.stops, tally.faults) == (6, 2, 2, 2, 1)
-    assert DecisionTally.of([]).made == 0
+    assert DecisionTally.from_traces([]).made == 0
     assert avoiders(traces) == [("opposite", 3)]
 
 
 def test_what_went_otherwise_than_proposed_is_said_and_nothing_else() -> None:
-    tally = DecisionTally.of([changed(outcome=int(DecisionOutcome.OPPOSITE), fault=[FAULT, FAULT, ""])])
+    tally = DecisionTally.from_traces(
+        [changed(outcome=int(DecisionOutcome.OPPOSITE), fault=[FAULT, FAULT, ""])]
+    )
     assert tally.departures == ["3 of 3 decisions fell back to the opposite pose"]
     assert tally.fault_words == "2 faults"
-    calm = DecisionTally.of([changed(outcome=int(DecisionOutcome.PROPOSED))])
+    calm = DecisionTally.from_traces([changed(outcome=int(DecisionOutcome.PROPOSED))])
     assert (calm.departures, calm.fault_words) == ([], "")
 
 

@@ -48,8 +48,8 @@ def test_the_worst_claim_is_a_violated_length_with_the_smallest_margin() -> None
 
 def test_below_a_claims_heading_only_its_own_worst_moment_is_shown() -> None:
     run = factory.violated_run()
-    assert [run.under(one.sentence).shown_claim() for one in run.trace.scenario.claims] == [0, 1, 2]
-    assert run.under("the avoider raised").shown_claim() == run.shown_claim() == 0
+    assert [run.under_claim(one.sentence).shown_claim() for one in run.trace.scenario.claims] == [0, 1, 2]
+    assert run.under_claim("the avoider raised").shown_claim() == run.shown_claim() == 0
     unmoved = replace(run.evaluations[1], worst_time_s=None)
     silent = replace(run, evaluations=(run.evaluations[0], unmoved, run.evaluations[2]))
-    assert silent.under(unmoved.sentence).shown_claim() is None
+    assert silent.under_claim(unmoved.sentence).shown_claim() is None

@@ -42,7 +42,7 @@ def begun(tmp_path: Path) -> Begun:
     begin = partial(Process.python, "tests.seams.adding")
     start = process_of(file, SOURCE.encode(), logging.getLogger("adders"), begin)
     wire = binary_wire(adding.said.decode, 1_000)
-    return Connection(start, wire), lambda name, number=0: Make.of(file, SOURCE.encode(), name, number)
+    return Connection(start, wire), lambda name, number=0: Make.from_file(file, SOURCE.encode(), name, number)
 
 
 def asked(connection: Connection, *numbers: float, number: int = 0, limit_s: float = 30.0) -> Added | Failed:

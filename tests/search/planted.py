@@ -52,7 +52,7 @@ claims:
   TCP speed never above 250 mm/s: holds
 """
 )
-CUBE = Cube.of(SPACE)
+CUBE = Cube.from_space(SPACE)
 GOALS = (Goal("clearance", 0.1, Unit.LENGTH), Goal("TCP speed", 0.1, Unit.SPEED))
 DESIRED = np.array(SPACE.simplest.settings.cell.desired_tcp_position_in_base_m)
 _COLUMN = {parameter.name: parameter.columns for parameter in SPACE.parameters}

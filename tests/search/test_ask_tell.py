@@ -40,7 +40,7 @@ def test_asking_and_telling_in_turns_is_right() -> None:
     for _ in range(3):
         points = search.ask(4)
         assert points.shape == (4, 2)
-        search.tell(np.zeros((4, 1)))
+        search.tell_scores(np.zeros((4, 1)))
 
 
 def test_asking_twice_is_refused() -> None:
@@ -52,7 +52,7 @@ def test_asking_twice_is_refused() -> None:
 
 def test_telling_first_is_refused() -> None:
     with pytest.raises(SearchOrderError, match="before ask"):
-        asking().tell(np.zeros((2, 1)))
+        asking().tell_scores(np.zeros((2, 1)))
 
 
 @pytest.mark.parametrize("shape", [(3, 1), (2, 2), (2,)])
@@ -60,7 +60,7 @@ def test_scores_that_belong_to_other_points_are_refused(shape: tuple[int, ...]) 
     search = asking()
     search.ask(2)
     with pytest.raises(SearchOrderError, match=r"expects scores of shape \(2, 1\)"):
-        search.tell(np.zeros(shape))
+        search.tell_scores(np.zeros(shape))
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_an_infinite_score_teaches_nothing_whatever_its_sign() -> None:
     searcher = Proposes([[0.5, 0.5]])
     search = AskTell(searcher, dimension=2, claims=3)
     search.ask(1)
-    search.tell(np.array([[np.inf, -np.inf, 0.25]]))
+    search.tell_scores(np.array([[np.inf, -np.inf, 0.25]]))
     assert searcher.told is not None
     assert np.array_equal(searcher.told, [[np.nan, np.nan, 0.25]], equal_nan=True)
 

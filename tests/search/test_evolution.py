@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from safety_harness.search.cma_es import Descent, _before, _within
+from safety_harness.search.cma_es import Descent, _folded, _unfolded
 
 Function = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -46,19 +46,19 @@ def test_a_descent_finds_the_bottom_of_a_turned_valley(dimension: int) -> None:
 
 def test_points_within_the_cube_are_reached_from_where_they_were_sent() -> None:
     sent = np.linspace(-0.05, 1.05, 221)
-    assert np.abs(_before(_within(sent)) - sent).max() < 1e-12
-    assert np.abs(_within(_before(np.linspace(0.0, 1.0, 201))) - np.linspace(0.0, 1.0, 201)).max() < 1e-15
+    assert np.abs(_unfolded(_folded(sent)) - sent).max() < 1e-12
+    assert np.abs(_folded(_unfolded(np.linspace(0.0, 1.0, 201))) - np.linspace(0.0, 1.0, 201)).max() < 1e-15
     middle = np.linspace(0.05, 0.95, 181)
-    assert np.abs(_within(middle) - middle).max() < 1e-15
-    assert np.abs(_within(sent + 2.2) - _within(sent)).max() < 1e-12  # a period
-    assert np.abs(np.diff(_within(np.linspace(-3.0, 4.0, 7001)))).max() < 1.1e-3  # no jump
+    assert np.abs(_folded(middle) - middle).max() < 1e-15
+    assert np.abs(_folded(sent + 2.2) - _folded(sent)).max() < 1e-12  # a period
+    assert np.abs(np.diff(_folded(np.linspace(-3.0, 4.0, 7001)))).max() < 1.1e-3  # no jump
 
 
 def test_points_are_bent_to_the_faces_as_the_package_cma_does() -> None:
     """The values are of ``BoxConstraintsLinQuadTransformation([[0.0, 1.0]])`` in cma 4.5.0."""
     points = np.array([-1.3, -0.4, -0.06, -0.02, 0.01, 0.04, 0.3, 0.96, 1.02, 1.1, 1.9, 3.4])
     theirs = [0.9, 0.3, 0.0005, 0.0045, 0.018, 0.0405, 0.3, 0.9595, 0.9955, 0.9875, 0.2, 0.9]
-    np.testing.assert_allclose(_within(points), theirs, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(_folded(points), theirs, rtol=0.0, atol=1e-12)
 
 
 def test_a_descent_reaches_a_corner() -> None:

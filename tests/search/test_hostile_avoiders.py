@@ -37,7 +37,7 @@ class Mine(Hangs):
 def test_it_is_found_and_the_search_goes_on(bad: str, words: str, tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text(FILE.replace("BAD", bad))
-    cube = Cube.of(SPACE)
+    cube = Cube.from_space(SPACE)
     trials = Trials(SPACE, in_kinematic, seed=0, avoider=f"{file}:Mine")
     found = find_violations(
         cube,

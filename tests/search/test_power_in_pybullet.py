@@ -30,7 +30,7 @@ class AdmitterOf(Admitter):
 
 
 def searched(avoider: Avoider, budget: int = BUDGET) -> Findings:
-    cube = Cube.of(SPACE)
+    cube = Cube.from_space(SPACE)
     trials = Trials(SPACE, in_pybullet, seed=0)
     trials._admitter = AdmitterOf(avoider)
     searcher = Default(cube, claims=len(trials.goals), seed=0)
@@ -65,5 +65,5 @@ def test_an_avoider_that_raises_or_hangs_in_a_corner_is_found_and_the_search_goe
 
 def test_in_an_avoider_without_a_bug_nothing_is_found() -> None:
     found = searched(OppositePose(0.1), budget=40)
-    assert not found.found
+    assert not found.found_any
     assert found.tried == 40

@@ -90,7 +90,7 @@ def test_ctrl_c_keeps_what_was_found() -> None:
     found = searched(interrupted)
     assert found.interrupted
     assert 100 < found.tried <= 154
-    assert found.found
+    assert found.found_any
 
 
 def test_a_space_of_which_nothing_can_be_tried_is_given_up_with_the_reason() -> None:
@@ -121,7 +121,7 @@ def test_it_is_not_given_up_while_one_point_in_two_hundred_can_be_tried() -> Non
 
 def test_a_space_in_which_nothing_can_be_violated_and_one_in_which_everything_is() -> None:
     safe = searched(lambda points, first: Outcomes.of_margins(np.full((len(points), 2), 0.3)))
-    assert not safe.found
+    assert not safe.found_any
     assert safe.first_violation.tolist() == [0, 0]
     margins = np.array([-0.1, 0.3])
     always = searched(lambda points, first: Outcomes.of_margins(np.tile(margins, (len(points), 1))))
@@ -132,7 +132,7 @@ def test_a_space_in_which_nothing_can_be_violated_and_one_in_which_everything_is
 def test_a_margin_that_is_no_number_is_neither_a_violation_nor_evidence() -> None:
     for value in (np.nan, np.inf, -np.inf):
         found = searched(lambda points, first, v=value: Outcomes.of_margins(np.full((len(points), 2), v)))
-        assert not found.found
+        assert not found.found_any
         assert found.evidence.tolist() == [0, 0]
         assert found.nearest == [None, None]
 
@@ -161,7 +161,7 @@ def test_mishaps_are_findings_told_apart_by_their_words() -> None:
     found = searched(crashing)
     assert {group.kind for group in found.of_claim(None)} == {"it raised", "it hung"}
     assert found.mishaps == sum(group.count for group in found.groups)
-    assert found.found
+    assert found.found_any
 
 
 def test_margins_are_told_over_their_scales() -> None:

@@ -33,7 +33,7 @@ def tried(make: MakesSearcher, scores_of: Callable[[Points], Points], count: int
     found: list[Points] = []
     while sum(map(len, found)) < count:
         points = search.ask(8)
-        search.tell(scores_of(points))
+        search.tell_scores(scores_of(points))
         found.append(points)
     return np.concatenate(found)[:count]
 
@@ -88,7 +88,7 @@ def test_the_diverse_one_visits_cells_that_chance_seldom_does() -> None:
         seen: list[int] = []
         while len(seen) < 600:
             points = search.ask(8)
-            search.tell(np.zeros((len(points), 1)), cells(points))
+            search.tell_scores(np.zeros((len(points), 1)), cells(points))
             seen += cells(points)
         visited.append(sum(cell >= 4 for cell in seen))
     assert visited[0] > 3 * visited[1]

@@ -31,9 +31,9 @@ def test_a_proposal_that_fails_two_checks_is_overruled_once_for_two_reasons() ->
         outcome=outcomes,
         proposed_failed=[0, TABLE_AND_DOUBT, int(Check.UNCERTAIN)],
     )
-    found = Overruling.of([trace, trace])
+    found = Overruling.from_traces([trace, trace])
     assert found == Overruling(6, 2, 2, Counter({Check.UNCERTAIN: 4, Check.TABLE: 2}))
-    assert found.words == (
+    assert found.summary == (
         "overruled 4 of 6 proposals (66.7 %): 4 uncertain, 2 table; "
         "2 replaced by the opposite pose, 2 by a stop"
     )
@@ -47,15 +47,15 @@ def test_where_the_avoider_gave_no_answer_in_time_nothing_of_its_was_overruled()
         outcome=int(DecisionOutcome.STOP),
         proposed_failed=[int(Check.LATE), int(Check.NOT_FINITE), int(Check.TOWARDS_A_HAND)],
     )
-    assert Overruling.of([trace]) == Overruling(1, 0, 1, Counter({Check.TOWARDS_A_HAND: 1}))
+    assert Overruling.from_traces([trace]) == Overruling(1, 0, 1, Counter({Check.TOWARDS_A_HAND: 1}))
 
 
 def test_without_proposals_there_are_no_words_and_no_share() -> None:
-    assert Overruling.of([factory.no_hands_run().trace]) == Overruling()
-    assert Overruling().words == ""
+    assert Overruling.from_traces([factory.no_hands_run().trace]) == Overruling()
+    assert Overruling().summary == ""
     assert np.isnan(Overruling().share)
-    assert Overruling(3).words == "overruled 0 of 3 proposals (0 %)"
-    assert Overruling(1, 0, 1).words == "overruled 1 of 1 proposal (100 %); 1 replaced by a stop"
+    assert Overruling(3).summary == "overruled 0 of 3 proposals (0 %)"
+    assert Overruling(1, 0, 1).summary == "overruled 1 of 1 proposal (100 %); 1 replaced by a stop"
 
 
 def test_plain_numbers_give_the_same_again() -> None:

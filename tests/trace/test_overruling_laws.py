@@ -53,7 +53,7 @@ def counted(made: Made) -> Overruling:
 @given(DECISIONS)
 def test_counts_are_those_of_a_loop(made: Made) -> None:
     trace, expected = deciding(made), counted(made)
-    found = Overruling.of([trace])
+    found = Overruling.from_traces([trace])
     assert found == expected
     assert int(answered(trace).sum()) == expected.proposals
     assert int(overruled(trace).sum()) == found.overruled == expected.replaced + expected.stopped
@@ -66,8 +66,8 @@ def test_counts_are_those_of_a_loop(made: Made) -> None:
 
 @given(st.lists(DECISIONS, max_size=4))
 def test_several_runs_count_as_if_all_decisions_were_of_one(runs: list[Made]) -> None:
-    together = Overruling.of(deciding(made) for made in runs)
-    assert together == Overruling.of([deciding([one for made in runs for one in made])])
+    together = Overruling.from_traces(deciding(made) for made in runs)
+    assert together == Overruling.from_traces([deciding([one for made in runs for one in made])])
     assert together == sum((counted(made) for made in runs), Overruling())
 
 
@@ -89,7 +89,7 @@ def test_no_answer_and_lateness_are_no_reason_to_overrule() -> None:
 def test_a_run_says_why_its_avoider_was_overruled(
     avoider: Displaced | TowardsTheHand, proposals: int, share: float, reason: Check | None
 ) -> None:
-    found = Overruling.of([run(scenario(VISIT), avoider=avoider)])
+    found = Overruling.from_traces([run(scenario(VISIT), avoider=avoider)])
     assert found.proposals >= proposals
     assert found.share == share
     assert found.overruled == found.replaced
@@ -99,5 +99,5 @@ def test_a_run_says_why_its_avoider_was_overruled(
 def test_of_an_avoider_that_never_answers_nothing_is_overruled() -> None:
     trace = run(scenario(VISIT, duration_s=1.5), avoider=Raising())
     assert len(trace.decisions) > 0
-    assert Overruling.of([trace]) == Overruling()
+    assert Overruling.from_traces([trace]) == Overruling()
     assert not overruled(trace).any()

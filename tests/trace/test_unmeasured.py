@@ -83,8 +83,8 @@ def test_a_column_that_was_not_measured_alike_is_a_difference(
 
 def test_proposals_that_were_not_measured_are_not_counted(visit: Trace) -> None:
     trace = with_anything(partly_measured(visit))
-    assert Overruling.of([visit]).proposals > 0
-    assert Overruling.of([trace, visit]) == Overruling.of([visit])
+    assert Overruling.from_traces([visit]).proposals > 0
+    assert Overruling.from_traces([trace, visit]) == Overruling.from_traces([visit])
     assert (is_measured(visit), is_measured(trace)) == (True, False)
 
 

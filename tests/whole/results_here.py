@@ -105,7 +105,7 @@ def of_certificate(found: dict[str, str]) -> None:
 
 def of_search(found: dict[str, str], budget: int) -> None:
     trials = Trials(read_space(SPACE), in_kinematic, seed=3)
-    cube = Cube.of(trials.space)
+    cube = Cube.from_space(trials.space)
     for name in ("default", "diverse", "quasi-random"):
         asked: list[bytes] = []
         searcher = searcher_named(name)(cube, claims=len(trials.goals), seed=3)

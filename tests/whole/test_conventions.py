@@ -256,7 +256,7 @@ def test_a_log_gets_a_line_at_the_start_every_ten_seconds_and_at_the_end(
     lines = PacedLines(lambda: now_s)
     for step in range(100):
         now_s = step * 0.25
-        lines.tell(f"step {step}")
+        lines.take(f"step {step}")
     lines.end()
     lines.end()
     assert said == [(0.0, "step 0"), (EVERY_S, "step 40"), (2 * EVERY_S, "step 80"), (24.75, "step 99")]

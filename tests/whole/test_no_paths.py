@@ -18,7 +18,7 @@ from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.session import plan_of
 from safety_harness.extensions.assurance.commands.certify import certify
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.scenario.references import portable
 from safety_harness.trace.store import load_trace, save_trace
 from tests.whole.test_execution import OWN, SCENARIO, SMALL_PLAN, SPACE
@@ -126,7 +126,7 @@ def test_a_trace_with_a_path_of_an_earlier_version_is_read_as_it_is(
     assert run([Path("scenario/scenario.yaml")], tmp_path / "run") in (AS_EXPECTED, DIFFERS)
     now = load_trace(tmp_path / "run" / "traces" / "scenario.trace")
     old = replace(now, scenario=replace(now.scenario, file=project / "scenario" / "scenario.yaml"))
-    monkeypatch.setattr("safety_harness.trace.store.told", lambda path: path)
+    monkeypatch.setattr("safety_harness.trace.store.display_path", lambda path: path)
     save_trace(old, tmp_path / "old.trace")
     assert load_trace(tmp_path / "old.trace").scenario.file == project / "scenario" / "scenario.yaml"
 
@@ -137,11 +137,11 @@ def test_a_file_is_told_as_the_working_directory_sees_it(
     here = tmp_path / "a" / "b"
     here.mkdir(parents=True)
     monkeypatch.chdir(here)
-    assert told(here / "x" / "y.yaml") == Path("x/y.yaml")
-    assert told(Path("x/y.yaml")) == Path("x/y.yaml")
-    assert told(tmp_path / "y.yaml") == Path("y.yaml")
-    assert told(Path("../y.yaml")) == Path("../y.yaml")
-    assert told(Path("../" * 40 + "etc/y.yaml")) == Path("y.yaml")
+    assert display_path(here / "x" / "y.yaml") == Path("x/y.yaml")
+    assert display_path(Path("x/y.yaml")) == Path("x/y.yaml")
+    assert display_path(tmp_path / "y.yaml") == Path("y.yaml")
+    assert display_path(Path("../y.yaml")) == Path("../y.yaml")
+    assert display_path(Path("../" * 40 + "etc/y.yaml")) == Path("y.yaml")
     assert portable("../m.py", here) == "../m.py"
     assert portable(f"{here}/x/m.py", here) == "x/m.py"
     assert portable(f"{tmp_path}/m.py", here) == "m.py"

@@ -43,4 +43,4 @@ def test_moves_slowly_and_only_to_where_it_can_be(scenario: Scenario, simulate: 
 @given(scenario=VISITS)
 def test_a_hand_that_is_seen_near_ends_servoing_at_once(scenario: Scenario, simulate: Simulate) -> None:
     near = predicted_hand_distance() < mm(400)  # the critical distance
-    assert_holds(whenever(near).then(eventually(~servoing(), within=ms(100))), simulate(scenario))
+    assert_holds(whenever(near).then(eventually(~servoing(), window=ms(100))), simulate(scenario))

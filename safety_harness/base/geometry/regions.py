@@ -37,7 +37,7 @@ class Box:
             raise RegionError.of_option("box", expected, f"{self.low_m} and {self.high_m}")
 
     @classmethod
-    def about(cls, centre_m: Vector3, half_size_m: Vector3, factor: float = 1.0) -> Box:
+    def centred_at(cls, centre_m: Vector3, half_size_m: Vector3, factor: float = 1.0) -> Box:
         """Return the box about a centre.
 
         Args:
@@ -48,6 +48,8 @@ class Box:
         """
         centre, half = np.array(centre_m), factor * np.array(half_size_m)
         return cls(_vector3(centre - half), _vector3(centre + half))
+
+    about = centred_at  # deprecated: the old name, for one release
 
     def grown(self, factor: float) -> Box:
         """Return the box of ``factor`` times the size about the same centre.

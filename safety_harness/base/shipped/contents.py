@@ -53,7 +53,7 @@ class ShippedFile:
     path: Path
 
     @property
-    def about(self) -> str:
+    def description(self) -> str:
         """A line that describes the file, from itself or a file beside it; empty without one."""
         path = self.path
         if self.kind is ShippedKind.RECORDINGS:

@@ -344,7 +344,7 @@ def network_use(document: Any, kind: type[U], path: Path, *, unknown_fields: boo
         more = {name: value for name, value in given.items() if name not in own}
         parts = {"more": more} | {name: value for name, value in given.items() if name in own}
         document = document | {"calibration": parts}
-    made = typed(document, kind, path, others=unknown_fields, error=ModelError)
+    made = typed(document, kind, path, further_fields=unknown_fields, error=ModelError)
     if made.dropout is not Dropout.NONE and made.passes < 2:
         refuse(path, "passes", "at least 2 with dropout", str(made.passes))
     if made.dropout is not Dropout.NONE and made.dropout_probability == 0.0:

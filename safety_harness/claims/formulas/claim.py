@@ -57,7 +57,7 @@ from safety_harness.claims.signals.uncertainty import as_known, blanked, gaps_of
 from safety_harness.scenario.model import EDITION, Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
-GRAVEST = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
+WORST_FIRST = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def _deciding(parts: tuple[Evaluation, ...]) -> Evaluation:
 
     The reason has the verdict of each part.
     """
-    verdict = next(v for v in GRAVEST if any(part.verdict is v for part in parts))
+    verdict = next(v for v in WORST_FIRST if any(part.verdict is v for part in parts))
     grave = [part for part in parts if part.verdict is verdict]
     same = [part for part in grave if part.unit is grave[0].unit and part.margin is not None]
     worst = min(same, key=lambda part: part.margin or 0.0, default=grave[0])
@@ -165,30 +165,32 @@ class _Asked:
         return unit_of(self.part)
 
     def at_ticks(self, atom: Comparison | Truth) -> MarginBounds:
-        one = self.sampled[atom.signal]
-        value = _whole_run(one.value, self.trace)
+        sampled = self.sampled[atom.signal]
+        value = _whole_run(sampled.value, self.trace)
         if isinstance(atom, Truth):
             return truth_bounds(value)
-        if one.value_low is None or one.value_high is None:
+        if sampled.value_low is None or sampled.value_high is None:
             return comparison_bounds(atom, value, value)
-        low, high = (_whole_run(side, self.trace) for side in (one.value_low, one.value_high))
+        low, high = (_whole_run(side, self.trace) for side in (sampled.value_low, sampled.value_high))
         return comparison_bounds(atom, low, high)
 
-    def between(self, atom: Comparison | Truth) -> MarginBounds:
+    def bounds_between_ticks(self, atom: Comparison | Truth) -> MarginBounds:
         """Return margins from each tick to the next; a signal unknown at a tick is unknown after it too."""
-        one = self.sampled[atom.signal]
-        if isinstance(atom, Truth) or one.low is one.high:
+        sampled = self.sampled[atom.signal]
+        if isinstance(atom, Truth) or sampled.low is sampled.high:
             return self.at_ticks(atom)
-        unknown = np.isnan(one.value)
-        low, high = (_whole_run(np.where(unknown, np.nan, side), self.trace) for side in (one.low, one.high))
+        unknown = np.isnan(sampled.value)
+        low, high = (
+            _whole_run(np.where(unknown, np.nan, side), self.trace) for side in (sampled.low, sampled.high)
+        )
         return comparison_bounds(atom, low, high)
 
     def reached(self, atom: Comparison | Truth) -> MarginBounds:
         """Return margins with the signal at its least, from each tick to the next, if it has a ``surely``."""
-        one = self.sampled[atom.signal]
-        if one.surely is None or isinstance(atom, Truth):
-            return self.between(atom)
-        low, high = (_whole_run(side, self.trace) for side in (one.low, one.surely))
+        sampled = self.sampled[atom.signal]
+        if sampled.surely is None or isinstance(atom, Truth):
+            return self.bounds_between_ticks(atom)
+        low, high = (_whole_run(side, self.trace) for side in (sampled.low, sampled.surely))
         return comparison_bounds(atom, low, high)
 
     def surely(self, at_ticks: Margins) -> float:
@@ -198,7 +200,7 @@ class _Asked:
         """
         part, most = self.part, float(at_ticks.bounds.high[0])
         always = isinstance(part, Globally) or (isinstance(part, Always) and part.span is None)
-        plain = all(isinstance(node, OF_A_TICK) for one in part.parts for node in one.nodes())
+        plain = all(isinstance(node, OF_A_TICK) for operand in part.parts for node in operand.nodes())
         known = all(signal.between is not Interpolation.TICKS_ONLY for signal in self.sampled)
         if self.lacking or not (always and plain and known):
             return most
@@ -206,21 +208,21 @@ class _Asked:
 
     def cases(self, atoms: Atoms) -> list[Case]:
         """Return the possible modes, where several were possible and the part asks for more than one mode."""
-        gaps = self.trace.known.of("mode").gaps
+        gaps = self.trace.known.measurement_of("mode").gaps
         several = len(MODES.keys() & self.sampled.keys()) > 1
         either = {mode for gap in gaps for mode in gap.either} if several else set()
-        count, found = self.trace.scenario.ticks + 1, []
+        count, margin_cases = self.trace.scenario.ticks + 1, []
         for mode in sorted(either):
             where = np.zeros(count, np.bool_)
             for gap in sorted(gaps, key=lambda one: one.either == ()):  # those of any mode last
                 where[gap.first : gap.after] = mode in gap.either
 
-            def told(atom: Comparison | Truth, mode: int = mode) -> MarginBounds:
+            def atom_margins(atom: Comparison | Truth, mode: int = mode) -> MarginBounds:
                 own = MODES.get(atom.signal) if isinstance(atom, Truth) else None
                 return atoms(atom) if own is None else truth_bounds(np.full(count, float(own == mode)))
 
-            found.append(Case(where, told))
-        return found
+            margin_cases.append(Case(where, atom_margins))
+        return margin_cases
 
     def exercised(self, at_ticks: Margins, *, perhaps: bool = False) -> tuple[int, str]:
         """Return how often the part was certainly exercised, and the missing event if that is 0.
@@ -232,11 +234,11 @@ class _Asked:
         every unknown tick counts.
         """
         part, tried = self.part, set(self.sampled)
-        asked = ticks_asked(at_ticks, self.period_s)
+        ticks = ticks_asked(at_ticks, self.period_s)
         when = {signal: np.zeros(len(self.trace.ticks), np.bool_) for signal in self.sampled}
-        for node, mask in asked:
+        for node, mask in ticks:
             when[node.signal] |= mask[: len(self.trace.ticks)]
-        known = np.all([perhaps | ~np.isnan(one.value) for one in self.sampled.values()], axis=0)
+        known = np.all([perhaps | ~np.isnan(sampled.value) for sampled in self.sampled.values()], axis=0)
         known &= np.any(list(when.values()), axis=0)
         count, untried = int(np.count_nonzero(known)), "what it reads is never known"
         if isinstance(part, Globally):
@@ -252,26 +254,26 @@ class _Asked:
             count = min(count, int(ends[0])) if len(ends) else count
             untried = f'"{goal}" holds from the beginning'
         for signal in tried:
-            one = self.sampled[signal]
-            if one.tried is not None:
-                near_m = near_of(part, signal) if one.comes else 0.0
-                least, most = (side + (near_m - NEAR_M) * bool(one.comes) for side in one.tried)
+            sampled = self.sampled[signal]
+            if sampled.tried is not None:
+                near_m = near_of(part, signal) if sampled.comes else 0.0
+                least, most = (side + (near_m - NEAR_M) * bool(sampled.comes) for side in sampled.tried)
                 tries, never = ((least, most)[perhaps] > 0.0) & when[signal], (most <= 0.0) | ~when[signal]
-                own = self.begun(tries, never) if one.comes else int(np.count_nonzero(tries))
+                own = self.begun(tries, never) if sampled.comes else int(np.count_nonzero(tries))
                 if own == 0 and signal.place in self.lacking:
                     own = int(went(self.trace, signal.place, when[signal]))
                 if own < count:
-                    count, untried = own, self.untried(one, when[signal], near_m)
+                    count, untried = own, self.untried(sampled, when[signal], near_m)
         return count, untried
 
-    def untried(self, one: Sampled, when: NDArray[np.bool_], near_m: float) -> str:
+    def untried(self, sampled: Sampled, when: NDArray[np.bool_], near_m: float) -> str:
         """Return the event that did not happen at the ticks ``when`` (n,) at which the part asks."""
-        asked = "" if when.all() else " at any tick that the formula asks of"
-        if one.comes is None:
-            return f"{one.untried}{asked}"
-        whose, what = one.comes
-        nearest = nearest_of(self.trace, np.where(when, one.value, np.inf), near_m, whose, what)
-        return (nearest or f"there was no {whose}") + asked
+        where = "" if when.all() else " at any tick that the formula asks of"
+        if sampled.comes is None:
+            return f"{sampled.untried}{where}"
+        body, target = sampled.comes
+        nearest = nearest_of(self.trace, np.where(when, sampled.value, np.inf), near_m, body, target)
+        return (nearest or f"there was no {body}") + where
 
     def begun(self, surely: NDArray[np.bool_], never: NDArray[np.bool_]) -> int:
         """Return how often a state begins, at least: between two unknown ticks it may have continued."""
@@ -287,17 +289,19 @@ class _Asked:
     def lacking(self) -> tuple[str, ...]:
         """Return the columns that it reads and that are not wholly known."""
         known = self.trace.known
-        return () if known.whole else tuple(n for n in _columns_of(self.part) if known.of(n).limited)
+        return (
+            () if known.whole else tuple(n for n in _columns_of(self.part) if known.measurement_of(n).limited)
+        )
 
-    def lacks(self, columns: tuple[str, ...], told: str = "", exercised: int = 0) -> Evaluation:
+    def lacks(self, columns: tuple[str, ...], reason: str = "", exercised: int = 0) -> Evaluation:
         """Return inconclusive, since ``columns`` are not known well enough."""
         gaps = gaps_of(self.trace, columns)
-        words = f"not measured: {', '.join(gaps)}" if gaps else ""
+        text = f"not measured: {', '.join(gaps)}" if gaps else ""
         rest = [name for name in columns if name not in gaps]
         if rest:
-            words += f"{'; ' * bool(gaps)}known only to within an uncertainty: {', '.join(rest)}"
-        words += f"; {told}" * bool(told)
-        return replace(inconclusive(self, words, exercised=exercised), unmeasured=columns)
+            text += f"{'; ' * bool(gaps)}known only to within an uncertainty: {', '.join(rest)}"
+        text += f"; {reason}" * bool(reason)
+        return replace(inconclusive(self, text, exercised=exercised), unmeasured=columns)
 
     def nearest(self, trigger: Formula, at_ticks: Margins) -> str:
         """Return the smallest gap by which a trigger failed, and when; empty if it has several quantities."""
@@ -312,35 +316,42 @@ class _Asked:
         lacked = unit.margin_text(-float(low[tick])).removeprefix("+")
         return f": it lacked at least {lacked}, at {self.trace.time_s[tick]:.3f} s"
 
-    def undecided(self, at_ticks: Margins, between: Margins, surely: float, exercised: int) -> Evaluation:
+    def undecided(
+        self, at_ticks: Margins, between_ticks: Margins, surely: float, exercised: int
+    ) -> Evaluation:
         """Return inconclusive: a value is unknown or uncertain, or the bounds between ticks are too wide."""
         holds, uncertain = at_ticks.bounds.low[0] >= 0.0, self.trace.known.uncertain(self.lacking)
-        ends = [float(between.bounds.low[0]), surely]
-        told = self.told(Verdict.INCONCLUSIVE, between, exercised)
+        ends = [float(between_ticks.bounds.low[0]), surely]
+        evaluation = self.evaluation_of(Verdict.INCONCLUSIVE, between_ticks, exercised)
         least, most = (self.unit.margin_text(end) for end in ends)
         if uncertain and np.isfinite(ends).all():
-            why = f"between {least} and {most}, as {', '.join(uncertain)} may be that far off: {told.reason}"
+            why = f"between {least} and {most}, as {', '.join(uncertain)} may be that far off: "
+            why += evaluation.reason
             return replace(inconclusive(self, why, exercised=exercised), unmeasured=uncertain)
         if not self.lacking and holds and ends[0] == -np.inf:
-            why = f"{MAY_SATURATE}; at the ticks {most} ({told.reason})"
+            why = f"{MAY_SATURATE}; at the ticks {most} ({evaluation.reason})"
             return inconclusive(self, why, exercised=exercised)
         if not self.lacking and (holds or np.isfinite(ends).all()):
             why = "it holds at the ticks, perhaps not between them" if holds else "it is not known so closely"
-            return replace(told, reason=f"{why}: between {least} and {most} ({told.reason})")
-        return self.unknown(witness(between if holds else at_ticks, 0, self.period_s, low=True), exercised)
+            return replace(evaluation, reason=f"{why}: between {least} and {most} ({evaluation.reason})")
+        return self.unknown(
+            witness(between_ticks if holds else at_ticks, 0, self.period_s, low=True), exercised
+        )
 
-    def unknown(self, found: Witness, exercised: int) -> Evaluation:
+    def unknown(self, decisive: Witness, exercised: int) -> Evaluation:
         """Return the unknown value: at the tick that would decide, else the first."""
         trace, columns = self.trace, self.lacking
         why = "a window runs beyond the end of the run, which does not decide it"
         if not trace.complete:
             why = f"the run was cut short ({trace.ended})"
-        if found.tick < len(trace.ticks) and found.atom is not None:
-            every = sorted((found.atom.signal, *self.sampled), key=lambda one: not gaps_of(trace, one.reads))
+        if decisive.tick < len(trace.ticks) and decisive.atom is not None:
+            every = sorted(
+                (decisive.atom.signal, *self.sampled), key=lambda one: not gaps_of(trace, one.reads)
+            )
             for signal in every:  # first those that were not always measured
                 holes = _holes(self.sampled[signal])
                 if holes.any():
-                    tick = found.tick if holes[found.tick] else int(np.argmax(holes))
+                    tick = decisive.tick if holes[decisive.tick] else int(np.argmax(holes))
                     why = f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
                     gaps = gaps_of(trace, signal.reads)
                     columns = gaps_of(trace, gaps, tick) or gaps or columns
@@ -349,36 +360,38 @@ class _Asked:
             return self.lacks(columns, why, exercised)
         return inconclusive(self, why, exercised=exercised)
 
-    def told(self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True) -> Evaluation:
+    def evaluation_of(
+        self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True
+    ) -> Evaluation:
         """Return a verdict by the lower (or upper) bound of ``seen``, with the moment that decided it."""
-        found = witness(seen, 0, self.period_s, low=low)
+        decisive = witness(seen, 0, self.period_s, low=low)
         margin, unit = float((seen.bounds.low if low else seen.bounds.high)[0]), self.unit
         margin = 0.0 if margin == LEAST else margin
         if not np.isfinite(margin):
             margin, unit = float(np.copysign(WITHOUT_END, margin)), Unit.COUNT
-        told = replace(
+        evaluation = replace(
             inconclusive(self, "what comes after the run decides", exercised=exercised),
             verdict=verdict,
             unit=unit,
             margin=margin,
         )
-        if found.atom is None or found.tick >= len(self.trace.ticks):
-            return told
-        signal = found.atom.signal
-        value = float(self.sampled[signal].value[found.tick])
-        if isinstance(found.atom, Truth):
+        if decisive.atom is None or decisive.tick >= len(self.trace.ticks):
+            return evaluation
+        signal = decisive.atom.signal
+        value = float(self.sampled[signal].value[decisive.tick])
+        if isinstance(decisive.atom, Truth):
             reason = signal.words if value else f"not {signal.words}"
         else:
             shown = shown_in(signal.dimension)
             reason = f"{signal.words} {value * shown.per_si:.4g} {shown.symbol}".rstrip()
             reason += ", exactly the limit" if abs(margin) <= LEAST else ""
-        return replace(told, worst_time_s=float(self.trace.time_s[found.tick]), reason=reason)
+        return replace(evaluation, worst_time_s=float(self.trace.time_s[decisive.tick]), reason=reason)
 
 
 def near_of(part: Formula, signal: Signal) -> float:
     """Return how near the distance ``signal`` has to come to exercise a part."""
-    said = (node for node in part.nodes() if isinstance(node, Comparison) and node.signal is signal)
-    return occasion_m(max((one.limit.value for one in said), default=0.0))
+    comparisons = (node for node in part.nodes() if isinstance(node, Comparison) and node.signal is signal)
+    return occasion_m(max((comparison.limit.value for comparison in comparisons), default=0.0))
 
 
 def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: bool = False) -> Evaluation:
@@ -396,54 +409,55 @@ def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: b
             signal: (signal.finer if finely and signal.finer else signal.sample)(seen)
             for signal in signals_of(part)
         }
-    asked = _Asked(part, trace, sampled, edition)
-    for signal, one in sampled.items():
+    judging = _Asked(part, trace, sampled, edition)
+    for signal, values in sampled.items():
         gaps = () if whole else gaps_of(trace, signal.reads)
         uncertain = () if whole else trace.known.uncertain(signal.reads)
-        if one.absent and (gaps or (uncertain and one.lost is not None and one.lost.any())):
-            return asked.lacks(gaps or uncertain, one.absent)
-        why = one.absent or _impossible(signal, one, trace)
+        if values.absent and (gaps or (uncertain and values.lost is not None and values.lost.any())):
+            return judging.lacks(gaps or uncertain, values.absent)
+        why = values.absent or _impossible(signal, values, trace)
         if why:
-            return inconclusive(asked, why)
+            return inconclusive(judging, why)
         if uncertain and signal.off is None:
-            return asked.lacks(uncertain, f"{signal.words} is not judged by that")
-        sampled[signal] = one if whole else as_known(signal, one, trace)
-    at_ticks, between = (
-        margins(part, atoms, asked.period_s, asked.cases(atoms)) for atoms in (asked.at_ticks, asked.between)
+            return judging.lacks(uncertain, f"{signal.words} is not judged by that")
+        sampled[signal] = values if whole else as_known(signal, values, trace)
+    at_ticks, between_ticks = (
+        margins(part, atoms, judging.period_s, judging.cases(atoms))
+        for atoms in (judging.at_ticks, judging.bounds_between_ticks)
     )
-    low, surely = between.bounds.low[0], asked.surely(at_ticks)
+    low, surely = between_ticks.bounds.low[0], judging.surely(at_ticks)
     if low < 0.0 <= surely and not finely and any(signal.finer for signal in sampled):
         return judge_part(part, trace, edition, finely=True)
-    exercised, untried = asked.exercised(at_ticks)
+    exercised, untried = judging.exercised(at_ticks)
     if surely < 0.0:
         exercised = max(exercised, 1)
-        if np.isfinite(low) and not asked.lacking:
-            return asked.told(Verdict.VIOLATED, between, exercised)
-        return asked.told(Verdict.VIOLATED, at_ticks, exercised, low=False)
+        if np.isfinite(low) and not judging.lacking:
+            return judging.evaluation_of(Verdict.VIOLATED, between_ticks, exercised)
+        return judging.evaluation_of(Verdict.VIOLATED, at_ticks, exercised, low=False)
     if low < 0.0:
-        return asked.undecided(at_ticks, between, surely, exercised)
-    if exercised == 0 and (asked.lacking or np.isinf(low)):  # nothing was asked at all
-        return asked.unexercised(at_ticks, untried)
-    told = asked.told(Verdict.HOLDS, between, exercised)
+        return judging.undecided(at_ticks, between_ticks, surely, exercised)
+    if exercised == 0 and (judging.lacking or np.isinf(low)):  # nothing was asked at all
+        return judging.unexercised(at_ticks, untried)
+    evaluation = judging.evaluation_of(Verdict.HOLDS, between_ticks, exercised)
     if exercised == 0:
-        return replace(told, verdict=Verdict.INCONCLUSIVE, reason=f"never exercised: {untried}")
+        return replace(evaluation, verdict=Verdict.INCONCLUSIVE, reason=f"never exercised: {untried}")
     if not trace.complete:
-        cut = f"the run was cut short ({trace.ended}): {told.reason}"
-        return replace(told, verdict=Verdict.INCONCLUSIVE, reason=cut)
-    return told
+        cut = f"the run was cut short ({trace.ended}): {evaluation.reason}"
+        return replace(evaluation, verdict=Verdict.INCONCLUSIVE, reason=cut)
+    return evaluation
 
 
-def _holes(one: Sampled) -> NDArray[np.bool_]:
+def _holes(sampled: Sampled) -> NDArray[np.bool_]:
     """Return (n,) the ticks at which a signal is not known, or not wholly."""
-    return np.isnan(one.value) if one.lost is None else np.isnan(one.value) | one.lost
+    return np.isnan(sampled.value) if sampled.lost is None else np.isnan(sampled.value) | sampled.lost
 
 
-def _impossible(signal: Signal, one: Sampled, trace: Trace) -> str:
+def _impossible(signal: Signal, sampled: Sampled, trace: Trace) -> str:
     """Return why a signal's values are not evidence; empty if a run can have them."""
-    found = signal.impossible(one) if isinstance(signal, Measure) else None
-    if found is None:
+    impossible = signal.impossible(sampled) if isinstance(signal, Measure) else None
+    if impossible is None:
         return ""
-    (tick, value), shown = found, shown_in(signal.dimension)
+    (tick, value), shown = impossible, shown_in(signal.dimension)
     number = f"{value * shown.per_si:.4g} {shown.symbol}".rstrip()
     return f"no run has what is stored: {signal.words} {number} at {trace.time_s[tick]:.3f} s"
 

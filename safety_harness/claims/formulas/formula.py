@@ -1,8 +1,8 @@
 """The parts of a formula, and its form in Python.
 
     always(hand_distance() > mm(50))
-    whenever(hand_distance() < mm(300)).then(eventually(tcp_speed() < mm_per_s(100), within=ms(200)))
-    repulsing().until(hand_distance() > mm(300), within=s(4))
+    whenever(hand_distance() < mm(300)).then(eventually(tcp_speed() < mm_per_s(100), window=ms(200)))
+    repulsing().until(hand_distance() > mm(300), window=s(4))
 
 Formulas are frozen trees, equal if they have the same meaning; ``str`` returns their sentence in a scenario
 file. ``&``, ``|`` and ``~`` join them, each comparison in parentheses.  Python's own ``and``, ``or``, ``not``
@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from safety_harness.base.exceptions import FormulaError, Place
+from safety_harness.base.renamed import renamed_parameters
 from safety_harness.claims.formulas.quantities import Quantity, Span, Window, formula_error, span_of
 from safety_harness.claims.properties.base import Unit
 from safety_harness.claims.signals.signal import Signal
@@ -63,18 +64,19 @@ class Formula:
         for part in self.parts:
             yield from part.nodes()
 
-    def __and__(self, other: Formula) -> Formula:
-        return conjunction(self, formula_of(other, "&"))
+    def __and__(self, right: Formula) -> Formula:
+        return conjunction(self, formula_of(right, "&"))
 
-    def __or__(self, other: Formula) -> Formula:
-        return disjunction(self, formula_of(other, "|"))
+    def __or__(self, right: Formula) -> Formula:
+        return disjunction(self, formula_of(right, "|"))
 
     def __invert__(self) -> Formula:
         return Not(self)
 
-    def until(self, other: Formula, *, within: Window = None) -> Formula:
-        """Return the formula that this holds from now until a tick of the window at which ``other`` holds."""
-        return Until(self, formula_of(other, "until"), span_of(within))
+    @renamed_parameters(within="window")  # deprecated: the old name, for one release
+    def until(self, right: Formula, *, window: Window = None) -> Formula:
+        """Return the formula that this holds from now until a tick of the window at which ``right`` holds."""
+        return Until(self, formula_of(right, "until"), span_of(window))
 
     def __bool__(self) -> bool:
         raise formula_error(
@@ -154,8 +156,8 @@ class Always(_Over):
     span: Span | None = None
 
     def __str__(self) -> str:
-        words = f"always {self.span.words('for')}" if self.span else "always"
-        return f"{words} {operand(self.body)}"
+        head = f"always {self.span.phrase('for')}" if self.span else "always"
+        return f"{head} {operand(self.body)}"
 
 
 @dataclass(frozen=True)
@@ -168,8 +170,8 @@ class Eventually(_Over):
         body = operand(self.body)
         if self.span is None:  # "eventually within 1 s" is one operator
             return f"eventually ({body})" if body.startswith("within") else f"eventually {body}"
-        words = self.span.words("within")
-        return f"eventually {words} {body}" if words.startswith("from") else f"{words} {body}"
+        head = self.span.phrase("within")
+        return f"eventually {head} {body}" if head.startswith("from") else f"{head} {body}"
 
 
 @dataclass(frozen=True)
@@ -215,8 +217,8 @@ class Until(Formula):
         return (self.first, self.second)
 
     def __str__(self) -> str:
-        words = f"{joined(self.first)} until {joined(self.second)}"
-        return f"{words} {self.span.words('within')}" if self.span else words
+        text = f"{joined(self.first)} until {joined(self.second)}"
+        return f"{text} {self.span.phrase('within')}" if self.span else text
 
 
 @dataclass(frozen=True)
@@ -268,31 +270,37 @@ def joined(formula: Formula) -> str:
 
 def conjunction(*formulas: Formula) -> Formula:
     """Return all of ``formulas`` joined; their own members join the rest."""
-    return And(tuple(p for one in formulas for p in (one.members if isinstance(one, And) else (one,))))
+    return And(
+        tuple(
+            p for formula in formulas for p in (formula.members if isinstance(formula, And) else (formula,))
+        )
+    )
 
 
 def disjunction(*formulas: Formula) -> Formula:
     """Return the alternative of ``formulas``; their own members join the rest."""
-    return Or(tuple(p for one in formulas for p in (one.members if isinstance(one, Or) else (one,))))
+    return Or(
+        tuple(p for formula in formulas for p in (formula.members if isinstance(formula, Or) else (formula,)))
+    )
 
 
-def formula_of(value: object, word: str) -> Formula:
+def formula_of(value: object, operator: str) -> Formula:
     """Return ``value`` if it is a formula; else raise FormulaError with the operator beside it."""
     if isinstance(value, Formula):
         return value
-    raise formula_error(f'a formula such as hand_distance() > mm(50) beside "{word}"', str(value))
+    raise formula_error(f'a formula such as hand_distance() > mm(50) beside "{operator}"', str(value))
 
 
 def _refuse_what_stands_at_the_top(formula: Formula) -> None:
     """Raise FormulaError for a part that is not a formula, or that only a whole claim can be."""
-    word = type(formula).__name__.lower()
+    operator = type(formula).__name__.lower()
     for part in formula.parts:
-        for node in formula_of(part, word).nodes():
+        for node in formula_of(part, operator).nodes():
             if isinstance(node, Globally | Initially):
                 begins = type(node).__name__.lower()
                 raise formula_error(
                     f'"{begins}" at the beginning of a claim, or of a part that "and" joins to others',
-                    f'"{node}" within "{word}"',
+                    f'"{node}" within "{operator}"',
                     "it is asked of the whole run already",
                 )
 
@@ -309,7 +317,7 @@ _UNITS = (
 
 def parts_of(formula: Formula) -> tuple[Formula, ...]:
     """Return the parts of a claim, each with a time; FormulaError if one has no margin."""
-    parts = tuple(_asked(part) for part in _split(formula))
+    parts = tuple(_with_time(part) for part in _split(formula))
     for part in parts:
         dimension_of(part)
     return parts
@@ -329,7 +337,7 @@ def _split(formula: Formula) -> list[Formula]:
     return [formula]
 
 
-def _asked(part: Formula) -> Formula:
+def _with_time(part: Formula) -> Formula:
     """Add "always" if no operator gives a time; FormulaError if one does for a part alone."""
     if not any(isinstance(node, TEMPORAL) for node in part.nodes()):
         return Always(part)
@@ -369,19 +377,19 @@ def dimension_of(formula: Formula) -> Dimension | None:
     if isinstance(formula, Comparison):
         return formula.signal.dimension
     parts = formula.parts[1:] if isinstance(formula, Globally) else formula.parts
-    found: list[tuple[Dimension, Formula]] = []
+    dimensions: list[tuple[Dimension, Formula]] = []
     for part in parts:
         dimension = dimension_of(part)
         if dimension is not None:
-            found.append((dimension, part))
-    for dimension, part in found[1:]:
-        if dimension is not found[0][0]:
+            dimensions.append((dimension, part))
+    for dimension, part in dimensions[1:]:
+        if dimension is not dimensions[0][0]:
             raise formula_error(
                 f"one kind of margin in {type(formula).__name__.lower()!r}, all of them lengths, say",
-                f'"{found[0][1]}" beside "{part}"',
+                f'"{dimensions[0][1]}" beside "{part}"',
                 'let one be a trigger, which has no margin: "whenever ... then ..."',
             )
-    return found[0][0] if found else None
+    return dimensions[0][0] if dimensions else None
 
 
 def signals_of(formula: Formula) -> tuple[Signal, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from safety_harness.base.renamed import renamed_parameters
 from safety_harness.claims.formulas.formula import (
     Always,
     Eventually,
@@ -151,18 +152,20 @@ def rad_per_s(number: float) -> Quantity:
     return quantity(number, "rad/s", ANGULAR_SPEED)
 
 
-def always(formula: Formula, *, within: Window = None) -> Formula:
+@renamed_parameters(within="window")  # deprecated: the old name, for one release
+def always(formula: Formula, *, window: Window = None) -> Formula:
     """Return the formula that ``formula`` holds at every tick from now on, or of the window.
 
-    ``within=s(2)`` is the window from now to 2 s; ``within=(s(0.1), s(0.5))`` that from 0.1 s to 0.5 s, ends
+    ``window=s(2)`` is the window from now to 2 s; ``window=(s(0.1), s(0.5))`` that from 0.1 s to 0.5 s, ends
     included.
     """
-    return Always(formula_of(formula, "always"), span_of(within))
+    return Always(formula_of(formula, "always"), span_of(window))
 
 
-def eventually(formula: Formula, *, within: Window = None) -> Formula:
+@renamed_parameters(within="window")  # deprecated: the old name, for one release
+def eventually(formula: Formula, *, window: Window = None) -> Formula:
     """Return the formula that ``formula`` holds at one tick at least, from now on or in the window."""
-    return Eventually(formula_of(formula, "eventually"), span_of(within))
+    return Eventually(formula_of(formula, "eventually"), span_of(window))
 
 
 def initially(formula: Formula) -> Formula:

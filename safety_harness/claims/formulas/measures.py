@@ -52,9 +52,9 @@ class Measure(Signal):
         for side, unknown in ((sampled.value, np.nan), (sampled.low, -np.inf), (sampled.high, np.inf)):
             endless = (np.abs(side) >= ENDLESS) & ~(self.endless & np.isposinf(side))
             endless &= ~(unbounded & (side == unknown))
-            wrong = (side < least) | endless
-            if wrong.any():
-                tick = int(np.argmax(wrong))
+            out_of_range = (side < least) | endless
+            if out_of_range.any():
+                tick = int(np.argmax(out_of_range))
                 return tick, float(side[tick])
             least = -np.inf  # a bound may be below what it bounds
         return None
@@ -75,10 +75,10 @@ class Measure(Signal):
     def __ge__(self, limit: Quantity | float) -> Comparison:
         return self._compare(Relation.AT_LEAST, limit)
 
-    def __eq__(self, other: object) -> bool:
-        if isinstance(other, Quantity | int | float):
-            raise formula_error(f"{self.words} beside a limit with <, <=, > or >=", f"== {other}")
-        return self is other
+    def __eq__(self, value: object) -> bool:
+        if isinstance(value, Quantity | int | float):
+            raise formula_error(f"{self.words} beside a limit with <, <=, > or >=", f"== {value}")
+        return self is value
 
     def __hash__(self) -> int:
         return id(self)

@@ -64,9 +64,9 @@ def looks_like_formula(sentence: str) -> bool:
     """Return whether a sentence that is not in the catalogue seems to be a formula."""
     if any(sign in sentence for sign in "<>≤≥=()"):
         return True
-    words = sentence.lower().split()
+    tokens = sentence.lower().split()
     names = {signal.words.lower() for signal in SIGNALS}
-    return bool(words) and (words[0] in FIRST or "until" in words or " ".join(words) in names)
+    return bool(tokens) and (tokens[0] in FIRST or "until" in tokens or " ".join(tokens) in names)
 
 
 ALL_CLAIMS = "safety-harness claims"  # the command that lists the catalogue and the signals
@@ -98,8 +98,10 @@ class _Parser:
     def error(self, expected: str, token: Token | None = None, hint: str = "", got: str = "") -> FormulaError:
         token = token or self.now
         where = f'at column {token.column} of "{self.sentence}"'
-        what = f'"{got or token.written}" {where}' if token.kind != "end" else f'the end of "{self.sentence}"'
-        return FormulaError(place=self.place, expected=expected, got=what, hint=hint)
+        got_text = (
+            f'"{got or token.written}" {where}' if token.kind != "end" else f'the end of "{self.sentence}"'
+        )
+        return FormulaError(place=self.place, expected=expected, got=got_text, hint=hint)
 
     def made(self, token: Token, make: type[Formula], *parts: object) -> Formula:
         """Return a node; if it refuses its parts, report that at ``token``."""
@@ -136,15 +138,15 @@ class _Parser:
     def refuse_more(self, begins: Token) -> None:
         """Refuse an operator that could seem to reach further, or another joint."""
         if self.now.text in ("and", "or", "until") and self.now.kind == "word":
-            word = begins.text
-            hint = f'"{word} (...)" with what belongs to it, or "({word} ...)" around it'
-            if word in ("and", "or", "until"):
-                hint = f'such as "(a {word} b) {self.now.text} c"'
-            raise self.error(f'parentheses that say how far "{word}" reaches', hint=hint)
+            text = begins.text
+            hint = f'"{text} (...)" with what belongs to it, or "({text} ...)" around it'
+            if text in ("and", "or", "until"):
+                hint = f'such as "(a {text} b) {self.now.text} c"'
+            raise self.error(f'parentheses that say how far "{text}" reaches', hint=hint)
 
-    def until(self, word: Token, first: Formula, depth: int) -> Formula:
-        formula = self.made(word, Until, first, self.operand(depth), self.window("within"))
-        self.refuse_more(word)
+    def until(self, token: Token, first: Formula, depth: int) -> Formula:
+        formula = self.made(token, Until, first, self.operand(depth), self.window("within"))
+        self.refuse_more(token)
         return formula
 
     def far_begins(self) -> bool:
@@ -158,20 +160,20 @@ class _Parser:
         return self.tokens[ahead].text in FIRST
 
     def far(self, depth: int) -> Formula:
-        word = self.now
+        token = self.now
         self.at += 1
-        if word.text == "whenever":
+        if token.text == "whenever":
             trigger = self.claim(depth + 1)
             self.need("then", '"then" and what is to hold whenever the first part does')
-            return self.made(word, Globally, trigger, self.reach(depth, until=True))
-        if word.text in ("not", "initially"):
-            return self.made(word, Not if word.text == "not" else Initially, self.reach(depth))
-        if word.text == "within":
+            return self.made(token, Globally, trigger, self.reach(depth, until=True))
+        if token.text in ("not", "initially"):
+            return self.made(token, Not if token.text == "not" else Initially, self.reach(depth))
+        if token.text == "within":
             span = Span(NOW, self.later(NOW))
-            return self.made(word, Eventually, self.reach(depth), span)
-        make, lasting = (Always, "for") if word.text == "always" else (Eventually, "within")
+            return self.made(token, Eventually, self.reach(depth), span)
+        make, lasting = (Always, "for") if token.text == "always" else (Eventually, "within")
         lasts = self.window(lasting)
-        return self.made(word, make, self.reach(depth), lasts)
+        return self.made(token, make, self.reach(depth), lasts)
 
     def reach(self, depth: int, *, until: bool = False) -> Formula:
         """Return what an operator applies to: one operand, or another operator with its own."""
@@ -179,20 +181,20 @@ class _Parser:
         if self.far_begins():
             return self.far(depth + 1)
         first = self.operand(depth)
-        word = self.take("until") if until else None
-        return first if word is None else self.until(word, first, depth)
+        token = self.take("until") if until else None
+        return first if token is None else self.until(token, first, depth)
 
     def operand(self, depth: int) -> Formula:
-        if (word := self.take("not")) is not None:
-            return self.made(word, Not, self.operand(depth + 1))
+        if (token := self.take("not")) is not None:
+            return self.made(token, Not, self.operand(depth + 1))
         if self.take("("):
             formula = self.claim(depth + 1)
             self.need(")", '")"')
             return formula
         if self.now.text in FIRST:
-            word = self.now
+            token = self.now
             raise self.error(
-                f'parentheses around what "{word.text}" begins', hint=f'write "({word.text} ...)"'
+                f'parentheses around what "{token.text}" begins', hint=f'write "({token.text} ...)"'
             )
         self.refuse_deeper(depth)
         return self.atom()
@@ -216,10 +218,10 @@ class _Parser:
     def signal(self) -> Signal:
         """Return the signal with the most words among those that match here."""
         ahead = [token.text for token in self.tokens[self.at :]]
-        found = [signal for signal in SIGNALS if ahead[: len(_words(signal))] == _words(signal)]
-        if found:
-            signal = max(found, key=lambda one: len(_words(one)))
-            self.at += len(_words(signal))
+        matches = [signal for signal in SIGNALS if ahead[: len(_words_of(signal))] == _words_of(signal)]
+        if matches:
+            signal = max(matches, key=lambda one: len(_words_of(one)))
+            self.at += len(_words_of(signal))
             return signal
         first, last = self.at, self.at
         while self.tokens[last].kind == "word" and (last == first or self.tokens[last].text not in KEYWORDS):
@@ -249,15 +251,15 @@ class _Parser:
 
     def window(self, from_now: str) -> Span | None:
         """Return ``for 2 s`` or ``within 2 s`` (as ``from_now`` says), or ``from 0.1 s to 0.5 s``."""
-        word = self.take(from_now, "from")
-        if word is None:
+        token = self.take(from_now, "from")
+        if token is None:
             return None
-        if word.text == from_now:
+        if token.text == from_now:
             return Span(NOW, self.later(NOW))
         begin = self.quantity(TIME)
         self.need("to", '"to" and when the window ends')
         if begin.value < 0.0:
-            raise self.error("a window that does not begin before now", word)
+            raise self.error("a window that does not begin before now", token)
         return Span(begin, self.later(begin))
 
     def later(self, begin: Quantity) -> Quantity:
@@ -269,7 +271,7 @@ class _Parser:
         return end
 
 
-def _words(signal: Signal) -> list[str]:
+def _words_of(signal: Signal) -> list[str]:
     return signal.words.lower().split()
 
 
@@ -297,7 +299,7 @@ class Token:
 
 def tokens_of(sentence: str, place: Place) -> list[Token]:
     """Return the tokens of a sentence, with a last token for its end; FormulaError for other characters."""
-    found, at = [], 0
+    tokens, at = [], 0
     while at < len(sentence):
         if sentence[at].isspace():
             at += 1
@@ -309,6 +311,6 @@ def tokens_of(sentence: str, place: Place) -> list[Token]:
                 expected="words, numbers with units, <, <=, >, >= and parentheses",
                 got=f'"{sentence[at]}" at column {at + 1} of "{sentence}"',
             )
-        found.append(Token(match.lastgroup or "", match.group(), at + 1))
+        tokens.append(Token(match.lastgroup or "", match.group(), at + 1))
         at = match.end()
-    return [*found, Token("end", "", len(sentence) + 1)]
+    return [*tokens, Token("end", "", len(sentence) + 1)]

@@ -25,12 +25,12 @@ class Quantity:
     def __str__(self) -> str:
         return self.written
 
-    def __and__(self, other: object) -> Quantity:
+    def __and__(self, right: object) -> Quantity:
         raise _needs_parentheses("&", self)
 
     __rand__ = __and__
 
-    def __or__(self, other: object) -> Quantity:
+    def __or__(self, right: object) -> Quantity:
         raise _needs_parentheses("|", self)
 
     __ror__ = __or__
@@ -98,16 +98,16 @@ class Span:
         first, last = self.begin.value / period_s - TIME_EPS, self.end.value / period_s + TIME_EPS
         return math.ceil(first), math.floor(last)
 
-    def words(self, from_now: str) -> str:
+    def phrase(self, from_now: str) -> str:
         """Return ``from_now`` with its end if it begins now, else both times."""
         if self.begin.value == 0.0:
             return f"{from_now} {self.end}"
         return f"from {self.begin} to {self.end}"
 
 
-def span_of(within: Window) -> Span | None:
+def span_of(window: Window) -> Span | None:
     """Return ``s(2)`` as the window from now to 2 s, or ``(s(0.1), s(0.5))`` as that between both."""
-    if within is None:
+    if window is None:
         return None
-    begin, end = within if isinstance(within, tuple) else (NOW, within)
+    begin, end = window if isinstance(window, tuple) else (NOW, window)
     return Span(begin, end)

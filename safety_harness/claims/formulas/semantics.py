@@ -106,31 +106,33 @@ def ticks_asked(
     At the ticks ``begin`` (n,), an operator asks its parts at the ticks of its window, to its end.
     """
     formula, n = margins.formula, len(margins.bounds.low)
-    asked = np.arange(n) == 0 if begin is None else begin
+    begins = np.arange(n) == 0 if begin is None else begin
     if isinstance(formula, Comparison | Truth):
-        return [(formula, asked)]
-    whens = [asked] * len(margins.parts)
+        return [(formula, begins)]
+    whens = [begins] * len(margins.parts)
     if isinstance(formula, Always | Eventually | Until):
         first, last = (0, n) if formula.span is None else formula.span.ticks(period_s)
-        whens = [_windows(asked, 0 if k + 1 < len(whens) else first, last) for k in range(len(whens))]
+        whens = [_windows(begins, 0 if k + 1 < len(whens) else first, last) for k in range(len(whens))]
     elif isinstance(formula, Globally):
-        every = _windows(asked, 0, n)
+        every = _windows(begins, 0, n)
         whens = [every, every & (margins.parts[0].bounds.high >= 0.0)]
     pairs = zip(margins.parts, whens, strict=True)
-    return [one for part, when in pairs for one in ticks_asked(part, period_s, when)]
+    return [tick for part, when in pairs for tick in ticks_asked(part, period_s, when)]
 
 
 def _windows(begin: NDArray[np.bool_], first: int, last: int) -> NDArray[np.bool_]:
     """Return (n,) the ticks from ``first`` to ``last`` ticks after any of ``begin`` (n,)."""
-    before = np.append(0, np.cumsum(begin))
+    counts = np.append(0, np.cumsum(begin))
     ticks = np.arange(len(begin))
-    found: NDArray[np.bool_] = before[np.maximum(ticks - first + 1, 0)] > before[np.maximum(ticks - last, 0)]
-    return found
+    any_in_window: NDArray[np.bool_] = (
+        counts[np.maximum(ticks - first + 1, 0)] > counts[np.maximum(ticks - last, 0)]
+    )
+    return any_in_window
 
 
 def _of_any_case(bounds: MarginBounds, cases: list[tuple[NDArray[np.bool_], Margins]]) -> MarginBounds:
-    low = np.minimum.reduce([np.where(where, one.bounds.low, np.inf) for where, one in cases])
-    high = np.maximum.reduce([np.where(where, one.bounds.high, -np.inf) for where, one in cases])
+    low = np.minimum.reduce([np.where(where, margins.bounds.low, np.inf) for where, margins in cases])
+    high = np.maximum.reduce([np.where(where, margins.bounds.high, -np.inf) for where, margins in cases])
     some = np.logical_or.reduce([where for where, _ in cases])
     return MarginBounds(np.where(some, low, bounds.low), np.where(some, high, bounds.high))
 
@@ -140,15 +142,15 @@ def _joined(formula: Formula, parts: list[MarginBounds], period_s: float) -> Mar
         return parts[0]
     span = getattr(formula, "span", None)
     begin, end = NO_WINDOW if span is None else span.ticks(period_s)
-    operator, found = OPERATORS.index(type(formula)), parts[0]
-    for other in parts[1:] or parts:  # of three and more, two by two
-        found = MarginBounds(*operate(operator, begin, end, found.low, found.high, other.low, other.high))
-    return found
+    operator, bounds = OPERATORS.index(type(formula)), parts[0]
+    for part in parts[1:] or parts:  # of three and more, two by two
+        bounds = MarginBounds(*operate(operator, begin, end, bounds.low, bounds.high, part.low, part.high))
+    return bounds
 
 
 def where_triggered(trigger: MarginBounds, response: MarginBounds) -> MarginBounds:
     """Return the response's margin where the trigger holds, inf where it does not, both where unknown."""
-    return MarginBounds(*_asked(trigger.low, trigger.high, response.low, response.high))
+    return MarginBounds(*_bounds_where_triggered(trigger.low, trigger.high, response.low, response.high))
 
 
 def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> MarginBounds:
@@ -185,8 +187,8 @@ def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @compiled
-def least_in_window(x: NDArray[np.float64], begin: int, end: int, beyond: float) -> NDArray[np.float64]:
-    """Return out[k] = min of x[k + begin] to x[k + end], ends included, with ``beyond`` outside of x.
+def least_in_window(x: NDArray[np.float64], begin: int, end: int, outside: float) -> NDArray[np.float64]:
+    """Return out[k] = min of x[k + begin] to x[k + end], ends included, with ``outside`` outside of x.
 
     0 <= begin <= end.  A window of w samples spans at most two blocks of w: its least value is that from its
     begin to the end of one block, or that from the begin of the next block to its end (van Herk, 1992).
@@ -211,29 +213,31 @@ def least_in_window(x: NDArray[np.float64], begin: int, end: int, beyond: float)
         least = min(least, x[k + begin])
         out[k] = least
     for k in range(inside, n):
-        out[k] = min(out[k], beyond)
+        out[k] = min(out[k], outside)
     return out
 
 
 @compiled
 def until_from_here(
-    lasts: NDArray[np.float64], ends: NDArray[np.float64], beyond: float
+    lasts: NDArray[np.float64], ends: NDArray[np.float64], outside: float
 ) -> NDArray[np.float64]:
-    """Return out[k] = max over j >= k of min(ends[j], min of lasts[k:j]); ``beyond`` follows the last sample.
+    """Return out[k] = max over j >= k of min(ends[j], min of lasts[k:j]).
 
-    ``lasts`` and ``ends`` (n,).
+    ``outside`` follows the last sample, ``lasts`` and ``ends`` (n,).
     """
     n = lasts.shape[0]
     out = np.empty(n)
-    after = beyond
+    later = outside
     for k in range(n - 1, -1, -1):
-        after = max(ends[k], min(lasts[k], after))
-        out[k] = after
+        later = max(ends[k], min(lasts[k], later))
+        out[k] = later
     return out
 
 
 @compiled
-def _asked(trigger_low: Values, trigger_high: Values, low: Values, high: Values) -> tuple[Values, Values]:
+def _bounds_where_triggered(
+    trigger_low: Values, trigger_high: Values, low: Values, high: Values
+) -> tuple[Values, Values]:
     """Return both ends (n,) of ``where_triggered``.
 
     ``trigger_low``, ``trigger_high``, ``low`` and ``high`` are of shape (n,).
@@ -242,20 +246,20 @@ def _asked(trigger_low: Values, trigger_high: Values, low: Values, high: Values)
 
 
 @compiled
-def _until(lasts: Values, ends: Values, begin: int, end: int, beyond: float) -> Values:
+def _until(lasts: Values, ends: Values, begin: int, end: int, outside: float) -> Values:
     """Return one end (n,) of an "until": with a window, second comes within it, and first lasts until then.
 
-    ``lasts`` and ``ends`` (n,), ``beyond`` follows the last sample.  Source: Donze, Ferrere and Maler,
+    ``lasts`` and ``ends`` (n,), ``outside`` follows the last sample.  Source: Donze, Ferrere and Maler,
     Efficient robust monitoring for STL, 2013.
     """
     if begin < 0:
         return until_from_here(lasts, ends, -np.inf)
-    lasting = until_from_here(lasts, ends, beyond)
+    lasting = until_from_here(lasts, ends, outside)
     if begin > 0:
-        shifted = np.full(len(lasts), beyond)
+        shifted = np.full(len(lasts), outside)
         shifted[: max(len(lasts) - begin, 0)] = lasting[begin:]
-        lasting = np.minimum(shifted, least_in_window(lasts, 0, begin - 1, beyond))
-    return np.minimum(-least_in_window(-ends, begin, end, -beyond), lasting)
+        lasting = np.minimum(shifted, least_in_window(lasts, 0, begin - 1, outside))
+    return np.minimum(-least_in_window(-ends, begin, end, -outside), lasting)
 
 
 @compiled
@@ -285,7 +289,7 @@ def operate(
     if operator == UNTIL:
         return _until(low, other_low, begin, end, -np.inf), _until(high, other_high, begin, end, np.inf)
     if operator == GLOBALLY:
-        low, high = _asked(low, high, other_low, other_high)
+        low, high = _bounds_where_triggered(low, high, other_low, other_high)
     if operator == EVENTUALLY:  # not always not
         low, high = -high, -low
     if begin < 0:
@@ -320,17 +324,17 @@ def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witne
         case Always(span=span) | Eventually(span=span):
             least = isinstance(formula, Always)
             at = _in_window(parts[0].bounds, tick, span, period_s, low=low, least=least)
-            return witness(parts[0], at, period_s, low=low) if at is not None else _beyond(margins)
+            return witness(parts[0], at, period_s, low=low) if at is not None else _no_witness(margins)
         case Globally():
-            asked = where_triggered(parts[0].bounds, parts[1].bounds)
-            at = _in_window(asked, tick, None, period_s, low=low, least=True)
+            triggered = where_triggered(parts[0].bounds, parts[1].bounds)
+            at = _in_window(triggered, tick, None, period_s, low=low, least=True)
             return witness(parts[1], at or 0, period_s, low=low)
         case Until(span=span):
             return _of_until(margins, tick, span, period_s, low=low)
     return witness(parts[0], tick, period_s, low=low)
 
 
-def _beyond(margins: Margins) -> Witness:
+def _no_witness(margins: Margins) -> Witness:
     return Witness(len(margins.bounds.low), None)
 
 
@@ -357,12 +361,12 @@ def _in_window(
     """Return the tick that decides, or None where that is after the last tick."""
     values, n = _side(body, low=low), len(body.low)
     begin, end = (tick, n - 1) if span is None else (tick + t for t in span.ticks(period_s))
-    within = slice(begin, min(end, n - 1) + 1)
+    window = slice(begin, min(end, n - 1) + 1)
     if begin >= n:
         return None
-    at = begin + _extreme(values[within], body.low[within] < body.high[within], least=least)
-    beyond = -np.inf if low else np.inf
-    runs_on = end >= n and (beyond < values[at] if least else beyond > values[at])
+    at = begin + _extreme(values[window], body.low[window] < body.high[window], least=least)
+    outside = -np.inf if low else np.inf
+    runs_on = end >= n and (outside < values[at] if least else outside > values[at])
     return None if runs_on else at
 
 
@@ -372,20 +376,20 @@ def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *
     n = len(margins.bounds.low) - tick
     begin, end = (0, n - 1) if span is None else span.ticks(period_s)
     later = max(begin + 1 - n, 0 if end < n else 1)  # as many ticks beyond the last as matter
-    lasts, ends = (_from(part.bounds, tick, later) for part in (first, second))
-    ways = [
+    lasts, ends = (_bounds_from(part.bounds, tick, later) for part in (first, second))
+    candidates = [
         np.minimum(e, np.append(np.inf, np.minimum.accumulate(f)[:-1]))[begin : end + 1]
         for f, e in ((lasts.low, ends.low), (lasts.high, ends.high))
     ]
-    j = begin + _extreme(ways[0 if low else 1], ways[0] < ways[1], least=False)
-    asked = MarginBounds(np.append(lasts.low[:j], ends.low[j]), np.append(lasts.high[:j], ends.high[j]))
-    at = _extreme(_side(asked, low=low), asked.low < asked.high, least=True)
+    j = begin + _extreme(candidates[0 if low else 1], candidates[0] < candidates[1], least=False)
+    deciding = MarginBounds(np.append(lasts.low[:j], ends.low[j]), np.append(lasts.high[:j], ends.high[j]))
+    at = _extreme(_side(deciding, low=low), deciding.low < deciding.high, least=True)
     if at >= n:
-        return _beyond(margins)
+        return _no_witness(margins)
     return witness(second if at == j else first, tick + at, period_s, low=low)
 
 
-def _from(bounds: MarginBounds, tick: int, later: int) -> MarginBounds:
+def _bounds_from(bounds: MarginBounds, tick: int, later: int) -> MarginBounds:
     """Return bounds from ``tick`` on, with ``later`` unknown ticks after the last."""
     return MarginBounds(
         np.append(bounds.low[tick:], np.full(later, -np.inf)),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from safety_harness.base.elementary import product
 from safety_harness.base.extension_points import ExtensionPoint, Registry
 from safety_harness.claims.formulas.measures import Flag, Measure
-from safety_harness.claims.signals.bounds import tent
+from safety_harness.claims.signals.bounds import lipschitz_bounds
 from safety_harness.claims.signals.hand_distance import ends_between, followed_hands, joint_bend_m
 from safety_harness.claims.signals.occasions import NEAR_M, no_decision, no_hand, no_predicted_hand
 from safety_harness.claims.signals.poses import pose_errors
@@ -59,23 +59,23 @@ SIGNALS = Registry[Signal]((), ExtensionPoint.SIGNALS, Signal)  # in the order o
 
 
 def measure(
-    words: str,
+    phrase: str,
     dimension: Dimension,
     meaning: str,
-    between: Interpolation = Interpolation.BOUNDED,
+    interpolation: Interpolation = Interpolation.BOUNDED,
     *,
     reads: Sequence[str],
     **more: Any,
 ) -> Callable[[Sample], Measure]:
     """Return a decorator that makes a measure of a function from a trace, and adds it to ``SIGNALS``."""
-    said = partial(Measure, words=words, dimension=dimension, meaning=meaning, between=between, **more)
-    said = partial(said, reads=tuple(reads))
-    return lambda sample: _listed(said(sample=sample))
+    make = partial(Measure, words=phrase, dimension=dimension, meaning=meaning, between=interpolation, **more)
+    make = partial(make, reads=tuple(reads))
+    return lambda sample: _listed(make(sample=sample))
 
 
-def flag(words: str, meaning: str, *, reads: Sequence[str]) -> Callable[[Sample], Flag]:
+def flag(phrase: str, meaning: str, *, reads: Sequence[str]) -> Callable[[Sample], Flag]:
     """Return such a decorator for a signal that is true or false."""
-    return lambda sample: _listed(Flag(words=words, meaning=meaning, sample=sample, reads=tuple(reads)))
+    return lambda sample: _listed(Flag(words=phrase, meaning=meaning, sample=sample, reads=tuple(reads)))
 
 
 def _listed(signal: Listed) -> Listed:
@@ -105,11 +105,11 @@ def in_mode(mode: Mode) -> Sample:
     """
 
     def sample(trace: Trace) -> Sampled:
-        found, gone = truth(trace.ticks["mode"] == mode), lost(trace, ["mode"])
+        is_mode, gone = truth(trace.ticks["mode"] == mode), lost(trace, ["mode"])
         if not gone.any():
-            return found
-        value = found.value.copy()
-        for gap in trace.known.of("mode").gaps:
+            return is_mode
+        value = is_mode.value.copy()
+        for gap in trace.known.measurement_of("mode").gaps:
             if gap.either and mode not in gap.either:
                 value[gap.first : gap.after], gone[gap.first : gap.after] = 0.0, False
         return replace(at_ticks(np.where(gone, np.nan, value)), lost=gone)
@@ -189,9 +189,9 @@ def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -
         bend_m = hand_bend_m(trace, paths, hand, centre=from_tcp)
         bend_m = bend_m if from_tcp else joint_bend_m(trace) + bend_m
         way_m = arm_m + np.maximum(hand_m, elbow_m)
-        high[:-1, hand] = tent(value[:-1, hand], value[1:, hand], way_m, bend_m)[1]
-    signal, what = (nearest_hand_to_tcp, "the TCP") if from_tcp else (hand_distance, "the arm's surface")
-    return replace(_nearest(signal, trace, value, low, high, what), surely=surely.min(axis=1))
+        high[:-1, hand] = lipschitz_bounds(value[:-1, hand], value[1:, hand], way_m, bend_m)[1]
+    signal, target = (nearest_hand_to_tcp, "the TCP") if from_tcp else (hand_distance, "the arm's surface")
+    return replace(_nearest(signal, trace, value, low, high, target), surely=surely.min(axis=1))
 
 
 tcp_speed = measure(
@@ -396,9 +396,9 @@ def fault_acting(trace: Trace) -> Sampled:
     return truth(trace.ticks["faults"] != 0)
 
 
-def _untried(trace: Trace, lacked: Callable[[Trace], str], words: str) -> Sampled:
-    """Return an absent signal: the reason is ``lacked`` if the trace is wholly known, else ``words``."""
-    return absent(trace, f"never exercised: {lacked(trace) if trace.known.whole else words}")
+def _untried(trace: Trace, lacked: Callable[[Trace], str], reason: str) -> Sampled:
+    """Return an absent signal: the reason is ``lacked`` if the trace is wholly known, else ``reason``."""
+    return absent(trace, f"never exercised: {lacked(trace) if trace.known.whole else reason}")
 
 
 def _nearest(
@@ -407,7 +407,7 @@ def _nearest(
     value: NDArray[np.float64],
     low: NDArray[np.float64],
     high: NDArray[np.float64],
-    what: str,
+    target: str,
 ) -> Sampled:
     """Return the nearest of the hands that were measured, by (n, hands) distances and their bounds."""
     gone = None
@@ -420,10 +420,10 @@ def _nearest(
             for side, unknown in sides
         )
     nearest = Sampled(value=value.min(axis=1), low=low.min(axis=1), high=high.min(axis=1), lost=gone)
-    return _coming_near(nearest, "hand", what)
+    return _coming_near(nearest, "hand", target)
 
 
-def _coming_near(distance: Sampled, whose: str, what: str) -> Sampled:
-    """Return the distance of ``whose`` from ``what``, exercised each time that it falls below NEAR_M."""
-    near = NEAR_M - distance.value
-    return replace(distance, tried=(near, near), comes=(whose, what))
+def _coming_near(distance: Sampled, body: str, target: str) -> Sampled:
+    """Return the distance of ``body`` from ``target``, exercised each time that it falls below NEAR_M."""
+    margin_m = NEAR_M - distance.value
+    return replace(distance, tried=(margin_m, margin_m), comes=(body, target))

@@ -43,7 +43,7 @@ def tolerance(*both: Evaluation) -> float:
 
     A count is exact, and its best margin may be 0, for example that of questions without an answer.
     """
-    unit, exercised = both[0].unit, min(one.exercised for one in both)
+    unit, exercised = both[0].unit, min(evaluation.exercised for evaluation in both)
     whole = 1.0 / max(exercised, 1) if unit is Unit.FRACTION else 0.0
     return max(TOLERANCES[unit], whole)
 
@@ -59,7 +59,7 @@ class VerdictChange(Enum):
     NONE = "no difference"
 
 
-_TOLD = (VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT, VerdictChange.LOST)
+_SHOWN_CHANGES = (VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT, VerdictChange.LOST)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,13 +91,13 @@ class ClaimDifference:
             return VerdictChange.GONE
         return VerdictChange.LOST if less and reference is Verdict.HOLDS else VerdictChange.NONE
 
-    def words(self, reference: str) -> str:
+    def summary(self, reference: str) -> str:
         """Return the margins of both, or the verdict where there is no margin."""
-        mine, other = (
-            one.verdict.value if one.margin is None else one.margin_text()
-            for one in (self.mine, self.reference)
+        mine, theirs = (
+            evaluation.verdict.value if evaluation.margin is None else evaluation.margin_text()
+            for evaluation in (self.mine, self.reference)
         )
-        return f"{mine} against {other} with {reference}"
+        return f"{mine} against {theirs} with {reference}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +110,7 @@ class RunDifference:
     reference: Overruling
 
     @classmethod
-    def of(
+    def from_traces(
         cls, mine: Trace, reference: Trace, judged: Iterable[tuple[Evaluation, Evaluation]]
     ) -> RunDifference:
         """Return the difference of two traces and of their evaluations.
@@ -124,19 +124,19 @@ class RunDifference:
         return cls(
             run=mine.scenario.name,
             claims=tuple(ClaimDifference(mine=a, reference=b) for a, b in pairs),
-            mine=Overruling.of([mine]),
-            reference=Overruling.of([reference]),
+            mine=Overruling.from_traces([mine]),
+            reference=Overruling.from_traces([reference]),
         )
 
     def has(self, *changes: VerdictChange) -> bool:
         """Return whether a claim has any of these changes."""
-        return any(one.change in changes for one in self.claims)
+        return any(claim.change in changes for claim in self.claims)
 
     def lines(self, reference: str) -> Iterator[str]:
         """Yield what the reference does not do, overruling included."""
-        for one in self.claims:
-            if one.change in _TOLD:
-                yield f"{one.change.value}: {self.run}: {one.mine.sentence}: {one.words(reference)}"
+        for claim in self.claims:
+            if claim.change in _SHOWN_CHANGES:
+                yield f"{claim.change.value}: {self.run}: {claim.mine.sentence}: {claim.summary(reference)}"
         if self.more_overruled > 0.0:
             yield (
                 f"overruled more: {self.run}: {self.mine.overruled} of {self.mine.proposals} proposals "
@@ -192,14 +192,15 @@ class Against:
         alone = sum(new) - both, sum(gone) - both
         unclear = sum(run.has(VerdictChange.NEW) for run in self.runs) - sum(new)
         more = f"; in {unclear} more, where {self.reference} has no verdict" if unclear else ""
-        words = paired_words(self.mine, self.reference, *alone, len(self.runs), both=both)
-        return words + (p_words(*alone) if self.drawn else "") + more
+        text = paired_words(self.mine, self.reference, *alone, len(self.runs), both=both)
+        return text + (p_words(*alone) if self.drawn else "") + more
 
     @staticmethod
     def _certain(run: RunDifference, change: VerdictChange) -> bool:
         return any(
-            one.change is change and Verdict.INCONCLUSIVE not in (one.mine.verdict, one.reference.verdict)
-            for one in run.claims
+            claim.change is change
+            and Verdict.INCONCLUSIVE not in (claim.mine.verdict, claim.reference.verdict)
+            for claim in run.claims
         )
 
     @property
@@ -213,24 +214,28 @@ class Against:
         )
         more = sum(run.more_overruled > 0.0 for run in self.runs)
         less = sum(run.more_overruled < 0.0 for run in self.runs)
-        words = overruling_words((self.mine, mine), (self.reference, reference), more, less)
-        return words and words + (p_words(more, less) if self.drawn else "")
+        text = overruling_words((self.mine, mine), (self.reference, reference), more, less)
+        return text and text + (p_words(more, less) if self.drawn else "")
 
     def lines(self) -> Iterator[str]:
         """Yield the changes of each claim with their numbers, then the two sentences."""
-        sentences = dict.fromkeys(one.mine.sentence for run in self.runs for one in run.claims)
+        sentences = dict.fromkeys(claim.mine.sentence for run in self.runs for claim in run.claims)
         for sentence in sentences:
-            found = [(run, one) for run in self.runs for one in run.claims if one.mine.sentence == sentence]
+            differences = [
+                (run, claim) for run in self.runs for claim in run.claims if claim.mine.sentence == sentence
+            ]
             parts = [
                 f"{change.value} in {count}"
-                for change in (*_TOLD, VerdictChange.GONE)
-                if (count := sum(one.change is change for _, one in found))
+                for change in (*_SHOWN_CHANGES, VerdictChange.GONE)
+                if (count := sum(claim.change is change for _, claim in differences))
             ]
             if not parts:
                 continue
-            run, worst = max(found, key=lambda pair: -np.inf if np.isnan(pair[1].lost) else pair[1].lost)
-            if worst.change in _TOLD and worst.lost > 0.0:
-                parts.append(f"the most lost in {run.run}: {worst.words(self.reference)}")
+            run, worst = max(
+                differences, key=lambda pair: -np.inf if np.isnan(pair[1].lost) else pair[1].lost
+            )
+            if worst.change in _SHOWN_CHANGES and worst.lost > 0.0:
+                parts.append(f"the most lost in {run.run}: {worst.summary(self.reference)}")
             yield f"{sentence}: {'; '.join(parts)}"
         if not self.worse:
             yield f"{self.mine}: no violation that {self.reference} does not have, in {len(self.runs)} runs"
@@ -241,12 +246,12 @@ class Against:
         return {
             "mine": self.mine,
             "reference": self.reference,
-            "tolerance": {unit.name.lower(): float(by) for unit, by in TOLERANCES.items()},
+            "tolerance": {unit.name.lower(): float(tolerance) for unit, tolerance in TOLERANCES.items()},
             "summary": list(self.lines()),
             "runs": [
                 {
                     "scenario": run.run,
-                    "claims": [_as_json(one) for one in run.claims],
+                    "claims": [_as_json(claim) for claim in run.claims],
                     "overruled": [run.mine.overruled, run.reference.overruled],
                     "proposals": [run.mine.proposals, run.reference.proposals],
                 }
@@ -255,12 +260,12 @@ class Against:
         }
 
 
-def _as_json(one: ClaimDifference) -> dict[str, Any]:
-    margins = (found.margin for found in (one.mine, one.reference))
+def _as_json(difference: ClaimDifference) -> dict[str, Any]:
+    margins = (evaluation.margin for evaluation in (difference.mine, difference.reference))
     return {
-        "claim": one.mine.sentence,
-        "change": one.change.value,
-        "verdicts": [one.mine.verdict.value, one.reference.verdict.value],
+        "claim": difference.mine.sentence,
+        "change": difference.change.value,
+        "verdicts": [difference.mine.verdict.value, difference.reference.verdict.value],
         "margins_si": [m if m is not None and isfinite(m) else None for m in margins],
     }
 
@@ -284,8 +289,8 @@ def overruling_words(
     if not (mine[1].proposals and reference[1].proposals):
         return ""
     shares = ", ".join(
-        f"of {name} {one.overruled} of {one.proposals} proposals ({one.share:.0%})"
-        for name, one in (mine, reference)
+        f"of {name} {overruling.overruled} of {overruling.proposals} proposals ({overruling.share:.0%})"
+        for name, overruling in (mine, reference)
     )
     return f"overruled were {shares}: a greater share in {more} runs, a lesser in {less}"
 

@@ -54,13 +54,13 @@ class AvoiderAnswered:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every decision."""
         own, silent = _own(trace), unanswered(trace)
-        asked, missing = int(np.count_nonzero(own)), int(np.count_nonzero(silent))
-        if asked == 0:
+        questions, missing = int(np.count_nonzero(own)), int(np.count_nonzero(silent))
+        if questions == 0:
             return unexercised(self, self._never_asked(trace))
         first = int(np.argmax(silent if missing else own))
-        why = f"; first: {_words(trace, first)}" if missing else ""
-        reason = f"{missing} of {asked} questions without a usable answer{why}"
-        return judged(self, trace, -missing, trace.decisions["time_s"][first], reason, exercised=asked)
+        why = f"; first: {_fault_text(trace, first)}" if missing else ""
+        reason = f"{missing} of {questions} questions without a usable answer{why}"
+        return judged(self, trace, -missing, trace.decisions["time_s"][first], reason, exercised=questions)
 
     def _never_asked(self, trace: Trace) -> str:
         suppressed = len(trace.decisions)
@@ -86,7 +86,7 @@ def fault_of(trace: Trace) -> str:
     """
     if len(trace.decisions) == 0 or not (silent := unanswered(trace)).any():
         return ""
-    return f"the avoider gave no answer: {_MEASURED.sub('...', _words(trace, int(np.argmax(silent))))}"
+    return f"the avoider gave no answer: {_MEASURED.sub('...', _fault_text(trace, int(np.argmax(silent))))}"
 
 
 def without_numbers(text: str) -> str:
@@ -125,7 +125,7 @@ def _own(trace: Trace) -> NDArray[np.bool_]:
     return own
 
 
-def _words(trace: Trace, number: int) -> str:
+def _fault_text(trace: Trace, number: int) -> str:
     return str(trace.decisions["fault"][number]) or "a position that is not finite"
 
 
@@ -176,7 +176,7 @@ class DecisionTime(Worded):
 
     within_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "decisions within {within_s:ms}"
+    wording: ClassVar[str] = "decisions within {within_s:ms}"
 
     @reads(
         also=[

@@ -156,7 +156,7 @@ PER_SI = {"mm": 1e3, "mm/s": 1e3, "m/s": 1.0, "m/s2": 1.0, "deg/s2": 180.0 / np.
 
 
 class Worded(ABC):
-    """A property whose sentence is ``words``, with fields of its own as "within {within_m:mm}".
+    """A property whose sentence is ``wording``, with fields of its own as "within {within_m:mm}".
 
     The text after the colon is a unit of ``PER_SI``, "%" for a share, "1" for a number, or empty for a count.
     After a number or a count, "time(s)" stands for "time" where it is 1, and else for "times".
@@ -164,14 +164,14 @@ class Worded(ABC):
 
     @property
     @abstractmethod
-    def words(self) -> str:
+    def wording(self) -> str:
         """Return the sentence with the names of its fields."""
 
     @cached_property
     def sentence(self) -> str:
         """Return the words with the values of the fields, as the catalogue writes it."""
-        words = PLURAL.sub(lambda match: match[1] + "s" * (getattr(self, match[2]) != 1), self.words)
-        return FIELD.sub(lambda match: shown_limit(getattr(self, match[1]), match[2]), words)
+        text = PLURAL.sub(lambda match: match[1] + "s" * (getattr(self, match[2]) != 1), self.wording)
+        return FIELD.sub(lambda match: shown_limit(getattr(self, match[1]), match[2]), text)
 
 
 def shown_limit(value: float, unit: str) -> str:
@@ -210,9 +210,9 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
     """
     if len(trace.ticks) == 0:
         return "the trace is empty"
-    wrong = first_inconsistency(trace)
-    if wrong is not None:
-        return f"the trace contradicts itself: {wrong}"
+    problem = first_inconsistency(trace)
+    if problem is not None:
+        return f"the trace contradicts itself: {problem}"
     unreal = first_unreal(trace)
     for name in fields:
         if name in unreal:
@@ -223,8 +223,8 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
 @once_a_trace
 def first_unreal(trace: Trace) -> dict[str, int]:
     """Return the first tick at which a field is not finite, of a hand that is there; others are left out."""
-    found = unreal(trace, dict.fromkeys(OF_HANDS, trace.ticks["hand_present"]))
-    return {name: int(np.argmax(wrong)) for name, wrong in found if wrong.any()}
+    unreal_columns = unreal(trace, dict.fromkeys(OF_HANDS, trace.ticks["hand_present"]))
+    return {name: int(np.argmax(invalid)) for name, invalid in unreal_columns if invalid.any()}
 
 
 def unreal(trace: Trace, there: Mapping[str, NDArray[np.bool_]]) -> Iterator[tuple[str, NDArray[np.bool_]]]:
@@ -235,10 +235,10 @@ def unreal(trace: Trace, there: Mapping[str, NDArray[np.bool_]]) -> Iterator[tup
     rows, nonfinite = as_numbers(trace.ticks), nonfinite_count(trace)
     for name, column in columns(trace.ticks.dtype).items():
         if nonfinite[column].any():
-            wrong = ~(np.abs(rows[:, column]) < ENDLESS)[:, None]
+            invalid = ~(np.abs(rows[:, column]) < ENDLESS)[:, None]
             if (parts := there.get(name)) is not None:
-                wrong = wrong.reshape(*parts.shape, -1) & parts[..., None]
-            yield name, np.asarray(wrong.any(axis=(1, 2)))
+                invalid = invalid.reshape(*parts.shape, -1) & parts[..., None]
+            yield name, np.asarray(invalid.any(axis=(1, 2)))
 
 
 @once_a_trace
@@ -250,11 +250,11 @@ def nonfinite_count(trace: Trace) -> NDArray[np.int64]:
 @compiled
 def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return (c,) how many values of each column of ``rows`` (n, c) are not below ENDLESS in size."""
-    found = np.zeros(rows.shape[1], np.int64)
+    columns = np.zeros(rows.shape[1], np.int64)
     for k in range(rows.shape[0]):
         for column in range(rows.shape[1]):
-            found[column] += not abs(rows[k, column]) < ENDLESS
-    return found
+            columns[column] += not abs(rows[k, column]) < ENDLESS
+    return columns
 
 
 def is_somewhere(position_in_base_m: Array3) -> bool:
@@ -330,8 +330,12 @@ def judged(
             why = f"{unsure}: {ends} ({reason})"
             if not isfinite(margin):
                 why = f"{MAY_SATURATE}; at the ticks {prop.unit.margin_text(most)} ({reason})"
-            told = inconclusive(prop, why, exercised=exercised)
-            return told if not isfinite(margin) else replace(told, margin=margin, worst_time_s=worst_time_s)
+            evaluation = inconclusive(prop, why, exercised=exercised)
+            return (
+                evaluation
+                if not isfinite(margin)
+                else replace(evaluation, margin=margin, worst_time_s=worst_time_s)
+            )
         margin = max(margin, most) if not isfinite(margin) else margin
     if not isfinite(margin):
         return inconclusive(prop, f"the margin is not finite ({margin})", exercised=exercised)

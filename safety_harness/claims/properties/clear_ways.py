@@ -74,27 +74,29 @@ class ClearWays:
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every repulsion's planned and executed way."""
-        ways: list[Way] = []
+        repulsions: list[Way] = []
         reach_m = arm_of(trace).reach_m
         for number, decision in enumerate(trace.decisions):
             if decision["outcome"] == DecisionOutcome.STOP:
                 continue
             if not is_somewhere(decision["chosen_position_in_base_m"]):
                 return inconclusive(self, f"the position chosen at {decision['time_s']:.3f} s is not finite")
-            ways += [planned(trace, number, reach_m), executed(trace, number, reach_m)]
-        if not ways:
+            repulsions += [planned(trace, number, reach_m), executed(trace, number, reach_m)]
+        if not repulsions:
             return unexercised(self, no_position(trace))
-        parts = tuple(self._part(trace, ways, obstacle) for obstacle in range(len(OBSTACLES)))
+        parts = tuple(self._part(trace, repulsions, obstacle) for obstacle in range(len(OBSTACLES)))
         unknown = next((part for part in parts if part.margin is None), None)
         worst = min(parts, key=lambda part: part.margin or 0.0) if unknown is None else unknown
         return replace(worst, sentence=self.sentence, parts=parts)
 
-    def _part(self, trace: Trace, ways: list[Way], obstacle: int) -> Evaluation:
-        least_m = np.array([way.least_m[obstacle] for way in ways])
-        worst = ways[int(np.argmin(least_m))]  # the first NaN, if there is one
+    def _part(self, trace: Trace, repulsions: list[Way], obstacle: int) -> Evaluation:
+        least_m = np.array([repulsion.least_m[obstacle] for repulsion in repulsions])
+        worst = repulsions[int(np.argmin(least_m))]  # the first NaN, if there is one
         margin, time_s, name = worst.least_m[obstacle], worst.time_s[obstacle], OBSTACLES[obstacle]
-        most = min(float(way.most_m[obstacle]) for way in ways)
-        evaluation = judged(self, trace, margin, time_s, f"{name}: {worst.words}", len(ways) // 2, most=most)
+        most = min(float(repulsion.most_m[obstacle]) for repulsion in repulsions)
+        evaluation = judged(
+            self, trace, margin, time_s, f"{name}: {worst.words}", len(repulsions) // 2, most=most
+        )
         return replace(evaluation, sentence=f"repulsive ways clear of the {name}")
 
 
@@ -135,14 +137,14 @@ def least_along(
     moved_m = product(np.abs(np.diff(joints_rad, axis=0)), reach_m)
     slack_m = np.broadcast_to(slack_m, moved_m.shape)
     bound, high = at_samples.copy(), at_samples.min(axis=0)
-    between = 0.5 * (at_samples[:-1] + at_samples[1:] - moved_m[:, None]) - slack_m[:, None]
-    unsure = ((between < limit_m) & (high >= limit_m)).any(axis=1)
+    least_between = 0.5 * (at_samples[:-1] + at_samples[1:] - moved_m[:, None]) - slack_m[:, None]
+    unsure = ((least_between < limit_m) & (high >= limit_m)).any(axis=1)
     for k in np.flatnonzero(unsure & (slack_m < np.inf) & (moved_m > 2.0 * RESOLUTION_M)):
         share = np.linspace(0.0, 1.0, PARTS + 1)[:, None]
         finer = clearance_m(joints_rad[k] + share * (joints_rad[k + 1] - joints_rad[k]))
-        between[k] = (0.5 * (finer[:-1] + finer[1:] - moved_m[k] / PARTS)).min(axis=0) - slack_m[k]
+        least_between[k] = (0.5 * (finer[:-1] + finer[1:] - moved_m[k] / PARTS)).min(axis=0) - slack_m[k]
         high = np.minimum(high, finer.min(axis=0) + slack_m[k])
-    bound[:-1] = np.minimum(bound[:-1], between)
+    bound[:-1] = np.minimum(bound[:-1], least_between)
     at = bound.argmin(axis=0)
     return np.take_along_axis(bound, at[None], axis=0)[0], high, at
 
@@ -189,24 +191,24 @@ def _clearances(
 
     min over capsules with axis c and radius r of min c_z - r - table, |c, polygon| - r; ``wrist_distance``.
     """
-    found = np.full((joints_rad.shape[0], 3), np.inf)
+    clearances = np.full((joints_rad.shape[0], 3), np.inf)
     frames = arm.chain[0].joint_axes.shape[0] + 2
     transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
     for k in range(joints_rad.shape[0]):
         forward_kinematics(arm.chain[0], joints_rad[k], transforms)
         place_capsules(arm.capsules, transforms, ends)
         if np.isnan(joints_rad[k].sum()):
-            found[k] = np.nan
+            clearances[k] = np.nan
             continue
         for capsule in range(arm.capsules.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
             if arm.capsules[capsule].link_index <= body:
                 continue
             start, end, radius = ends[capsule, 0], ends[capsule, 1], arm.capsules[capsule].radius_m
-            found[k, 0] = min(found[k, 0], min(start[2], end[2]) - radius - table_m)
-            if min(start[2], end[2]) - polygon[0, 2] - radius < found[k, 1]:  # it may be nearer
-                found[k, 1] = min(found[k, 1], above_polygon(start, end, polygon) - radius)
-        found[k, 2] = wrist_distance(arm.capsules, body, wrist, ends)
-    return found
+            clearances[k, 0] = min(clearances[k, 0], min(start[2], end[2]) - radius - table_m)
+            if min(start[2], end[2]) - polygon[0, 2] - radius < clearances[k, 1]:  # it may be nearer
+                clearances[k, 1] = min(clearances[k, 1], above_polygon(start, end, polygon) - radius)
+        clearances[k, 2] = wrist_distance(arm.capsules, body, wrist, ends)
+    return clearances
 
 
 @compiled
@@ -222,19 +224,19 @@ def above_polygon(
     for k in range(polygon.shape[0]):
         following = polygon[(k + 1) % polygon.shape[0]]
         least = min(least, segment_segment_distance(start, end, polygon[k], following))
-    if _over(start[0], start[1], polygon):
+    if _is_above(start[0], start[1], polygon):
         least = min(least, abs(first))
-    if _over(end[0], end[1], polygon):
+    if _is_above(end[0], end[1], polygon):
         least = min(least, abs(last))
     if first * last < 0.0:
         share = first / (first - last)
-        if _over(start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1]), polygon):
+        if _is_above(start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1]), polygon):
             least = 0.0
     return float(least)
 
 
 @compiled
-def _over(x: float, y: float, polygon: NDArray[np.float64]) -> bool:
+def _is_above(x: float, y: float, polygon: NDArray[np.float64]) -> bool:
     """Return whether a point is within a ``polygon`` (m, 3), seen from above, by the even-odd rule."""
     odd = False
     n = polygon.shape[0]

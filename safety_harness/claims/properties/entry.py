@@ -41,7 +41,7 @@ class CatalogueEntry:
     """A property of the catalogue.
 
     ``prop`` is an example of it.  ``pattern`` matches every whole sentence that claims it, in either case,
-    and ``make`` turns the match into the property.  By default both follow from the ``words`` of the example;
+    and ``make`` turns the match into the property.  By default both follow from the example's ``wording``;
     without fields, only its own sentence claims it.  ``former`` are words of earlier releases, with the same
     fields in the same order; they claim it too.  ``formula`` is its formula, with {} for its limit, if it has
     one.  The other fields are for people: ``rationale``, ``source``, the ``margin``'s formula, the
@@ -70,14 +70,14 @@ class CatalogueEntry:
         return self.prop.sentence
 
     @property
-    def words(self) -> str:
+    def wording(self) -> str:
         """Return the sentence with the names of fields in place of their values, as for ``Worded``."""
-        return getattr(self.prop, "words", self.example)
+        return getattr(self.prop, "wording", self.example)
 
     @property
     def key(self) -> str:
         """Return the identifier: the words without values, such as "hand-distance-never-below"."""
-        return "-".join(re.sub(r"[^a-z ]", "", FIELD.sub("", self.words).lower()).split())
+        return "-".join(re.sub(r"[^a-z ]", "", FIELD.sub("", self.wording).lower()).split())
 
     @property
     def unit(self) -> Unit:
@@ -88,13 +88,13 @@ class CatalogueEntry:
         """Return the property that ``match`` claims of ``scenario``; InadmissibleError at ``place``."""
         if self.make is not None:
             return self.make(match, scenario, place)
-        texts = enumerate(FIELD.findall(self.words), start=1)
+        texts = enumerate(FIELD.findall(self.wording), start=1)
         values = {name: _limit(match[k], unit, scenario, place) for k, (name, unit) in texts}
         return replace(self.prop, **values) if values else self.prop  # type: ignore[type-var]
 
     def understands(self, sentence: str) -> re.Match[str] | None:
         """Return the match of a sentence that claims this property, whatever its case and outer spaces."""
-        patterns = (self.pattern or _pattern(self.words), *map(_pattern, self.former))
+        patterns = (self.pattern or _pattern(self.wording), *map(_pattern, self.former))
         matches = (re.fullmatch(pattern, sentence.strip(), re.IGNORECASE) for pattern in patterns)
         return next(filter(None, matches), None)
 
@@ -106,7 +106,7 @@ class CatalogueEntry:
         if match is None:
             return None
         values = iter(match.groups())
-        words = FIELD.sub(lambda _: next(values), self.words)
+        words = FIELD.sub(lambda _: next(values), self.wording)
         return re.sub(r"(\S+)( \w+)\(s\)", lambda found: found[1] + found[2] + "s" * (found[1] != "1"), words)
 
 
@@ -116,7 +116,7 @@ def _pattern(words: str) -> str:
 
 
 def _limit(text: str, unit: str, scenario: Scenario, place: Place) -> float:
-    """Read the value of a field of ``Worded.words`` from a sentence."""
+    """Read the value of a field of ``Worded.wording`` from a sentence."""
     if unit == "ms":
         return time_within(text, scenario, place)
     if unit in DIMENSIONS:
@@ -160,7 +160,7 @@ def count(text: str, place: Place) -> int:
     return int(text)
 
 
-def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
+def entry_fields(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
     """Yield (name, text) of everything that an entry has for people, in the order of reading."""
     yield "why", entry.rationale
     yield "source", entry.source

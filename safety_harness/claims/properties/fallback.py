@@ -78,8 +78,8 @@ def kept_from_possible_hands(trace: Trace, decision: np.void, failed: str) -> bo
     return trace.known.missing([OF_DECISIONS + failed]) != () or bool(decision[failed] & Check.TOWARDS_A_HAND)
 
 
-def _add(findings: Findings, found: Findings) -> None:
-    for part, more in found.items():
+def _add(findings: Findings, added: Findings) -> None:
+    for part, more in added.items():
         findings[part] += more
 
 
@@ -88,35 +88,42 @@ def went(
 ) -> tuple[Findings, bool]:
     """Judge choice and motion of a decision by ``target_in_base_m`` (3,); was there time for any?"""
     decision = trace.decisions[number]
-    found, tried = way_gone(trace, number, target_in_base_m, cycles, where)
+    findings, tried = way_gone(trace, number, target_in_base_m, cycles, where)
     chosen, off_m = decision["chosen_position_in_base_m"], np.nan
     if is_somewhere(chosen) and is_somewhere(target_in_base_m):
         off_m = length(chosen - target_in_base_m)
     if off_m <= SAME_M:
-        return found, tried
-    said = f"told to go elsewhere than {where}"
-    return {"choice": [Finding(SAME_M - off_m, float(decision["time_s"]), said)], **found}, True
+        return findings, tried
+    onset = f"told to go elsewhere than {where}"
+    return {"choice": [Finding(SAME_M - off_m, float(decision["time_s"]), onset)], **findings}, True
 
 
 def concluded(
     prop: UncertainFallsBack | CertainIsUsed,
     trace: Trace,
-    found: Findings,
+    finding_lists: Findings,
     exercised: int,
     none: Callable[[], str],
 ) -> Evaluation:
     """Judge the worst finding, with an evaluation for each part; ``none`` says why there is no finding."""
-    if not any(found.values()):
+    if not any(finding_lists.values()):
         return unexercised(prop, none())
     lacked = f"no repulsion had time for {LEAST_WAY_M * 1e3:g} mm of way; a longer duration exercises it"
 
-    def said(findings: list[Finding]) -> Evaluation:
+    def evaluation_of(findings: list[Finding]) -> Evaluation:
         worst = worst_of(findings)
         reason = worst.what + (f", worst of {exercised} decisions" if exercised > 1 else "")
         return judged(prop, trace, worst.margin_m, worst.time_s, reason, exercised, lambda: lacked)
 
-    parts = [replace(said(one), sentence=f"{prop.sentence}: {part}") for part, one in found.items() if one]
-    return replace(said([finding for one in found.values() for finding in one]), parts=tuple(parts))
+    parts = [
+        replace(evaluation_of(part_findings), sentence=f"{prop.sentence}: {part}")
+        for part, part_findings in finding_lists.items()
+        if part_findings
+    ]
+    return replace(
+        evaluation_of([finding for part_findings in finding_lists.values() for finding in part_findings]),
+        parts=tuple(parts),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +139,7 @@ class UncertainFallsBack(Worded):
 
     cycles: int
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "uncertain answers fall back within {cycles:} cycles"
+    wording: ClassVar[str] = "uncertain answers fall back within {cycles:} cycles"
 
     @reads(*READS, also=[*ALSO, "decision.hand_position_in_base_m"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -155,8 +162,8 @@ class UncertainFallsBack(Worded):
                 findings["stop"].append(Finding(left_m, time_s, "the way of the stop"))
                 exercised += 1
                 continue
-            found, tried = went(trace, number, opposite, self.cycles, "the opposite pose")
-            _add(findings, found)
+            more, tried = went(trace, number, opposite, self.cycles, "the opposite pose")
+            _add(findings, more)
             exercised += tried
         return concluded(self, trace, findings, exercised, lambda: spread_beside_threshold(trace, above=True))
 
@@ -195,8 +202,8 @@ class CertainIsUsed:
                 findings["stop"].append(Finding(-way_m, float(decision["time_s"]), "stopped all the same"))
                 exercised += 1
                 continue
-            found, tried = went(trace, number, proposed, USED_CYCLES, "the proposed position")
-            _add(findings, found)
+            more, tried = went(trace, number, proposed, USED_CYCLES, "the proposed position")
+            _add(findings, more)
             exercised += tried
 
         def none() -> str:
@@ -210,7 +217,7 @@ class CertainIsUsed:
         return concluded(self, trace, findings, exercised, none)
 
 
-WAY = (
+MARGINS = (
     f"what is left of a cone of {np.degrees(OFF_RAD):g} deg to the pose, from 10 mm of way on; how far the "
     f"TCP keeps up with a point mass of {PACE.speed:.0%} of a repulsion's speed and "
     f"{PACE.acceleration:.0%} of its acceleration; what is left of the arrival tolerance and "
@@ -222,7 +229,7 @@ UNCERTAIN = CatalogueEntry(
     pattern=r"uncertain answers fall back within (\S+) cycles?",
     rationale="the spread is worth something only if it keeps the arm from going where the network guesses",
     source="the paper, section 3.3: the opposite pose where the network is not sure",
-    margin=f"the least of: cycles left at the onset, as way; {WAY}; after a stop what the opposite pose "
+    margin=f"the least of: cycles left at the onset, as way; {MARGINS}; after a stop what the opposite pose "
     "lacked, or minus what it had to spare",
     parameters="the number of control ticks; the threshold of the avoider, the radius of the settings",
     exercised="a spread above the avoider's threshold, and time for 10 mm of way, or a stop",
@@ -234,7 +241,8 @@ CERTAIN = CatalogueEntry(
     prop=CertainIsUsed(),
     rationale="a system that always falls back is not the one whose avoider was tested",
     source="the other direction of the same rule",
-    margin=f"the least of: cycles left of two at the onset, as way; {WAY}; after a stop minus the way there",
+    margin=f"the least of: cycles left of two at the onset, as way; {MARGINS}; "
+    "after a stop minus the way there",
     parameters="the threshold of the avoider; what a position has to spare",
     exercised="a spread within the avoider's threshold, a usable position, and time for 10 mm of way",
     scenario="hesitating-reach",
@@ -268,8 +276,12 @@ class FallbackPoses:
         if len(trace.decisions) == 0:
             return unexercised(self, no_decision(trace))
         reachable = [
-            Finding(reach_m(trace, one, one["opposite_position_in_base_m"]), float(one["time_s"]), "")
-            for one in trace.decisions
+            Finding(
+                reach_m(trace, decision, decision["opposite_position_in_base_m"]),
+                float(decision["time_s"]),
+                "",
+            )
+            for decision in trace.decisions
         ]
         away = [finding for decision in trace.decisions for finding in _away(trace, decision)]
         parts = (self._part(trace, "reachable", reachable), self._part(trace, "away from every hand", away))
@@ -278,30 +290,32 @@ class FallbackPoses:
         worst = min(tried, key=lambda part: -math.ulp(0.0) if part.margin is None else part.margin)
         return replace(worst, sentence=self.sentence, exercised=len(trace.decisions), parts=parts)
 
-    def _part(self, trace: Trace, what: str, findings: list[Finding]) -> Evaluation:
+    def _part(self, trace: Trace, title: str, findings: list[Finding]) -> Evaluation:
         if not findings:
-            evaluation = inconclusive(self, f"{what}: never exercised, no true hand was there")
+            evaluation = inconclusive(self, f"{title}: never exercised, no true hand was there")
         else:
             worst, count = worst_of(findings), len(findings)
-            reason = f"{what}{worst.what}: {f'worst of {count}' if count > 1 else 'one pose'}"
+            reason = f"{title}{worst.what}: {f'worst of {count}' if count > 1 else 'one pose'}"
             evaluation = judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=count)
-        return replace(evaluation, sentence=f"fallback poses {what}")
+        return replace(evaluation, sentence=f"fallback poses {title}")
 
 
 def _away(trace: Trace, decision: np.void) -> list[Finding]:
-    tick, found = trace.ticks[decision["tick"]], []
+    tick, findings = trace.ticks[decision["tick"]], []
     tcp_in_base = tick["transform_tcp_to_base"][:3, 3]
     position = decision["opposite_position_in_base_m"]
     for hand in np.flatnonzero(tick["hand_present"]):
-        apart = tcp_in_base - tick["hand_position_in_base_m"][hand]
-        distance = length(apart)
+        from_hand = tcp_in_base - tick["hand_position_in_base_m"][hand]
+        distance = length(from_hand)
         margin_m = -trace.scenario.settings.avoidance.radius_m  # no pose leads away from nobody
         if is_somewhere(position):
-            way = position - tcp_in_base
-            margin_m = float(product(way, apart)) / distance if distance > 0.0 else length(way)
+            displacement = position - tcp_in_base
+            margin_m = (
+                float(product(displacement, from_hand)) / distance if distance > 0.0 else length(displacement)
+            )
         name = trace.scenario.hands[hand].name
-        found.append(Finding(margin_m, float(decision["time_s"]), f" ({name})"))
-    return found
+        findings.append(Finding(margin_m, float(decision["time_s"]), f" ({name})"))
+    return findings
 
 
 FALLBACK_POSES = CatalogueEntry(
@@ -356,10 +370,12 @@ class StopsWhereNothingIsReachable:
             findings.append(Finding(left_m, float(decision["time_s"]), "way left of a stop's"))
         if not findings:
             least = f"with {least_m * 1e3:.1f} mm to spare at {when_s:.3f} s, or more"
-            found = f"one of the two could always be reached, {least}; neither within reach exercises it"
+            no_occasion = (
+                f"one of the two could always be reached, {least}; neither within reach exercises it"
+            )
             if len(trace.decisions) == 0:
-                found = f"{no_decision(trace)} if neither can be reached"
-            return unexercised(self, found)
+                no_occasion = f"{no_decision(trace)} if neither can be reached"
+            return unexercised(self, no_occasion)
         worst = worst_of(findings)
         reason = worst.what + (f", worst of {len(findings)}" if len(findings) > 1 else "")
         return judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=len(findings))

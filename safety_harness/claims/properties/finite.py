@@ -64,14 +64,14 @@ class FiniteTrace:
         ticks, decisions = trace.ticks, trace.decisions
         if len(ticks) == 0:
             return inconclusive(self, "the trace is empty")
-        wrong = bad_ticks(trace)
+        bad = bad_ticks(trace)
         wrong_decisions = bad_decisions(trace)
-        total = int(np.count_nonzero(wrong) + np.count_nonzero(wrong_decisions))
+        total = int(np.count_nonzero(bad) + np.count_nonzero(wrong_decisions))
         if total == 0:
             odd = first_inconsistency(trace)
             if odd is not None:
                 return inconclusive(self, f"the trace contradicts itself: {odd}")
-        first = int(np.argmax(wrong)) if wrong.any() else len(ticks) - 1
+        first = int(np.argmax(bad)) if bad.any() else len(ticks) - 1
         if wrong_decisions.any():
             first = min(first, int(decisions["tick"][int(np.argmax(wrong_decisions))]))
         worst_time_s = max(first, 0) * trace.scenario.settings.clock.control_period_s
@@ -92,9 +92,9 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
     there = dict.fromkeys(OF_HANDS, present) | dict.fromkeys(OF_IMAGES, visible[:, None])
     there["predicted_hand_in_base_m"] = tracked
     there["predicted_distance_m"] = np.asarray(tracked.any(axis=1, keepdims=True))
-    for name, wrong in unreal(trace, there):
+    for name, invalid in unreal(trace, there):
         if name not in lacking:
-            bad |= wrong
+            bad |= invalid
     return bad
 
 
@@ -104,17 +104,17 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     bad = np.zeros(len(decisions), np.bool_)
     if len(decisions) == 0:
         return bad
-    in_time, said, chose = (decided(trace, name) for name in ("time_s", "fault", "outcome"))
+    in_time, fault_decided, chose = (decided(trace, name) for name in ("time_s", "fault", "outcome"))
     bad[1:] = ~(np.diff(decisions["time_s"]) > 0.0) & in_time
     if len(latency_s) == len(decisions):
         bad |= np.isinf(latency_s)  # NaN: not timed
-    answered = said & (decisions["fault"] == "")
+    answered = fault_decided & (decisions["fault"] == "")
     chosen = chose & (decisions["outcome"] != DecisionOutcome.STOP)
     opposite = chose & (decisions["outcome"] == DecisionOutcome.OPPOSITE)
     expected = {"proposed": answered, "chosen": chosen, "opposite": opposite}
     for name in filter(partial(decided, trace), OF_A_DECISION):
-        wrong = ~(np.abs(decisions[name]) < ENDLESS).reshape(len(bad), -1).all(axis=1)
-        bad |= wrong & expected.get(name.split("_")[0], np.True_)
+        invalid = ~(np.abs(decisions[name]) < ENDLESS).reshape(len(bad), -1).all(axis=1)
+        bad |= invalid & expected.get(name.split("_")[0], np.True_)
     return bad
 
 

@@ -93,8 +93,8 @@ def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
         somewhere = is_somewhere(decision["chosen_position_in_base_m"])
         if decision["trigger"] == Trigger.ANOTHER_HAND or not somewhere:
             return -np.inf, np.inf, False
-        found, done = _ends_of(prop, trace, number)
-        ends += found
+        bounds, done = _ends_of(prop, trace, number)
+        ends += bounds
         exercised |= done
     sure = [end.high_m for end in ends if end.always or end.high_m < 0.0]
     return min((end.low_m for end in ends), default=-np.inf), min(sure, default=np.inf), exercised
@@ -107,26 +107,26 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
     """
     decision, count, known = trace.decisions[number], len(trace.ticks), trace.known
     first, last = int(decision["tick"]), last_tick(trace, number)
-    gaps = ((gap.first, gap.after) for gap in known.of("decision").gaps)
-    about = slice(*next((gap for gap in gaps if gap[0] <= first < gap[1]), (max(first - 1, 0), first + 2)))
+    gaps = ((gap.first, gap.after) for gap in known.measurement_of("decision").gaps)
+    around = slice(*next((gap for gap in gaps if gap[0] <= first < gap[1]), (max(first - 1, 0), first + 2)))
     run, period_s = slice(first, last + 1), trace.scenario.settings.clock.control_period_s
     tcp_m, hands_m = trace.ticks["transform_tcp_to_base"][:, :3, 3], trace.ticks["hand_position_in_base_m"]
     columns = "transform_tcp_to_base", "hand_position_in_base_m"
-    off_m, hand_off_m = (known.within(name, count) for name in columns)
-    start_off_m = float(off_m[about].max() + np.linalg.norm(tcp_m[about] - tcp_m[first], axis=1).max())
+    off_m, hand_off_m = (known.uncertainty_of(name, count) for name in columns)
+    start_off_m = float(off_m[around].max() + np.linalg.norm(tcp_m[around] - tcp_m[first], axis=1).max())
     way_m, moved_m = decision["chosen_position_in_base_m"] - tcp_m[first], tcp_m[run] - tcp_m[first]
     length_m = length(way_m)
-    velocities = np.array([velocity_at(trace, tick) for tick in range(*about.indices(count))])
-    speeds_mps = trace.ticks["tcp_speed_mps"] + known.within("tcp_speed_mps", count)
-    fastest_mps = float(np.nan_to_num(speeds_mps[about], nan=np.inf).max())
-    dv_mps = 2.0 * float(off_m[about].max()) / period_s
+    velocities = np.array([velocity_at(trace, tick) for tick in range(*around.indices(count))])
+    speeds_mps = trace.ticks["tcp_speed_mps"] + known.uncertainty_of("tcp_speed_mps", count)
+    fastest_mps = float(np.nan_to_num(speeds_mps[around], nan=np.inf).max())
+    dv_mps = 2.0 * float(off_m[around].max()) / period_s
     dv_mps = float(np.fmin(dv_mps, fastest_mps + np.linalg.norm(velocities, axis=1).max()))
     ends = [_End(length_m - start_off_m - LEAST_WAY_M, length_m + start_off_m - LEAST_WAY_M)]
     avoidance, counted = trace.scenario.settings.avoidance, False
     braking_mps2 = max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2)
     for hand in np.flatnonzero(trace.ticks["hand_present"][first]).tolist():
-        u_m = float(hand_off_m[about].max())
-        u_m += float(np.linalg.norm(hands_m[about, hand] - hands_m[first, hand], axis=1).max())
+        u_m = float(hand_off_m[around].max())
+        u_m += float(np.linalg.norm(hands_m[around, hand] - hands_m[first, hand], axis=1).max())
         apart_m = tcp_m[first] - hands_m[first, hand]
         distance_m = length(apart_m)
         if distance_m - start_off_m - u_m >= prop.nearer_m:
@@ -175,12 +175,12 @@ def _led_m(trace: Trace, decision: np.void, last: int, off_m: float, dv_mps: flo
     first = int(decision["tick"])
     way_m = decision["chosen_position_in_base_m"] - trace.ticks["transform_tcp_to_base"][first, :3, 3]
     axes = _axes(way_m)
-    plain_m, found = _followed(trace, decision, last).behind_m, np.zeros(last + 1 - first)
+    plain_m, most_m = _followed(trace, decision, last).behind_m, np.zeros(last + 1 - first)
     for axis in (*axes, *-axes):
-        other = _followed(trace, decision, last, off_m * axis, dv_mps * axis)
-        found = np.maximum(found, np.abs(other.behind_m - plain_m))
-    found[0] = 0.0
-    return np.asarray(1.5 * found)
+        shifted = _followed(trace, decision, last, off_m * axis, dv_mps * axis)
+        most_m = np.maximum(most_m, np.abs(shifted.behind_m - plain_m))
+    most_m[0] = 0.0
+    return np.asarray(1.5 * most_m)
 
 
 def _axes(way_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -221,8 +221,8 @@ class MovesAway:
     def sentence(self) -> str:
         """Return the sentence of the catalogue."""
         nearer = f" nearer than {self.nearer_m * 1e3:g} mm" if np.isfinite(self.nearer_m) else ""
-        within = f" to within {self.tolerance_m * 1e3:g} mm" if self.tolerance_m else ""
-        return f"repulsion moves away from every hand{nearer}{within}"
+        tolerance = f" to within {self.tolerance_m * 1e3:g} mm" if self.tolerance_m else ""
+        return f"repulsion moves away from every hand{nearer}{tolerance}"
 
     @reads(
         "transform_tcp_to_base",
@@ -244,7 +244,7 @@ class MovesAway:
         findings: list[Finding] = []
         made = exercised = 0
         longest_m, nearest_m = 0.0, np.full(len(trace.ticks), np.inf)
-        before: RepulsionProgress | None = None
+        interrupted: RepulsionProgress | None = None
         for number, decision in enumerate(trace.decisions):
             if decision["outcome"] == DecisionOutcome.STOP:
                 continue
@@ -261,11 +261,11 @@ class MovesAway:
                 findings.append(Finding(np.nan, float(decision["time_s"]), "no position"))
                 continue
             last = last_tick(trace, number)
-            goes_on = before is not None and decision["trigger"] == Trigger.ANOTHER_HAND
-            done = progress(trace, decision, last, before if goes_on else None)
+            goes_on = interrupted is not None and decision["trigger"] == Trigger.ANOTHER_HAND
+            done = progress(trace, decision, last, interrupted if goes_on else None)
             exercised += done.due_m >= LEAST_WAY_M
             longest_m = max(longest_m, done.due_m)
-            before = done
+            interrupted = done
             for hand in hands:
                 findings.extend(away_from(trace, decision, int(hand), last, self.tolerance_m))
             findings.extend(given(trace, number, last, done))
@@ -295,13 +295,13 @@ def away_from(
     settings, name = trace.scenario.settings, trace.scenario.hands[hand].name
     hand_in_base = trace.ticks["hand_position_in_base_m"][first, hand]
     tcp_in_base = trace.ticks["transform_tcp_to_base"][first : last + 1, :3, 3]  # (n, 3)
-    way = decision["chosen_position_in_base_m"] - tcp_in_base[0]
-    apart = tcp_in_base[0] - hand_in_base
-    distance = length(apart)
+    displacement = decision["chosen_position_in_base_m"] - tcp_in_base[0]
+    from_hand = tcp_in_base[0] - hand_in_base
+    distance = length(from_hand)
     if distance == 0.0:  # every way leads away from a hand that is at the TCP
-        return [Finding(length(way), time_s, f"planned way, {name}")]
-    away = apart / distance
-    findings = [Finding(float(product(way, away)) + tolerance_m, time_s, f"planned way, {name}")]
+        return [Finding(length(displacement), time_s, f"planned way, {name}")]
+    away = from_hand / distance
+    findings = [Finding(float(product(displacement, away)) + tolerance_m, time_s, f"planned way, {name}")]
     dt_s = settings.clock.control_period_s
     towards_mps = max(0.0, -float(product(velocity_at(trace, first), away)))
     braking_mps2 = max(settings.avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2)
@@ -392,19 +392,19 @@ def progress(
     trace: Trace,
     decision: np.void,
     last: int,
-    before: RepulsionProgress | None,
+    interrupted: RepulsionProgress | None,
     shares: Shares = MODEST,
 ) -> RepulsionProgress:
     """Return the progress from ``decision`` to the tick ``last``, beside a reference that takes ``shares``.
 
-    ``before`` is the progress of the repulsion that another hand interrupts.  Its due way and its lag are
-    added, so that deciding again and again does not replace moving.
+    ``interrupted`` is the progress of the repulsion that another hand interrupts.  Its due way and its lag
+    are added, so that deciding again and again does not replace moving.
     """
     first = int(decision["tick"])
     done = _followed(trace, decision, last, shares=shares)
     behind_m, due_m = done.behind_m, done.due_m
-    if before is not None:
-        behind_m, due_m = behind_m + max(before.behind_m, 0.0), due_m + before.due_m
+    if interrupted is not None:
+        behind_m, due_m = behind_m + max(interrupted.behind_m, 0.0), due_m + interrupted.due_m
     worst = int(np.argmax(behind_m))  # the first NaN, if there is one
     return RepulsionProgress(done.slack_m - float(behind_m[worst]), first + worst, float(behind_m[-1]), due_m)
 
@@ -479,11 +479,11 @@ def _behind(
     n = tcp_in_base_m.shape[0]
     behind = np.zeros(n)
     x, v, change = tcp_in_base_m[0].copy(), velocity_in_base_mps.copy(), np.empty(3)
-    way = _apart(x, target_in_base_m)
-    left = way
+    left_m = _distance(x, target_in_base_m)
+    left = left_m
     for k in range(n):
-        left = _apart(x, target_in_base_m)
-        behind[k] = _apart(tcp_in_base_m[k], target_in_base_m) - left
+        left = _distance(x, target_in_base_m)
+        behind[k] = _distance(tcp_in_base_m[k], target_in_base_m) - left
         if k == n - 1:
             break
         if excused[k]:
@@ -503,10 +503,10 @@ def _behind(
         for i in range(3):
             v[i] += share * change[i]
             x[i] += v[i] * period_s
-    return behind, way - left
+    return behind, left_m - left
 
 
 @compiled
-def _apart(a: Array3, b: Array3) -> float:
+def _distance(a: Array3, b: Array3) -> float:
     """Return |a - b| of two points."""
     return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)

@@ -68,7 +68,7 @@ class HandDistance(Worded):
     minimum_m: float
     near_m: float | None = None
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "hand distance never below {minimum_m:mm}"
+    wording: ClassVar[str] = "hand distance never below {minimum_m:mm}"
 
     @property
     def occasion_m(self) -> float:
@@ -81,27 +81,29 @@ class HandDistance(Worded):
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
-        found = known_to(self.minimum_m, closest_approach, trace, paths)
-        part = capsule_name(trace, int(np.argmin(trace.ticks["hand_distance_m"][:, found.hand])), found.hand)
-        return judged_nearest(self, trace, found, self.minimum_m, self.occasion_m, part)
+        closest = known_to(self.minimum_m, closest_approach, trace, paths)
+        part = capsule_name(
+            trace, int(np.argmin(trace.ticks["hand_distance_m"][:, closest.hand])), closest.hand
+        )
+        return judged_nearest(self, trace, closest, self.minimum_m, self.occasion_m, part)
 
 
 def judged_nearest(
-    prop: Property, trace: Trace, found: Nearest, limit_m: float, near_m: float, part: str
+    prop: Property, trace: Trace, nearest: Nearest, limit_m: float, near_m: float, part: str
 ) -> Evaluation:
     """Judge the least distance of a hand from ``part`` of the arm; a hand within ``near_m`` exercises it."""
     nearest_m = true_motion(trace).nearest_m
-    distance_m = found.low_m if found.low_m > -np.inf else found.high_m
+    distance_m = nearest.low_m if nearest.low_m > -np.inf else nearest.high_m
     side = f"{-distance_m * 1e3:.1f} mm inside" if distance_m < 0.0 else f"{distance_m * 1e3:.1f} mm from"
     return judged(
         prop,
         trace,
-        found.low_m - limit_m,
-        found.time_s,
-        f"{trace.scenario.hands[found.hand].name}: {side} {part}",
+        nearest.low_m - limit_m,
+        nearest.time_s,
+        f"{trace.scenario.hands[nearest.hand].name}: {side} {part}",
         times_begun(nearest_m < near_m),
         partial(nearest_of, trace, nearest_m, near_m, "hand", "the arm's surface"),
-        most=found.high_m - limit_m,
+        most=nearest.high_m - limit_m,
     )
 
 

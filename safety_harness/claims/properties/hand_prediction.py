@@ -28,7 +28,7 @@ class HandPredictions(Worded):
 
     maximum_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "hand predictions within {maximum_m:mm}"
+    wording: ClassVar[str] = "hand predictions within {maximum_m:mm}"
 
     @reads("hand_position_in_base_m", filled=FILLED, ends=lambda prop, trace, _: _ends(prop, trace))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -55,26 +55,28 @@ class HandPredictions(Worded):
     def _untracked(self, trace: Trace) -> str:
         horizon_ms = trace.scenario.settings.hand_filter.prediction_horizon_s * 1e3
         seen = np.flatnonzero(trace.ticks["track_valid"].any(axis=1))
-        what = f"first tracked at {trace.time_s[seen[0]]:.3f} s" if len(seen) else "never tracked"
-        return f"a hand was {what}; one tracked {horizon_ms:g} ms before the end of the run exercises it"
+        tracked = f"first tracked at {trace.time_s[seen[0]]:.3f} s" if len(seen) else "never tracked"
+        return f"a hand was {tracked}; one tracked {horizon_ms:g} ms before the end of the run exercises it"
 
 
 def _ends(prop: HandPredictions, trace: Trace) -> tuple[float, float, bool]:
     """Return the ends of the margin, with the true hand anywhere within its error at the predicted time."""
     errors_m, known, ticks = prediction_errors_m(trace), trace.known, trace.ticks
     count, ahead = len(errors_m), len(ticks) - len(errors_m)
-    hand_m = known.within("hand_position_in_base_m", len(ticks))
+    hand_m = known.uncertainty_of("hand_position_in_base_m", len(ticks))
     later_m = np.maximum(hand_m[ahead:], np.append(hand_m[ahead + 1 :], hand_m[-1:]))[:count]
     before_m = hand_m[max(ahead - 1, 0) :][:count]
-    off_m = known.within("predicted_hand_in_base_m", len(ticks))[:count] + np.maximum(later_m, before_m)
+    off_m = known.uncertainty_of("predicted_hand_in_base_m", len(ticks))[:count] + np.maximum(
+        later_m, before_m
+    )
     there = ticks["track_valid"][:count]
-    told = known.measured("track_valid", ticks)[:count] & known.measured(FILLED[1], ticks)[:count]
-    sure = there & told[:, None]
+    known_ticks = known.measured("track_valid", ticks)[:count] & known.measured(FILLED[1], ticks)[:count]
+    sure = there & known_ticks[:, None]
     if not sure.any():
         return -np.inf, np.inf, False
     low = prop.maximum_m - float((errors_m + off_m[:, None])[sure].max())
     high = prop.maximum_m - float((errors_m - off_m[:, None])[sure].max())
-    return (low if told.all() else -np.inf), high, True
+    return (low if known_ticks.all() else -np.inf), high, True
 
 
 HAND_PREDICTIONS = CatalogueEntry(

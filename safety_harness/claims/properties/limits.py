@@ -23,7 +23,7 @@ from safety_harness.claims.signals.speeds import (
 from safety_harness.claims.signals.true_motion import JOINTS
 from safety_harness.claims.signals.uncertainty import (
     TCP,
-    Off,
+    ErrorOf,
     by_uncertainty_of,
     of_change,
     of_speed,
@@ -36,14 +36,17 @@ POSITION, RATE = JOINTS
 SPEED = "tcp_speed_mps"
 
 
-def _by(off: Off, speed: str = "", place: str = "") -> Ends:
+def _ends_by(error_of: ErrorOf, speed: str = "", place: str = "") -> Ends:
     """Return ``ends`` for ``reads`` by the error of a margin; ``speed`` or ``place`` exercises it."""
 
     def ends(prop: object, trace: Trace, margin: float) -> tuple[float, float, bool]:
-        by = float(off(trace)[2])
-        fast = not speed or np.abs(trace.ticks[speed]).max() - trace.known.of(speed).uncertainty > MOVES
+        error = float(error_of(trace)[2])
+        fast = (
+            not speed
+            or np.abs(trace.ticks[speed]).max() - trace.known.measurement_of(speed).uncertainty > MOVES
+        )
         moves = fast or (place != "" and went(trace, place, np.isfinite(trace.time_s)))
-        return margin - by, margin + by, bool(moves)
+        return margin - error, margin + error, bool(moves)
 
     return ends
 
@@ -55,7 +58,7 @@ class JointLimits:
     unit: Unit = Unit.ANGLE
     sentence: str = "joint positions within limits"
 
-    @reads(POSITION, ends=_by(by_uncertainty_of(POSITION)))
+    @reads(POSITION, ends=_ends_by(by_uncertainty_of(POSITION)))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint at every tick."""
         arm, joints_rad = arm_model(trace.scenario.robot), history(trace, POSITION)
@@ -77,7 +80,7 @@ class JointSpeedLimits:
     unit: Unit = Unit.ANGULAR_SPEED
     sentence: str = "joint speeds within limits"
 
-    @reads(POSITION, RATE, ends=_by(of_speed(RATE, POSITION), RATE, POSITION))
+    @reads(POSITION, RATE, ends=_ends_by(of_speed(RATE, POSITION), RATE, POSITION))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint at every tick.
 
@@ -115,9 +118,9 @@ class TcpSpeedLimit(Worded):
 
     maximum_mps: float
     unit: Unit = Unit.SPEED
-    words: ClassVar[str] = "TCP speed never above {maximum_mps:mm/s}"
+    wording: ClassVar[str] = "TCP speed never above {maximum_mps:mm/s}"
 
-    @reads(SPEED, TCP, ends=_by(of_speed(SPEED, TCP), SPEED, TCP))
+    @reads(SPEED, TCP, ends=_ends_by(of_speed(SPEED, TCP), SPEED, TCP))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the TCP's speed."""
         speed_mps = larger(*tcp_speeds_mps(trace))
@@ -166,9 +169,9 @@ class JointAccelerations(Worded):
 
     maximum_radps2: float
     unit: Unit = Unit.ANGULAR_ACCELERATION
-    words: ClassVar[str] = "joint accelerations never above {maximum_radps2:deg/s2}"
+    wording: ClassVar[str] = "joint accelerations never above {maximum_radps2:deg/s2}"
 
-    @reads(RATE, ends=_by(of_change(RATE), RATE))
+    @reads(RATE, ends=_ends_by(of_change(RATE), RATE))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint in every control period."""
         if len(trace.ticks) < 2:
@@ -198,9 +201,9 @@ class TcpAcceleration(Worded):
 
     maximum_mps2: float
     unit: Unit = Unit.ACCELERATION
-    words: ClassVar[str] = "TCP acceleration never above {maximum_mps2:m/s2}"
+    wording: ClassVar[str] = "TCP acceleration never above {maximum_mps2:m/s2}"
 
-    @reads(POSITION, RATE, SPEED, ends=_by(of_tcp_acceleration, SPEED))
+    @reads(POSITION, RATE, SPEED, ends=_ends_by(of_tcp_acceleration, SPEED))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every control period."""
         if len(trace.ticks) < 2:

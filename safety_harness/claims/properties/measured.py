@@ -88,21 +88,21 @@ def reads(
 
 def columns_read_by(prop: Property) -> tuple[str, ...] | None:
     """Return the columns that it reads; None for a property that does not state them."""
-    said = getattr(prop, "reads", getattr(prop.evaluate, "reads", None))
-    return None if said is None else tuple(said)
+    columns = getattr(prop, "reads", getattr(prop.evaluate, "reads", None))
+    return None if columns is None else tuple(columns)
 
 
 def not_measured(
-    prop: Said, columns: Sequence[str], what: str = "", known: Knowledge | None = None
+    prop: Said, columns: Sequence[str], detail: str = "", known: Knowledge | None = None
 ) -> Evaluation:
-    """Return inconclusive for lack of ``columns``; ``what`` is more exact about what was not measured.
+    """Return inconclusive for lack of ``columns``; ``detail`` is more exact about what was not measured.
 
     The reason is "not reported" if the controller of a ``known`` run does not report any of them.
     """
-    words = what or ", ".join(columns)
-    other = known is not None and known.unreported(columns)
-    why = "not reported" if other else "not measured"
-    return replace(inconclusive(prop, f"{why}: {words}"), unmeasured=tuple(columns), applicable=not other)
+    text = detail or ", ".join(columns)
+    unreported = known is not None and known.unreported(columns)
+    why = "not reported" if unreported else "not measured"
+    return replace(inconclusive(prop, f"{why}: {text}"), unmeasured=tuple(columns), applicable=not unreported)
 
 
 @dataclass(frozen=True)
@@ -119,48 +119,50 @@ class _Judging:
     def evaluate(self, prop: Property, trace: Trace) -> Evaluation:
         """Judge the whole trace, or else its parts: a part that violates it decides."""
         known = trace.known
-        limited = [name for name in self.names if known.of(name).limited]
+        limited = [name for name in self.names if known.measurement_of(name).limited]
         lacking = [
             name
             for name in limited
             if name not in self.bounded
-            and (known.missing([name]) or (known.of(name).gaps and name not in self.filled))
+            and (known.missing([name]) or (known.measurement_of(name).gaps and name not in self.filled))
         ]
         if not lacking:
-            found = self.plain(prop, trace)
-            return self._widened(found, prop, trace, limited) if limited else found
-        words = ", ".join(_lack(trace, name) for name in lacking)
-        told = [words]
-        for which, piece in _pieces(trace, lacking, self.of_each_hand):
-            found = self.evaluate(prop, piece)
-            if found.verdict is Verdict.VIOLATED:
-                return replace(found, reason=f"{found.reason} ({which}; not measured: {words})")
-            words_of = found.verdict.value if found.margin is None else found.margin_text()
-            told.append(f"{which}: {words_of} ({found.reason})")
-        return not_measured(prop, lacking, "; ".join(told), known)
+            evaluation = self.plain(prop, trace)
+            return self._widened(evaluation, prop, trace, limited) if limited else evaluation
+        text = ", ".join(_lack(trace, name) for name in lacking)
+        reasons = [text]
+        for piece_name, piece in _pieces(trace, lacking, self.of_each_hand):
+            evaluation = self.evaluate(prop, piece)
+            if evaluation.verdict is Verdict.VIOLATED:
+                return replace(evaluation, reason=f"{evaluation.reason} ({piece_name}; not measured: {text})")
+            words_of = evaluation.verdict.value if evaluation.margin is None else evaluation.margin_text()
+            reasons.append(f"{piece_name}: {words_of} ({evaluation.reason})")
+        return not_measured(prop, lacking, "; ".join(reasons), known)
 
-    def _widened(self, found: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]) -> Evaluation:
+    def _widened(
+        self, evaluation: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]
+    ) -> Evaluation:
         """Return the verdict that every possible value gives, with the margin that is certain."""
-        if found.verdict is Verdict.INCONCLUSIVE and self.ends is not None and not self.filled:
-            return found
+        if evaluation.verdict is Verdict.INCONCLUSIVE and self.ends is not None and not self.filled:
+            return evaluation
         low, high, exercised = -inf, inf, False
-        if self.ends is not None and found.margin is not None:
-            low, high, exercised = self.ends(prop, trace, found.margin)
-        if found.verdict is Verdict.VIOLATED and high < 0.0:
-            return replace(found, margin=high)
-        if found.verdict is Verdict.HOLDS and low >= 0.0 and exercised:
-            return replace(found, margin=low)
-        unknown = [name for name in limited if trace.known.of(name).uncertainty == 0.0]
+        if self.ends is not None and evaluation.margin is not None:
+            low, high, exercised = self.ends(prop, trace, evaluation.margin)
+        if evaluation.verdict is Verdict.VIOLATED and high < 0.0:
+            return replace(evaluation, margin=high)
+        if evaluation.verdict is Verdict.HOLDS and low >= 0.0 and exercised:
+            return replace(evaluation, margin=low)
+        unknown = [name for name in limited if trace.known.measurement_of(name).uncertainty == 0.0]
         why = "not measured" if unknown else "known only to within an uncertainty"
         why = f"{why}: {', '.join(unknown or limited)}; the margin is "
         if low == -inf and high == inf:
             why += "not bounded"
         else:
-            why += f"from {found.unit.margin_text(low)} to {found.unit.margin_text(high)}"
-        if found.verdict is Verdict.HOLDS and not exercised:
+            why += f"from {evaluation.unit.margin_text(low)} to {evaluation.unit.margin_text(high)}"
+        if evaluation.verdict is Verdict.HOLDS and not exercised:
             why += ", and perhaps it was never exercised"
-        why = f"{why}; by what was measured {found.margin_text()}: {found.reason}"
-        return replace(inconclusive(prop, why, exercised=found.exercised), unmeasured=tuple(limited))
+        why = f"{why}; by what was measured {evaluation.margin_text()}: {evaluation.reason}"
+        return replace(inconclusive(prop, why, exercised=evaluation.exercised), unmeasured=tuple(limited))
 
 
 def _lack(trace: Trace, name: str) -> str:
@@ -169,10 +171,10 @@ def _lack(trace: Trace, name: str) -> str:
     if trace.known.missing([name]) or first is None:
         return name
     names = [hand.name for hand in trace.scenario.hands]
-    whose = "" if first.hand is None else f" of {[*names, *['another hand'] * MAX_HANDS][first.hand]}"
+    of_hand = "" if first.hand is None else f" of {[*names, *['another hand'] * MAX_HANDS][first.hand]}"
     begin_s, end_s = (_time_s(trace, tick) for tick in (first.first, first.after))
-    more = " and later" * (len(trace.known.of(name).gaps) > 1)
-    return f"{name}{whose} from {begin_s:.3f} to {end_s:.3f} s{more}"
+    more = " and later" * (len(trace.known.measurement_of(name).gaps) > 1)
+    return f"{name}{of_hand} from {begin_s:.3f} to {end_s:.3f} s{more}"
 
 
 def _time_s(trace: Trace, tick: int) -> float:
@@ -188,7 +190,7 @@ def _pieces(trace: Trace, lacking: Sequence[str], of_each_hand: bool) -> Iterato
     of_hands = {name for name in lacking if name in PER_HAND}
     if not of_each_hand or not of_hands:
         return
-    gaps = [(name, gap.hand) for name in of_hands for gap in known.of(name).gaps]
+    gaps = [(name, gap.hand) for name in of_hands for gap in known.measurement_of(name).gaps]
     gaps += [(name, None) for name in known.missing(of_hands)]
     lost = {
         k
@@ -219,8 +221,8 @@ def _without(trace: Trace, lost: set[int]) -> Trace:
         ticks["hand_distance_m"][:, k], ticks["hand_distance_capsule"][:, k] = FAR_M[0], 0
     kept = {*range(len(hands))} - lost
     columns = {
-        name: replace(one, gaps=tuple(gap for gap in one.gaps if gap.hand in (None, *kept)))
-        for name, one in trace.known.columns.items()
+        name: replace(measurement, gaps=tuple(gap for gap in measurement.gaps if gap.hand in (None, *kept)))
+        for name, measurement in trace.known.columns.items()
         if name != PRESENCE
     }
     scenario = replace(trace.scenario, hands=tuple(hands))
@@ -245,7 +247,7 @@ def _without_arms(trace: Trace) -> Trace:
     )
     scenario = replace(scenario, hands=hands, settings=replace(scenario.settings, hand=sphere))
     ticks["elbow_position_in_base_m"] = ticks["hand_position_in_base_m"]
-    position = trace.known.of("hand_position_in_base_m")
+    position = trace.known.measurement_of("hand_position_in_base_m")
     columns = {**trace.known.columns, "elbow_position_in_base_m": position}
     armless = replace(trace, scenario=scenario, ticks=ticks, known=Knowledge(columns))
     ticks = ticks.copy()
@@ -270,7 +272,7 @@ def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
         @wraps(evaluate)
         def evaluate_whole(prop: Property, trace: Trace) -> Evaluation:
             known = trace.known
-            lacking = [name for name in names if known.missing([name]) or known.of(name).gaps]
+            lacking = [name for name in names if known.missing([name]) or known.measurement_of(name).gaps]
             lacking = [] if of_any and known.simulated else lacking
             return not_measured(prop, lacking, known=trace.known) if lacking else evaluate(prop, trace)
 

@@ -27,7 +27,7 @@ class ObstacleDistance(Worded):
 
     minimum_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "obstacle distance never below {minimum_m:mm}"
+    wording: ClassVar[str] = "obstacle distance never below {minimum_m:mm}"
 
     @reads("joint_position_rad", "joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -43,9 +43,9 @@ class ObstacleDistance(Worded):
             joint_bend_m(trace),
             self.minimum_m,
         )
-        words, most = "the arm and an obstacle", float(high_m) - self.minimum_m
+        parts, most = "the arm and an obstacle", float(high_m) - self.minimum_m
         return judged(
-            self, trace, low_m - self.minimum_m, trace.time_s[worst], words, len(trace.ticks), most=most
+            self, trace, low_m - self.minimum_m, trace.time_s[worst], parts, len(trace.ticks), most=most
         )
 
 

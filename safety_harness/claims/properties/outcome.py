@@ -54,7 +54,7 @@ class KeepsItsPlace(Worded):
 
     within_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "keeps its place within {within_m:mm}"
+    wording: ClassVar[str] = "keeps its place within {within_m:mm}"
 
     @reads("transform_tcp_to_base", "hand_position_in_base_m", ends=lambda prop, trace, _: prop.ends(trace))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -72,9 +72,9 @@ class KeepsItsPlace(Worded):
         period_s = trace.scenario.settings.clock.control_period_s
         left, held = (round(time_s / period_s) for time_s in (retreat_s(trace), HELD_S))
         errors_m, tcp_m = position_errors_m(trace), true_motion(trace).tcp_m
-        found = []
+        margins = []
         nearest_m = nearest_hand_m(trace) + farther_m * nearest_off_m(trace)
-        slack_m = 4.0 * farther_m * trace.known.of("transform_tcp_to_base").uncertainty
+        slack_m = 4.0 * farther_m * trace.known.measurement_of("transform_tcp_to_base").uncertainty
         for begin, end in np.transpose(runs_of(nearest_m > NoFalseAlarms().limit_m(trace.scenario.settings))):
             first = begin + left * bool(begin)
             ways_m = np.zeros(max(end - held - first, 0))
@@ -89,9 +89,9 @@ class KeepsItsPlace(Worded):
                 place = np.searchsorted(places, places)  # (n,) the tick at which it came there
                 way_m = np.linalg.norm(tcp_m[first:end] - tcp_m[first:end][place], axis=1)
                 gone_m = np.maximum(error_m - least_m, way_m - np.maximum(error_m[place] - error_m, 0.0))
-                found.append((float(gone_m.max()), first + int(gone_m.argmax())))
-        worst_m, worst = max(found, default=(0.0, 0))
-        return worst_m + slack_m, worst, len(found)
+                margins.append((float(gone_m.max()), first + int(gone_m.argmax())))
+        worst_m, worst = max(margins, default=(0.0, 0))
+        return worst_m + slack_m, worst, len(margins)
 
     def ends(self, trace: Trace) -> tuple[float, float, bool]:
         """Return the ends of the margin, for ``reads``: hands as far as possible, and as near."""
@@ -115,27 +115,27 @@ class ReactsWithin(Worded):
 
     within_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "reacts within {within_s:ms}"
+    wording: ClassVar[str] = "reacts within {within_s:ms}"
 
     @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["limits"], of_each_hand=True)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every hand that comes near."""
         hands = range(len(trace.scenario.hands))
-        found = [one for hand in hands for one in self._encounters(trace, hand)]
-        if not found:
+        encounters = [encounter for hand in hands for encounter in self._encounters(trace, hand)]
+        if not encounters:
             near_m = float(nearest_hand_m(trace).min())
             if near_m >= trace.scenario.settings.avoidance.critical_distance_m:
                 return unexercised(self, no_near_hand(trace))
             why = f"a hand came to {1e3 * near_m:.1f} mm of the TCP, which stood, or had reacted to it"
             return unexercised(self, f"{why}; one that stays until the arm comes back exercises it")
-        decided = [(took, tick) for took, tick, known in found if known]
+        decided = [(took, tick) for took, tick, known in encounters if known]
         took, tick = max(decided, default=(0, 0))
         reason = f"longest {1e3 * trace.time_s[took]:.0f} ms, of {len(decided)} times that a hand came near"
         margin_s = time_left_s(trace, self.within_s, took)
-        told = judged(self, trace, margin_s, trace.time_s[tick + took], reason, len(decided))
-        if len(decided) == len(found) or told.verdict is Verdict.VIOLATED:
-            return told
-        open_s = next(trace.time_s[tick] for _, tick, known in found if not known)
+        evaluation = judged(self, trace, margin_s, trace.time_s[tick + took], reason, len(decided))
+        if len(decided) == len(encounters) or evaluation.verdict is Verdict.VIOLATED:
+            return evaluation
+        open_s = next(trace.time_s[tick] for _, tick, known in encounters if not known)
         why = f"a hand came near at {open_s:.3f} s, and it left, or the run ended, before the arm reacted"
         return inconclusive(self, why, exercised=len(decided))
 
@@ -146,24 +146,31 @@ class ReactsWithin(Worded):
         last, halved = len(ticks) - 1, round(HALVED_S / period_s)
         from_hand_m = tcp_m - ticks["hand_position_in_base_m"][:, hand]
         apart_m, errors_m = np.linalg.norm(from_hand_m, axis=1), position_errors_m(trace)
-        near = ticks["hand_present"][:, hand] & (apart_m < settings.avoidance.critical_distance_m)
+        is_near = ticks["hand_present"][:, hand] & (apart_m < settings.avoidance.critical_distance_m)
         velocity, braking = np.diff(tcp_m, axis=0) / period_s, ticks["limits"] & int(Limit.BRAKING) != 0
         speed = np.maximum(np.linalg.norm(velocity, axis=1), TINY_MPS)
-        for first, end in np.transpose(runs_of(near)).tolist():
-            before, was = first - 1, max(first - 1 - round(BEFORE_S / period_s), round(STARTED_S / period_s))
-            if before < was or first == last or speed[before] <= MOVES or braking[before]:
+        for first, end in np.transpose(runs_of(is_near)).tolist():
+            last_before, was = (
+                first - 1,
+                max(first - 1 - round(BEFORE_S / period_s), round(STARTED_S / period_s)),
+            )
+            if last_before < was or first == last or speed[last_before] <= MOVES or braking[last_before]:
                 continue
             leads = product(velocity, from_hand_m[first] / max(apart_m[first], TINY_MPS))
             # an arm that arrives slows as what is left of its way does
-            now, away, left = speed[before], leads[before], errors_m / max(errors_m[before], TINY_M)
+            now, away, left = (
+                speed[last_before],
+                leads[last_before],
+                errors_m / max(errors_m[last_before], TINY_M),
+            )
             arrives = min(1.0 / max(left[was], TINY_M), 1.0)
             reacted = now <= HALF * arrives * speed[was]
             reacted |= away - arrives * leads[was] >= HALF * speed[was] > HALF * MOVES
-            reacted |= away > 0.0 and errors_m[first] > errors_m[before]
+            reacted |= away > 0.0 and errors_m[first] > errors_m[last_before]
             if reacted or away >= HALF * settings.avoidance.repulsion_speed_mps:
                 continue
             until = slice(first, min(end + halved, last))
-            slowing = power(min(now / speed[was], 1.0), 1.0 / max(before - was, 1))
+            slowing = power(min(now / speed[was], 1.0), 1.0 / max(last_before - was, 1))
             usual = np.minimum(power(slowing, np.arange(1, until.stop - first + 1)), left[until])
             change = 1.0 - speed[until] / np.maximum(usual * now, TINY_MPS)
             change = np.maximum(change, (leads[until] - away * usual) / now)

@@ -33,7 +33,7 @@ from safety_harness.trace.trace import Trace, once_a_trace
 WAY_STEP_M = 0.005
 STOP_SLACK_M = 0.002  # of way, and of time
 STOP_GRACE_TICKS = 3  # the drives lag behind their ramp
-WAYS = ("joint_position_rad", "transform_tcp_to_base")  # where the straight way to a position begins
+START_COLUMNS = ("joint_position_rad", "transform_tcp_to_base")  # where the straight way to a position begins
 BEYOND_M = 0.100  # how far beyond the position reachability is looked for
 
 
@@ -49,11 +49,11 @@ def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
         hands = decision["hand_position_in_base_m"][None]
     if not all(is_somewhere(hand) for hand in hands):
         return np.full(3, np.nan)
-    apart = np.linalg.norm(hands - tcp_in_base, axis=1)
-    nearest = int(np.argmin(apart))
-    if not apart[nearest] > 0.0:
+    distances_m = np.linalg.norm(hands - tcp_in_base, axis=1)
+    nearest = int(np.argmin(distances_m))
+    if not distances_m[nearest] > 0.0:
         return np.full(3, np.nan)
-    share = trace.scenario.settings.avoidance.radius_m / apart[nearest]
+    share = trace.scenario.settings.avoidance.radius_m / distances_m[nearest]
     return np.asarray(tcp_in_base + share * (tcp_in_base - hands[nearest]))
 
 
@@ -77,9 +77,9 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
     for hand in tick["predicted_hand_in_base_m"][tick["track_valid"]]:
         if not is_somewhere(hand):
             return np.nan
-        apart = length(tcp_in_base - hand)
+        distance_m = length(tcp_in_base - hand)
         away = float(product(position_in_base_m - tcp_in_base, tcp_in_base - hand))
-        spare = min(spare, away / apart if apart > 0.0 else spare)
+        spare = min(spare, away / distance_m if distance_m > 0.0 else spare)
     if spare < 0.0:
         return spare
     arm = arm_model(trace.scenario.robot)
@@ -157,7 +157,7 @@ class RepulsivePosesReachable:
         positions = (
             ("proposed_position_in_base_m",) if self.proposed else ("chosen_position_in_base_m", "outcome")
         )
-        return (*WAYS, *(f"{OF_DECISIONS}{name}" for name in ("tick", "time_s", *positions)))
+        return (*START_COLUMNS, *(f"{OF_DECISIONS}{name}" for name in ("tick", "time_s", *positions)))
 
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every decision's position."""
@@ -182,7 +182,7 @@ class RepulsivePosesReachable:
 
 @lru_cache(maxsize=2)
 def _judging(names: tuple[str, ...]) -> Callable[[RepulsivePosesReachable, Trace], Evaluation]:
-    return reads(*WAYS, also=names)(RepulsivePosesReachable._worst)
+    return reads(*START_COLUMNS, also=names)(RepulsivePosesReachable._worst)
 
 
 def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
@@ -197,8 +197,8 @@ def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
     known, key = _reaches_m(trace), (int(decision["tick"]), position_in_base_m.tobytes())
     if key not in known:
         tick = trace.ticks[decision["tick"]]
-        way = position_in_base_m - tick["transform_tcp_to_base"][:3, 3]
-        known[key] = _beyond_m(trace, tick["joint_position_rad"], way)
+        displacement = position_in_base_m - tick["transform_tcp_to_base"][:3, 3]
+        known[key] = _beyond_m(trace, tick["joint_position_rad"], displacement)
     return known[key]
 
 
@@ -208,19 +208,20 @@ def _reaches_m(_: Trace) -> dict[tuple[int, bytes], float]:
     return {}
 
 
-def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], way: NDArray[np.float64]) -> float:
-    """Return how far beyond (negative: short of) its end ``way`` (3,) can be gone from ``joints_rad`` (6,).
+def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], displacement: NDArray[np.float64]) -> float:
+    """Return how far beyond (negative: short of) its end a ``displacement`` (3,) can be gone.
 
+    It begins at ``joints_rad`` (6,).
     The result is at most 0.1 mm too small, but never below zero for a way that can be gone to its end.
     """
-    length_m = length(way)
+    length_m = length(displacement)
     if length_m == 0.0:
         return 0.0
     least = trace.scenario.settings.motion.min_singular_value
     kinematics = inverse_kinematics(trace.scenario.robot)
 
     def beyond_m(far_m: float) -> float:
-        gone_m = kinematics.reach_along(joints_rad, way / length_m, far_m, min_singular_value=least)
+        gone_m = kinematics.reach_along(joints_rad, displacement / length_m, far_m, min_singular_value=least)
         return gone_m - length_m
 
     found_m = beyond_m(length_m + BEYOND_M)

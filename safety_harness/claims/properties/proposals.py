@@ -51,15 +51,15 @@ def proposals(trace: Trace) -> NDArray[np.void]:
 
     An answer to an earlier question is omitted if the trace does not have the hand of that time.
     """
-    found: NDArray[np.void] = trace.decisions[answered(trace)]  # a copy
-    told = (found["asked_tick"] == found["tick"]) | trace.ticks["track_valid"][found["asked_tick"]].any(
+    answers: NDArray[np.void] = trace.decisions[answered(trace)]  # a copy
+    seen = (answers["asked_tick"] == answers["tick"]) | trace.ticks["track_valid"][answers["asked_tick"]].any(
         axis=1
     )
-    found = found[told]
-    for one in found:
-        for name, position in zip(QUESTION, question_of(trace, one), strict=True):
-            one[name] = position if is_somewhere(position) else np.nan
-    return found
+    answers = answers[seen]
+    for answer in answers:
+        for name, position in zip(QUESTION, question_of(trace, answer), strict=True):
+            answer[name] = position if is_somewhere(position) else np.nan
+    return answers
 
 
 def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
@@ -71,29 +71,31 @@ def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
     return margin, margin, True
 
 
-def optima_in_base_m(trace: Trace, found: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return (m, 3) the closed-form optimum of the questions of ``found`` (m,)."""
-    hands, tcps = found["hand_position_in_base_m"], found["tcp_position_in_base_m"]
+def optima_in_base_m(trace: Trace, proposals: NDArray[np.void]) -> NDArray[np.float64]:
+    """Return (m, 3) the closed-form optimum of the questions of ``proposals`` (m,)."""
+    hands, tcps = proposals["hand_position_in_base_m"], proposals["tcp_position_in_base_m"]
     return np.asarray(optimum_in_base_m(trace.scenario.settings, hands, tcps))
 
 
 def worst(
     prop: Property,
     trace: Trace,
-    found: NDArray[np.void],  # (m,)
+    proposals: NDArray[np.void],  # (m,)
     margins_m: NDArray[np.float64],  # (m,)
     shown_m: NDArray[np.float64],  # (m,)
-    what: str,
+    meaning: str,
 ) -> Evaluation:
     """Judge the proposal with the least margin, or the first without a margin.
 
-    The reason is its ``shown_m``, in mm, and ``what``, the meaning of that number.
+    The reason is its ``shown_m``, in mm, and ``meaning``, the meaning of that number.
     """
-    if len(found) == 0:
+    if len(proposals) == 0:
         return unexercised(prop, no_answer(trace))
     at = int(np.argmin(margins_m))  # the first NaN, if there is one
-    reason = f"{shown_m[at] * 1e3:.1f} mm {what}" + (f", worst of {len(found)}" if len(found) > 1 else "")
-    return judged(prop, trace, float(margins_m[at]), float(found["time_s"][at]), reason, len(found))
+    reason = f"{shown_m[at] * 1e3:.1f} mm {meaning}" + (
+        f", worst of {len(proposals)}" if len(proposals) > 1 else ""
+    )
+    return judged(prop, trace, float(margins_m[at]), float(proposals["time_s"][at]), reason, len(proposals))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,18 +109,18 @@ class ProposalsLeadAway(Worded):
 
     tolerance_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "proposals lead away to within {tolerance_m:mm}"
+    wording: ClassVar[str] = "proposals lead away to within {tolerance_m:mm}"
 
     @reads(also=PROPOSAL, ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal."""
-        found = proposals(trace)
+        answers = proposals(trace)
         away_m = gained_m(
-            found["hand_position_in_base_m"],
-            found["tcp_position_in_base_m"],
-            found["proposed_position_in_base_m"],
+            answers["hand_position_in_base_m"],
+            answers["tcp_position_in_base_m"],
+            answers["proposed_position_in_base_m"],
         )
-        return worst(self, trace, found, away_m + self.tolerance_m, away_m, "away from the hand")
+        return worst(self, trace, answers, away_m + self.tolerance_m, away_m, "away from the hand")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,14 +129,14 @@ class NearOptimum(Worded):
 
     within_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "proposals within {within_m:mm} of the optimum"
+    wording: ClassVar[str] = "proposals within {within_m:mm} of the optimum"
 
     @reads(also=PROPOSAL, ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal."""
-        found = proposals(trace)
-        error_m = off_m(found["proposed_position_in_base_m"], optima_in_base_m(trace, found))
-        return worst(self, trace, found, self.within_m - error_m, error_m, "from the optimum")
+        answers = proposals(trace)
+        error_m = off_m(answers["proposed_position_in_base_m"], optima_in_base_m(trace, answers))
+        return worst(self, trace, answers, self.within_m - error_m, error_m, "from the optimum")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,20 +151,20 @@ class WithinSpread(Worded):
     spreads: float
     allowance_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "proposals within {spreads:1} spread(s) and {allowance_m:mm} of the optimum"
+    wording: ClassVar[str] = "proposals within {spreads:1} spread(s) and {allowance_m:mm} of the optimum"
 
     @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal, axis by axis, unless the avoider gives no spread."""
-        found = proposals(trace)
-        spread_m = np.minimum(found["proposed_spread_m"], ENDLESS)
-        if len(found) and np.isnan(found["spread_threshold_m"]).all() and not (spread_m > 0.0).any():
+        answers = proposals(trace)
+        spread_m = np.minimum(answers["proposed_spread_m"], ENDLESS)
+        if len(answers) and np.isnan(answers["spread_threshold_m"]).all() and not (spread_m > 0.0).any():
             return unexercised(self, "the avoider gives no spread; one that does exercises it")
-        errors_m = np.abs(found["proposed_position_in_base_m"] - optima_in_base_m(trace, found))  # (m, 3)
+        errors_m = np.abs(answers["proposed_position_in_base_m"] - optima_in_base_m(trace, answers))  # (m, 3)
         margins_m = self.spreads * spread_m + self.allowance_m - errors_m
         axis = np.argmin(margins_m, axis=1)[:, None]
         margin_m, error_m = (np.take_along_axis(each, axis, axis=1)[:, 0] for each in (margins_m, errors_m))
-        return worst(self, trace, found, margin_m, error_m, "from the optimum along an axis")
+        return worst(self, trace, answers, margin_m, error_m, "from the optimum along an axis")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,14 +177,14 @@ class NeverSureAndOff(Worded):
 
     within_m: float
     unit: Unit = Unit.LENGTH
-    words: ClassVar[str] = "proposals never sure and more than {within_m:mm} from the optimum"
+    wording: ClassVar[str] = "proposals never sure and more than {within_m:mm} from the optimum"
 
     @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal that is sure."""
-        found = proposals(trace)
-        sure = found[is_sure(found["proposed_spread_m"], found["spread_threshold_m"])]
-        if len(found) and not len(sure):
+        answers = proposals(trace)
+        sure = answers[is_sure(answers["proposed_spread_m"], answers["spread_threshold_m"])]
+        if len(answers) and not len(sure):
             return unexercised(self, spread_beside_threshold(trace, above=False))
         error_m = off_m(sure["proposed_position_in_base_m"], optima_in_base_m(trace, sure))
         return worst(self, trace, sure, self.within_m - error_m, error_m, "from the optimum, and sure")
@@ -197,21 +199,21 @@ class FewOverruled(Worded):
 
     most: float
     unit: Unit = Unit.FRACTION
-    words: ClassVar[str] = "at most {most:%} of proposals overruled"
+    wording: ClassVar[str] = "at most {most:%} of proposals overruled"
 
     @reads(also=[*ANSWER, "decision.outcome"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the run as a whole."""
         made, vetoed = answered(trace), overruled(trace)
-        asked, count = int(np.count_nonzero(made)), int(np.count_nonzero(vetoed))
-        if asked == 0:
+        proposed, count = int(np.count_nonzero(made)), int(np.count_nonzero(vetoed))
+        if proposed == 0:
             return unexercised(self, no_answer(trace))
-        told = not trace.known.missing(["decision.proposed_failed"])
-        reasons = Overruling.of([trace]).reasons if told else {}
+        reasons_known = not trace.known.missing(["decision.proposed_failed"])
+        reasons = Overruling.from_traces([trace]).reasons if reasons_known else {}
         why = ", ".join(f"{check.name} {n}" for check, n in reasons.items()).lower().replace("_", " ")
-        reason = f"{count} of {asked} overruled" + (f" ({why})" if why else "")
+        reason = f"{count} of {proposed} overruled" + (f" ({why})" if why else "")
         time_s = float(trace.decisions["time_s"][int(np.argmax(vetoed if count else made))])
-        return judged(self, trace, self.most - count / asked, time_s, reason, asked, revocable=True)
+        return judged(self, trace, self.most - count / proposed, time_s, reason, proposed, revocable=True)
 
 
 YARDSTICK = (

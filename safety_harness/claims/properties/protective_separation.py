@@ -49,9 +49,9 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
     known, true, settings = trace.known, true_motion(trace), trace.scenario.settings
     braking, period_s, reach_m = settings.braking, settings.clock.control_period_s, arm_of(trace).reach_m
     distance_m, rate_radps = (
-        known.within(name, len(trace.ticks)) for name in ("hand_distance_m", "joint_velocity_radps")
+        known.uncertainty_of(name, len(trace.ticks)) for name in ("hand_distance_m", "joint_velocity_radps")
     )
-    speed_mps, faster_radps = known.of("tcp_speed_mps").uncertainty, rate_radps[:, None]
+    speed_mps, faster_radps = known.measurement_of("tcp_speed_mps").uncertainty, rate_radps[:, None]
     per_speed_s2pm, grace_s = braking.stop_time_per_speed_s2pm, GRACE_TICKS * period_s
     stopped_mps = prop.stopped_from_mps(trace)
     reaction_s, stop_s = _times_s(trace, stopped_mps)
@@ -60,13 +60,13 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
     turns_radps = np.abs(true.rates_radps)
     sure = turns_radps.max(axis=1) >= STANDSTILL_RADPS + rate_radps
     maybe = turns_radps.max(axis=1) >= STANDSTILL_RADPS - rate_radps
-    off_mps = 2.0 / period_s * max(known.of(name).uncertainty for name in OF_HANDS[:2])
+    off_mps = 2.0 / period_s * max(known.measurement_of(name).uncertainty for name in OF_HANDS[:2])
     hand_mps = np.minimum(_steps_m(trace)[1] / period_s + off_mps, _fastest_mps(trace))
     most_mps = hand_mps if prop.own_speeds else np.full_like(hand_mps, prop.assumed_mps)
     least_mps = 0.0 if prop.own_speeds else prop.assumed_mps
 
     stopping = _may_be_stopping(trace)
-    in_doubt = known.of("limits").limited or (bool(stopping.any()) and speed_mps > 0.0)
+    in_doubt = known.measurement_of("limits").limited or (bool(stopping.any()) and speed_mps > 0.0)
     whole_s = per_speed_s2pm * stopped_mps + braking.stop_time_base_s
     left_s = (
         whole_s + braking.reaction_time_s if in_doubt else reaction_s + stop_s
@@ -84,8 +84,8 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
         needed_m = most_mps * (reaction_s + stop_s) + arm_mps * (reaction_s + 0.5 * stop_s)
         needed_m += 0.5 * period_s * (hand_mps + arm_mps)
         low = float(np.where(maybe, true.nearest_m - distance_m - needed_m, np.inf).min())
-    near = sure & (true.nearest_m + distance_m < prop.largest_m(settings))
-    return low, high, bool(near.any())
+    is_near = sure & (true.nearest_m + distance_m < prop.largest_m(settings))
+    return low, high, bool(is_near.any())
 
 
 def _may_be_stopping(trace: Trace) -> NDArray[np.bool_]:
@@ -96,7 +96,7 @@ def _may_be_stopping(trace: Trace) -> NDArray[np.bool_]:
 
 def _fastest_mps(trace: Trace) -> float:
     """Return the largest possible speed of a hand or elbow, by what is known of them."""
-    rates = [trace.known.of(name).at_most_per_s for name in OF_HANDS[:2]]
+    rates = [trace.known.measurement_of(name).at_most_per_s for name in OF_HANDS[:2]]
     return max(np.inf if rate is None else rate for rate in rates)
 
 
@@ -126,7 +126,7 @@ class ProtectiveSeparation(Worded):
     unit: Unit = Unit.LENGTH
 
     @property
-    def words(self) -> str:
+    def wording(self) -> str:
         """Return the sentence, with the speed of hands where it is not the usual speed."""
         if self.own_speeds:
             return "protective separation kept from hands at their own speeds"
@@ -169,7 +169,7 @@ class ProtectiveSeparation(Worded):
         if trace.ended == UNMEASURED:  # speeds at its last tick are not those of the whole run
             turns = turns & (np.arange(len(turns)) < len(turns) - 1)
         reaction_s, stop_s = _times_s(trace, self.stopped_from_mps(trace))
-        which, what = least_separation(
+        indices, values = least_separation(
             arm_of(trace),
             turns,
             true.joints_rad,
@@ -184,10 +184,10 @@ class ProtectiveSeparation(Worded):
             *_steps_m(trace),
             int(np.argmin(np.where(turns, true.nearest_m, np.inf))),
         )
-        tick, hand, capsule, body = (int(value) for value in which)
+        tick, hand, capsule, body = (int(value) for value in indices)
         if tick < 0:
             return None
-        distance_m, robot_mps, hand_mps, hand_moves_m, robot_moves_m = (float(value) for value in what)
+        distance_m, robot_mps, hand_mps, hand_moves_m, robot_moves_m = (float(value) for value in values)
         return Separation(
             tick=tick,
             hand=hand,
@@ -237,7 +237,7 @@ def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 def _times_s(trace: Trace, speed_mps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the times of stops from a speed (n,) that is at least the TCP's, as ``times_left_s``."""
-    known = not trace.known.of("limits").limited
+    known = not trace.known.measurement_of("limits").limited
     return (_times_left_s if known else _full_times_s)(trace, speed_mps, 0.0)
 
 
@@ -264,11 +264,11 @@ def _times_left_s(
     stopping = known & _may_be_stopping(trace)
     whole_s, by_tcp_s = stop_s.copy(), _full_times_s(trace, trace.ticks["tcp_speed_mps"], off_s)[1]
     stop_s[~known] = longest_s
-    for first, after in zip(*runs_of(stopping), strict=True):
+    for first, end in zip(*runs_of(stopping), strict=True):
         if first > 0 and not known[first - 1]:
-            stop_s[first:after] = longest_s
+            stop_s[first:end] = longest_s
             continue
-        run = slice(first, after)
+        run = slice(first, end)
         left_s = reaction_s[run] - (time_s[run] - time_s[first])
         braked = left_s <= 1e-9
         begun = first + int(np.argmax(braked))
@@ -279,14 +279,16 @@ def _times_left_s(
     return reaction_s, stop_s
 
 
-def described(trace: Trace, found: Separation) -> str:
+def described(trace: Trace, separation: Separation) -> str:
     """Return a sentence on the pair and its terms."""
-    part = capsules_of(trace).names[found.capsule].replace("_", " ")
-    whose = trace.scenario.hands[found.hand].name + ("'s forearm" if found.forearm else "")
-    terms = " + ".join(f"{term.symbol} {term.length_m * 1e3:.1f}" for term in found.terms)
+    part = capsules_of(trace).names[separation.capsule].replace("_", " ")
+    body = trace.scenario.hands[separation.hand].name + ("'s forearm" if separation.forearm else "")
+    terms = " + ".join(f"{term.symbol} {term.length_m * 1e3:.1f}" for term in separation.terms)
     return (
-        f"{whose} {found.distance_m * 1e3:.1f} mm from {part}; needed are {found.required_m * 1e3:.1f} mm = "
-        f"{terms} (arm {found.robot_speed_mps * 1e3:.0f} mm/s towards it, v_h {found.hand_speed_mps:.2f} m/s)"
+        f"{body} {separation.distance_m * 1e3:.1f} mm from {part}; "
+        f"needed are {separation.required_m * 1e3:.1f} mm = {terms} "
+        f"(arm {separation.robot_speed_mps * 1e3:.0f} mm/s towards it, "
+        f"v_h {separation.hand_speed_mps:.2f} m/s)"
     )
 
 

@@ -78,8 +78,8 @@ def _predicted_apart(
     predicted_m: NDArray[np.float64],  # (n, tracks, 3)
 ) -> tuple[NDArray[np.float64], int]:
     """Return (n,) least over tracks of |predicted - tcp|, and the first tick whose prediction is nowhere."""
-    found, nowhere = np.full(tcp_m.shape[0], np.inf), -1
-    for k in range(found.shape[0]):
+    nearest_m, nowhere = np.full(tcp_m.shape[0], np.inf), -1
+    for k in range(nearest_m.shape[0]):
         for track in range(tracked.shape[1]):
             if not tracked[k, track]:
                 continue
@@ -87,17 +87,17 @@ def _predicted_apart(
             for i in range(3):
                 somewhere &= abs(predicted_m[k, track, i]) < HORIZON_M
                 total += (predicted_m[k, track, i] - tcp_m[k, i]) ** 2
-            if sqrt(total) < found[k]:  # of a NaN it is not
-                found[k] = sqrt(total)
+            if sqrt(total) < nearest_m[k]:  # of a NaN it is not
+                nearest_m[k] = sqrt(total)
             if nowhere < 0 and not somewhere:
                 nowhere = k
-    return found, nowhere
+    return nearest_m, nowhere
 
 
 def may_give_way(trace: Trace) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return (n,) the ticks at which the arm certainly gives way, and (n,) those at which it may."""
-    told = trace.known.measured("mode", trace.ticks)
-    return gives_way(trace) & told, gives_way(trace) | ~told
+    known = trace.known.measured("mode", trace.ticks)
+    return gives_way(trace) & known, gives_way(trace) | ~known
 
 
 def _answer_ends(
@@ -115,16 +115,16 @@ def _answer_ends(
     """
     gives, may = may_give_way(trace)
     last, longest, open_from, too_long = len(sure) - 1, [0, 0], len(sure), False
-    for side, (near, giving) in enumerate(((maybe, gives), (sure, may))):
-        for first, end in zip(*runs_of(~giving if whole_stretch else near & ~giving), strict=True):
-            inside = np.flatnonzero(near[first:end])
+    for side, (is_near, giving) in enumerate(((maybe, gives), (sure, may))):
+        for first, end in zip(*runs_of(~giving if whole_stretch else is_near & ~giving), strict=True):
+            inside = np.flatnonzero(is_near[first:end])
             if len(inside):
                 took = min(end, last) - (first + int(inside[0]))
-                over = time_left_s(trace, prop.within_s, took - 1) < 0.0
-                longest[side] = max(longest[side], took if side == 0 or end <= last or over else 0)
+                too_late = time_left_s(trace, prop.within_s, took - 1) < 0.0
+                longest[side] = max(longest[side], took if side == 0 or end <= last or too_late else 0)
                 if side == 0 and end > last:
                     open_from = first + int(inside[0])
-                too_long |= side == 1 and end > last and over  # already, when the run ends
+                too_long |= side == 1 and end > last and too_late  # already, when the run ends
     low, high = (time_left_s(trace, prop.within_s, took) for took in (longest[0] + 1, longest[1] - 1))
     exercised = bool((sure if too_long else sure[:open_from]).any())
     if not whole_stretch:
@@ -135,11 +135,13 @@ def _answer_ends(
 
 def _predicted_ends(prop: GivesWay, trace: Trace) -> tuple[float, float, bool]:
     known, ticks, count = trace.known, trace.ticks, len(trace.ticks)
-    off_m = known.within("transform_tcp_to_base", count) + known.within("predicted_hand_in_base_m", count)
+    off_m = known.uncertainty_of("transform_tcp_to_base", count) + known.uncertainty_of(
+        "predicted_hand_in_base_m", count
+    )
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
     apart_m, _ = predicted_apart_m(trace)
-    told = known.measured("track_valid", ticks) & known.measured("predicted_hand_in_base_m", ticks)
-    sure, maybe = told & (apart_m + off_m < critical_m), ~told | (apart_m - off_m < critical_m)
+    known_ticks = known.measured("track_valid", ticks) & known.measured("predicted_hand_in_base_m", ticks)
+    sure, maybe = known_ticks & (apart_m + off_m < critical_m), ~known_ticks | (apart_m - off_m < critical_m)
     return _answer_ends(prop, trace, sure, maybe, whole_stretch=True)
 
 
@@ -153,7 +155,7 @@ def _true_ends(prop: GivesWayToTrueHand, trace: Trace) -> tuple[float, float, bo
 def nearest_off_m(trace: Trace) -> NDArray[np.float64]:
     """Return (n,) the error of the distance of the nearest hand from the TCP."""
     count = len(trace.ticks)
-    return trace.known.within("transform_tcp_to_base", count) + trace.known.within(
+    return trace.known.uncertainty_of("transform_tcp_to_base", count) + trace.known.uncertainty_of(
         "hand_position_in_base_m", count
     )
 
@@ -174,7 +176,7 @@ class GivesWay(Worded):
 
     within_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "starts retreating within {within_s:ms} of a predicted hand"
+    wording: ClassVar[str] = "starts retreating within {within_s:ms} of a predicted hand"
 
     @reads(
         "transform_tcp_to_base",
@@ -183,15 +185,15 @@ class GivesWay(Worded):
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch without giving way."""
-        near, unknown = predicted_near(trace)
+        is_near, unknown = predicted_near(trace)
         if unknown >= 0:
             return inconclusive(self, f"the prediction is not finite from {trace.time_s[unknown]:.3f} s")
-        found = []
+        stretches = []
         for first, end in zip(*runs_of(~gives_way(trace)), strict=True):
-            inside = np.flatnonzero(near[first:end])
+            inside = np.flatnonzero(is_near[first:end])
             if len(inside):
-                found.append((first + int(inside[0]), end))
-        return _judged(self, trace, predicted_near(trace, NEAR_M)[0], found, "predicted hand")
+                stretches.append((first + int(inside[0]), end))
+        return _judged(self, trace, predicted_near(trace, NEAR_M)[0], stretches, "predicted hand")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,7 +212,7 @@ class GivesWayToTrueHand(Worded):
 
     within_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "starts retreating within {within_s:ms} of a true hand"
+    wording: ClassVar[str] = "starts retreating within {within_s:ms} of a true hand"
 
     @reads(
         "transform_tcp_to_base",
@@ -222,47 +224,55 @@ class GivesWayToTrueHand(Worded):
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch with a hand and without giving way."""
         nearest_m, gives = nearest_hand_m(trace), gives_way(trace)
-        near = nearest_m < trace.scenario.settings.avoidance.critical_distance_m
-        ignored = [slice(*one) for one in zip(*runs_of(near), strict=True) if not gives[slice(*one)].any()]
-        found = zip(*runs_of(near & ~gives), strict=True)
-        return _judged(self, trace, near & (nearest_m < NEAR_M), found, "true hand", ignored)
+        is_near = nearest_m < trace.scenario.settings.avoidance.critical_distance_m
+        ignored = [
+            slice(*stretch)
+            for stretch in zip(*runs_of(is_near), strict=True)
+            if not gives[slice(*stretch)].any()
+        ]
+        stretches = zip(*runs_of(is_near & ~gives), strict=True)
+        return _judged(self, trace, is_near & (nearest_m < NEAR_M), stretches, "true hand", ignored)
 
 
 def _judged(
     prop: GivesWay | GivesWayToTrueHand,
     trace: Trace,
-    near: NDArray[np.bool_],  # (n,) what counts as an occasion
+    is_near: NDArray[np.bool_],  # (n,) what counts as an occasion
     unanswered: Iterable[tuple[int, int]],
-    whose: str,
+    body: str,
     ignored: Sequence[slice] = (),  # encounters in which the arm never gave way
 ) -> Evaluation:
     """Judge the longest stretch in which a near hand was not answered."""
-    occasions = times_begun(near)
-    longest, since, open_from = 0, int(np.argmax(near)), len(near)  # in ticks
+    occasions = times_begun(is_near)
+    longest, since, open_from = 0, int(np.argmax(is_near)), len(is_near)  # in ticks
     for first, end in unanswered:
-        took = min(end, len(near) - 1) - first
-        if end == len(near) and time_left_s(trace, prop.within_s, took) >= 0.0:
+        took = min(end, len(is_near) - 1) - first
+        if end == len(is_near) and time_left_s(trace, prop.within_s, took) >= 0.0:
             open_from = first
         elif took > longest:
             longest, since = took, first
     margin_s = time_left_s(trace, prop.within_s, longest)
-    decided = times_begun(near[:open_from])  # one that gave way and is open again has been answered once
+    decided = times_begun(is_near[:open_from])  # one that gave way and is open again has been answered once
     if margin_s >= 0.0 and occasions == 0:
         true = isinstance(prop, GivesWayToTrueHand)
         return unexercised(prop, no_near_hand(trace) if true else no_predicted_hand(trace))
     if margin_s >= 0.0 and decided == 0:
-        had_ms = (len(near) - 1 - int(np.argmax(near))) * trace.scenario.settings.clock.control_period_s * 1e3
-        why = f"the run ends {had_ms:.0f} ms after a {whose} came near, before the {prop.within_s * 1e3:g} ms"
+        had_ms = (
+            (len(is_near) - 1 - int(np.argmax(is_near)))
+            * trace.scenario.settings.clock.control_period_s
+            * 1e3
+        )
+        why = f"the run ends {had_ms:.0f} ms after a {body} came near, before the {prop.within_s * 1e3:g} ms"
         return inconclusive(prop, f"{why} allowed; a longer duration exercises it")
-    reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near"
-    told = judged(prop, trace, margin_s, trace.time_s[since + longest], reason, decided)
-    left = next((one for one in ignored if one.stop < len(near)), None)
-    if left is None or told.verdict is not Verdict.HOLDS:
-        return told
+    reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {body} came near"
+    evaluation = judged(prop, trace, margin_s, trace.time_s[since + longest], reason, decided)
+    left = next((encounter for encounter in ignored if encounter.stop < len(is_near)), None)
+    if left is None or evaluation.verdict is not Verdict.HOLDS:
+        return evaluation
     when = f"from {trace.time_s[left.start]:.3f} s to {trace.time_s[left.stop]:.3f} s"
-    why = f"a {whose} was near {when} and left before the {prop.within_s * 1e3:g} ms allowed"
+    why = f"a {body} was near {when} and left before the {prop.within_s * 1e3:g} ms allowed"
     why += "; the arm never gave way to it"
-    return replace(told, verdict=Verdict.INCONCLUSIVE, reason=why, exercised=decided - 1)
+    return replace(evaluation, verdict=Verdict.INCONCLUSIVE, reason=why, exercised=decided - 1)
 
 
 GIVES_WAY = CatalogueEntry(
@@ -304,7 +314,7 @@ class GivesWayAtMost(Worded):
 
     most: int
     unit: Unit = Unit.COUNT
-    words: ClassVar[str] = "retreats at most {most:} time(s)"
+    wording: ClassVar[str] = "retreats at most {most:} time(s)"
 
     @reads(also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -353,7 +363,7 @@ class NoFalseAlarms(Worded):
     unit: Unit = Unit.LENGTH
 
     @property
-    def words(self) -> str:
+    def wording(self) -> str:
         """Return the sentence, with the limit where it is stated."""
         return "never retreats without a hand" + " within {within_m:mm}" * (self.within_m is not None)
 
@@ -413,21 +423,21 @@ def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
         nearest_off_m(trace),
     )
     far_m, near_m = np.minimum(nearest_m + off_m, 2.0 * limit_m), nearest_m - off_m
-    told, (gives, may) = trace.known.measured("limits", trace.ticks), may_give_way(trace)
+    known_ticks, (gives, may) = trace.known.measured("limits", trace.ticks), may_give_way(trace)
     singular = trace.ticks["limits"] & int(Limit.SINGULARITY) != 0
     lows, highs = [limit_m], [limit_m]
-    before = np.append(False, gives[:-1])
-    for tick in np.flatnonzero(may & ~before & ~(singular & told)).tolist():
+    gave_before = np.append(False, gives[:-1])
+    for tick in np.flatnonzero(may & ~gave_before & ~(singular & known_ticks)).tolist():
         lows.append(limit_m - float(far_m[max(tick - 1, 0) : tick + 1].max()))
-    for first, after in zip(*runs_of(may), strict=True):
-        inside = np.flatnonzero(gives[first:after])
+    for first, end in zip(*runs_of(may), strict=True):
+        inside = np.flatnonzero(gives[first:end])
         begun = slice(max(first - 1, 0), first + int(inside[0]) + 1) if len(inside) else slice(0)
-        if len(inside) and told[begun].all() and not singular[begun].any():
+        if len(inside) and known_ticks[begun].all() and not singular[begun].any():
             highs.append(limit_m - min(float(near_m[begun].min()), 2.0 * limit_m))
-    gaps = [(gap.first, gap.after) for gap in trace.known.of("decision").gaps]
+    gaps = [(gap.first, gap.after) for gap in trace.known.measurement_of("decision").gaps]
     for tick in trace.decisions["tick"].tolist():
-        about = next((gap for gap in gaps if gap[0] <= tick < gap[1]), (tick - 1, tick + 2))
-        window = slice(max(about[0], 0), about[1])
+        around = next((gap for gap in gaps if gap[0] <= tick < gap[1]), (tick - 1, tick + 2))
+        window = slice(max(around[0], 0), around[1])
         lows.append(limit_m - float(far_m[window].max()))
         highs.append(limit_m - min(float(near_m[window].min()), 2.0 * limit_m))
     return min(lows), min(highs), bool((near_m > limit_m).any())

@@ -41,7 +41,7 @@ ALLOWANCE = 1.25  # times the closed form, for the limits and the other five fea
 GRACE_S = 1.0  # for getting up to speed
 ROUNDED_UP_S = 0.1
 LEAST_GAIN_M = 1e-3  # nearer by less is not getting on (metres and radians together, as in eq. 15)
-ABOUT = 1.5  # critical distances, within which a hand may be the cause: a retreat goes beyond one
+CAUSE_REACH = 1.5  # critical distances, within which a hand may be the cause: a retreat goes beyond one
 STANDS_S = 5.0  # without getting on, and it does not converge
 LEAST_SHARE = 0.1  # of the closed form's rate, with which servoing gets on
 
@@ -65,7 +65,7 @@ def left_at(trace: Trace) -> int | None:
     nearest_m, critical_m = nearest_hand_m(trace), settings.avoidance.critical_distance_m
     period_s = settings.clock.control_period_s
     away = np.diff(error, prepend=error[0]) > 10.0 * MOVES * period_s
-    busy = np.flatnonzero((nearest_m < critical_m) | (away & (nearest_m < ABOUT * critical_m)))
+    busy = np.flatnonzero((nearest_m < critical_m) | (away & (nearest_m < CAUSE_REACH * critical_m)))
     if len(busy) == 0:
         return 0
     if (first := int(busy[-1]) + 1) == len(error):
@@ -77,9 +77,10 @@ def left_at(trace: Trace) -> int | None:
 def busy_to_the_end(trace: Trace) -> str:
     """Return why servoing was not free to go on."""
     critical_m, left_m = trace.scenario.settings.avoidance.critical_distance_m, nearest_hand_m(trace)[-1]
-    near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
-    beyond_m = critical_m if left_m < critical_m else ABOUT * critical_m  # from where the arm still goes away
-    return f"{near}; beyond {beyond_m * 1e3:g} mm, or a longer duration, exercises it"
+    hand_near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
+    # From a hand outside the critical distance the arm still goes away.
+    beyond_m = critical_m if left_m < critical_m else CAUSE_REACH * critical_m
+    return f"{hand_near}; beyond {beyond_m * 1e3:g} mm, or a longer duration, exercises it"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +99,7 @@ class GainSwitchReached(Worded):
     unit: Unit = Unit.TIME
 
     @property
-    def words(self) -> str:
+    def wording(self) -> str:
         """Return the sentence, with the time allowed where it is stated."""
         return "gain switch reached" + " within {within_s:s}" * (self.within_s is not None)
 
@@ -185,8 +186,10 @@ class Converged:
         far = f"the TCP was {1e3 * position.max():.2g} mm and {np.degrees(angle.max()):.2g} deg off at most"
         limits = f"{CONVERGED_POSITION_M * 1e3:g} mm or {np.degrees(CONVERGED_ANGLE_RAD):g} deg"
         lacked = f"{far}; beyond {limits} exercises it: {OFF_THE_GOAL}"
-        off = int(np.any(position > CONVERGED_POSITION_M) or np.any(angle > CONVERGED_ANGLE_RAD))
-        return judged(self, trace, margin, trace.time_s[-1], reason, off, lambda: lacked, revocable=True)
+        unconverged = int(np.any(position > CONVERGED_POSITION_M) or np.any(angle > CONVERGED_ANGLE_RAD))
+        return judged(
+            self, trace, margin, trace.time_s[-1], reason, unconverged, lambda: lacked, revocable=True
+        )
 
     def _needed_s(self, trace: Trace, distance_m: float) -> float:
         """Return the closed form from ``distance_m``: fast until the gain switch, slow on to 1 mm."""
@@ -210,11 +213,11 @@ def _converged_ends(trace: Trace, margin: float) -> tuple[float, float, bool]:
 
     A violation is not certain if a hand may have come near after all.
     """
-    off_m, first = trace.known.within("transform_tcp_to_base", len(trace.ticks)), left_at(trace) or 0
+    off_m, first = trace.known.uncertainty_of("transform_tcp_to_base", len(trace.ticks)), left_at(trace) or 0
     apart_m = (nearest_hand_m(trace) - nearest_off_m(trace))[first:]
     left = bool((apart_m >= trace.scenario.settings.avoidance.critical_distance_m).all())
-    off = bool((position_errors_m(trace) - off_m > CONVERGED_POSITION_M).any())
-    return margin - float(off_m[-1]), margin + float(off_m[-1]) if left else np.inf, off
+    unconverged = bool((position_errors_m(trace) - off_m > CONVERGED_POSITION_M).any())
+    return margin - float(off_m[-1]), margin + float(off_m[-1]) if left else np.inf, unconverged
 
 
 GAIN_SWITCH = CatalogueEntry(
@@ -257,7 +260,7 @@ class GainSwitchIterations(Worded):
 
     within: int
     unit: Unit = Unit.COUNT
-    words: ClassVar[str] = "gain switch reached within {within:} iterations"
+    wording: ClassVar[str] = "gain switch reached within {within:} iterations"
 
     @property
     def reads(self) -> tuple[str, ...] | None:
@@ -269,15 +272,15 @@ class GainSwitchIterations(Worded):
         period_s = trace.scenario.settings.clock.control_period_s
         # half a period more, so that no rounding of times decides; the margin is cut to whole ticks
         timed = GainSwitchReached(within_s=(self.within + 0.5) * period_s).evaluate(trace)
-        found = replace(timed, sentence=self.sentence, unit=self.unit)
+        evaluation = replace(timed, sentence=self.sentence, unit=self.unit)
         if timed.margin is None:
-            return found
+            return evaluation
         left = floor(timed.margin / period_s)
         if timed.verdict is Verdict.INCONCLUSIVE:
-            return replace(found, margin=float(left))
+            return replace(evaluation, margin=float(left))
         how = "not reached in" if timed.reason.startswith("not") else "reached after"
-        words = f"{how} {self.within - left} iterations; {self.within} were allowed"
-        return replace(found, margin=float(left), reason=words)
+        text = f"{how} {self.within - left} iterations; {self.within} were allowed"
+        return replace(evaluation, margin=float(left), reason=text)
 
 
 GAIN_SWITCH_ITERATIONS = replace(
@@ -304,7 +307,7 @@ class NeverStarved(Worded):
 
     longest_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "task pauses at most {longest_s:s}"
+    wording: ClassVar[str] = "task pauses at most {longest_s:s}"
 
     @reads("transform_tcp_to_base", also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -385,7 +388,7 @@ class ObjectInView(Worded):
 
     within_s: float
     unit: Unit = Unit.TIME
-    words: ClassVar[str] = "object in view or recovered within {within_s:s}"
+    wording: ClassVar[str] = "object in view or recovered within {within_s:s}"
 
     @reads("tcp_speed_mps", also=["object_visible"])
     def evaluate(self, trace: Trace) -> Evaluation:

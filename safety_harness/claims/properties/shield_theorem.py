@@ -45,11 +45,11 @@ def broken_assumptions(trace: Trace) -> list[BrokenAssumption]:
     assert shield is not None
     if "sent_radps" not in (trace.interventions.dtype.names or ()):
         return [BrokenAssumption(NOT_KNOWN, 0, "the trace does not say what the shield saw and sent")]
-    found = [*_of_hands(trace, shield), *_of_drives(trace, shield)]
-    wrong = first_untruth(trace)
-    if wrong is not None:
-        found.append(_broken(trace, 9, wrong.index, str(wrong)))
-    return found
+    broken = [*_of_hands(trace, shield), *_of_drives(trace, shield)]
+    untruth = first_untruth(trace)
+    if untruth is not None:
+        broken.append(_broken(trace, 9, untruth.index, str(untruth)))
+    return broken
 
 
 def _broken(trace: Trace, n: int, tick: int, why: str) -> BrokenAssumption:
@@ -69,10 +69,12 @@ def counts_words(runs: Iterable[tuple[int, int]]) -> str:
     shielded = with_any(SHIELDED)
     if not shielded:
         return ""
-    said = {1 << n: f", assumption {n} did not hold in" for n in range(1, NOT_KNOWN)}
-    said |= {1 << NOT_KNOWN: ", not known of", REFUTED: "; THE THEOREM IS REFUTED in"}
-    words = f"the assumptions that a trace tells held in {shielded - with_any(BROKEN):,} of {shielded:,} runs"
-    return words + "".join(f"{what} {with_any(bit):,}" for bit, what in said.items() if with_any(bit))
+    bit_texts = {1 << n: f", assumption {n} did not hold in" for n in range(1, NOT_KNOWN)}
+    bit_texts |= {1 << NOT_KNOWN: ", not known of", REFUTED: "; THE THEOREM IS REFUTED in"}
+    text = f"the assumptions that a trace tells held in {shielded - with_any(BROKEN):,} of {shielded:,} runs"
+    return text + "".join(
+        f"{bit_text} {with_any(bit):,}" for bit, bit_text in bit_texts.items() if with_any(bit)
+    )
 
 
 def _of_hands(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
@@ -108,15 +110,15 @@ def _of_hands(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
         (4, few[:, None] * 1.0, 0.0, few[:, None], "a hand was in no frame that the shield went by"),
         (5, off_m, shield.uncertainty_m, placed, "{hand} was {mm:.1f} mm from where the frame has it"),
     )
-    found = []
-    for number, was, most, where, words in checks:
-        wrong = where & ~(was <= most * (1.0 + RELATIVE) + SAME_M)
-        if wrong.any():
-            k, hand = (int(i) for i in np.argwhere(wrong)[0])
+    broken = []
+    for number, was, most, where, template in checks:
+        exceeds = where & ~(was <= most * (1.0 + RELATIVE) + SAME_M)
+        if exceeds.any():
+            k, hand = (int(i) for i in np.argwhere(exceeds)[0])
             worst = float(was[k, hand])
-            text = words.format(hand=hands[hand].name, was=worst, mm=worst * 1e3)
-            found.append(_broken(trace, number, k, text))
-    return found
+            text = template.format(hand=hands[hand].name, was=worst, mm=worst * 1e3)
+            broken.append(_broken(trace, number, k, text))
+    return broken
 
 
 def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
@@ -129,20 +131,22 @@ def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
     sent = trace.interventions["sent_radps"][:-1]
     turned = np.diff(trace.ticks["joint_position_rad"], axis=0)
     late = np.concatenate([np.zeros((held, sent.shape[1])), sent])  # row k: of so many ticks before tick k
-    off = np.abs(turned).max(axis=1)
+    deviation_rad = np.abs(turned).max(axis=1)
     for i in range(held + 1):
-        off = np.fmin(off, np.abs(turned - late[i : i + len(sent)] * period_s).max(axis=1))
+        deviation_rad = np.fmin(
+            deviation_rad, np.abs(turned - late[i : i + len(sent)] * period_s).max(axis=1)
+        )
     most = STANDSTILL_RADPS * period_s
-    for k in np.flatnonzero(~(off <= most)).tolist():
+    for k in np.flatnonzero(~(deviation_rad <= most)).tolist():
         if not _mean(late[k : k + held + 1] * period_s, turned[k]) <= most:
             return [_not_sent(trace, k, turned[k], held)]
     path = np.concatenate([np.zeros((1, sent.shape[1])), np.abs(turned).cumsum(axis=0)])
     worth = np.abs(late * period_s).cumsum(axis=0)
     begun = np.concatenate([np.zeros((1, sent.shape[1])), worth])[: len(path)]
     spare = np.minimum.accumulate((path - begun)[:-1], axis=0)
-    wrong = ~(path[1:] - worth[held:] <= spare + TURNED_RAD)
-    if wrong.any():
-        k = int(wrong.any(axis=1).argmax())
+    broken = ~(path[1:] - worth[held:] <= spare + TURNED_RAD)
+    if broken.any():
+        k = int(broken.any(axis=1).argmax())
         return [_not_sent(trace, k, turned[k], held)]
     return []
 
@@ -162,6 +166,6 @@ def _mean(sent: Floats, turned: Floats) -> float:
 def _not_sent(trace: Trace, k: int, turned: Floats, held: int) -> BrokenAssumption:
     period_s, worst = trace.scenario.settings.clock.control_period_s, int(np.abs(turned).argmax())
     name = arm_model(trace.scenario.robot).joint_names[worst]
-    within = f"within {held * period_s * 1e3:.0f} ms" if held else "at once"
-    text = f"{name} turned at {turned[worst] / period_s:.4g} rad/s, which is not what was sent, {within}"
+    delay = f"within {held * period_s * 1e3:.0f} ms" if held else "at once"
+    text = f"{name} turned at {turned[worst] / period_s:.4g} rad/s, which is not what was sent, {delay}"
     return _broken(trace, 7, k, text)

@@ -48,7 +48,7 @@ class IntervalRule:
     target: Target
 
     @classmethod
-    def of(cls, model: Model) -> IntervalRule | None:
+    def from_model(cls, model: Model) -> IntervalRule | None:
         """Return the rule of a model's calibration for the target of its card; None without a calibration."""
         if model.calibration is None:
             return None
@@ -88,10 +88,12 @@ class SpreadCalibration:
         avoiders = {trace.scenario.avoider for trace in every}
         if len(avoiders) > 1:
             return inconclusive(self, f"runs of several avoiders: {', '.join(sorted(avoiders))}")
-        wrong = next((f"{t.scenario.name}: {w}" for t in every if (w := first_inconsistency(t))), None)
-        if wrong is not None:
-            return inconclusive(self, f"a trace contradicts itself: {wrong}")
-        if lacking := [name for name in READ if any(trace.known.of(name).limited for trace in every)]:
+        problem = next((f"{t.scenario.name}: {w}" for t in every if (w := first_inconsistency(t))), None)
+        if problem is not None:
+            return inconclusive(self, f"a trace contradicts itself: {problem}")
+        if lacking := [
+            name for name in READ if any(trace.known.measurement_of(name).limited for trace in every)
+        ]:
             return not_measured(self, lacking)
         intervals = self.intervals or (_shipped(avoiders.pop()) if avoiders else None)
         if intervals is None:
@@ -100,21 +102,21 @@ class SpreadCalibration:
         if len(covered) < LEAST_DECISIONS:
             reason = f"{len(covered)} runs with an answered decision; {LEAST_DECISIONS} are needed"
             return inconclusive(self, reason, exercised=len(covered))
-        share = Proportion.of(covered)
-        words = (
+        share = Proportion.from_rows(covered)
+        text = (
             f"{share.count} of {share.trials} hold {intervals.target.value}: "
             f"{share.share:.1%}, between {share.low:.1%} and {share.high:.1%}"
         )
-        found = inconclusive(self, words, exercised=len(covered))
+        evaluation = inconclusive(self, text, exercised=len(covered))
         if share.low >= self.at_least:
-            return replace(found, verdict=Verdict.HOLDS, margin=share.low - self.at_least)
+            return replace(evaluation, verdict=Verdict.HOLDS, margin=share.low - self.at_least)
         if share.high < self.at_least:
-            return replace(found, verdict=Verdict.VIOLATED, margin=share.high - self.at_least)
-        return replace(found, reason=f"too few to tell: {words}")
+            return replace(evaluation, verdict=Verdict.VIOLATED, margin=share.high - self.at_least)
+        return replace(evaluation, reason=f"too few to tell: {text}")
 
 
 def _shipped(avoider: str) -> IntervalRule | None:
-    return IntervalRule.of(load_model(shipped_model(avoider))) if avoider in SHIPPED else None
+    return IntervalRule.from_model(load_model(shipped_model(avoider))) if avoider in SHIPPED else None
 
 
 def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:

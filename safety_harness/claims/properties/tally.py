@@ -22,7 +22,7 @@ HEADINGS = (
     "worst margin",
 )
 
-_BEYOND = (
+_NOT_COVERED = (
     "contact forces and pressures: what happens once something touches is not modelled, so nothing here is "
     "about power and force limiting",
     "fingers: a hand is a sphere and its forearm a capsule",
@@ -32,17 +32,17 @@ _BEYOND = (
     "the robot maker's own safety functions: none is relied on, and no performance level is claimed",
 )
 _ARM = "the arm's model: it is that of its URDF, and its capsules enclose every triangle of its meshes"
-_TAKEN = (
+_ASSUMED = (
     "how hands move and are distributed: as the scenario spaces say; the plan's author answers for both",
     "how the arm brakes: as its maker's worst-case stop times say",
     _ARM,
 )
 _SENSORS = "real sensors and their failures: noise, delay, dropout and faults are as a scenario states"
 _INDEPENDENT = "runs are independent: each has seeds of its own, from the plan's seed and its number"
-EXCLUSIONS, ASSUMPTIONS = (*_BEYOND, _SENSORS), (*_TAKEN, _INDEPENDENT)
-UNWATCHED = (*EXCLUSIONS, *_TAKEN)
+EXCLUSIONS, ASSUMPTIONS = (*_NOT_COVERED, _SENSORS), (*_ASSUMED, _INDEPENDENT)
+UNWATCHED = (*EXCLUSIONS, *_ASSUMED)
 """What nothing watches in a simulated run; up to a colon each has its name."""
-UNWATCHED_IN_LOGS = (*_BEYOND, "what LOG.yaml says of sensors, clocks and frames", _ARM)
+UNWATCHED_IN_LOGS = (*_NOT_COVERED, "what LOG.yaml says of sensors, clocks and frames", _ARM)
 A_LOG, NO_WORLD = "a log", "no world"
 
 
@@ -61,11 +61,11 @@ def basis(
         counts = sorted(exercised, key=lambda one: (one[0] / max(one[1], 1), one))
         exercised = "no claim was exercised"
         if counts:
-            (least, of), (most, runs) = counts[0], counts[-1]
-            least_words = f"{least} to " if of == runs else f"{least} of {of} to "
+            (least, least_runs), (most, runs) = counts[0], counts[-1]
+            least_words = f"{least} to " if least_runs == runs else f"{least} of {least_runs} to "
             exercised = f"claims exercised in {least_words * (counts[0] != counts[-1])}{most} of {runs} runs"
     places = " and in ".join(dict.fromkeys(worlds))
-    names = ", ".join(dict.fromkeys(one.partition(":")[0] for one in unwatched))
+    names = ", ".join(dict.fromkeys(text.partition(":")[0] for text in unwatched))
     return f"Basis: in {places}; {exercised}; nothing watched: {names}"
 
 
@@ -78,16 +78,18 @@ def short_basis(basis: str) -> str:
 def made_in(trace: Trace) -> str:
     """Return the name of the world in which a trace was made: "PyBullet", or "a log" for a real cell."""
     name = trace.provenance.world
-    return A_LOG if trace.known.recorded else next((str(one) for one in WORLDS if one.name == name), name)
+    return (
+        A_LOG if trace.known.recorded else next((str(world) for world in WORLDS if world.name == name), name)
+    )
 
 
 def basis_of_tallies(worlds: Iterable[str], tallies: Iterable[ClaimTally]) -> str:
     """Return the basis of judged runs; the ``worlds`` decide what was not watched."""
-    found = list(dict.fromkeys(worlds))
-    simulated = UNWATCHED if not found or set(found) != {A_LOG} else ()
-    of_logs = UNWATCHED_IN_LOGS if A_LOG in found else ()
-    counts = [(one.exercised, one.runs) for one in tallies if one.applicable]
-    return basis(found or [NO_WORLD], counts, (*simulated, *of_logs))
+    distinct = list(dict.fromkeys(worlds))
+    simulated = UNWATCHED if not distinct or set(distinct) != {A_LOG} else ()
+    of_logs = UNWATCHED_IN_LOGS if A_LOG in distinct else ()
+    counts = [(tally.exercised, tally.runs) for tally in tallies if tally.applicable]
+    return basis(distinct or [NO_WORLD], counts, (*simulated, *of_logs))
 
 
 BASIS_OF_ANSWERS = basis([NO_WORLD], "no run was made", ("what a run does with the answers", *UNWATCHED))
@@ -154,22 +156,24 @@ class ClaimTally:
 def tally_claims(judged: Iterable[Judged]) -> tuple[ClaimTally, ...]:
     """Return a tally for each sentence, in the order of their first runs."""
     by_sentence: dict[str, list[Judged]] = {}
-    for one in judged:
-        by_sentence.setdefault(one.evaluation.sentence, []).append(one)
-    return tuple(_tally(sentence, found) for sentence, found in by_sentence.items())
+    for outcome in judged:
+        by_sentence.setdefault(outcome.evaluation.sentence, []).append(outcome)
+    return tuple(_tally(sentence, outcomes) for sentence, outcomes in by_sentence.items())
 
 
-def _tally(sentence: str, found: Sequence[Judged]) -> ClaimTally:
-    evaluations = [one.evaluation for one in found]
+def _tally(sentence: str, outcomes: Sequence[Judged]) -> ClaimTally:
+    evaluations = [outcome.evaluation for outcome in outcomes]
     verdicts = [evaluation.verdict for evaluation in evaluations]
     conclusive = [
-        one for one in found if one.expected is not Verdict.INCONCLUSIVE and one.evaluation.applicable
+        outcome
+        for outcome in outcomes
+        if outcome.expected is not Verdict.INCONCLUSIVE and outcome.evaluation.applicable
     ]
-    untested = bool(conclusive) and not any(_tested(one.evaluation) for one in conclusive)
-    finite = [one for one in found if isfinite(_margin(one))]
+    untested = bool(conclusive) and not any(_tested(outcome.evaluation) for outcome in conclusive)
+    finite = [outcome for outcome in outcomes if isfinite(_margin(outcome))]
     return ClaimTally(
         sentence=sentence,
-        runs=len(found),
+        runs=len(outcomes),
         exercised=sum(occasions > 0 for occasions in map(_occasions, evaluations)),
         occasions=sum(map(_occasions, evaluations)),
         holds=verdicts.count(Verdict.HOLDS),
@@ -190,24 +194,26 @@ def _occasions(evaluation: Evaluation) -> int:
     return 0 if evaluation.unmeasured else evaluation.exercised
 
 
-def _margin(one: Judged) -> float:
-    return nan if one.evaluation.margin is None else one.evaluation.margin
+def _margin(outcome: Judged) -> float:
+    return nan if outcome.evaluation.margin is None else outcome.evaluation.margin
 
 
-def _nearness(one: Judged) -> tuple[float, str, str, str, str]:
+def _nearness(outcome: Judged) -> tuple[float, str, str, str, str]:
     """Return a key that sorts outcomes by their margins, or else by their texts."""
-    found = one.evaluation
-    margin = _margin(one) if isfinite(_margin(one)) else inf
-    return margin, one.run, found.reason, found.verdict.value, one.expected.value
+    evaluation = outcome.evaluation
+    margin = _margin(outcome) if isfinite(_margin(outcome)) else inf
+    return margin, outcome.run, evaluation.reason, evaluation.verdict.value, outcome.expected.value
 
 
 def far_lines(tallies: Sequence[ClaimTally]) -> list[str]:
     """Return a note on every claim that held, and whose limit no run came near to."""
     worst = [tally.worst.evaluation for tally in tallies if tally.worst is not None]
-    found = [
-        (one.sentence, far_words(one.close, one.margin)) for one in worst if one.verdict is Verdict.HOLDS
+    far = [
+        (tally.sentence, far_words(tally.close, tally.margin))
+        for tally in worst
+        if tally.verdict is Verdict.HOLDS
     ]
-    return [f"note: {sentence}: {words}" for sentence, words in found if words]
+    return [f"note: {sentence}: {text}" for sentence, text in far if text]
 
 
 def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:
@@ -265,5 +271,5 @@ def table(
 
 
 def _block(head: Sequence[str], row: Sequence[str], named_by: int) -> tuple[str, str]:
-    others = zip(head[named_by:], row[named_by:], strict=True)
-    return ", ".join(row[:named_by]), f"  {'; '.join(f'{name} {cell}'.strip() for name, cell in others)}"
+    columns = zip(head[named_by:], row[named_by:], strict=True)
+    return ", ".join(row[:named_by]), f"  {'; '.join(f'{name} {cell}'.strip() for name, cell in columns)}"

@@ -47,7 +47,7 @@ def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[flo
     at_ticks_m, between_m = distance_moved_m(trace)
     off_m, true, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace), np.inf
     low_m = closest_approach(trace, hand_paths(trace), off_m).low_m - RESOLUTION_M
-    known_rad = trace.known.within("joint_position_rad", len(trace.ticks))
+    known_rad = trace.known.uncertainty_of("joint_position_rad", len(trace.ticks))
     turned_rad = np.abs(np.diff(true.joints_rad, axis=0)) - (known_rad[1:] + known_rad[:-1])[:, None]
     turns = turned_rad >= STANDSTILL_RADPS * trace.scenario.settings.clock.control_period_s
     first = np.where(turns.any(axis=1), turns.argmax(axis=1), turns.shape[1])
@@ -88,15 +88,15 @@ class NoMovingPartTouches:
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
-        found = _nearest_moving(trace)
-        if found == Nearest():
+        nearest = _nearest_moving(trace)
+        if nearest == Nearest():
             return unexercised(self, f"the arm did not move while a hand was there: {OFF_THE_GOAL}")
-        said = judged_nearest(self, trace, found, 0.0, self.near_m, "a part that moves")
-        standing = theorem_words(trace, said)
-        return replace(said, reason=f"{said.reason}; {standing}") if standing else said
+        evaluation = judged_nearest(self, trace, nearest, 0.0, self.near_m, "a part that moves")
+        standing = theorem_words(trace, evaluation)
+        return replace(evaluation, reason=f"{evaluation.reason}; {standing}") if standing else evaluation
 
 
-def theorem_words(trace: Trace, said: Evaluation) -> str:
+def theorem_words(trace: Trace, evaluation: Evaluation) -> str:
     """Return what a run shows of its shield's theorem beside the verdict on touches; may be empty.
 
     Whether the theorem applies changes no verdict.
@@ -104,21 +104,25 @@ def theorem_words(trace: Trace, said: Evaluation) -> str:
     if trace.scenario.shield is None or len(trace.ticks) == 0:
         return ""
     broken = broken_assumptions(trace)
-    if refutes_theorem(trace, said):
+    if refutes_theorem(trace, evaluation):
         return "REFUTES THE SHIELD'S THEOREM: until then no assumption that a trace tells was broken"
     if broken and broken[0].number == NOT_KNOWN:
         return f"whether the shield's theorem applies is not known: {broken[0].text}"
-    return f"the shield's theorem does not apply: {'; '.join(one.text for one in broken)}" if broken else ""
+    return (
+        f"the shield's theorem does not apply: {'; '.join(assumption.text for assumption in broken)}"
+        if broken
+        else ""
+    )
 
 
-def refutes_theorem(trace: Trace, said: Evaluation) -> bool:
+def refutes_theorem(trace: Trace, evaluation: Evaluation) -> bool:
     """Return whether a moving part was touched before any assumption of the shield's theorem broke."""
-    if trace.scenario.shield is None or said.verdict is not Verdict.VIOLATED:
+    if trace.scenario.shield is None or evaluation.verdict is not Verdict.VIOLATED:
         return False
     broken = broken_assumptions(trace)
     if not broken:
         return True
-    held = slice(min(one.tick for one in broken) + 1)
+    held = slice(min(assumption.tick for assumption in broken) + 1)
     begun = replace(trace, ticks=trace.ticks[held], overshoot_radps=trace.overshoot_radps[held])
     return known_to(0.0, closest_moving, begun, hand_paths(begun)).high_m < 0.0
 
@@ -128,7 +132,9 @@ def theorem_bits(trace: Trace) -> int:
     if trace.scenario.shield is None or len(trace.ticks) == 0:
         return 0
     refuted = refutes_theorem(trace, NO_MOVING_PART_TOUCHES.prop.evaluate(trace))
-    return SHIELDED | refuted * REFUTED | sum(1 << one.number for one in broken_assumptions(trace))
+    return (
+        SHIELDED | refuted * REFUTED | sum(1 << assumption.number for assumption in broken_assumptions(trace))
+    )
 
 
 @once_a_trace
@@ -153,17 +159,17 @@ def closest_moving(trace: Trace, paths: HandPaths) -> Nearest:
     for hand in range(len(trace.scenario.hands)):
         at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
         nearest = _nearest_links(trace, hand)
-        before = np.minimum(at[:-1].astype(int), len(trace.ticks) - 2)
-        first = first_turning(trace)[before]
+        tick_before = np.minimum(at[:-1].astype(int), len(trace.ticks) - 2)
+        first = first_turning(trace)[tick_before]
         lower_m = _lower_bounds(arm_of(trace).reach_m, joints_rad, hand_m, elbow_m, distance_m, slack_m)
-        met = (nearest[before] > first) & (at[:-1] == before) & (first < joints_rad.shape[1])
+        met = (nearest[tick_before] > first) & (at[:-1] == tick_before) & (first < joints_rad.shape[1])
         most_m = distance_m[:-1][met].min(initial=np.inf)  # the result is not above it
         for begin, end in _runs(first):
             if first[begin] == joints_rad.shape[1]:
                 continue  # it stands
             if lower_m[begin:end].min() > min(best.high_m, most_m):  # never of a NaN
                 continue  # nothing comes as near
-            arm = _beyond(arm_of(trace), int(first[begin]))
+            arm = _distal_part(arm_of(trace), int(first[begin]))
             if len(arm.capsules) == 0:
                 continue
             own = slice(begin, end + 1)
@@ -209,17 +215,17 @@ def _runs(first: NDArray[np.int64]) -> list[tuple[int, int]]:
     return list(zip([0, *cuts], [*cuts, len(first)], strict=True)) if len(first) else []
 
 
-def _beyond(arm: Arm, joint: int) -> Arm:
+def _distal_part(arm: Arm, joint: int) -> Arm:
     """Return the arm with only the capsules that the joint moves."""
     return Arm(arm.chain, _moved(arm.capsules.tobytes(), arm.capsules.dtype, joint), arm.reach_m)
 
 
 @lru_cache(maxsize=64)
 def _moved(capsules: bytes, dtype: np.dtype[np.void], joint: int) -> NDArray[np.void]:
-    found = np.frombuffer(capsules, dtype)
-    found = found[found["link_index"] > joint].copy()
-    found.setflags(write=False)  # as all of them are: the same type for compiled code
-    return found
+    moving = np.frombuffer(capsules, dtype)
+    moving = moving[moving["link_index"] > joint].copy()
+    moving.setflags(write=False)  # as all of them are: the same type for compiled code
+    return moving
 
 
 def _known(
@@ -230,10 +236,10 @@ def _known(
     The memory layout is that of ``distance_m`` (k,), since compiled code distinguishes arrays by it.
     """
     whole = at == np.floor(at)
-    found = np.empty((len(at), 1 if distance_m.flags.c_contiguous else 2))[:, 0]
-    found[:] = np.where(whole & moves[np.minimum(at.astype(int), len(moves) - 1)], distance_m, np.inf)
-    found.setflags(write=distance_m.flags.writeable)
-    return found
+    known_m = np.empty((len(at), 1 if distance_m.flags.c_contiguous else 2))[:, 0]
+    known_m[:] = np.where(whole & moves[np.minimum(at.astype(int), len(moves) - 1)], distance_m, np.inf)
+    known_m.setflags(write=distance_m.flags.writeable)
+    return known_m
 
 
 NO_MOVING_PART_TOUCHES = CatalogueEntry(

@@ -41,7 +41,7 @@ class TriedParts:
     parts: dict[str, dict[str, bool]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, *traces: Trace) -> TriedParts:
+    def from_traces(cls, *traces: Trace) -> TriedParts:
         """Return the parts that ``traces`` exercised."""
         tried = cls()
         for trace in traces:
@@ -53,10 +53,12 @@ class TriedParts:
         scenario, parts = trace.scenario, dict(_parts(trace.scenario))
         if not (parts and trace.complete):
             return
-        near, tcp_m = nearest_hand_m(trace) < 2.0 * NEAR_M, trace.ticks["transform_tcp_to_base"][:, :3, 3]
+        is_near, tcp_m = nearest_hand_m(trace) < 2.0 * NEAR_M, trace.ticks["transform_tcp_to_base"][:, :3, 3]
         acted = [trace.ticks["faults"] >> k & 1 != 0 for k in range(len(scenario.faults))]
         of_hands = [isinstance(f, HandSensorFault) and not isinstance(f, FalseHand) for f in scenario.faults]
-        faults = [bool((near & at if one else at).any()) for one, at in zip(of_hands, acted, strict=True)]
+        faults = [
+            bool((is_near & at if of_hand else at).any()) for of_hand, at in zip(of_hands, acted, strict=True)
+        ]
         begun, _ = moves_begun(scenario, tcp_m, scenario.settings.clock.control_period_s)
         self.join(scenario.title, dict(zip(parts, [*begun, *faults], strict=True)))
 
@@ -80,10 +82,10 @@ class TriedParts:
         known |= {part: tried or known.get(part, False) for part, tried in parts.items()}
         self.runs[title] = self.runs.get(title, 0) + runs
 
-    def lines(self, *spaces: ScenarioSpace, of: str = "runs") -> list[str]:
+    def lines(self, *spaces: ScenarioSpace, subject: str = "runs") -> list[str]:
         """Return a line for each title on the parts that no run exercised.
 
-        The values of ``spaces`` that vary in these parts alone follow.  ``of`` is the kind of runs.
+        The values of ``spaces`` that vary in these parts alone follow.  ``subject`` is the kind of runs.
         """
         titled, lines = {space.title: space for space in spaces}, []
         for title, parts in self.parts.items():
@@ -91,7 +93,8 @@ class TriedParts:
             values = untried_values(titled[title], idle) if idle and title in titled else []
             idle += [f"{name}, which varies" for name in values]
             if idle:
-                runs = f"{self.runs[title]} {of if self.runs[title] > 1 else of.replace('runs', 'run', 1)}"
+                noun = subject if self.runs[title] > 1 else subject.replace("runs", "run", 1)
+                runs = f"{self.runs[title]} {noun}"
                 lines.append(f"{UNTRIED} {runs} of {title!r}, and nothing is known of: {'; '.join(idle)}")
         return lines
 
@@ -116,7 +119,7 @@ def moves_begun(
     hands = hands_at_start(scenario)
     tcp_m = np.ascontiguousarray(tcp_in_base_m)
     nearest_m = _follow(hands.state, hands.moves, hands.samples, tcp_m, period_s)
-    found = []
+    begun = []
     for state, hand in zip(hands.state, scenario.hands, strict=False):
         if not isinstance(hand, MovingHand):
             continue
@@ -124,9 +127,9 @@ def moves_begun(
         at = int(steps["after"][0]) if hand.delay_s > 0.0 else 0
         for _ in hand.moves:
             under_way = state["current"] == at and state["elapsed_s"] > 0.0
-            found.append(bool(at < len(steps) and (state["current"] > at or under_way)))
+            begun.append(bool(at < len(steps) and (state["current"] > at or under_way)))
             at = int(steps["after"][at]) if at < len(steps) else at
-    return found, nearest_m
+    return begun, nearest_m
 
 
 @compiled
@@ -153,23 +156,23 @@ def _follow(
 
 def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
     """Return the names of the values of a space that change only the parts ``idle``."""
-    rows, found = space.values_of_draws(range(LOOKED_AT), 0), []
+    rows, untried = space.values_of_draws(range(LOOKED_AT), 0), []
     for parameter, used in zip(space.parameters, space.used_by(rows), strict=True):
         changed: set[str] = set()
         for row in islice(rows[used], 3):
             with suppress(InputError):  # values that do not go together
-                other = space.cube_at(row[None])[0]
-                other[parameter.columns] = (other[parameter.columns] + 0.5) % 1.0
-                changed |= _differing(space.scenario(row), space.at(other))
+                point = space.cube_at(row[None])[0]
+                point[parameter.columns] = (point[parameter.columns] + 0.5) % 1.0
+                changed |= _differing(space.scenario(row), space.at(point))
         if changed and changed <= set(idle):
-            found.append(parameter.name)
-    return found
+            untried.append(parameter.name)
+    return untried
 
 
-def _differing(one: Scenario, other: Scenario) -> set[str]:
+def _differing(first: Scenario, second: Scenario) -> set[str]:
     """Return the moves and faults in which two scenarios differ; an empty word is any other difference."""
-    (mine, rest), (others, of_other) = (_split(scenario) for scenario in (one, other))
-    changed = {part for part in mine.keys() | others.keys() if mine.get(part) != others.get(part)}
+    (mine, rest), (theirs, of_other) = (_split(scenario) for scenario in (first, second))
+    changed = {part for part in mine.keys() | theirs.keys() if mine.get(part) != theirs.get(part)}
     return changed if rest == of_other else {*changed, ""}
 
 

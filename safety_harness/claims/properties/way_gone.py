@@ -54,13 +54,13 @@ def way_gone(
         return {}, False
     first, last = int(trace.decisions[number]["tick"]), last_tick(trace, number)
     behind = Finding(done.margin_m, float(trace.time_s[done.worst_tick]), f"its pace on the way to {where}")
-    found = {
+    findings = {
         "onset": _onset(trace, first, last, target_in_base_m, allowed),
         "direction": _direction(trace, first + allowed, last, target_in_base_m, where),
         "speed": [behind],
         "end": _end(trace, number, last, target_in_base_m, where),
     }
-    return found, bool(done.due_m >= LEAST_WAY_M)
+    return findings, bool(done.due_m >= LEAST_WAY_M)
 
 
 def _delays_s(trace: Trace) -> tuple[float, ...]:
@@ -73,8 +73,8 @@ def _delays_s(trace: Trace) -> tuple[float, ...]:
 def _change(trace: Trace, tick: int, target_in_base_m: Vector) -> tuple[Vector, float, float]:
     """Return the change of velocity (3,) that the way needs, that allowed in a tick, and the speed aside."""
     avoidance, period_s = trace.scenario.settings.avoidance, trace.scenario.settings.clock.control_period_s
-    way = target_in_base_m - trace.ticks["transform_tcp_to_base"][tick, :3, 3]
-    along, velocity = way / max(length(way), 1e-9), velocity_at(trace, tick)
+    displacement = target_in_base_m - trace.ticks["transform_tcp_to_base"][tick, :3, 3]
+    along, velocity = displacement / max(length(displacement), 1e-9), velocity_at(trace, tick)
     change = max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS) * along - velocity
     step_mps = max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2) * period_s
     return change, step_mps, length(velocity - product(velocity, along) * along)
@@ -95,8 +95,8 @@ def _onset(trace: Trace, first: int, last: int, target_in_base_m: Vector, allowe
     if excused_in(trace, first, first + late).any():
         return []
     each_m = settings.clock.control_period_s * max(settings.avoidance.repulsion_speed_mps, LEAST_SPEED_MPS)
-    said = f"began {late} cycles after the decision, {allowed} allowed"
-    return [Finding((allowed - late) * each_m, float(trace.time_s[first + late]), said)]
+    text = f"began {late} cycles after the decision, {allowed} allowed"
+    return [Finding((allowed - late) * each_m, float(trace.time_s[first + late]), text)]
 
 
 def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, where: str) -> list[Finding]:
@@ -129,8 +129,8 @@ def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, wh
     if left_m[worst] == inf:
         return []
     off_deg = float(np.degrees(arctan2(aside_m[worst], along_m[worst])))
-    said = f"{off_deg:.1f} deg off its way to {where}"
-    return [Finding(float(left_m[worst]), float(trace.time_s[start + apex + worst]), said)]
+    text = f"{off_deg:.1f} deg off its way to {where}"
+    return [Finding(float(left_m[worst]), float(trace.time_s[start + apex + worst]), text)]
 
 
 def _end(trace: Trace, number: int, last: int, target_in_base_m: Vector, where: str) -> list[Finding]:

@@ -37,7 +37,8 @@ class ActedWithinRegion:
                 self, "answers acted on = 0; a usable one to a question within the region exercises it"
             )
         depths_m = [
-            region.depth_m(one["hand_position_in_base_m"], one["tcp_position_in_base_m"]) for one in used
+            region.depth_m(question["hand_position_in_base_m"], question["tcp_position_in_base_m"])
+            for question in used
         ]
         at = int(np.argmin(depths_m))  # the first NaN, if there is one
         reason = "how far within the region a question was" + (

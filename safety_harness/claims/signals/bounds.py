@@ -16,24 +16,24 @@ jitable: Callable[[Function], Function] = register_jitable  # compiled code can 
 
 
 @jitable
-def tent(first: Any, second: Any, way: Any, slack: Any) -> tuple[Any, Any]:
-    """Return bounds of a signal that goes ``way`` from its value ``first`` at a tick to the ``second``.
+def lipschitz_bounds(first: Any, second: Any, variation: Any, slack: Any) -> tuple[Any, Any]:
+    """Return bounds of a signal that goes ``variation`` from its value ``first`` at a tick to the ``second``.
 
     After a part x of the way the signal has changed by at most x from ``first``, and differs by at most way -
     x from ``second``.  ``slack`` is a further error of the signal.
     """
-    low = np.minimum(0.5 * (first + second - way), np.minimum(first, second)) - slack
-    return low, np.maximum(0.5 * (first + second + way), np.maximum(first, second)) + slack
+    low = np.minimum(0.5 * (first + second - variation), np.minimum(first, second)) - slack
+    return low, np.maximum(0.5 * (first + second + variation), np.maximum(first, second)) + slack
 
 
 @jitable
-def cells(value: Any, way: Any, slack: Any) -> tuple[Any, Any]:
-    """Return bounds (n,) of a signal ``value`` (n,) from each tick to the next, by ``tent``.
+def cells(value: Any, variation: Any, slack: Any) -> tuple[Any, Any]:
+    """Return bounds (n,) of a signal ``value`` (n,) from each tick to the next, by ``lipschitz_bounds``.
 
-    The last bounds are those of the last tick.  ``way`` (n-1,), and ``slack`` (n-1,) or a number.
+    The last bounds are those of the last tick.  ``variation`` (n-1,), and ``slack`` (n-1,) or a number.
     """
     low, high = value.copy(), value.copy()
-    low[:-1], high[:-1] = tent(value[:-1], value[1:], way, slack)
+    low[:-1], high[:-1] = lipschitz_bounds(value[:-1], value[1:], variation, slack)
     return low, high
 
 
@@ -54,10 +54,10 @@ def speed_cells(at_ticks: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
     """
 
     def largest(each: Any) -> Any:
-        found = each[:, 0].copy()
+        most = each[:, 0].copy()
         for joint in range(1, each.shape[1]):
-            found = np.maximum(found, each[:, joint])
-        return found
+            most = np.maximum(most, each[:, joint])
+        return most
 
     low, high = at_ticks.copy(), at_ticks.copy()
     low[:-1] = np.minimum(np.minimum(at_ticks[:-1], at_ticks[1:]), mean)

@@ -49,9 +49,9 @@ def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.floa
         return np.full(count, np.inf), np.full(count, np.inf)
     reach_m, period_s = float(arm_of(trace).reach_m.sum()), trace.scenario.settings.clock.control_period_s
     columns = ("hand_position_in_base_m", "elbow_position_in_base_m", *JOINTS)
-    hand_m, elbow_m, turned_rad, faster_radps = (known.within(name, count) for name in columns)
+    hand_m, elbow_m, turned_rad, faster_radps = (known.uncertainty_of(name, count) for name in columns)
     between_m = apart_between(hand_m, elbow_m, turned_rad * reach_m, faster_radps * reach_m, period_s)
-    return known.within("hand_distance_m", count), between_m
+    return known.uncertainty_of("hand_distance_m", count), between_m
 
 
 class Nearest(NamedTuple):
@@ -62,18 +62,18 @@ class Nearest(NamedTuple):
     hand: int = 0
     high_m: float = np.inf
 
-    def or_nearer(self, other: Nearest) -> Nearest:
+    def or_nearer(self, candidate: Nearest) -> Nearest:
         """Return the smaller of two."""
-        low = self if other.low_m >= self.low_m else other  # a NaN comes out
-        return low._replace(high_m=min(self.high_m, other.high_m))
+        low = self if candidate.low_m >= self.low_m else candidate  # a NaN comes out
+        return low._replace(high_m=min(self.high_m, candidate.high_m))
 
 
 def known_to(
     limit_m: float, nearest: Callable[[Trace, HandPaths], Nearest], trace: Trace, paths: HandPaths
 ) -> Nearest:
     """Return the nearest approach, with hands followed in parts of a tick if that may decide."""
-    found = nearest(trace, paths)
-    return nearest(trace, finer_paths(trace)) if found.low_m < limit_m <= found.high_m else found
+    known = nearest(trace, paths)
+    return nearest(trace, finer_paths(trace)) if known.low_m < limit_m <= known.high_m else known
 
 
 def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
@@ -105,10 +105,10 @@ def closest_approach(trace: Trace, paths: HandPaths, off_m: NDArray[np.float64] 
     for hand in range(len(trace.scenario.hands)):
         at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
         if off_m is not None:
-            before = np.minimum(at.astype(int), len(off_m) - 1)
-            distance_m = distance_m - off_m[before]
-            after = np.minimum(before[:-1] + 1, len(off_m) - 1)
-            slack_m = slack_m + np.maximum(off_m[before[:-1]], off_m[after])
+            tick_before = np.minimum(at.astype(int), len(off_m) - 1)
+            distance_m = distance_m - off_m[tick_before]
+            tick_after = np.minimum(tick_before[:-1] + 1, len(off_m) - 1)
+            slack_m = slack_m + np.maximum(off_m[tick_before[:-1]], off_m[tick_after])
         ends_m, instant = closest_between(
             arm_of(trace), at, joints_rad, hand_m, elbow_m, distance_m, slack_m, settings.hand, paths
         )
@@ -168,9 +168,9 @@ def ends_between(
 
 
 @inlined
-def distance_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Return the distance of two points, ``one`` (3,) and ``other`` (3,)."""
-    x, y, z = other[0] - one[0], other[1] - one[1], other[2] - one[2]
+def distance_m(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    """Return the distance of two points, ``first`` (3,) and ``second`` (3,)."""
+    x, y, z = second[0] - first[0], second[1] - first[1], second[2] - first[2]
     return float(np.sqrt(x * x + y * y + z * z))
 
 
@@ -196,11 +196,11 @@ def between_ticks(
         begin, corner, (hand, elbow) = joints_rad[k], True, bodies_m[k]
         while corner:
             corner = c < len(corner_at) and min(int(corner_at[c]), len(slack_m) - 1) <= k
-            end, after = joints_rad[k + 1], bodies_m[k + 1]
+            end, bodies_end_m = joints_rad[k + 1], bodies_m[k + 1]
             if corner:
-                end, after = joints_rad[k] + (corner_at[c] - k) * (end - joints_rad[k]), corners_m[c]
+                end, bodies_end_m = joints_rad[k] + (corner_at[c] - k) * (end - joints_rad[k]), corners_m[c]
                 c += 1
-            to, elbow_to = after
+            to, elbow_to = bodies_end_m
             bound_m, _, sampled_m, _ = closest_approach_between(
                 arm, space, begin, end, hand, to, elbow, elbow_to, radius_m, arm_radius_m, tolerance_m, np.inf
             )
@@ -227,16 +227,16 @@ def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.floa
         return ticks, joints_rad, hand_m, elbow_m, distance_m, slack_m
     corner_at = paths.corner_at[own]
     # a sample that is a rounding before the last tick is at it
-    after = np.minimum(np.searchsorted(ticks, corner_at, side="right"), len(ticks) - 1)
-    at = np.insert(ticks, after, corner_at)
+    next_tick = np.minimum(np.searchsorted(ticks, corner_at, side="right"), len(ticks) - 1)
+    at = np.insert(ticks, next_tick, corner_at)
     corners = paths.corners_in_base_m[own]
     return (
         at,
         np.column_stack([np.interp(at, ticks, column) for column in joints_rad.T]),
-        np.insert(hand_m, after, corners[:, 0], axis=0),
-        np.insert(elbow_m, after, corners[:, 1], axis=0),
-        np.insert(distance_m, after, np.inf),
-        np.insert(slack_m, after - 1, slack_m[after - 1]) if len(slack_m) else slack_m,
+        np.insert(hand_m, next_tick, corners[:, 0], axis=0),
+        np.insert(elbow_m, next_tick, corners[:, 1], axis=0),
+        np.insert(distance_m, next_tick, np.inf),
+        np.insert(slack_m, next_tick - 1, slack_m[next_tick - 1]) if len(slack_m) else slack_m,
     )
 
 
@@ -259,8 +259,11 @@ def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
         true.rates_radps,
         trace.overshoot_radps,
         period_s,
-        not (known.of("joint_position_rad").limited or known.of("joint_velocity_radps").limited),
-        any(one.substeps for one in WORLDS if one.name == world),
+        not (
+            known.measurement_of("joint_position_rad").limited
+            or known.measurement_of("joint_velocity_radps").limited
+        ),
+        any(world_entry.substeps for world_entry in WORLDS if world_entry.name == world),
     )
 
 
@@ -275,23 +278,26 @@ def _joint_bends(
     engine: bool,  # the world has motors, which may saturate
 ) -> NDArray[np.float64]:
     """Return (n-1,) dt times the sum over joints of l a b/(a + b) [m], l of ``chain_lengths``; else dv/4."""
-    found, recorded = np.zeros(max(rates_radps.shape[0] - 1, 0)), len(overshoot_radps) >= len(rates_radps)
-    for k in range(found.shape[0]):
+    bends, recorded = np.zeros(max(rates_radps.shape[0] - 1, 0)), len(overshoot_radps) >= len(rates_radps)
+    for k in range(bends.shape[0]):
         for joint in range(arm.chain[0].joint_axes.shape[0]):
-            before, after = rates_radps[k, joint], rates_radps[k + 1, joint]
-            beyond = overshoot_radps[k, joint] if recorded else 0.0
+            rate_before, rate_after = rates_radps[k, joint], rates_radps[k + 1, joint]
+            overshoot = overshoot_radps[k, joint] if recorded else 0.0
             mean = (joints_rad[k + 1, joint] - joints_rad[k, joint]) / period_s
-            below, above = mean - min(before, after) + beyond, max(before, after) + beyond - mean
+            below, above = (
+                mean - min(rate_before, rate_after) + overshoot,
+                max(rate_before, rate_after) + overshoot - mean,
+            )
             inside, angle = min(below, above) > -ROUNDING_RADPS, 0.25 * (below + above) * period_s
-            if engine and not (inside if recorded else abs(mean - after) < SATURATED_RADPS):
+            if engine and not (inside if recorded else abs(mean - rate_after) < SATURATED_RADPS):
                 angle = np.inf
             elif exact and inside and below + above > 0.0:
                 angle = max(below, 0.0) * max(above, 0.0) / (below + above) * period_s
             if not below + above < FASTEST_RADPS:  # or a speed is no number
                 angle = np.inf
             if angle > 0.0:
-                found[k] += angle * arm.reach_m[joint]
-    return found
+                bends[k] += angle * arm.reach_m[joint]
+    return bends
 
 
 @compiled
@@ -319,7 +325,7 @@ def _closest_in_trace(
     high = best
     frames = arm.chain[0].joint_axes.shape[0] + 2
     transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
-    room = np.empty((MAX_BISECTIONS + 1, arm.capsules.shape[0], 2, 3))
+    workspace = np.empty((MAX_BISECTIONS + 1, arm.capsules.shape[0], 2, 3))
     k, left_m, known = 0, 0.0, False  # whether left_m is the distance at k
     while k < distance_m.shape[0] - 1:
         if not known:
@@ -338,7 +344,7 @@ def _closest_in_trace(
             continue
         bound, where, sampled, left_m = closest_approach_between(
             arm,
-            room,
+            workspace,
             joints_rad[k],
             joints_rad[k + 1],
             hands_m[k],

@@ -40,15 +40,15 @@ def nearest_of(
     trace: Trace,
     distance_m: NDArray[np.float64],  # (n,) at each tick; what is not finite is not there
     limit_m: float,
-    whose: str,
-    what: str = "the TCP",
+    body: str,
+    target: str = "the TCP",
 ) -> str:
-    """Return how near a hand came to ``what``, when, and how near is enough; empty if no hand was there."""
+    """Return how near a hand came to ``target``, when, and how near is enough; empty if no hand was there."""
     there_m = np.where(np.abs(distance_m) < ENDLESS, distance_m, np.inf)
     tick = int(np.argmin(there_m))
     if not np.isfinite(there_m[tick]):
         return ""
-    came = f"the nearest {whose} came to {millimetres(there_m[tick], limit_m)} of {what}"
+    came = f"the nearest {body} came to {millimetres(there_m[tick], limit_m)} of {target}"
     return f"{came} at {trace.time_s[tick]:.3f} s; within {limit_m * 1e3:g} mm exercises it"
 
 
@@ -87,7 +87,7 @@ def no_predicted_hand(trace: Trace) -> str:
 
 def _not_all_seen(trace: Trace) -> bool:
     """Return whether a statement on near hands, predicted or true, would exceed what is known."""
-    return not trace.known.whole and any(trace.known.of(name).limited for name in SEEN)
+    return not trace.known.whole and any(trace.known.measurement_of(name).limited for name in SEEN)
 
 
 def no_decision(trace: Trace) -> str:
@@ -95,10 +95,11 @@ def no_decision(trace: Trace) -> str:
     if _not_all_seen(trace):
         return no_predicted_hand(trace)
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    near = np.flatnonzero(trace.ticks["predicted_distance_m"] < critical_m)
-    if len(near) == 0:
+    near_ticks = np.flatnonzero(trace.ticks["predicted_distance_m"] < critical_m)
+    if len(near_ticks) == 0:
         return no_predicted_hand(trace)
-    came = f"a predicted hand came within {critical_m * 1e3:g} mm of the TCP at {trace.time_s[near[0]]:.3f} s"
+    time_s = trace.time_s[near_ticks[0]]
+    came = f"a predicted hand came within {critical_m * 1e3:g} mm of the TCP at {time_s:.3f} s"
     return f"{came}, and nothing was decided by the end of the run; a longer duration exercises it"
 
 
@@ -112,10 +113,10 @@ def no_position(trace: Trace) -> str:
 
 def no_answer(trace: Trace) -> str:
     """Return why the avoider never gave a usable answer."""
-    asked = len(trace.decisions)
-    if asked == 0:
+    questions = len(trace.decisions)
+    if questions == 0:
         return no_decision(trace)
-    return f"the avoider never answered; questions: {asked}, and one usable answer exercises it"
+    return f"the avoider never answered; questions: {questions}, and one usable answer exercises it"
 
 
 def no_time(due_m: float, least_m: float) -> str:
@@ -134,27 +135,27 @@ def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
         return f"{no_decision(trace)} if the avoider is {wanted}"
     largest_m = trace.decisions["proposed_spread_m"].max(axis=1)
     limit_m = trace.decisions["spread_threshold_m"]
-    told = np.flatnonzero((np.abs(largest_m) < ENDLESS) & (np.abs(limit_m) < ENDLESS))
-    if len(told) == 0:
+    known_rows = np.flatnonzero((np.abs(largest_m) < ENDLESS) & (np.abs(limit_m) < ENDLESS))
+    if len(known_rows) == 0:
         return "no answer had a spread and a threshold; one of an avoider that states both exercises it"
-    excess_m = largest_m[told] - limit_m[told]
-    at = told[int(np.argmax(excess_m) if above else np.argmin(excess_m))]
-    spread, which = millimetres(largest_m[at], limit_m[at]), "largest" if above else "smallest"
+    excess_m = largest_m[known_rows] - limit_m[known_rows]
+    at = known_rows[int(np.argmax(excess_m) if above else np.argmin(excess_m))]
+    spread, extreme = millimetres(largest_m[at], limit_m[at]), "largest" if above else "smallest"
     enough = f"{'above' if above else 'at most'} {limit_m[at] * 1e3:.6g} mm, the avoider's threshold"
     time_s = trace.decisions["time_s"][at]
-    return f"the {which} spread of an answer was {spread}, at {time_s:.3f} s; {enough}, exercises it"
+    return f"the {extreme} spread of an answer was {spread}, at {time_s:.3f} s; {enough}, exercises it"
 
 
-def went(trace: Trace, place: str, asked: NDArray[np.bool_]) -> bool:
+def went(trace: Trace, place: str, counted: NDArray[np.bool_]) -> bool:
     """Return whether the column ``place`` certainly moves: between two ticks by more than its uncertainty.
 
-    Only stretches whose ticks are all ``asked`` (n,) count.
+    Only stretches whose ticks are all ``counted`` (n,) count.
     """
     values = trace.ticks[place] if trace.ticks[place].ndim == 2 else trace.ticks[place][:, :3, 3]
-    off, slow = 2.0 * trace.known.of(place).uncertainty, MOVES * trace.time_s[:, None]
-    for ticks in np.split(np.arange(len(values)), np.flatnonzero(np.diff(asked)) + 1):
+    error, slow = 2.0 * trace.known.measurement_of(place).uncertainty, MOVES * trace.time_s[:, None]
+    for ticks in np.split(np.arange(len(values)), np.flatnonzero(np.diff(counted)) + 1):
         for along in (values[ticks] - slow[ticks], -values[ticks] - slow[ticks]):
-            if asked[ticks].all() and np.any(along - np.fmin.accumulate(along) > off):
+            if counted[ticks].all() and np.any(along - np.fmin.accumulate(along) > error):
                 return True
     return False
 

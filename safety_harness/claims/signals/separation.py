@@ -74,7 +74,7 @@ class Separation:
     @property
     def terms(self) -> tuple[Term, ...]:
         """Return the six terms of S_p, in the order of ``ASSUMED``."""
-        found = lengths(
+        term_lengths = lengths(
             self.hand_speed_mps,
             self.robot_speed_mps,
             self.reaction_time_s,
@@ -84,7 +84,7 @@ class Separation:
         )
         return tuple(
             Term(symbol=symbol, length_m=length, assumption=assumption)
-            for (symbol, assumption), length in zip(ASSUMED, found, strict=True)
+            for (symbol, assumption), length in zip(ASSUMED, term_lengths, strict=True)
         )
 
     @property
@@ -144,11 +144,11 @@ def least_separation(
     by no more than points move, and no point of a capsule or of a hand is faster than an end.  The trace's
     own distances are not trusted.
     """
-    which, what = np.full(4, -1), np.full(5, np.nan)
+    indices, values = np.full(4, -1), np.full(5, np.nan)
     joints, capsules = arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
     transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
     twists, fastest_mps, velocities = np.empty((joints + 1, 6)), np.empty(capsules), np.empty((2, 3))
-    apart, robot, human = np.empty(3), np.empty(3), np.empty(3)
+    direction, robot, human = np.empty(3), np.empty(3), np.empty(3)
     thickest_m = max(body_radius_m[0], body_radius_m[1])
     least, good_enough = np.inf, np.inf
     looked, near_m, arm_mps = 0, -np.inf, np.inf  # when all pairs were looked at, and what was found
@@ -197,14 +197,14 @@ def least_separation(
                     for i in range(3):
                         robot[i] = ends[capsule, 0, i]
                         robot[i] += t * (ends[capsule, 1, i] - ends[capsule, 0, i])
-                        apart[i] = start[i] + s * (end[i] - start[i]) - robot[i]
-                        total += apart[i] * apart[i]
+                        direction[i] = start[i] + s * (end[i] - start[i]) - robot[i]
+                        total += direction[i] * direction[i]
                         human[i] = velocities[0, i]
                         human[i] += s * (velocities[body, i] - velocities[0, i])
                     axes = sqrt(total)
                     distance = axes - radius_m - body_radius_m[body]
                     near_m = min(near_m, distance)
-                    own_speed = _along(human, apart, -axes)
+                    own_speed = _along(human, direction, -axes)
                     hand_speed = own_speed if np.isnan(hand_speed_mps) else hand_speed_mps
                     hand_moves = 0.5 * period_s * sqrt(human[0] ** 2 + human[1] ** 2 + human[2] ** 2)
                     human_m = hand_speed * (reaction_s[k] + stop_s[k]) + hand_moves
@@ -212,7 +212,7 @@ def least_separation(
                         continue
                     link = min(arm.capsules[capsule].link_index, joints)
                     robot[0], robot[1], robot[2] = point_velocity(twists[link], robot)
-                    robot_speed = _along(robot, apart, axes)
+                    robot_speed = _along(robot, direction, axes)
                     robot_moves = 0.5 * period_s * sqrt(robot[0] ** 2 + robot[1] ** 2 + robot[2] ** 2)
                     needed = 0.0
                     for length in lengths(
@@ -222,12 +222,12 @@ def least_separation(
                     if not distance - needed >= least:  # a NaN comes out, and nothing is less than it
                         least = distance - needed
                         good_enough = min(good_enough, least)
-                        which[0], which[1], which[2], which[3] = k, hand, capsule, body
-                        what[0], what[1], what[2] = distance, robot_speed, hand_speed
-                        what[3], what[4] = hand_moves, robot_moves
+                        indices[0], indices[1], indices[2], indices[3] = k, hand, capsule, body
+                        values[0], values[1], values[2] = distance, robot_speed, hand_speed
+                        values[3], values[4] = hand_moves, robot_moves
                         if np.isnan(least) and step >= 0:
-                            return which, what
-    return which, what
+                            return indices, values
+    return indices, values
 
 
 @compiled
@@ -274,8 +274,8 @@ def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, bod
     n = hands_m.shape[0]
     if n < 2:
         return 0.0
-    before = min(k, n - 2)
-    return float((hands_m[before + 1, hand, body, i] - hands_m[before, hand, body, i]) / period_s)
+    tick = min(k, n - 2)
+    return float((hands_m[tick + 1, hand, body, i] - hands_m[tick, hand, body, i]) / period_s)
 
 
 @inlined
@@ -292,26 +292,26 @@ def faster_mps(
     point's velocity is the sum of rate_j dp/dq_j.  |dp/dq_j| and |d^2 p/dq_i dq_j| are at most the lengths of
     the chains of links to p from j, and from the outer joint of i and j.
     """
-    faster, beyond, before = 0.0, 0.0, 0.0  # the sums of turns times lengths beyond j, and of turns up to j
+    faster, distal, proximal = 0.0, 0.0, 0.0  # the sums of turns times lengths beyond j, and of turns up to j
     joints, reach_m = arm.chain[0].joint_axes.shape[0], arm.reach_m
     for i in range(joints):
-        beyond += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[i]
+        distal += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[i]
     for j in range(joints):
         turn = abs(joints_rad[b, j] - joints_rad[a, j])
-        before += turn
-        beyond -= turn * reach_m[j]
+        proximal += turn
+        distal -= turn * reach_m[j]
         faster += abs(rates_radps[b, j] - rates_radps[a, j]) * reach_m[j]
-        faster += abs(rates_radps[b, j]) * (before * reach_m[j] + beyond)
+        faster += abs(rates_radps[b, j]) * (proximal * reach_m[j] + distal)
     return faster
 
 
 @compiled
-def _along(velocity: NDArray[np.float64], way: NDArray[np.float64], length: float) -> float:
-    """Return the component of a velocity along ``way``/``length``, at least 0; the speed if the length is 0.
+def _along(velocity: NDArray[np.float64], displacement: NDArray[np.float64], length: float) -> float:
+    """Return the component of a velocity along ``displacement``/``length``, at least 0.
 
-    ``velocity`` and ``way`` (3,).
+    If the length is 0, return the speed.  ``velocity`` and ``displacement`` (3,).
     """
     if length == 0.0:
         return sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
-    total = velocity[0] * way[0] + velocity[1] * way[1] + velocity[2] * way[2]
+    total = velocity[0] * displacement[0] + velocity[1] * displacement[1] + velocity[2] * displacement[2]
     return float(max(total / length, 0.0))

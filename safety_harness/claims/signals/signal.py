@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.claims.signals.bounds import tent
+from safety_harness.claims.signals.bounds import lipschitz_bounds
 from safety_harness.scenario.units import Dimension
 from safety_harness.trace.trace import Trace
 
@@ -103,8 +103,8 @@ def absent(trace: Trace, why: str) -> Sampled:
     return Sampled(value=nothing, low=nothing, high=nothing, absent=why)
 
 
-def bounded(value: Values, way: Values) -> Sampled:
-    """Return a signal ``value`` (n,) that changes by at most ``way`` (n-1,) within each cell."""
+def bounded(value: Values, variation: Values) -> Sampled:
+    """Return a signal ``value`` (n,) that changes by at most ``variation`` (n-1,) within each cell."""
     low, high = value.copy(), value.copy()
-    low[:-1], high[:-1] = tent(value[:-1], value[1:], way, 0.0)
+    low[:-1], high[:-1] = lipschitz_bounds(value[:-1], value[1:], variation, 0.0)
     return Sampled(value=value, low=low, high=high)

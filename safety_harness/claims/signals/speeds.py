@@ -19,7 +19,7 @@ from safety_harness.claims.signals.true_motion import arm_of, true_motion
 from safety_harness.trace.trace import Trace, history, once_a_trace
 
 
-def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
+def speeds(at_tick: Values, mean: Values, *, moving_part: str) -> Sampled:
     """Sample the fastest of some speeds, with bounds between the ticks as ``speed_cells`` has them.
 
     Occasions are the ticks from which on it moves.  ``at_tick`` is of shape (n, joints) and ``mean``, from
@@ -28,7 +28,9 @@ def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
     value, low, high, mean = speed_cells(at_tick, mean)
     moves = value - MOVES
     moves[:-1] = np.fmax(moves[:-1], mean - MOVES)
-    return Sampled(value=value, low=low, high=high, tried=(moves, moves), untried=f"{of} never moves")
+    return Sampled(
+        value=value, low=low, high=high, tried=(moves, moves), untried=f"{moving_part} never moves"
+    )
 
 
 @once_a_trace
@@ -42,8 +44,8 @@ def tcp_way_m(trace: Trace) -> Values:
     """Return (n-1,) the TCP's way within each tick, at its largest speed: at either end, or in the mean."""
     speed = trace.ticks["tcp_speed_mps"]
     steps = tcp_steps_m(trace)
-    way: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
-    return way
+    path_m: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
+    return path_m
 
 
 def turned_rad(trace: Trace) -> Values:
@@ -76,22 +78,22 @@ def larger(at_tick: Values, mean: Values) -> Values:
 
     ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
     """
-    found = at_tick.copy()
-    found[:-1] = np.maximum(found[:-1], mean)
-    return found
+    largest = at_tick.copy()
+    largest[:-1] = np.maximum(largest[:-1], mean)
+    return largest
 
 
 def sample_tcp_speed(trace: Trace) -> Sampled:
     """Sample the TCP's speed; between ticks its mean counts too."""
     at_ticks, mean = tcp_speeds_mps(trace)
-    return speeds(at_ticks[:, None], mean[:, None], of="the TCP")
+    return speeds(at_ticks[:, None], mean[:, None], moving_part="the TCP")
 
 
 def sample_joint_speed(trace: Trace) -> Sampled:
     """Sample the fastest joint's speed; the commanded speed may be lower by ``known_to_radps``."""
-    found, off_radps = speeds(*joint_speeds_radps(trace), of="the arm"), known_to_radps(trace)
+    sampled, off_radps = speeds(*joint_speeds_radps(trace), moving_part="the arm"), known_to_radps(trace)
     return replace(
-        found, low=found.low - off_radps, value_low=found.value - off_radps, value_high=found.value
+        sampled, low=sampled.low - off_radps, value_low=sampled.value - off_radps, value_high=sampled.value
     )
 
 
@@ -114,15 +116,15 @@ def _arm_speeds_mps(
     """Return (n, 4) as ``arm_speeds_mps`` does."""
     n, joints, capsules = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
     transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
-    twists, found = np.empty((joints + 1, 6)), np.zeros((n, 4))
+    twists, speeds_mps = np.empty((joints + 1, 6)), np.zeros((n, 4))
     for k in range(n):
         forward_kinematics(arm.chain[0], joints_rad[k], transforms)
         place_capsules(arm.capsules, transforms, ends)
         link_twists(arm.chain[0].joint_axes, transforms, rates_radps[k], twists)
         x, y, z = tcp_velocity(arm.chain[0].joint_axes, transforms, rates_radps[k])
-        found[k, 1], found[k, 2], found[k, 3] = x, y, z
+        speeds_mps[k, 1], speeds_mps[k, 2], speeds_mps[k, 3] = x, y, z
         for capsule in range(capsules):
             speed = fastest_end(twists[min(arm.capsules[capsule].link_index, joints)], ends[capsule])
-            if not speed <= found[k, 0]:
-                found[k, 0] = speed
-    return found
+            if not speed <= speeds_mps[k, 0]:
+                speeds_mps[k, 0] = speed
+    return speeds_mps

@@ -166,8 +166,8 @@ def _paths(trace: Trace, most_parts: int) -> HandPaths:
     parts = np.full((max(count - 1, 0), len(scenario.hands)), most_parts)
     positions = np.zeros((count, len(scenario.hands), 2, 3))
     moving = np.zeros((max(count - 1, 0), len(scenario.hands)), np.bool_)
-    whose, at, corners = np.zeros(most, np.int64), np.zeros(most), np.zeros((most, 2, 3))
-    found = _follow(
+    hand_of_corner, at, corners = np.zeros(most, np.int64), np.zeros(most), np.zeros((most, 2, 3))
+    corner_count = _follow(
         hands.state,
         hands.moves,
         hands.samples,
@@ -175,13 +175,21 @@ def _paths(trace: Trace, most_parts: int) -> HandPaths:
         scenario.settings.clock.control_period_s,
         positions,
         moving,
-        whose,
+        hand_of_corner,
         at,
         corners,
         parts,
     )
     resolution_m = RESOLUTION_M if most_parts == 1 else 0.5 * RESOLUTION_M
-    return HandPaths(positions, moving, whose[:found], at[:found], corners[:found], parts, resolution_m)
+    return HandPaths(
+        positions,
+        moving,
+        hand_of_corner[:corner_count],
+        at[:corner_count],
+        corners[:corner_count],
+        parts,
+        resolution_m,
+    )
 
 
 @once_a_trace
@@ -199,7 +207,7 @@ def first_stray(trace: Trace) -> int | None:
         for body, name in enumerate(BODIES):
             off_m = np.linalg.norm(stored_m[:, :, body] - moved_m[:, :, body], axis=2)
             same = ~known.measured(name, trace.ticks)[:, : off_m.shape[1]]
-            same |= off_m <= known.of(name).uncertainty + SAME_M
+            same |= off_m <= known.measurement_of(name).uncertainty + SAME_M
             stored_m[:, :, body][same] = moved_m[:, :, body][same]
     stray = ~np.isclose(stored_m, moved_m, rtol=0.0, atol=SAME_M, equal_nan=True)
     return int(np.argmax(stray.any(axis=(1, 2, 3)))) if stray.any() else None
@@ -209,19 +217,21 @@ def follows_unknown(trace: Trace) -> bool:
     """Return whether a hand heads for a TCP that was not measured everywhere and exactly."""
     moves = [move for hand in trace.scenario.hands if isinstance(hand, MovingHand) for move in hand.moves]
     seeks = any(isinstance(move, ReachForTcp | FollowTcp) for move in moves)
-    return seeks and trace.known.of("transform_tcp_to_base").limited
+    return seeks and trace.known.measurement_of("transform_tcp_to_base").limited
 
 
 def apart_moved_m(trace: Trace) -> NDArray[np.float64]:
     """Return (n,) the error [m] of a distance from hand to arm, by the uncertainty of hands and joints."""
     known, count = trace.known, len(trace.ticks)
-    hands, elbows = (known.within(name, count) for name in BODIES)
-    return np.maximum(hands, elbows) + known.within(JOINTS[0], count) * float(arm_of(trace).reach_m.sum())
+    hands, elbows = (known.uncertainty_of(name, count) for name in BODIES)
+    return np.maximum(hands, elbows) + known.uncertainty_of(JOINTS[0], count) * float(
+        arm_of(trace).reach_m.sum()
+    )
 
 
 def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
     """Return (n,) the error [m/s] of the TCP's velocity at each tick, by the uncertainty of the joints."""
-    turned_rad, faster_radps = (trace.known.within(name, len(trace.ticks)) for name in JOINTS)
+    turned_rad, faster_radps = (trace.known.uncertainty_of(name, len(trace.ticks)) for name in JOINTS)
     rates_radps = np.nan_to_num(true_motion(trace).rates_radps, nan=0.0, posinf=0.0, neginf=0.0)
     return np.asarray(velocity_off(arm_of(trace).reach_m, turned_rad, faster_radps, rates_radps))
 
@@ -283,15 +293,15 @@ def _hand_bends(
     dt is the period divided by the parts; ``turned_m`` is added to a hand's bend for an elbow that turns
     anywhere.
     """
-    bends, after = np.zeros(moving.shape[0]), np.nan
+    bends, speed_after = np.zeros(moving.shape[0]), np.nan
     for k in range(hand_m.shape[0]):
         total = 0.0
         for i in range(3):
             total += (hand_m[k, i] - towards_m[i]) ** 2
-        before, after = after, sqrt(total)
+        speed_before, speed_after = speed_after, sqrt(total)
         if k == 0 or not moving[k - 1]:
             continue
-        nearest = max(min(before, after) - 0.5 * fastest_mps * period_s, 1e-9)
+        nearest = max(min(speed_before, speed_after) - 0.5 * fastest_mps * period_s, 1e-9)
         elbow = hardest_mps2 * (1.0 + length_m / nearest)
         elbow += length_m * sqrt(4.0 / 3.0) * (fastest_mps / nearest) ** 2
         part_s = period_s / parts[k - 1]
@@ -314,8 +324,8 @@ def _follow(
     parts: NDArray[np.int64],  # (n - 1, hands) wanted; 1 is written where the way is not known in parts
 ) -> int:
     """Write positions at the ticks and corners between them; return the number of corners."""
-    found = 0
-    before, even = hands.copy(), np.zeros(positions.shape[1], np.bool_)
+    count = 0
+    hands_before, even = hands.copy(), np.zeros(positions.shape[1], np.bool_)
     for k in range(positions.shape[0]):
         for i in range(positions.shape[1]):
             for j in range(3):
@@ -336,29 +346,32 @@ def _follow(
                         there[0].elbow_in_base_m[j] = samples[row, 4 + j]
                     if leader != i:
                         point_forearm(there, 0)
-                    corner_hand[found], corner_at[found] = i, samples[row, 0] / period_s
+                    corner_hand[count], corner_at[count] = i, samples[row, 0] / period_s
                     for j in range(3):
-                        corners[found, 0, j] = there[0].position_in_base_m[j]
-                        corners[found, 1, j] = there[0].elbow_in_base_m[j]
-                    found += 1
+                        corners[count, 0, j] = there[0].position_in_base_m[j]
+                        corners[count, 1, j] = there[0].elbow_in_base_m[j]
+                    count += 1
                 row += 1
         for i in range(positions.shape[1]):
-            before[i] = hands[i]
+            hands_before[i] = hands[i]
         advance_hands(hands, moves, samples, tcp_in_base_m[k], k * period_s, period_s)
         for i in range(positions.shape[1]):
-            one = hands[i].leader if hands[i].leader >= 0 else i
-            moves_on = hands[one].current != before[one].current or hands[one].tremor_m > 0.0
+            guide = hands[i].leader if hands[i].leader >= 0 else i
+            moves_on = hands[guide].current != hands_before[guide].current or hands[guide].tremor_m > 0.0
             for j in range(3):
-                moves_on = moves_on or before[one].velocity_in_base_mps[j] != 0.0
-                moves_on = moves_on or hands[one].velocity_in_base_mps[j] != 0.0
-                moves_on = moves_on or hands[one].position_in_base_m[j] != before[one].position_in_base_m[j]
+                moves_on = moves_on or hands_before[guide].velocity_in_base_mps[j] != 0.0
+                moves_on = moves_on or hands[guide].velocity_in_base_mps[j] != 0.0
+                moves_on = (
+                    moves_on
+                    or hands[guide].position_in_base_m[j] != hands_before[guide].position_in_base_m[j]
+                )
             moving[k, i] = moves_on
-            even[i] = _evenly(before[one], hands[one], period_s)
-            heads = not even[i] and _heads_for_tcp(before[one], hands[one], moves)
-            if not moves_on or heads or hands[one].recorded:
+            even[i] = _evenly(hands_before[guide], hands[guide], period_s)
+            heads = not even[i] and _heads_for_tcp(hands_before[guide], hands[guide], moves)
+            if not moves_on or heads or hands[guide].recorded:
                 parts[k, i] = 1  # it rests, or its way is not known but at the ticks
         for part in range(1, parts[k].max() if parts.shape[1] else 1):
-            there, gone_s = before.copy(), part * period_s / parts[k].max()
+            there, gone_s = hands_before.copy(), part * period_s / parts[k].max()
             advance_hands(there, moves, samples, tcp_in_base_m[k], k * period_s, gone_s)
             for i in range(positions.shape[1]):
                 for j in range(3):
@@ -366,48 +379,48 @@ def _follow(
                         leader_m = there[there[i].leader].position_in_base_m[j]
                         there[i].position_in_base_m[j] = leader_m + there[i].apart_in_base_m[j]
                     elif even[i]:
-                        mps = before[i].velocity_in_base_mps[j]
+                        mps = hands_before[i].velocity_in_base_mps[j]
                         mps += 0.5 * (hands[i].velocity_in_base_mps[j] - mps) * gone_s / period_s
                         trembles = there[i].position_in_base_m[j] - there[i].steady_in_base_m[j]
                         there[i].position_in_base_m[j] = (
-                            before[i].steady_in_base_m[j] + mps * gone_s + trembles
+                            hands_before[i].steady_in_base_m[j] + mps * gone_s + trembles
                         )
                 if parts[k, i] > 1:
                     point_forearm(there, i)
-                    corner_hand[found], corner_at[found] = i, k + part / parts[k, i]
+                    corner_hand[count], corner_at[count] = i, k + part / parts[k, i]
                     for j in range(3):
-                        corners[found, 0, j] = there[i].position_in_base_m[j]
-                        corners[found, 1, j] = there[i].elbow_in_base_m[j]
-                    found += 1
-    return found
+                        corners[count, 0, j] = there[i].position_in_base_m[j]
+                        corners[count, 1, j] = there[i].elbow_in_base_m[j]
+                    count += 1
+    return count
 
 
 @njit_no_nrt
-def _evenly(before: Any, after: Any, period_s: float) -> bool:
+def _evenly(earlier: Any, later: Any, period_s: float) -> bool:
     """Return whether a hand's way within a tick is that of a velocity that changes evenly."""
     even = True
     for j in range(3):
-        mean_mps = 0.5 * (before.velocity_in_base_mps[j] + after.velocity_in_base_mps[j])
-        way_m = after.steady_in_base_m[j] - before.steady_in_base_m[j]
+        mean_mps = 0.5 * (earlier.velocity_in_base_mps[j] + later.velocity_in_base_mps[j])
+        way_m = later.steady_in_base_m[j] - earlier.steady_in_base_m[j]
         even = even and abs(way_m - mean_mps * period_s) < 1e-12
     return even
 
 
 @njit_no_nrt
-def _heads_for_tcp(before: Any, after: Any, moves: Any) -> bool:
+def _heads_for_tcp(earlier: Any, later: Any, moves: Any) -> bool:
     """Return whether a move of a hand within a tick heads for the TCP; others can be followed to any time."""
     heads = False
-    for row in range(before.current, min(after.current + 1, after.count)):
-        heads = heads or moves[before.first + row].kind >= REACH_FOR_TCP
+    for row in range(earlier.current, min(later.current + 1, later.count)):
+        heads = heads or moves[earlier.first + row].kind >= REACH_FOR_TCP
     return heads
 
 
 def refuse_contradictions(trace: Trace, file: Path | None = None) -> None:
     """Raise TraceError with field and tick if no run can have written ``trace``; it names ``file``."""
-    wrong = first_inconsistency(trace) or first_untruth(trace)
-    if wrong is not None:
-        where = wrong.where if file is not None else f"trace of {trace.scenario.name}: {wrong.where}"
-        raise TraceError(place=Place(file=file, field=where), expected=wrong.expected, got=wrong.got)
+    problem = first_inconsistency(trace) or first_untruth(trace)
+    if problem is not None:
+        where = problem.where if file is not None else f"trace of {trace.scenario.name}: {problem.where}"
+        raise TraceError(place=Place(file=file, field=where), expected=problem.expected, got=problem.got)
 
 
 def first_untruth(trace: Trace) -> Inconsistency | None:
@@ -417,21 +430,21 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
     that were not measured are not compared, and measured values only to within their uncertainty.  The order
     of the fields counts before that of the ticks.
     """
-    found, known = derived(trace), trace.known
-    for name, by in DERIVED.items():
-        stored, true = trace.ticks[name], found[name]
+    recomputed, known = derived(trace), trace.known
+    for name, inputs in DERIVED.items():
+        stored, true = trace.ticks[name], recomputed[name]
         alike = (-1, *[1] * (stored.ndim - 1))
-        within = TOLERANCE + (0.0 if known.whole else _moved(trace, name).reshape(alike))
-        same = np.isclose(stored, true, rtol=0.0, atol=within, equal_nan=True)
-        for column in () if known.whole else (name, *by):
+        tolerance = TOLERANCE + (0.0 if known.whole else _moved(trace, name).reshape(alike))
+        same = np.isclose(stored, true, rtol=0.0, atol=tolerance, equal_nan=True)
+        for column in () if known.whole else (name, *inputs):
             measured = known.measured(column, trace.ticks)
             same |= ~measured.reshape(*measured.shape, *[1] * (stored.ndim - measured.ndim))
-        for wrong in at_first(~same, name, "tick", "what joints and hands give", stored):
-            return wrong
+        for untruth in at_first(~same, name, "tick", "what joints and hands give", stored):
+            return untruth
     part, parts = trace.ticks["hand_distance_capsule"], len(capsules_of(trace).names)
-    beyond = (part >= parts) & known.measured("hand_distance_capsule", trace.ticks)
-    for wrong in at_first(beyond, "hand_distance_capsule", "tick", f"one of {parts} parts", part):
-        return wrong
+    too_large = (part >= parts) & known.measured("hand_distance_capsule", trace.ticks)
+    for untruth in at_first(too_large, "hand_distance_capsule", "tick", f"one of {parts} parts", part):
+        return untruth
     stray = first_stray(trace) if len(trace.ticks) else None
     if stray is None:
         return None
@@ -442,28 +455,30 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
 
 def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
     """Return (n,) the largest error of one of ``DERIVED``, by the uncertainty of all its columns."""
-    off = trace.known.within(name, len(trace.ticks))
+    error = trace.known.uncertainty_of(name, len(trace.ticks))
     if name == "tcp_speed_mps":
-        return off + tcp_velocity_moved_mps(trace)
+        return error + tcp_velocity_moved_mps(trace)
     if name == "hand_distance_m":
-        return off + apart_moved_m(trace)
-    turned_rad = trace.known.within(JOINTS[0], len(trace.ticks))
-    return off + turned_rad * (float(arm_of(trace).reach_m.sum()) + 6.0)  # an entry of a rotation: 6 at most
+        return error + apart_moved_m(trace)
+    turned_rad = trace.known.uncertainty_of(JOINTS[0], len(trace.ticks))
+    return error + turned_rad * (
+        float(arm_of(trace).reach_m.sum()) + 6.0
+    )  # an entry of a rotation: 6 at most
 
 
 def derived(trace: Trace) -> NDArray[np.void]:
     """Return (n,) ticks with the truth of every tick computed again from its joints and hands."""
     capsules = capsules_of(trace)
-    found = np.zeros(len(trace.ticks), trace.ticks.dtype)
+    ticks = np.zeros(len(trace.ticks), trace.ticks.dtype)
     _derive(
         arm_record(arm_model(trace.scenario.robot), trace.scenario.settings),
         capsules.records,
         np.empty((len(capsules.names), 2, 3)),
         np.zeros(trace.ticks["hand_present"].shape[1], HAND),
         as_compiled(trace.ticks.copy()),  # compiled code takes no array that is read-only
-        as_compiled(found),
+        as_compiled(ticks),
     )
-    return found
+    return ticks
 
 
 @compiled

@@ -16,7 +16,7 @@ from safety_harness.trace.trace import Trace, once_a_trace
 from safety_harness.trace.unmeasured import as_measured
 
 Bound = float | NDArray[np.float64]  # everywhere, or (n,) at each tick and from it to the next
-Off = Callable[[Trace], tuple[Bound, Bound, Bound]]
+ErrorOf = Callable[[Trace], tuple[Bound, Bound, Bound]]
 Truths = NDArray[np.bool_]
 TCP, TCP_SPEED, HANDS = "transform_tcp_to_base", "tcp_speed_mps", "hand_position_in_base_m"
 
@@ -30,17 +30,17 @@ def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tu
     return tuple(
         name
         for name in columns
-        if any(tick is None or g.first <= tick < g.after for g in known.of(name).gaps)
+        if any(tick is None or g.first <= tick < g.after for g in known.measurement_of(name).gaps)
     )
 
 
 def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
     """Return (n, hands) the ticks at which one of ``columns`` was not measured, for each possible hand."""
-    found = np.zeros((len(trace.ticks), *trace.ticks.dtype["hand_present"].shape), np.bool_)
+    lost_rows = np.zeros((len(trace.ticks), *trace.ticks.dtype["hand_present"].shape), np.bool_)
     for name in columns:
-        for gap in trace.known.of(name).gaps:
-            found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = True
-    return found
+        for gap in trace.known.measurement_of(name).gaps:
+            lost_rows[gap.first : gap.after, ... if gap.hand is None else gap.hand] = True
+    return lost_rows
 
 
 def lost(trace: Trace, columns: Iterable[str]) -> Truths:
@@ -57,31 +57,31 @@ def or_next(state: Truths) -> Truths:
     return either
 
 
-def as_known(signal: Signal, one: Sampled, trace: Trace) -> Sampled:
-    """Return the bounds of ``signal``, where ``one`` is its measured part.
+def as_known(signal: Signal, measured: Sampled, trace: Trace) -> Sampled:
+    """Return the bounds of ``signal``, where ``measured`` is its measured part.
 
     The signal is unknown at lost ticks and in the cells that touch them.  A value of the measured hands
     bounds it from above there.
     """
-    columns = [name for name in signal.reads if trace.known.of(name).limited]
-    if not columns or one.absent:
-        return one
+    columns = [name for name in signal.reads if trace.known.measurement_of(name).limited]
+    if not columns or measured.absent:
+        return measured
     at, below, above = signal.off(trace) if signal.off else (0.0, 0.0, 0.0)
-    value, low, high = one.value, one.low, one.high
-    gone = lost(trace, columns) if one.lost is None else one.lost
+    value, low, high = measured.value, measured.low, measured.high
+    gone = lost(trace, columns) if measured.lost is None else measured.lost
     held = signal.between is not Interpolation.BOUNDED
     cells = gone if held else or_next(gone)
-    if one.lost is None:
+    if measured.lost is None:
         value = np.where(gone, np.nan, value)
         low, high = (np.where(cells, np.nan, side) for side in (low, high))
     value_low, value_high = np.where(gone, -np.inf, value - at), value + at
-    tried = one.tried
+    tried = measured.tried
     if tried is not None:
-        by, untold = (at, gone) if one.comes else (above, cells)
-        least, most = tried[0] - by, tried[1] + by
+        error, untold = (at, gone) if measured.comes else (above, cells)
+        least, most = tried[0] - error, tried[1] + error
         tried = np.where(np.isnan(least), -np.inf, least), np.where(untold | np.isnan(most), np.inf, most)
     return replace(
-        one,
+        measured,
         value=value,
         low=value_low if held else np.where(cells, -np.inf, low - below),
         high=value_high if held else high + above,
@@ -96,49 +96,53 @@ def as_known(signal: Signal, one: Sampled, trace: Trace) -> Sampled:
 # (at, below, above) in SI.
 
 
-def by_uncertainty_of(*columns: str) -> Off:
+def by_uncertainty_of(*columns: str) -> ErrorOf:
     """Return the errors of a signal that is as uncertain as ``columns`` together."""
 
-    def off(trace: Trace) -> tuple[float, float, float]:
-        together = sum(trace.known.of(name).uncertainty for name in columns)
+    def errors(trace: Trace) -> tuple[float, float, float]:
+        together = sum(trace.known.measurement_of(name).uncertainty for name in columns)
         return together, together, together
 
-    return off
+    return errors
 
 
-def of_change(column: str) -> Off:
+def of_change(column: str) -> ErrorOf:
     """Return the errors of the mean change of ``column`` from tick to tick, in its unit per second."""
 
-    def off(trace: Trace) -> tuple[float, float, float]:
-        by = 2.0 * trace.known.of(column).uncertainty / trace.scenario.settings.clock.control_period_s
-        return by, by, by
+    def errors(trace: Trace) -> tuple[float, float, float]:
+        error = (
+            2.0
+            * trace.known.measurement_of(column).uncertainty
+            / trace.scenario.settings.clock.control_period_s
+        )
+        return error, error, error
 
-    return off
+    return errors
 
 
 def of_tcp_acceleration(trace: Trace) -> tuple[float, float, float]:
     """Return the errors of the mean change of the TCP's velocity, by those of joints and their speeds."""
     off_mps = float(tcp_velocity_moved_mps(trace).max())
-    by = 2.0 * off_mps / trace.scenario.settings.clock.control_period_s
-    return by, by, by
+    acceleration_error = 2.0 * off_mps / trace.scenario.settings.clock.control_period_s
+    return acceleration_error, acceleration_error, acceleration_error
 
 
-def of_speed(speed: str, position: str) -> Off:
+def of_speed(speed: str, position: str) -> ErrorOf:
     """Return the errors of a speed; a mean between ticks has those of both positions over the period."""
 
-    def off(trace: Trace) -> tuple[float, float, float]:
-        at, place = (trace.known.of(name).uncertainty for name in (speed, position))
-        between = float(speed_between(at, place, trace.scenario.settings.clock.control_period_s))
-        return at, between, between
+    def errors(trace: Trace) -> tuple[float, float, float]:
+        at, place = (trace.known.measurement_of(name).uncertainty for name in (speed, position))
+        between_ticks = float(speed_between(at, place, trace.scenario.settings.clock.control_period_s))
+        return at, between_ticks, between_ticks
 
-    return off
+    return errors
 
 
 def of_place(trace: Trace) -> tuple[float, float, float]:
     """Return the errors of a place of the TCP: its own, and between ticks half of the error of its way."""
-    at, speed = (trace.known.of(name).uncertainty for name in (TCP, TCP_SPEED))
-    between = float(place_between(at, speed, trace.scenario.settings.clock.control_period_s))
-    return at, between, between
+    at, speed = (trace.known.measurement_of(name).uncertainty for name in (TCP, TCP_SPEED))
+    between_ticks = float(place_between(at, speed, trace.scenario.settings.clock.control_period_s))
+    return at, between_ticks, between_ticks
 
 
 def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
@@ -149,19 +153,19 @@ def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
     """
     if follows_unknown(trace):
         return np.inf, np.inf, np.inf
-    tcp, between, _ = of_place(trace)
+    tcp, between_ticks, _ = of_place(trace)
     columns = ("joint_position_rad", "joint_velocity_radps", HANDS)
-    turned_rad, faster_radps, hand = (trace.known.of(name).uncertainty for name in columns)
+    turned_rad, faster_radps, hand = (trace.known.measurement_of(name).uncertainty for name in columns)
     turned_rad += 0.5 * trace.scenario.settings.clock.control_period_s * faster_radps
     low = max(tcp, turned_rad * float(tcp_of(trace).reach_m.sum()))
-    return tcp + hand, low + hand, between + 2.0 * hand
+    return tcp + hand, low + hand, between_ticks + 2.0 * hand
 
 
 def of_hand_distance(trace: Trace) -> tuple[Bound, Bound, Bound]:
     """Return the errors of the hand distance: below by the catalogue's bound, above also by that at ticks."""
     at, moved = distance_moved_m(trace)
-    between, beside = np.maximum(at, moved), at + moved
-    return at, np.maximum(between, _next(between)), np.maximum(beside, _next(beside))
+    between_ticks, beside = np.maximum(at, moved), at + moved
+    return at, np.maximum(between_ticks, _next(between_ticks)), np.maximum(beside, _next(beside))
 
 
 def _next(value: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from safety_harness.cell.robot.description import ArmModel
     from safety_harness.scenario.robots import AnyRobot
 
-_ABOUT = "Show an arm of a URDF, or fit capsules."
-commands = Typer(name="robot", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+_HELP = "Show an arm of a URDF, or fit capsules."
+commands = Typer(name="robot", no_args_is_help=True, help=_HELP, short_help=_HELP)
 File = Annotated[
     Path,
     Argument(help="A URDF file, or one in an installed package: pybullet/kuka_iiwa/model.", metavar="FILE"),

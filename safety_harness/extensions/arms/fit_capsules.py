@@ -315,9 +315,9 @@ def excess(capsules: list[Capsule], surface: Surface, rng: np.random.Generator) 
                 start + rng.random((len(tube), 1)) * axis + radius * tube,
             )
         )
-        others = [capsule for i, capsule in enumerate(capsules) if i != j]
-        hidden = [inside(points, *capsule) for capsule in others]
-        samples.append(points[~np.any(hidden, axis=0)] if others else points)
+        rest = [capsule for i, capsule in enumerate(capsules) if i != j]
+        hidden = [inside(points, *capsule) for capsule in rest]
+        samples.append(points[~np.any(hidden, axis=0)] if rest else points)
     distance = cKDTree(surface.centres).query(np.vstack(samples))[0]
     return float(distance.max()), float(distance.mean())
 

@@ -38,7 +38,7 @@ def write_arm_page(path: Path, robots: Sequence[AnyRobot], *, title: str) -> Non
     arms = [_section(robot, number) for number, robot in enumerate(robots, start=1)]
     page = render_page(
         "arms.html.j2",
-        of="safety_harness.extensions.arms",
+        package="safety_harness.extensions.arms",
         basis="",
         style="evidence.css",
         replays=True,

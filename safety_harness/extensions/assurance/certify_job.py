@@ -21,7 +21,7 @@ from safety_harness.extensions.assurance.certification.delta_page import folder_
 from safety_harness.extensions.assurance.certification.evidence import ClaimEvidence, ClaimStatus, Evidence
 from safety_harness.extensions.assurance.certification.folder import PAGE
 from safety_harness.extensions.assurance.commands.progress import watching_campaign
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Driver
 
 __all__ = ["CertificationResult", "certify"]
@@ -71,7 +71,7 @@ def certify(
 
     """
     file = plan.file if isinstance(plan, Plan) else Path(plan)
-    argv = ["safety-harness", "certify", str(told(file))]
+    argv = ["safety-harness", "certify", str(display_path(file))]
     if controller is not None:
         read, tested = read_plan(file), Driver(controller)
         file = plan_with(read.files, tested, Path("reports") / read.name).file
@@ -80,8 +80,8 @@ def certify(
     paths = {name: None if path is None else Path(path) for name, path in (given | {"since": since}).items()}
     of_cells = [Path(path) for path in cells]
     for name, value in paths.items():
-        argv += [f"--{name}", str(told(value))] if value else []
-    argv += [argument for path in of_cells for argument in ("--cell", str(told(path)))]
+        argv += [f"--{name}", str(display_path(value))] if value else []
+    argv += [argument for path in of_cells for argument in ("--cell", str(display_path(path)))]
     earlier = None if paths["since"] is None else EarlierReport.read(paths["since"])
     again = shlex.join(argv + ["--pdf"] * pdf + ["--full"] * full)
     job = Certification.prepare(

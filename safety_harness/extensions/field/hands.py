@@ -30,7 +30,7 @@ from safety_harness.extensions.field.logs.approaches import (
 )
 from safety_harness.extensions.field.logs.model import CellLog
 from safety_harness.scenario.codec import Tree, scalar_text
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.scenario.write import text_of
 
 LEAST_APPROACHES = 5  # fewer are refused; a quantity with fewer values is not fitted
@@ -213,10 +213,11 @@ def _recordings(logs: Sequence[CellLog]) -> tuple[tuple[str, str], ...]:
                 raise LogError(
                     place=Place(file=log.file),
                     expected="each recording once",
-                    got=f"{told(file)}, with the bytes of {told(known[digest])}, of another log",
+                    got=f"{display_path(file)}, with the bytes of {display_path(known[digest])}, "
+                    "of another log",
                 )
             hashes[file] = digest
-    return tuple((str(told(file)), digest) for file, digest in hashes.items())
+    return tuple((str(display_path(file)), digest) for file, digest in hashes.items())
 
 
 def _notes(watched: Watched, quantities: Sequence[FittedQuantity]) -> list[str]:

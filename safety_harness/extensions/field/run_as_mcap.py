@@ -45,7 +45,7 @@ HAND_COLOUR, ARM_COLOUR, BOX_COLOUR = (0.9, 0.5, 0.2, 0.9), (0.5, 0.6, 0.7, 0.6)
 NONE, NOWHERE, UPRIGHT = np.zeros(0), (np.nan,) * 3, (0.0, 0.0, 0.0, 1.0)
 PLACES = ("hand", "tcp", "proposed", "chosen", "opposite")  # of a decision
 PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
-TOLD = ("mode", "limits", "demanded_joint_velocity_radps", "predicted_hand_in_base_m")
+REPORTED_COLUMNS = ("mode", "limits", "demanded_joint_velocity_radps", "predicted_hand_in_base_m")
 FROM_SCENARIO = ("about", "robot", "obstacles", "camera", "settings", "claims")
 
 Message = tuple[int, str, str, Any]  # when [ns], topic, type, content
@@ -127,7 +127,7 @@ def _log_text(trace: Trace, path: Path) -> str:
     question, since a log has one time for both.
     """
     tree, decisions = tree_of(as_seen_from(path.parent, trace.scenario)), trace.decisions
-    streams = [name for name in TOLD if measured(trace, name).all()]
+    streams = [name for name in REPORTED_COLUMNS if measured(trace, name).all()]
     if decided(trace) and len(decisions) and (decisions["asked_tick"] == decisions["tick"]).all():
         streams.append("decisions")
     if isinstance(below := tree.get("settings", {}), Mapping):

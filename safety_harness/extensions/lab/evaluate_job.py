@@ -18,7 +18,7 @@ from safety_harness.extensions.lab.pages.score_page import ScoreEvidence, render
 from safety_harness.extensions.lab.pages.score_tables import most_towards
 from safety_harness.extensions.lab.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.extensions.lab.scoring.session import ScoringSession
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
 
@@ -79,7 +79,7 @@ def evaluate(
     command += ["--search", str(search), "--seed", str(seed)]
     command += [] if questions is None else ["--questions", str(questions)]
     command += [part for name in areas for part in ("--region", name)]
-    command += [part for path in files for part in ("--space", str(told(path)))]
+    command += [part for path in files for part in ("--space", str(display_path(path)))]
     command += [] if against is None else ["--against", told_avoider(against)]
     output.say(*(f"error: {item}" for item in scored.failed), *scored.remarks)
     return EvaluationResult(scored, tuple(command), None if out is None else Path(out))
@@ -142,15 +142,16 @@ class EvaluationResult:
         scored = self.scored
         if self.folder != out:
             moved = [
-                replace(one, worst=[_moved(shown, out) for shown in one.worst]) for one in scored.avoiders
+                replace(avoider, worst=[_moved(shown, out) for shown in avoider.worst])
+                for avoider in scored.avoiders
             ]
             scored = replace(scored, avoiders=moved)
         made = replace(self, scored=scored, folder=out)
         write_text(out / DATA, made.data())
-        command = shlex.join([*self.command, "--out", str(told(out))])
+        command = shlex.join([*self.command, "--out", str(display_path(out))])
         evidence = ScoreEvidence(scored=scored, command=command, generated_at=datetime.now(UTC))
         write_text(out / PAGE, render(evidence))
-        files = [shown.file.path for one in made.avoiders for shown in one.worst if shown.file.path]
+        files = [shown.file.path for avoider in made.avoiders for shown in avoider.worst if shown.file.path]
         if files:
             output.say(f"worst questions as scenarios: {files[0]} and {len(files) - 1} more")
         output.say(f"page: {out / PAGE} (for programs: {DATA})")

@@ -26,7 +26,7 @@ from safety_harness.extensions.lab.proof.plan import ProofPlan, read_proof_plan
 from safety_harness.extensions.lab.proof.session import Effort, continue_proofs, fresh
 from safety_harness.extensions.lab.proof.together import JointBound, joint_bounds
 from safety_harness.extensions.lab.scoring.question_file import question_file
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 
 __all__ = ["ProofResult", "prove"]
 CERTIFICATE, PAGE = "certificate.json", "proof.html"
@@ -66,9 +66,14 @@ def prove(
     with ExitStack() as closing:
         stopped = closing.enter_context(one_more_ctrl_c(output.say, "interrupted: finishing the batch"))
         on_step = closing.enter_context(output.steps())
-        over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
+        map_batches = map if jobs == 1 else closing.enter_context(pool(jobs)).map
         effort = Effort(
-            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, show=on_step
+            seconds=60.0 * minutes,
+            halvings=halvings,
+            over=map_batches,
+            at_once=jobs,
+            stopped=stopped,
+            show=on_step,
         )
         for number, proof in enumerate(continue_proofs(read, begun, effort)):
             proofs[number] = proof
@@ -145,7 +150,14 @@ class ProofResult:
             write_question(self.plan, proof, out / f"refuted-{k}.yaml", output) if proof.question else None
             for k, proof in enumerate(self.proofs, 1)
         ]
-        parts = ["safety-harness", "prove", str(told(self.file)), "--out", str(told(out)), *self.options]
+        parts = [
+            "safety-harness",
+            "prove",
+            str(display_path(self.file)),
+            "--out",
+            str(display_path(out)),
+            *self.options,
+        ]
         evidence = ProofEvidence(
             plan=self.plan,
             proofs=self.proofs,
@@ -187,7 +199,7 @@ def write_question(plan: ProofPlan, proof: Proof, path: Path, output: Output) ->
         np.array(proof.question.tcp_in_base_m),
         0,
         title=f"answered wrongly: {proof.planned.claim.sentence}",
-        about=f"A question to {plan.avoider} that refutes: {proof.planned.sentence}.",
+        description=f"A question to {plan.avoider} that refutes: {proof.planned.sentence}.",
         claims=(claim,),
     )
     if made.path is None:

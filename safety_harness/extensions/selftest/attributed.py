@@ -58,4 +58,4 @@ def attribute_seeded(
     """
     around = fault.circumstance.bring_about(ChangedSystem(admitted))
     run = SeededRunner(fault, magnitude, around)
-    return attribute(around.admitted, claims, run=run, spoilt=INGREDIENTS.values())
+    return attribute(around.admitted, claims, run=run, faulty=INGREDIENTS.values())

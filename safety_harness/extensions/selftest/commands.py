@@ -69,13 +69,13 @@ def selftest(
     )
     from safety_harness.extensions.selftest.session import DATA, PAGE, SelfTestSession, numbers_of
     from safety_harness.extensions.selftest.suite import SelfTestPlan, profile_named
-    from safety_harness.scenario.files import told
+    from safety_harness.scenario.files import display_path
 
     again = ["safety-harness", "selftest", "--profile", profile, "--scenarios", str(scenarios)]
     tested = one_of(avoider, controller)
     again += [option_of(tested), tested] if tested is not None else []
     again += ["--fault", fault] if fault is not None else []
-    again += ["--out", str(told(out)), "--jobs", str(jobs)]
+    again += ["--out", str(display_path(out)), "--jobs", str(jobs)]
     try:
         plan = SelfTestPlan(profile_named(profile), scenarios, tested)
         if jobs < 1:

@@ -114,7 +114,7 @@ def render(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun, runs: Caught
     worlds = [str(KINEMATIC), *[str(PYBULLET)] * any(case.confirmed is not None for case in outcomes)]
     return render_page(
         "selftest.html.j2",
-        of="safety_harness.extensions.selftest",
+        package="safety_harness.extensions.selftest",
         basis=basis(worlds, f"{len(outcomes)} of {selftest.planned} faults tried"),
         style="tables.css",
         about=selftest,
@@ -129,6 +129,7 @@ def render(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun, runs: Caught
         minus=with_minus,
         replays=bool(runs),
         seen=[
-            (case, run, replays.of(run, f"seen-{number}")) for number, (case, run) in enumerate(runs, start=1)
+            (case, run, replays.arguments_for(run, f"seen-{number}"))
+            for number, (case, run) in enumerate(runs, start=1)
         ],
     )

@@ -25,7 +25,7 @@ from safety_harness.cell.controller.cycle import ControllerRecords
 from safety_harness.extensions.selftest.system import Change, ChangedSystem, Records
 
 Seeds = Callable[[ChangedSystem, float], ChangedSystem]
-What = TypeVar("What")  # the change, as a function of its magnitude
+Changing = TypeVar("Changing")  # the change, as a function of its magnitude
 
 
 class FaultyPart(Enum):
@@ -97,12 +97,12 @@ Graded = tuple[Seeds, SeverityLevels]
 
 
 def seeded(
-    where: Callable[[What], Seeds],
+    where: Callable[[Changing], Seeds],
     values: tuple[float, ...] = (),
     unit: str = "",
     per_si: float = 1.0,
     names: tuple[str, ...] = (),
-) -> Callable[[What], Graded]:
+) -> Callable[[Changing], Graded]:
     """Decorate a change with the place where it is seeded and its SeverityLevels; ``ONLY`` without values."""
     ladder = SeverityLevels(values, unit, per_si, names) if values else ONLY
     return lambda what: (where(what), ladder)

@@ -51,7 +51,7 @@ class Make(ProcessMessage, tag="make"):
     source: bytes
 
     @classmethod
-    def of(
+    def from_file(
         cls, path: Path, source: bytes, name: str, number: int = 0, *, onnx: bool = False, **more: object
     ) -> Make:
         """Return the request for the object behind a file reference, with this process's folder and modules.

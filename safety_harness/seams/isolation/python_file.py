@@ -69,14 +69,18 @@ def _misfit(node: ast.AST, method: str, keywords: set[str]) -> str:
     """The parameters of a class's plain method that no call with these keywords, or "seen" too, fits."""
     if not isinstance(node, ast.ClassDef):
         return ""
-    own = [one for one in node.body if isinstance(one, ast.FunctionDef) and one.name == method]
+    own = [
+        function
+        for function in node.body
+        if isinstance(function, ast.FunctionDef) and function.name == method
+    ]
     if not own or own[-1].decorator_list or own[-1].args.kwarg:
         return ""
     given = own[-1].args
     plain = [*given.posonlyargs, *given.args]
-    needed = {one.arg for one in plain[1 : len(plain) - len(given.defaults)]}
-    needed |= {one.arg for one, none in zip(given.kwonlyargs, given.kw_defaults, strict=True) if none is None}
-    fits = keywords <= {one.arg for one in (*given.args, *given.kwonlyargs)} and needed <= keywords | {"seen"}
+    needed = {arg.arg for arg in plain[1 : len(plain) - len(given.defaults)]}
+    needed |= {arg.arg for arg, none in zip(given.kwonlyargs, given.kw_defaults, strict=True) if none is None}
+    fits = keywords <= {arg.arg for arg in (*given.args, *given.kwonlyargs)} and needed <= keywords | {"seen"}
     return "" if fits else ast.unparse(given)
 
 

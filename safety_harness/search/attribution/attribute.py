@@ -19,6 +19,7 @@ from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_all
 from safety_harness.base.exceptions import described
+from safety_harness.base.renamed import renamed_parameters
 from safety_harness.cell.simulation.simulate import INTERRUPTED
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.claims.properties.answered import NOT_MODELLED
@@ -42,7 +43,7 @@ class Outcome(Enum):
     UNTOLD = "no verdict"
 
     @classmethod
-    def of(cls, evaluation: Evaluation) -> Outcome:
+    def from_evaluation(cls, evaluation: Evaluation) -> Outcome:
         """Return the outcome of a verdict; an inconclusive verdict may lack an occasion."""
         if evaluation.verdict is not Verdict.INCONCLUSIVE:
             return cls.KEPT if evaluation.verdict is Verdict.HOLDS else cls.VIOLATED
@@ -70,7 +71,7 @@ class Replay:
         return tuple(sorted({change.ingredient for change in self.changes}, key=order.index))
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The changes in words."""
         return " and ".join(map(str, self.changes))
 
@@ -110,9 +111,10 @@ class Attribution:
     @property
     def mending(self) -> tuple[str, ...]:
         """All helpful changes of the blamed ingredient; empty if the cause has two ingredients."""
-        alone = len(self.cause) == 1
+        if len(self.cause) != 1:
+            return ()
         return tuple(
-            trial.words for trial in self.replays if trial.helps and trial.ingredients == self.cause and alone
+            trial.summary for trial in self.replays if trial.helps and trial.ingredients == self.cause
         )
 
     @property
@@ -121,11 +123,13 @@ class Attribution:
         return " and ".join(ingredient.value for ingredient in self.cause) or self.answer.value
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The answer in words, with the alternatives that help."""
         if not self.helping:
             return self.answer.value + (f": {self.why}" if self.why else "")
-        return "; or ".join(f"{replay.words}: {self._result_of(replay)}" for replay in self.helping)
+        return "; or ".join(f"{replay.summary}: {self._result_of(replay)}" for replay in self.helping)
+
+    words = summary  # deprecated: the old name, for one release
 
     def _result_of(self, replay: Replay) -> str:
         """Return the margin after the change, with the outcome if the claim fails."""
@@ -161,12 +165,13 @@ class ReplaysInWorld:
         return runs
 
 
+@renamed_parameters(spoilt="faulty")  # deprecated: the old name, for one release
 def attribute(
     admitted: Admitted,
     claims: Sequence[Claim] = (),
     *,
     run: Runner = ReplaysInWorld(),
-    spoilt: Collection[Ingredient] = (),
+    faulty: Collection[Ingredient] = (),
 ) -> tuple[Attribution, ...]:
     """Return the cause of each violation in a scenario.
 
@@ -177,7 +182,7 @@ def attribute(
         claims: Claims that were violated in some world.  Without them, the function attributes every
             violation of the scenario's own claims, and the violations that the scenario expects.
         run: The runner of the replays.
-        spoilt: The ingredients that ``run`` spoils outside the scenario.
+        faulty: The ingredients that ``run`` spoils outside the scenario.
 
     Returns:
         One attribution for each violation.
@@ -190,7 +195,7 @@ def attribute(
     given = tuple(claims)
     scenario = replace(admitted.scenario, claims=given or admitted.scenario.claims)
     properties = tuple(property_of(claim, scenario) for claim in scenario.claims)
-    trials = _Trials(replace(Altered.of(admitted), scenario=scenario, properties=properties), run)
+    trials = _Trials(replace(Altered.from_admitted(admitted), scenario=scenario, properties=properties), run)
     first = trials.made([()])[()]
     seen = [bool(given) or claim.expected is Verdict.VIOLATED for claim in scenario.claims]
     if isinstance(first, Exception) and not any(seen):
@@ -204,7 +209,7 @@ def attribute(
             evaluation = judge.evaluation(first)
             margin = evaluation.margin
             if evaluation.verdict is Verdict.VIOLATED:
-                attributions.append(judge.attributed(margin, changes_for(spoilt)))
+                attributions.append(judge.attributed(margin, changes_for(faulty)))
                 continue
             why = f"the kinematic replay does not reproduce it: {evaluation.verdict.value}"
         if seen[number]:
@@ -227,7 +232,7 @@ def confirmed(
 
     """
     scenario = replace(admitted.scenario, claims=(attribution.claim,))
-    trials = _Trials(replace(Altered.of(admitted), scenario=scenario), run)
+    trials = _Trials(replace(Altered.from_admitted(admitted), scenario=scenario), run)
     judge = _ClaimTrials(trials, 0, property_of(attribution.claim, scenario))
     return judge.replays([(), *(replay.changes for replay in attribution.helping[:1])])
 
@@ -302,7 +307,7 @@ class _ClaimTrials:
         if isinstance(run, Exception):
             return Replay(changes, Outcome.UNTOLD, None)
         evaluation = self.evaluation(run)
-        return Replay(changes, Outcome.of(evaluation), evaluation.margin)
+        return Replay(changes, Outcome.from_evaluation(evaluation), evaluation.margin)
 
     def made(self, **fields: Any) -> Attribution:
         """Return an ``Attribution`` of the claim; ``fields`` are its further fields."""

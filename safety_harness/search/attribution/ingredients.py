@@ -89,7 +89,7 @@ class Altered(Admitted):
     changes: tuple[Change, ...] = ()
 
     @classmethod
-    def of(cls, admitted: Admitted) -> Altered:
+    def from_admitted(cls, admitted: Admitted) -> Altered:
         """Return an unchanged copy of ``admitted``."""
         return cls(**{field.name: getattr(admitted, field.name) for field in fields(admitted)})
 
@@ -421,7 +421,7 @@ CHANGES: tuple[Change, ...] = (
 )
 
 
-def changes_for(spoilt: Collection[Ingredient]) -> tuple[Change, ...]:
-    """Return the changes to try: first each ingredient of ``spoilt`` made sound, then CHANGES."""
+def changes_for(faulty: Collection[Ingredient]) -> tuple[Change, ...]:
+    """Return the changes to try: first each ingredient of ``faulty`` made sound, then CHANGES."""
     order = list(Ingredient)
-    return tuple(Change(part, "sound", replace) for part in sorted(spoilt, key=order.index)) + CHANGES
+    return tuple(Change(part, "sound", replace) for part in sorted(faulty, key=order.index)) + CHANGES

@@ -29,13 +29,17 @@ class ShieldAttribution:
     alone: Evaluation | None
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The decisive part in words."""
         evaluations = (self.shielded, self.plain, self.shielded if self.alone is None else self.alone)
-        untold = [evaluation for evaluation in evaluations if Outcome.of(evaluation) is Outcome.UNTOLD]
+        untold = [
+            evaluation for evaluation in evaluations if Outcome.from_evaluation(evaluation) is Outcome.UNTOLD
+        ]
         if untold:
             return f"who was decisive is not known: {untold[0].reason}"
-        kept, plain, alone = (Outcome.of(evaluation) is not Outcome.VIOLATED for evaluation in evaluations)
+        kept, plain, alone = (
+            Outcome.from_evaluation(evaluation) is not Outcome.VIOLATED for evaluation in evaluations
+        )
         if not kept:
             return f"a moving part touched a hand even with the shield: {self.shielded.margin_text()}"
         if not plain:
@@ -54,7 +58,7 @@ def attribute_shield(admitted: Admitted) -> ShieldAttribution | None:
     """
     if admitted.scenario.shield is None:
         return None
-    system = Altered.of(admitted)
+    system = Altered.from_admitted(admitted)
     systems = [system, replace(system, scenario=replace(system.scenario, shield=None))]
     if admitted.driver is None:
         systems.append(setting("avoidance", lambda _: {"critical_distance_m": 0.0})(system))

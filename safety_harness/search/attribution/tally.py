@@ -19,9 +19,11 @@ class AttributionTally:
     attributions: tuple[Attribution, ...]
 
     @classmethod
-    def of(cls, attributions: Iterable[Attribution]) -> AttributionTally:
+    def from_attributions(cls, attributions: Iterable[Attribution]) -> AttributionTally:
         """Return the tally of ``attributions``, from any number of runs."""
         return cls(tuple(attributions))
+
+    of = from_attributions  # deprecated: the old name, for one release
 
     @cached_property
     def groups(self) -> dict[str, int]:
@@ -36,19 +38,21 @@ class AttributionTally:
         for attribution in self.attributions:
             for replay in attribution.replays:
                 if len(replay.changes) == 1:
-                    counts[replay.words] += replay.helps
+                    counts[replay.summary] += replay.helps
         return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The groups in words, as in ``of 303: 171 unavoidable, 83 critical distance``."""
         return group_words(self.groups)
+
+    words = summary  # deprecated: the old name, for one release
 
     def lines(self) -> Iterator[str]:
         """Yield the groups and the helpful changes as a table for a terminal; empty without violations."""
         if not self.attributions:
             return
-        yield self.words
+        yield self.summary
         helping = {change: count for change, count in self.would_help.items() if count}
         if helping:
             yield "would have helped, changed alone:"

@@ -49,10 +49,10 @@ def why_unavoidable(checked: Checked, prop: Property) -> str:
     """
     if not isinstance(prop, HandDistance) or not checked.scenario.hands:
         return ""
-    free, radii = FreeArm.of(checked), checked.scenario.settings.hand
+    free, radii = FreeArm.from_checked(checked), checked.scenario.settings.hand
     near_m = prop.minimum_m + radii.radius_m
     for number, hand in enumerate(checked.scenario.hands):
-        path = HandPath.of(checked.scenario, number)
+        path = HandPath.from_scenario(checked.scenario, number)
         why = (
             _at_what_cannot_move(free, path, prop.minimum_m, radii)
             or _before_it_can_leave(free, path, near_m)
@@ -81,7 +81,7 @@ class FreeArm:
     ends_m: NDArray[np.float64]
 
     @classmethod
-    def of(cls, checked: Checked) -> FreeArm:
+    def from_checked(cls, checked: Checked) -> FreeArm:
         """Return the free arm of a scenario, from its start."""
         transforms = links_in_base(checked.arm, checked.joint_position_rad)
         places = transforms[:, :3, 3]
@@ -195,7 +195,7 @@ class HandPath:
     steady_m: Array3
 
     @classmethod
-    def of(cls, scenario: Scenario, number: int) -> HandPath:
+    def from_scenario(cls, scenario: Scenario, number: int) -> HandPath:
         """Return the path of hand ``number`` of the scenario, or of its leader."""
         leader, settled = scenario.leader(scenario.hands[number]), scenario
         moves = leader.moves if isinstance(leader, MovingHand) else ()

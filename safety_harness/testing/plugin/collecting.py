@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, seed
 
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.taking import NotTaken, made_equal, taken
+from safety_harness.admission.taking import Incompatible, accept, made_equal
 from safety_harness.base.exceptions import InputError
 from safety_harness.claims.properties.against import ClaimDifference
 from safety_harness.claims.properties.answered import AvoiderAnswered, by_default
@@ -39,7 +39,7 @@ from safety_harness.testing.asserting import (
 from safety_harness.testing.drawing import drawn, first_of, one_system
 from safety_harness.testing.plugin.explained import TEST, explained
 from safety_harness.testing.session import Judgement, Run, TestRun, session
-from safety_harness.testing.simulating import avoiders_asked, digest_of, looker, simulate
+from safety_harness.testing.simulating import avoiders_asked, checker, digest_of, simulate
 from safety_harness.testing.watching import kept_for, under_profile, watching
 from safety_harness.trace.trace import Trace
 
@@ -75,7 +75,7 @@ class ScenarioFile(pytest.File):
         plain = own.replace("[", " ").replace("]", "").strip()
         yield ScenarioNode.from_parent(self, name=plain, items=items)
 
-    def _read(self) -> tuple[list[Scenario], list[SpaceRuns], list[tuple[NotTaken, Claims]]]:
+    def _read(self) -> tuple[list[Scenario], list[SpaceRuns], list[tuple[Incompatible, Claims]]]:
         """Return the admissible scenarios, the spaces, and the scenarios that an avoider cannot take.
 
         The third list holds a refusal by an avoider of the command line, and the claims of its scenario.
@@ -86,23 +86,23 @@ class ScenarioFile(pytest.File):
         """
         gathered = gather([self.path], spaces=True)
         errors, scenarios, spaces = list(gathered.errors), [], []
-        refused: list[tuple[NotTaken, Claims]] = []
+        refused: list[tuple[Incompatible, Claims]] = []
         equal = made_equal(gathered.scenarios, *avoiders_asked()[0])
         for scenario in gathered.scenarios:
             try:
-                outcome = equal.get(scenario.name) or taken(scenario, avoiders_asked(), looker.look)
+                outcome = equal.get(scenario.name) or accept(scenario, avoiders_asked(), checker.check)
             except InputError as error:
                 errors.append(error)
                 continue
-            if isinstance(outcome, NotTaken):
+            if isinstance(outcome, Incompatible):
                 refused.append((outcome, scenario.claims))
             else:
                 scenarios.append(scenario)
         for variant, file in gathered.spaces:
             try:
                 space = space_of(variant.tree, file, name=variant.name)
-                outcome = taken(first_of(space), avoiders_asked(), looker.look)
-                if isinstance(outcome, NotTaken):
+                outcome = accept(first_of(space), avoiders_asked(), checker.check)
+                if isinstance(outcome, Incompatible):
                     refused.append((replace(outcome, scenario=space.name), space.simplest.claims))
                 else:
                     spaces.append(SpaceRuns(space))
@@ -175,12 +175,12 @@ def _items(parent: pytest.Collector, *, scenario: Scenario) -> Nodes:
         yield ClaimItem.from_parent(parent, name=claim.sentence, claim=claim, check=check)
 
 
-def _skipped_items(parent: pytest.Collector, *, claims: Claims, why: NotTaken) -> Nodes:
+def _skipped_items(parent: pytest.Collector, *, claims: Claims, why: Incompatible) -> Nodes:
     for claim in claims:
         yield FileItem.from_parent(parent, name=claim.sentence, claim=claim, check=partial(_skip, why))
 
 
-def _skip(why: NotTaken, test: TestRun) -> None:
+def _skip(why: Incompatible, test: TestRun) -> None:
     test.not_taken = why.avoider
     pytest.skip(str(why))
 

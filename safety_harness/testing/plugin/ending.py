@@ -31,11 +31,11 @@ class Ending:
             return
         from safety_harness.testing.plugin.payloads import of_text
 
-        one = of_text(sent)
-        run = one.run
-        if run.judgements or one.simulated or one.swallowed or run.replayed or run.not_taken:
-            hidden = one.failed and report.passed  # by a hook of somebody else's
-            self._sent.append(replace(one, swallowed=one.swallowed or hidden))
+        message = of_text(sent)
+        run = message.run
+        if run.judgements or message.simulated or message.swallowed or run.replayed or run.not_taken:
+            hidden = message.failed and report.passed  # by a hook of somebody else's
+            self._sent.append(replace(message, swallowed=message.swallowed or hidden))
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
@@ -72,9 +72,9 @@ class Ending:
 
         say = terminalreporter.write_line
         terminalreporter.section("safety claims")
-        found = self._tallies()
-        basis = [self._basis()] * bool(found)
-        for line in (*table_lines(found), *far_lines(found), *self._tested(), *basis):
+        tallies = self._tallies()
+        basis = [self._basis()] * bool(tallies)
+        for line in (*table_lines(tallies), *far_lines(tallies), *self._tested(), *basis):
             say(line)
         untested = untested_lines(self._tallies())
         for line in untested and [
@@ -109,8 +109,8 @@ class Ending:
         """Return how often the gate overruled the avoiders; each run counts once, from whichever worker."""
         from safety_harness.trace.overruling import Overruling
 
-        runs = {run: one for sent in self._sent for run, one in sent.run.overruled.items()}
-        return sum(runs.values(), Overruling()).words
+        runs = {run: counts for sent in self._sent for run, counts in sent.run.overruled.items()}
+        return sum(runs.values(), Overruling()).summary
 
     def _against(self) -> list[str]:
         """Return the differences from the reference; they count as tested only if no test drew scenarios."""
@@ -135,13 +135,13 @@ class Ending:
 
     def _of_another(self) -> list[str]:
         """Return the violations that files expect of their own avoider, and that --avoider shows too."""
-        found = dict.fromkeys(one for sent in self._sent for one in sent.run.of_another)
-        return [f"expected of another than --avoider: it may be for another reason: {one}" for one in found]
+        texts = dict.fromkeys(text for sent in self._sent for text in sent.run.of_another)
+        return [f"expected of another than --avoider: it may be for another reason: {text}" for text in texts]
 
     def _computing_times(self) -> list[str]:
         from safety_harness.report.decisions import lines_of
 
-        runs = (one for sent in self._sent for one in sent.run.computing_times)
+        runs = (time for sent in self._sent for time in sent.run.computing_times)
         return [f"computing time: {line}" for line in lines_of(runs)]
 
     def _untried(self) -> list[str]:
@@ -149,26 +149,28 @@ class Ending:
         from safety_harness.claims.properties.tried import TriedParts
 
         tried = TriedParts()
-        for one in {run: one for sent in self._sent for run, one in sent.run.tried.items()}.values():
-            for title, of_run in one.parts.items():
+        for tried_run in {
+            run: tried for sent in self._sent for run, tried in sent.run.tried.items()
+        }.values():
+            for title, of_run in tried_run.parts.items():
                 tried.join(title, of_run)
         return tried.lines()
 
     def _remarks(self) -> list[str]:
-        from safety_harness.testing.failure_text import near
+        from safety_harness.testing.failure_text import nearest_path
 
         executed = dict.fromkeys(file for sent in self._sent for file in sent.executed)
         lines = [f"executed {file}" for file in executed]
         kept = [sent.run.kept for sent in self._sent if sent.run.kept]
         if kept:
             lines.append("scenarios of failures, tried first next time:")
-            lines += [f"  {near(file)}" for file in kept]
+            lines += [f"  {nearest_path(file)}" for file in kept]
         tried = [sent for sent in self._sent if sent.run.replayed]
         if tried:
             files = sum(len(sent.run.replayed) for sent in tried)
             passed = [file for sent in tried if not sent.failed for file in sent.run.replayed]
             lines.append(f"earlier failures tried first: {files}, in tests that pass now: {len(passed)}")
-            lines += [f"  {near(file)}" for file in passed]
+            lines += [f"  {nearest_path(file)}" for file in passed]
             as_kept = sum(len(sent.run.replayed) for sent in tried if sent.run.as_kept)
             lines += [f"  with the avoider of the file in which it is kept: {as_kept}"] if as_kept else []
         now = current()
@@ -176,7 +178,7 @@ class Ending:
             again = f"--hypothesis-seed={now.seed}"
             lines.append(f"profile {now.profile.name}; {again} draws the same scenarios again")
         if now.report is not None:
-            lines.append(self._unwritten or f"report: {near(now.report)}")
+            lines.append(self._unwritten or f"report: {nearest_path(now.report)}")
         return lines
 
     def _world(self) -> list[str]:
@@ -191,14 +193,14 @@ class Ending:
         from safety_harness.claims.properties.answered import ANSWERED, fallback_words
         from safety_harness.report.words import count_words
 
-        found = {
+        evaluations = {
             j.run: j.evaluation
             for j in self._judgements()
             if j.evaluation.sentence == ANSWERED.example and (j.evaluation.margin or 0.0) < 0.0
         }
-        missing = sum(-int(one.margin or 0.0) for one in found.values())
-        words = fallback_words(missing, sum(one.exercised for one in found.values()))
-        return words and f"{words} of {count_words(len(found), 'run', 'runs')}"
+        missing = sum(-int(evaluation.margin or 0.0) for evaluation in evaluations.values())
+        text = fallback_words(missing, sum(evaluation.exercised for evaluation in evaluations.values()))
+        return text and f"{text} of {count_words(len(evaluations), 'run', 'runs')}"
 
     def _unjudged(self) -> str:
         """Return the simulated runs without a judged claim, with the tests that made them."""
@@ -206,8 +208,8 @@ class Ending:
 
         judged = {run for sent in self._sent for run in sent.judged}
         runs = {run: sent.run.id for sent in self._sent for run in {*sent.simulated} - judged}
-        words = f"{count_words(len(runs), 'simulated run', 'simulated runs')} that nobody judged, in "
-        return words * bool(runs) + ", ".join(dict.fromkeys(runs.values()))
+        text = f"{count_words(len(runs), 'simulated run', 'simulated runs')} that nobody judged, in "
+        return text * bool(runs) + ", ".join(dict.fromkeys(runs.values()))
 
     def _tested(self) -> list[str]:
         """Return the subjects of verdicts that concern more than the avoider or controller by default.
@@ -215,9 +217,9 @@ class Ending:
         That is a shield, a gate or a setting that is not the default.
         """
         runs: dict[str, set[str]] = {}
-        for run in (one.run for one in self._judgements()):
+        for run in (judgement.run for judgement in self._judgements()):
             runs.setdefault(run.beside, set()).add(run.name.partition("#")[0])
-        return [f"tested in {', '.join(sorted(names))}: {words}" for words, names in runs.items() if words]
+        return [f"tested in {', '.join(sorted(names))}: {text}" for text, names in runs.items() if text]
 
     def _tallies(self) -> tuple[ClaimTally, ...]:
         from safety_harness.testing.plugin.payloads import tallies_of
@@ -225,7 +227,7 @@ class Ending:
         return tallies_of(self._judgements())
 
     def _judgements(self) -> list[Judgement]:
-        return [one for sent in self._sent for one in sent.run.judgements]
+        return [judgement for sent in self._sent for judgement in sent.run.judgements]
 
     def _basis(self) -> str:
         """Return the grounds of the session's verdicts."""

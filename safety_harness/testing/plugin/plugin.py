@@ -224,8 +224,8 @@ class _PastCapture(io.StringIO):
         return len(text)
 
 
-def _end(before: Session) -> None:
-    begin(before)
+def _end(previous: Session) -> None:
+    begin(previous)
 
 
 def _is_worker(config: pytest.Config) -> bool:
@@ -236,9 +236,9 @@ def _seed(config: pytest.Config) -> int:
     """Return the seed of ``--hypothesis-seed``, else a new one; a worker of xdist gets its session's seed."""
     if _is_worker(config):
         return int(config.workerinput["safety_seed"])  # type: ignore[attr-defined]
-    asked = config.getoption("--hypothesis-seed", default=None)
-    if asked is not None and asked.isdigit():
-        return int(asked)
+    option = config.getoption("--hypothesis-seed", default=None)
+    if option is not None and option.isdigit():
+        return int(option)
     return random.SystemRandom().randrange(2**32)
 
 
@@ -284,7 +284,7 @@ def refuse_unusable_avoider(reference: str, option: str, *, make: bool) -> None:
     from safety_harness.admission.avoiders import refuse_unusable, resolve_avoider, scenario_of_avoider
 
     try:
-        look = resolve_avoider if make else refuse_unusable
-        look(scenario_of_avoider(reference), Place(field=option))
+        refuse = resolve_avoider if make else refuse_unusable
+        refuse(scenario_of_avoider(reference), Place(field=option))
     except InputError as error:
         raise pytest.UsageError(explained(error)) from None

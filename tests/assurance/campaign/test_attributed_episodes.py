@@ -67,7 +67,7 @@ def test_the_first_of_each_claim_are_taken_strata_side_by_side(path: Path) -> No
     with Ledger.open(path) as ledger:
         violated = ViolatedEpisodes.first(ledger, 3)
     assert list(violated.claims) == [(0, 0), (1, 0), (0, 1)]
-    assert violated.words == "3 of 5 violations, in 3 episodes"
+    assert violated.summary == "3 of 5 violations, in 3 episodes"
 
 
 def test_an_episode_drawn_again_is_the_one_that_was_run(path: Path) -> None:

@@ -13,9 +13,9 @@ from safety_harness.extensions.assurance.campaign.hazards import CountedApproach
 from safety_harness.extensions.assurance.campaign.plan import read_plan
 from safety_harness.extensions.assurance.campaign.risk_graph import (
     ISO_13849,
+    PATHS,
     PFH_D,
     UNKNOWN,
-    WAYS,
     band_of,
     derived,
 )
@@ -41,7 +41,7 @@ def test_every_step_is_told_and_a_low_probability_asks_one_level_less_but_never_
     assert derived(ISO_13849, "S1", "F1", "P1", unlikely=True).level == "a"
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", PATHS)
 def test_what_is_not_assessed_leads_nowhere(way: str) -> None:
     values = way.split()
     for place in range(3):

@@ -83,7 +83,7 @@ def test_two_campaigns_are_paired_by_episode(tmp_path: Path) -> None:
     one = near.episodes
     assert (one.both, one.only_first, one.only_second, one.unclear) == (1, 5, 0, 1)
     assert one.p_value == pytest.approx(2 * 0.5**5)
-    assert near.words == (
+    assert near.summary == (
         "near: overruled 69.2 % of 26 proposals, before 16.7 % of 18 (+52.6%); of 8 episodes some proposal "
         "was overruled both times in 1, only after in 5, only before in 0, unclear 1; p 0.0625 (McNemar, of "
         "its own line alone)"

@@ -186,7 +186,7 @@ def test_a_ledger_that_takes_no_more_ends_the_campaign_and_keeps_what_it_has(
         nonlocal calls
         calls += 1
         if calls > 2:
-            raise OutputError.of(self.path, OSError("no space"))
+            raise OutputError.from_os_error(self.path, OSError("no space"))
         record(self, rows)  # type: ignore[arg-type]
 
     with ledger_in(tmp_path, plan) as ledger:

@@ -205,12 +205,14 @@ def test_an_avoider_is_held_against_what_its_decisions_cost(tmp_path: Path) -> N
     (driven,) = run_all([Admitter().admit(scenario)], KINEMATIC)
     assert isinstance(driven, Trace)
     timed = replace(driven, answer_s=np.array([0.009] + [0.001] * (TICKS - 1)))
-    assert AnswersTook.of(timed) == AnswersTook(TICKS, 1, 0.009, 0.008)
-    assert AnswersTook.of(timed).words == ""  # one in fifty-one: the 95th percentile is within the period
+    assert AnswersTook.from_trace(timed) == AnswersTook(TICKS, 1, 0.009, 0.008)
+    assert (
+        AnswersTook.from_trace(timed).summary == ""
+    )  # one in fifty-one: the 95th percentile is within the period
     times = AnswersTook(20, 2, 0.2, 0.1) + AnswersTook(20, 0, 0.05, 0.1)
     assert times == AnswersTook(40, 2, 0.2, 0.1)
-    assert times.words == ""
-    assert (times + AnswersTook(1, 1, 0.3, 0.1)).words == (
+    assert times.summary == ""
+    assert (times + AnswersTook(1, 1, 0.3, 0.1)).summary == (
         "on this machine 3 of 41 answers (7.3 %) took longer than the 100 ms that the runs allow, "
         "the slowest 300.0 ms (3 times): it was tested as if it answered in time"
     )

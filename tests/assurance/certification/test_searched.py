@@ -161,7 +161,7 @@ def test_a_search_that_fails_or_was_interrupted_is_made_anew_and_the_others_are_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan, asked = plan_in(tmp_path, SEARCHING), list[Path]()
-    full = OutputError.of(tmp_path, OSError(28, "No space left on device"))
+    full = OutputError.from_os_error(tmp_path, OSError(28, "No space left on device"))
     answers = [fails, lambda: Made(interrupted=True), lambda: Made(unwritable=full), Made]
     monkeypatch.setattr(certify_module, "fuzz", searching(answers, asked))
     job = Certification(plan, tmp_path, HarnessTrials(), "certify")

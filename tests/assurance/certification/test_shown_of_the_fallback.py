@@ -63,7 +63,7 @@ def test_an_avoider_that_always_answers_changes_nothing(tmp_path: Path, claimed:
     found, why, findings, counts = standings(tmp_path, silent=[0] * 20, claimed=claimed)
     assert found == [ClaimStatus.SHOWN, ClaimStatus.SHOWN]
     assert not any("fallback" in text for text in [*why, *findings])
-    assert [one.words for one in counts] == [""] * 3
+    assert [one.summary for one in counts] == [""] * 3
 
 
 @pytest.mark.parametrize(("claimed", "expected"), [(False, ClaimStatus.DOUBTED), (True, ClaimStatus.SHOWN)])
@@ -88,7 +88,7 @@ def test_nothing_is_shown_in_green_of_an_avoider_that_never_answered(tmp_path: P
     found, why, _, counts = standings(tmp_path, silent=[2] * 20, claimed=claimed)
     assert found == [ClaimStatus.SHOWN, ClaimStatus.DOUBTED]
     assert "the avoider did not answer: with the fallback in its place in 40 of 40 decisions" in why[1]
-    assert counts[0].words.startswith("the avoider did not always answer")
+    assert counts[0].summary.startswith("the avoider did not always answer")
 
 
 def test_page_argument_and_junit_say_it_in_their_headlines() -> None:

@@ -65,7 +65,7 @@ def test_the_pieces_fill_what_the_hole_leaves() -> None:
 
 
 def test_a_grown_box_has_the_same_centre_and_round_corners() -> None:
-    box = Box.about((0.7, 0.0, 0.35), (0.06, 0.15, 0.1))
+    box = Box.centred_at((0.7, 0.0, 0.35), (0.06, 0.15, 0.1))
     assert box.grown(2.0) == Box((0.58, -0.3, 0.15), (0.82, 0.3, 0.55))
 
 

@@ -20,7 +20,7 @@ from safety_harness.base.shipped.contents import (
     shipped_files,
     shipped_name,
 )
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 
 ROOT = Path(__file__).parents[3]
 ALL = shipped_files()
@@ -42,7 +42,7 @@ def test_every_name_means_one_file() -> None:
 def test_everything_shipped_is_found_by_its_name_and_says_what_it_is(one: ShippedFile) -> None:
     assert located(f"shipped:{one.name}") == one.path
     assert shipped_name(one.path) == f"shipped:{one.name}"
-    assert one.about.strip()
+    assert one.description.strip()
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_an_example_is_an_avoider(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_results_name_it_so_that_anybody_can_run_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert told(Path("shipped:fast-reach")) == Path("shipped:fast-reach")
-    assert told(ROOT / "scenarios/fast-reach.yaml") == Path("shipped:fast-reach")
+    assert display_path(Path("shipped:fast-reach")) == Path("shipped:fast-reach")
+    assert display_path(ROOT / "scenarios/fast-reach.yaml") == Path("shipped:fast-reach")
     monkeypatch.chdir(ROOT)
-    assert told(ROOT / "scenarios/fast-reach.yaml") == Path("scenarios/fast-reach.yaml")
+    assert display_path(ROOT / "scenarios/fast-reach.yaml") == Path("scenarios/fast-reach.yaml")

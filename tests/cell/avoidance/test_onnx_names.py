@@ -156,7 +156,7 @@ def test_the_layout_is_part_of_what_is_tested(tmp_path: Path) -> None:
     layouts = "X=hand,tcp,Y=position", "X=tcp,hand,Y=position"
     references = [f"{tmp_path}/mine.onnx:{layout}" for layout in layouts]
     made = Avoiders()
-    avoiders = [made.of(with_avoider(scenario(), reference))[0] for reference in references]
+    avoiders = [made.avoider_for(with_avoider(scenario(), reference))[0] for reference in references]
     assert [one.name for one in avoiders] == [f"mine.onnx:{layout}" for layout in layouts]
     wanted = [
         one.propose(hand_position_in_base_m=HAND, tcp_position_in_base_m=TCP, seed=1).position_in_base_m

@@ -140,17 +140,17 @@ def test_who_was_decisive_is_said_with_when_and_for_whom() -> None:
     text = REACH + "shield: speed and separation\n"
     found = attribute_shield(admit(parse_scenario(text), controller=Swings()))
     assert found is not None
-    assert found.words == f"the shield was decisive: {swinging()[1].margin_text()} without it"
+    assert found.summary == f"the shield was decisive: {swinging()[1].margin_text()} without it"
     for run in ("shielded", "plain", "alone"):
         untold = replace(found.plain, verdict=Verdict.INCONCLUSIVE, reason="a joint is NaN from 1.2 s on")
-        told = replace(found, **{run: untold}).words
+        told = replace(found, **{run: untold}).summary
         assert told == "who was decisive is not known: a joint is NaN from 1.2 s on"
     near = found.shielded.margin_text()
     kept = replace(found, plain=found.shielded)
-    assert replace(kept, alone=None).words == f"the shield was not needed: {near} without it"
+    assert replace(kept, alone=None).summary == f"the shield was not needed: {near} without it"
     for alone, only in ((found.shielded, "would have sufficed"), (found.plain, "would not have")):
         words = f"the avoider was decisive: {near} without it; the shield alone {only}: {alone.margin_text()}"
-        assert replace(kept, alone=alone).words == words
+        assert replace(kept, alone=alone).summary == words
     trace, _ = shielded()
     stretches = slowings(trace)
     assert stretches == slowings(found.trace)
@@ -169,7 +169,7 @@ def test_an_avoider_that_gives_way_to_a_slow_hand_is_decisive_before_its_shield(
     text = f"{slow}avoider: opposite pose\nshield: speed and separation\n"
     found = attribute_shield(admit(parse_scenario(text)))
     assert found is not None
-    assert found.words.startswith("the avoider was decisive: ")
+    assert found.summary.startswith("the avoider was decisive: ")
 
 
 def test_it_brakes_no_harder_than_it_says() -> None:

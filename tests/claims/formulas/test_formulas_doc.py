@@ -35,8 +35,8 @@ def test_the_python_of_the_page_is_its_third_sentence(
 
 def test_the_words_of_the_table_are_what_python_says() -> None:
     forms = {
-        "always for 2 s stopped": "always(stopped(), within=s(2))",
-        "always from 1 s to 2 s stopped": "always(stopped(), within=(s(1), s(2)))",
+        "always for 2 s stopped": "always(stopped(), window=s(2))",
+        "always from 1 s to 2 s stopped": "always(stopped(), window=(s(1), s(2)))",
         "TCP speed < 100 mm/s": "tcp_speed() < mm_per_s(100)",
     }
     for sentence, python in forms.items():

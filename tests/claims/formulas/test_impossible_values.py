@@ -36,12 +36,12 @@ TRUTH = ("joint_position_rad", *DERIVED, "hand_position_in_base_m", "elbow_posit
 Shape = Callable[[Formula], Formula]
 SHAPES: dict[str, Shape] = {
     "always": always,
-    "always for": lambda one: always(one, within=s(0.008)),
+    "always for": lambda one: always(one, window=s(0.008)),
     "eventually": eventually,
-    "within": lambda one: eventually(one, within=(s(0.008), s(0.016))),
+    "within": lambda one: eventually(one, window=(s(0.008), s(0.016))),
     "initially": initially,
     "not": lambda one: eventually(~one),
-    "until": lambda one: one.until(~one, within=s(0.016)),
+    "until": lambda one: one.until(~one, window=s(0.016)),
     "or": lambda one: always(one | stopped()),
     "whenever": lambda one: whenever(one).then(one),
     "whenever stopped": lambda one: whenever(stopped()).then(one),

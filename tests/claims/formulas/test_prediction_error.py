@@ -46,7 +46,7 @@ def test_a_perfect_predictor_has_no_error_and_one_that_never_extrapolates_the_wh
 
 def test_the_claim_is_violated_by_who_never_extrapolates_and_holds_for_who_is_right(visit: Trace) -> None:
     right, lagging = walking(visit, extrapolated_s=HORIZON_S), walking(visit, extrapolated_s=0.0)
-    known = always(WITHIN_10_MM, within=s(3.5))
+    known = always(WITHIN_10_MM, window=s(3.5))
     for formula in (known, always(WITHIN_10_MM), whenever(hand_tracked()).then(WITHIN_10_MM)):
         assert FormulaClaim(formula).evaluate(lagging).verdict is Verdict.VIOLATED
     assert FormulaClaim(known).evaluate(right).verdict is Verdict.HOLDS

@@ -120,19 +120,19 @@ def test_what_a_formula_is_written_as_is_read_as_that_formula(formula: Formula) 
         ("ALWAYS  Hand Distance ≥ 5 cm", always(hand_distance() >= cm(5))),
         (
             "whenever hand distance < 300 mm then within 200 ms TCP speed < 100 mm/s",
-            whenever(hand_distance() < mm(300)).then(eventually(tcp_speed() < mm_per_s(100), within=ms(200))),
+            whenever(hand_distance() < mm(300)).then(eventually(tcp_speed() < mm_per_s(100), window=ms(200))),
         ),
         (
             "repulsing until hand distance > 300 mm within 4 s",
-            repulsing().until(hand_distance() > mm(300), within=s(4)),
+            repulsing().until(hand_distance() > mm(300), window=s(4)),
         ),
-        ("always for 2 s not stopped", always(~stopped(), within=s(2))),
-        ("always from 0.1 s to 0.5 s stopped", always(stopped(), within=(s(0.1), s(0.5)))),
-        ("eventually from 1 s to 2 s stopped", eventually(stopped(), within=(s(1), s(2)))),
+        ("always for 2 s not stopped", always(~stopped(), window=s(2))),
+        ("always from 0.1 s to 0.5 s stopped", always(stopped(), window=(s(0.1), s(0.5)))),
+        ("eventually from 1 s to 2 s stopped", eventually(stopped(), window=(s(1), s(2)))),
         ("always (servoing or repulsing)", always(servoing() | repulsing())),
         ("(always servoing) or (eventually stopped)", always(servoing()) | eventually(stopped())),
-        ("eventually within 2 s stopped", eventually(stopped(), within=s(2))),
-        ("eventually (within 2 s stopped)", eventually(eventually(stopped(), within=s(2)))),
+        ("eventually within 2 s stopped", eventually(stopped(), window=s(2))),
+        ("eventually (within 2 s stopped)", eventually(eventually(stopped(), window=s(2)))),
         ("not always servoing", ~always(servoing())),
         ("initially not object visible", initially(~object_visible())),
         (
@@ -141,7 +141,7 @@ def test_what_a_formula_is_written_as_is_read_as_that_formula(formula: Formula) 
         ),
         (
             "whenever repulsing then repulsing until servoing within 4 s",
-            whenever(repulsing()).then(repulsing().until(servoing(), within=s(4))),
+            whenever(repulsing()).then(repulsing().until(servoing(), window=s(4))),
         ),
     ],
 )

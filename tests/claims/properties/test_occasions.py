@@ -66,7 +66,7 @@ def test_a_temporal_word_beside_a_comparison_of_no_time_is_refused_with_both_spe
 
 
 def test_the_same_is_refused_in_python() -> None:
-    mixed = (hand_distance() > mm(100)) | eventually(stopped(), within=ms(200))
+    mixed = (hand_distance() > mm(100)) | eventually(stopped(), window=ms(200))
     with pytest.raises(FormulaError, match="initially"):
         FormulaClaim(mixed)
     FormulaClaim(always(mixed)), FormulaClaim(initially(mixed))

@@ -69,7 +69,7 @@ def exact(visit: Trace) -> list[Trace]:
 
 @lru_cache
 def intervals(avoider: str) -> IntervalRule:
-    found = IntervalRule.of(load_model(shipped_model(avoider)))
+    found = IntervalRule.from_model(load_model(shipped_model(avoider)))
     assert found is not None
     return found
 

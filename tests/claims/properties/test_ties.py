@@ -155,7 +155,7 @@ def test_a_formula_is_decided_at_the_limit_by_its_sign(visit: Trace) -> None:
     for count in range(1, LONGEST + 1, 29):
         limit = s(count * 8 / 1000)
         window = (s((count * 8 - 4) / 1000), s((count * 8 + 4) / 1000))  # that one tick
-        reached = eventually(elapsed_time() >= limit, within=window)
+        reached = eventually(elapsed_time() >= limit, window=window)
         assert FormulaClaim(reached).evaluate(trace).verdict is Verdict.HOLDS
-        beyond = eventually(elapsed_time() > limit, within=window)
+        beyond = eventually(elapsed_time() > limit, window=window)
         assert FormulaClaim(initially(~beyond)).evaluate(trace).verdict is not Verdict.VIOLATED

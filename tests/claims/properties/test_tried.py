@@ -49,12 +49,12 @@ def made(what: Scenario) -> Trace:
 
 
 def test_every_move_that_begins_counts_as_tried() -> None:
-    assert TriedParts.of(made(scenario(VISIT))).lines() == []
+    assert TriedParts.from_traces(made(scenario(VISIT))).lines() == []
 
 
 @pytest.mark.parametrize(("duration_s", "idle"), [(0.2, [2, 3]), (0.9, [3])])
 def test_the_moves_that_a_run_is_too_short_for_are_named(duration_s: float, idle: list[int]) -> None:
-    (line,) = TriedParts.of(made(scenario(VISIT, duration_s=duration_s))).lines()
+    (line,) = TriedParts.from_traces(made(scenario(VISIT, duration_s=duration_s))).lines()
     words = {2: "move 2 of right (wait)", 3: "move 3 of right (withdraw)"}
     assert line.startswith("untried in 1 run of 'an example'")
     assert line.endswith("of: " + "; ".join(words[number] for number in idle))
@@ -62,11 +62,11 @@ def test_the_moves_that_a_run_is_too_short_for_are_named(duration_s: float, idle
 
 def test_a_move_that_one_of_several_runs_begins_is_tried() -> None:
     runs = [made(scenario(VISIT, duration_s=one)) for one in (0.2, 2.5)]
-    assert TriedParts.of(*runs).lines() == []
+    assert TriedParts.from_traces(*runs).lines() == []
 
 
 def test_a_run_that_was_cut_short_tries_nothing() -> None:
-    assert TriedParts.of(replace(made(scenario(VISIT)), ended="interrupted")).lines() == []
+    assert TriedParts.from_traces(replace(made(scenario(VISIT)), ended="interrupted")).lines() == []
 
 
 def test_faults_that_change_nothing_are_named_and_others_are_not() -> None:
@@ -79,13 +79,13 @@ def test_faults_that_change_nothing_are_named_and_others_are_not() -> None:
     false = FalseHand(position_in_base_m=(0.9, -0.5, 0.2), from_s=0.5)
     busy = (CameraBlind(from_s=0.5, until_s=0.6), false)
     trace = made(replace(scenario(LATER), faults=(*idle, *busy)))
-    (line,) = TriedParts.of(trace).lines()
+    (line,) = TriedParts.from_traces(trace).lines()
     for number, words in enumerate(("avoider answers NaN", "hand sensor sees nothing"), start=1):
         assert f"fault {number} ({words})" in line
     for number in (4, 5):
         assert f"fault {number} " not in line
     whole = made(replace(scenario(VISIT), faults=(HandSensorBlind(),)))
-    assert TriedParts.of(whole).lines() == []
+    assert TriedParts.from_traces(whole).lines() == []
 
 
 def test_a_blind_sensor_acts_only_where_it_hides_a_hand() -> None:

@@ -65,17 +65,17 @@ def test_every_column_is_within_what_is_known_of_it(tmp_path: Path) -> None:
         true, count = truth_at(trace, true_cell, trace.time_s).ticks, len(trace.ticks)
         for name in ("joint_position_rad", "joint_velocity_radps", "tcp_speed_mps"):
             off = np.abs(trace.ticks[name] - true[name]).reshape(count, -1).max(axis=1)
-            assert (off <= trace.known.within(name, count) + 1e-9).all(), name
+            assert (off <= trace.known.uncertainty_of(name, count) + 1e-9).all(), name
         for name in ("hand_position_in_base_m", "elbow_position_in_base_m"):
             off = np.linalg.norm(trace.ticks[name][:, 0] - true[name][:, 0], axis=1)
-            assert (off <= trace.known.within(name, count) + 1e-9).all(), name
+            assert (off <= trace.known.uncertainty_of(name, count) + 1e-9).all(), name
         off = np.abs(trace.ticks["hand_distance_m"][:, 0] - true["hand_distance_m"][:, 0])
-        assert (off <= trace.known.within("hand_distance_m", count) + 1e-9).all()
+        assert (off <= trace.known.uncertainty_of("hand_distance_m", count) + 1e-9).all()
 
 
 def test_beyond_the_longest_gap_nothing_is_known(tmp_path: Path) -> None:
     trace = trace_of(read_log(_log(tmp_path, lost=((0.6, 0.9),)))).trace
-    (gap,) = trace.known.of("hand_distance_m").gaps
+    (gap,) = trace.known.measurement_of("hand_distance_m").gaps
     assert gap.hand == 0
     assert 0.5 < trace.time_s[gap.first] < 0.65
     assert 0.85 < trace.time_s[gap.after] < 1.0
@@ -88,7 +88,9 @@ def test_the_clock_that_is_said_wrongly_known_widens_what_is_certain(tmp_path: P
     text = said("joints.csv", "hands.csv#hand", "hands.csv#elbow")
     close = trace_of(read_log(_log(tmp_path, text=text))).trace
     loose = trace_of(read_log(_log(tmp_path, text=text.replace("known to: 5 ms", "known to: 55 ms")))).trace
-    wider = loose.known.within("hand_distance_m", 100) - close.known.within("hand_distance_m", 100)
+    wider = loose.known.uncertainty_of("hand_distance_m", 100) - close.known.uncertainty_of(
+        "hand_distance_m", 100
+    )
     assert wider == pytest.approx(0.05, abs=0.015)  # 1 m/s for 50 ms more
 
 
@@ -99,8 +101,8 @@ def test_what_nobody_recorded_is_inconclusive_and_the_rest_is_the_logs(tmp_path:
     assert away.verdict is Verdict.INCONCLUSIVE
     assert "mode" in away.unmeasured
     assert found.trace.known.recorded
-    assert found.trace.known.of("joint_position_rad").source is Source.LOG
-    assert found.trace.known.of("hand_distance_m").source is Source.DERIVED
+    assert found.trace.known.measurement_of("joint_position_rad").source is Source.LOG
+    assert found.trace.known.measurement_of("hand_distance_m").source is Source.DERIVED
     assert "recorded, not simulated" in found.notes[0]
 
 

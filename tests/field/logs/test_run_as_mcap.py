@@ -64,7 +64,9 @@ def _comes_back(name: str, folder: Path) -> None:
         assert log.verdict in (run.verdict, Verdict.INCONCLUSIVE), (name, run, log)
         if run.sentence.startswith("hand distance never below") and log.margin is not None:
             assert run.margin is not None
-            off_m = float(back.known.within("hand_distance_m", len(back.ticks))[:-1].max()) + 2.0 * 1e-4
+            off_m = (
+                float(back.known.uncertainty_of("hand_distance_m", len(back.ticks))[:-1].max()) + 2.0 * 1e-4
+            )
             bent_m = abs(log.margin - run.margin)
             assert bent_m <= 2.0 * off_m, (name, run, log)
         elif run.unit in SPEEDS and log.margin is not None and run.margin is not None:

@@ -55,7 +55,7 @@ def test_a_hand_is_within_what_its_samples_say(
     trace = trace_of(read_log(file)).trace
     true, count = truth_at(trace, one, trace.time_s).ticks, len(trace.ticks)
     within = {
-        name: trace.known.within(name, count)
+        name: trace.known.uncertainty_of(name, count)
         for name in ("hand_position_in_base_m", "elbow_position_in_base_m")
     }
     for name, bound in within.items():

@@ -64,7 +64,7 @@ def test_what_happened_is_simulated_again_to_the_last_digits(happened: Trace, fo
 
 def test_a_search_around_it_finds_violations(folder: Path) -> None:
     space = read_space(folder / "LOG-around.yaml")
-    trials, cube = Trials(space, in_kinematic, seed=0), Cube.of(space)
+    trials, cube = Trials(space, in_kinematic, seed=0), Cube.from_space(space)
     searcher = Default(cube, claims=len(trials.goals), seed=0)
     found = find_violations(cube, trials.goals, trials, searcher, budget=4)
     assert found.tried == 4

@@ -44,7 +44,7 @@ def test_image_errors_are_those_of_the_simulated_camera(source: ImageSource) -> 
     """An independent way to the same number: polygon in base, camera pose in base, as a world does it."""
     settings = replace(DEFAULTS, camera=replace(DEFAULTS.camera, source=source))
     positions = space_named("unseen tcp", settings).tcp.draw(np.random.default_rng(5), 300)
-    errors, in_view = ImageErrors.of(settings).at(positions, raster=source is ImageSource.RASTER)
+    errors, in_view = ImageErrors.from_settings(settings).at(positions, raster=source is ImageSource.RASTER)
     view, state = view_of(settings), sensors(settings, 0, 0, np.eye(4)).state
     polygon = object_polygon_in_base(settings)
     rotation = desired_transform_tcp_to_base(settings)[:3, :3]
@@ -61,13 +61,13 @@ def test_image_errors_are_those_of_the_simulated_camera(source: ImageSource) -> 
 
 def test_the_image_error_of_an_upright_view_is_the_squared_distance_even_beyond_the_border() -> None:
     positions = space_named("unseen tcp", DEFAULTS).tcp.draw(np.random.default_rng(6), 2_000)
-    errors, in_view = ImageErrors.of(DEFAULTS).at(positions)
+    errors, in_view = ImageErrors.from_settings(DEFAULTS).at(positions)
     assert not in_view.all()
     assert errors == pytest.approx(np.sum((positions - DESIRED) ** 2, axis=1), abs=1e-12)
 
 
 def test_discrete_objects_have_image_errors_too_but_no_raster_image() -> None:
-    errors = ImageErrors.of(with_object(ObjectKind.DISCRETE))
+    errors = ImageErrors.from_settings(with_object(ObjectKind.DISCRETE))
     at_desired, in_view = errors.at(DESIRED)
     assert in_view
     assert at_desired == pytest.approx(0.0, abs=1e-18)
@@ -78,7 +78,7 @@ def test_discrete_objects_have_image_errors_too_but_no_raster_image() -> None:
 
 def test_selected_is_the_candidate_in_view_with_the_least_error() -> None:
     candidates = candidates_of(SMALL.settings, SMALL.tcp_in_base, SMALL.seed, np.arange(SMALL.tcps))
-    errors, in_view = ImageErrors.of(DEFAULTS).at(candidates)
+    errors, in_view = ImageErrors.from_settings(DEFAULTS).at(candidates)
     for k in range(SMALL.tcps):
         best = min(range(100), key=lambda c, k=k: errors[k, c] if in_view[k, c] else np.inf)
         assert np.array_equal(SMALL.selected_in_base[k], candidates[k, best])
@@ -87,7 +87,7 @@ def test_selected_is_the_candidate_in_view_with_the_least_error() -> None:
 
 
 def test_a_nearer_candidate_that_does_not_see_the_object_is_not_selected_unless_none_does() -> None:
-    errors = ImageErrors.of(DEFAULTS)
+    errors = ImageErrors.from_settings(DEFAULTS)
     out_of_view, in_view = DESIRED + [0.0, 0.2, -0.2], DESIRED + [0.0, 0.0, 0.5]
     further_out = DESIRED + [0.0, 0.3, -0.2]
     best, counts = errors.select(np.array([[out_of_view, in_view], [further_out, out_of_view]]))
@@ -98,7 +98,7 @@ def test_a_nearer_candidate_that_does_not_see_the_object_is_not_selected_unless_
 def test_tcps_from_which_nothing_can_be_seen_are_refused() -> None:
     below_the_object = np.array([DEFAULTS.object.position_in_base_m]) - [0.0, 0.0, 0.2]
     with pytest.raises(DatasetError, match="1 of 1 TCPs"):
-        ImageErrors.of(DEFAULTS).select(below_the_object[:, None])
+        ImageErrors.from_settings(DEFAULTS).select(below_the_object[:, None])
 
 
 def test_a_sample_joins_a_tcp_and_a_hand_by_equation_13() -> None:
@@ -175,7 +175,7 @@ def test_raster_images_of_1000_tcps_select_alike_or_nearly_as_well() -> None:
     """Pixels move a_n by tenths of a millimetre, so that near ties may fall the other way."""
     dataset = generate(DEFAULTS, SEEN, seed=8, tcps=1000, hands=1)
     candidates = candidates_of(dataset.settings, dataset.tcp_in_base, 8, np.arange(1000))
-    errors = ImageErrors.of(DEFAULTS)
+    errors = ImageErrors.from_settings(DEFAULTS)
     best, _ = errors.select(candidates, raster=True)
     chosen = candidates[np.arange(1000), best]
     assert np.mean(np.all(chosen == dataset.selected_in_base, axis=1)) > 0.98
@@ -240,7 +240,7 @@ def test_the_label_floor_is_what_redrawing_through_the_image_leaves() -> None:
     """The same floor by brute force: fresh data sets for the same TCPs, selected by image error."""
     tcps = SEEN.tcp.draw(np.random.default_rng(10), 40)
     floor = label_floor(DEFAULTS, tcps, seed=1)
-    errors, rows = ImageErrors.of(DEFAULTS), np.arange(40)
+    errors, rows = ImageErrors.from_settings(DEFAULTS), np.arange(40)
     labels = []
     for seed in range(300):
         candidates = candidates_of(DEFAULTS, tcps, 100 + seed, rows)

@@ -155,13 +155,13 @@ def test_training_data_that_cannot_be_made_again_are_no_test_part() -> None:
 
 def test_a_card_that_says_less_or_something_else_is_none(shipped: Model) -> None:
     data = dict(shipped.card["data"])
-    whole = DataCard.of({"data": data})
+    whole = DataCard.from_card({"data": data})
     assert whole is not None
     assert (whole.tcps, whole.split) == (10_000, "by TCP")
     for change in ({"tcps": "many"}, {"seed": -1}, {"split": []}, {"space": "mine"}, {"sha256": None}):
-        assert DataCard.of({"data": data | change}) is None
-    assert DataCard.of({}) is None
-    assert DataCard.of({"data": "random weights"}) is None
+        assert DataCard.from_card({"data": data | change}) is None
+    assert DataCard.from_card({}) is None
+    assert DataCard.from_card({"data": "random weights"}) is None
 
 
 def test_errors_of_a_constant_answer_are_those_of_its_distance(sets: list[EvaluationSet]) -> None:

@@ -216,12 +216,12 @@ def test_weight_decay_is_gal_s_for_the_whole_training_set_and_the_targets_varian
 
 
 def test_normalised_training_samples_have_mean_zero_and_variance_one() -> None:
-    normal = Normalisation.of(TINY, *moments(SAMPLES, TRAINING))
+    normal = Normalisation.from_recipe(TINY, *moments(SAMPLES, TRAINING))
     x = network_inputs(SAMPLES.all_inputs[TRAINING], normal)
     assert x[:, :6].mean(axis=0) == pytest.approx(0.0, abs=1e-5)
     assert x[:, :6].std(axis=0) == pytest.approx(1.0, abs=1e-5)
     assert np.all(x[:, 6] == 1.0)
-    raw = Normalisation.of(replace(TINY, normalise=False), *moments(SAMPLES, TRAINING))
+    raw = Normalisation.from_recipe(replace(TINY, normalise=False), *moments(SAMPLES, TRAINING))
     assert network_inputs(SAMPLES.all_inputs, raw)[:, :6] == pytest.approx(1e3 * SAMPLES.all_inputs)
 
 

@@ -46,15 +46,15 @@ def region_score(name: str = "seen", *, questions: int = 200, shift_m: float = 0
         value = float(np.quantile(values, share))
         return Figure(value, value - 0.001, value + 0.001)
 
-    share = Proportion.of(error < 0.06)
+    share = Proportion.from_rows(error < 0.06)
     return RegionScore(
         region=name,
         about=f"{name} hands & <TCPs>",
         asked_in_runs=name != "far",
         questions=asked,
         answers=answers,
-        answered=Proportion.of(np.ones(questions, bool)),
-        leads_away=Proportion.of(gained >= 0.0),
+        answered=Proportion.from_rows(np.ones(questions, bool)),
+        leads_away=Proportion.from_rows(gained >= 0.0),
         in_reach=None,
         gained_m=(figure(gained, 0.5), figure(gained, 0.05)),
         least_gained_m=float(gained.min()),
@@ -73,7 +73,7 @@ def region_score(name: str = "seen", *, questions: int = 200, shift_m: float = 0
             honest_rank=0.5,
             rms_m=0.002,
         ),
-        wrong_and_sure=Proportion.of(error > 0.06),
+        wrong_and_sure=Proportion.from_rows(error > 0.06),
         above_threshold=None,
         worst_off=(),
         worst_gained=(),
@@ -85,7 +85,7 @@ def scorecard(avoider: str = "mc-dropout", *, shift_m: float = 0.0, measured: bo
     regions = (region_score(shift_m=shift_m), region_score("far", shift_m=shift_m))
     question = regions[0].questions.single(0)
     change = AnswerChange(Moved.HAND, question, regions[0].questions.single(1), 0.081, 1e-5)
-    share = Proportion.of(np.array([True, False]))
+    share = Proportion.from_rows(np.array([True, False]))
     return Scorecard(
         avoider=avoider,
         name=f"the <{avoider}>",

@@ -124,8 +124,8 @@ def test_it_is_part_of_a_trace_on_request_alone(
     assert all(one.whole is not Sameness.NONE for one in after.certified.decisions)
     judge_again([out / "run.trace"], ("trace finite and monotone",), keep_going=False, out=out)
     page = (out / "report.html").read_text()
-    assert after.certified.words in page
-    assert after.certified.decisions[0].words in page
+    assert after.certified.summary in page
+    assert after.certified.decisions[0].summary in page
     again, plain = tmp_path / "again.trace", tmp_path / "plain.trace"
     save_trace(load_trace(before), again)
     save_trace(replace(after, certified=None), plain)

@@ -63,7 +63,7 @@ def test_a_question_of_a_ur5_s_cell_is_asked_by_a_ur5(tmp_path: Path) -> None:
         np.array([0.5, 0.0, 0.28]),
         5,
         title="a question",
-        about="for a test",
+        description="for a test",
         claims=CLAIMS,
         settings=scenario.settings,
         robot=scenario.robot,

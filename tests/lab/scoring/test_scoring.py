@@ -52,7 +52,7 @@ def test_the_yardsticks_are_asked_the_same_questions(beside: tuple[Scorecard, ..
 
 
 def test_mc_dropout_has_no_finding(beside: tuple[Scorecard, ...]) -> None:
-    card = score(Subject.of("mc-dropout"), REGIONS, seed=3, counts=COUNTS)
+    card = score(Subject.from_reference("mc-dropout"), REGIONS, seed=3, counts=COUNTS)
     assert findings(card, beside) == ()
     assert card.times is not None
     assert 0.0 < card.times.median_s <= card.times.p99_s <= card.times.most_s
@@ -61,7 +61,7 @@ def test_mc_dropout_has_no_finding(beside: tuple[Scorecard, ...]) -> None:
 
 def test_the_figures_follow_from_the_seed() -> None:
     one, again, other = (
-        score(Subject.of("mc-dropout"), REGIONS[:1], seed=seed, counts=COUNTS).regions[0]
+        score(Subject.from_reference("mc-dropout"), REGIONS[:1], seed=seed, counts=COUNTS).regions[0]
         for seed in (5, 5, 6)
     )
     assert one.off_m == again.off_m
@@ -165,7 +165,7 @@ class Mine:
     file = tmp_path / "mine.py"
     file.write_text(text)
     few = Counts(first=20, other=20, far=20, segments=2, alone=4, sample=8)
-    card = score(Subject.of(f"{file}:Mine"), REGIONS[:1], seed=0, counts=few)
+    card = score(Subject.from_reference(f"{file}:Mine"), REGIONS[:1], seed=0, counts=few)
     told = {(one.way.name, one.apart): one.differ for one in card.repeats}
     assert told["FRESH", True] == 8
     assert told["AGAIN", False] == 0
@@ -173,7 +173,7 @@ class Mine:
 
 def test_an_avoider_that_there_is_not_is_refused() -> None:
     with pytest.raises(InadmissibleError):
-        Subject.of("mc-dropuot")
+        Subject.from_reference("mc-dropuot")
 
 
 def test_a_region_that_holds_nothing_to_ask_has_neither_figures_nor_findings() -> None:

@@ -99,7 +99,7 @@ def test_a_reversed_avoider_is_blamed() -> None:
     assert found.margin is not None
     assert found.margin < -0.3
     assert any(one.ingredients == (Ingredient.GATE,) for one in found.helping)  # the full gate sees it too
-    assert found.words.startswith("avoider (exact optimum): +")
+    assert found.summary.startswith("avoider (exact optimum): +")
 
 
 def test_late_decisions_are_blamed_and_not_what_is_decided() -> None:
@@ -115,8 +115,8 @@ def test_a_blind_sensor_is_blamed() -> None:
 def test_a_small_critical_distance_is_blamed_with_the_least_change_that_helps() -> None:
     found = only(admit(slow(SMALL)))
     assert found.group == "critical distance"
-    assert found.words.startswith("critical distance (x 2): +")
-    alone = {one.words: one.outcome for one in found.replays if len(one.changes) == 1}
+    assert found.summary.startswith("critical distance (x 2): +")
+    alone = {one.summary: one.outcome for one in found.replays if len(one.changes) == 1}
     assert alone["critical distance (x 1.5)"] is Outcome.VIOLATED
 
 
@@ -144,7 +144,7 @@ def test_two_causes_are_named_together() -> None:
 def test_what_the_replay_does_not_show_is_not_attributed() -> None:
     found = only(admit(slow()))
     assert found.answer is AttributionAnswer.NOT_ATTRIBUTED
-    assert found.words == "not attributed: the kinematic replay does not reproduce it: holds"
+    assert found.summary == "not attributed: the kinematic replay does not reproduce it: holds"
     assert not found.replays
     expected = replace(slow(), claims=(Claim(sentence=DISTANCE, expected=Verdict.VIOLATED),))
     assert [one.answer for one in attribute(admit(expected))] == [AttributionAnswer.NOT_ATTRIBUTED]
@@ -163,9 +163,9 @@ def test_a_run_that_fails_is_not_attributed() -> None:
 
 def test_it_is_the_same_every_time() -> None:
     first, again = (only(admit(slow(SMALL))) for _ in range(2))
-    assert first.words == again.words
-    assert [(one.words, one.margin) for one in first.replays] == [
-        (one.words, one.margin) for one in again.replays
+    assert first.summary == again.words
+    assert [(one.summary, one.margin) for one in first.replays] == [
+        (one.summary, one.margin) for one in again.replays
     ]
 
 
@@ -196,7 +196,7 @@ def test_the_exact_optimum_is_the_closed_form_one_at_a_time_and_together() -> No
 
 
 def test_what_changes_nothing_is_not_tried() -> None:
-    system = Altered.of(admit(scenario(hand())))
+    system = Altered.from_admitted(admit(scenario(hand())))
     tried = {str(change) for change in CHANGES if change.on(system) is not None}
     idle = {"deadline (answers within a tick)", "perception (ideal)", "servoing (ideal camera)"}
     assert not tried & {*idle, "avoider (opposite pose)", "hand (half as fast)"}
@@ -212,7 +212,7 @@ def test_a_hand_half_as_fast_goes_the_same_way_for_twice_as_long() -> None:
         Withdraw(speed_mps=0.6),
     )
     (change,) = (one for one in CHANGES if one.ingredient is Ingredient.HAND)
-    slower = change.on(Altered.of(admit(scenario(hand(*moves)))))
+    slower = change.on(Altered.from_admitted(admit(scenario(hand(*moves)))))
     assert slower is not None
     assert slower.scenario.duration_s == 5.0
     (half,) = slower.scenario.hands
@@ -227,7 +227,7 @@ def test_a_hand_half_as_fast_goes_the_same_way_for_twice_as_long() -> None:
 
 def test_nothing_of_the_servo_is_tried_of_another_controller() -> None:
     driven = replace(slow(), controller="stop when near", avoider=NO_AVOIDER)
-    system = Altered.of(admit(driven))
+    system = Altered.from_admitted(admit(driven))
     tried = {change.ingredient for change in CHANGES if change.on(system) is not None}
     assert not tried & {Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GATE, Ingredient.FALLBACK}
     assert Ingredient.HAND in tried
@@ -250,12 +250,12 @@ def test_every_pair_is_tried_where_nothing_helps_alone() -> None:
 
 def test_a_tally_counts_each_violation_once_and_every_change_that_helps() -> None:
     found = [only(reversed_avoider(), AWAY), only(admit(slow(SMALL))), only(admit(slow()))]
-    tally = AttributionTally.of(found)
-    assert tally.words == "of 3: 1 avoider, 1 critical distance, 1 not attributed"
+    tally = AttributionTally.from_attributions(found)
+    assert tally.summary == "of 3: 1 avoider, 1 critical distance, 1 not attributed"
     assert tally.would_help["avoider (exact optimum)"] == 1
     assert tally.would_help["critical distance (x 2)"] == 1
     assert tally.would_help["critical distance (x 1.5)"] == 0
-    assert list(AttributionTally.of([]).lines()) == []
+    assert list(AttributionTally.from_attributions([]).lines()) == []
     data = tally.as_json()
     assert data["violations"] == 3
     assert data["groups"] == tally.groups

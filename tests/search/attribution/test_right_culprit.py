@@ -183,7 +183,7 @@ def approached(speed_mps: float, settings: Settings = DEFAULTS, avoider: str = "
 def test_a_setting_that_a_user_changed_is_named_first(what: Scenario, sentence: str, words: str) -> None:
     found = only(what, sentence)
     assert found.cause == (Ingredient.SETTINGS,)
-    assert found.words.startswith(words)
+    assert found.summary.startswith(words)
 
 
 def test_what_is_broken_is_named_before_a_setting_that_makes_up_for_it() -> None:
@@ -193,7 +193,7 @@ def test_what_is_broken_is_named_before_a_setting_that_makes_up_for_it() -> None
 
 def test_settings_that_nobody_changed_are_not_tried_and_two_are_tried_together_too() -> None:
     def tried(settings: Settings) -> dict[str, Altered]:
-        system = Altered.of(admit(approached(0.25, settings, "nearest candidate")))
+        system = Altered.from_admitted(admit(approached(0.25, settings, "nearest candidate")))
         own = [change for change in CHANGES if change.ingredient is Ingredient.SETTINGS]
         return {one.words: changed for one in own if (changed := one.on(system)) is not None}
 
@@ -209,7 +209,7 @@ def test_settings_that_nobody_changed_are_not_tried_and_two_are_tried_together_t
 
 
 def test_an_avoider_made_of_a_setting_is_made_anew_with_it() -> None:
-    system = Altered.of(admit(approached(0.25, with_settings("avoidance", radius_m=0.2))))
+    system = Altered.from_admitted(admit(approached(0.25, with_settings("avoidance", radius_m=0.2))))
     (change,) = (one for one in CHANGES if one.words == "radius at its default")
     changed = change.on(system)
     assert changed is not None

@@ -106,7 +106,7 @@ def test_the_same_motions_keep_what_can_be_kept() -> None:
 
 
 def test_no_change_of_the_system_helps_what_is_called_unavoidable() -> None:
-    system = Altered.of(admitted(reaching()))
+    system = Altered.from_admitted(admitted(reaching()))
     others = (change.on(system) for change in CHANGES if change.ingredient is not Ingredient.HAND)
     traces = list(run_many([altered for altered in others if altered is not None]))
     assert len(traces) > 5
@@ -142,7 +142,7 @@ def test_the_bound_is_never_below_what_a_fleeing_tool_is_left_with() -> None:
 
 def test_the_free_arm_contains_the_arm() -> None:
     system = admitted(reaching())
-    free = FreeArm.of(system)
+    free = FreeArm.from_checked(system)
     assert 0.01 < free.tip_m < 0.05
     assert set(free.body.names) == {"base_1", "base_2", "shoulder"}
     assert np.linalg.norm(free.start_m - free.centre_m) < free.reach_m

@@ -220,7 +220,7 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
 
     """
     source, expected = source_of(path, place), f"{path.name} to give an avoider {name}"
-    make = partial(Make.of, path, source, name)
+    make = partial(Make.from_file, path, source, name)
     with refusing(InadmissibleError, expected, PROGRAM_S, place):
         return IsolatedAvoider(_connections[-1](path, source), make, PROGRAM_S)
 
@@ -242,6 +242,6 @@ def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedA
     source, expected = onnx_bytes(path), "an ONNX file that can be loaded and answers twice"
     hand = settings.avoidance.nominal_hand_position_in_base_m
     tcp = settings.cell.desired_tcp_position_in_base_m
-    make = partial(Make.of, path, source, layout, onnx=True, hand=hand, tcp=tcp)
+    make = partial(Make.from_file, path, source, layout, onnx=True, hand=hand, tcp=tcp)
     with refusing(ModelError, expected, ONNX_S, None, path):
         return IsolatedAvoider(_connections[-1](path, source), make, ONNX_S)

@@ -69,7 +69,7 @@ def of_file(path: Path, name: str, place: Place, *, onnx: bool) -> Making:
         subject, source = path.name, onnx_bytes(path, place, InadmissibleError)
     else:
         subject, source = f"{name} of {path.name}", source_of(path, place)
-    first = partial(Make.of, path, source, name, onnx=onnx)
+    first = partial(Make.from_file, path, source, name, onnx=onnx)
     made = partial(_made, binary_wire(said_by_process.decode, MOST_BYTES), first, PYTHON_S, place)
     return lambda: made(subject, process_of(path, source, LOGGER, partial(Process.python, CHILD)))
 

@@ -42,7 +42,7 @@ class ViolatedEpisodes:
         return cls(chosen, sum(counts))
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The number of these violations, of all violations and of the episodes, in words."""
         chosen = sum(map(len, self.claims.values()))
         return f"{chosen} of {self.of} violations, in {len(self.claims)} episodes"

@@ -203,7 +203,7 @@ class EpisodeRunner:
             judgements=judgements,
             draws=draws,
             **_decided(run),
-            overruling=Overruling.of([run]),
+            overruling=Overruling.from_traces([run]),
             run=number_of(run),
             theorem=theorem_bits(run),
             cell="" if cell is None else str(cell),
@@ -212,7 +212,7 @@ class EpisodeRunner:
             worker=self.worker,
             asked=() if run.scenario.driven else tuple(asked_in(run)),
             driven=driven_in(run),
-            times=AnswersTook.of(run),
+            times=AnswersTook.from_trace(run),
             added=tuple(_added(run)),
         )
 

@@ -34,7 +34,7 @@ _COLUMNS = (
     ("seconds", "e.seconds", "float64"),
     ("worker", "e.worker", "string"),
 )
-_FROM = (
+_JOINED = (
     "FROM judgement j JOIN stratum s ON s.id = j.stratum JOIN claim c ON c.id = j.claim "
     "JOIN episode e ON e.stratum = j.stratum AND e.episode = j.episode LEFT JOIN cell l ON l.id = e.cell "
     "ORDER BY j.stratum, j.claim, j.episode"
@@ -78,7 +78,7 @@ def _columns(ledger: Ledger) -> tuple[tuple[str, str, str], ...]:
 
 
 def _lines(ledger: Ledger) -> Iterator[tuple[object, ...]]:
-    return ledger.all(f"SELECT {', '.join(place for _, place, _ in _columns(ledger))} {_FROM}")
+    return ledger.all(f"SELECT {', '.join(place for _, place, _ in _columns(ledger))} {_JOINED}")
 
 
 def _csv(ledger: Ledger, path: Path) -> int:

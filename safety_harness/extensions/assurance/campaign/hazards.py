@@ -32,11 +32,13 @@ LOW, NOT_LOW = "low", "not low"
 
 
 def _line(expected: str) -> Text:
-    return Text(words="text, one line", expected=expected, reads=lambda field: _nonempty(field, expected))
+    return Text(
+        description="text, one line", expected=expected, reads=lambda field: _nonempty(field, expected)
+    )
 
 
 def _prose(expected: str) -> Text:
-    return Text(words="text", reads=lambda field: _nonempty(field, expected, lines=True))
+    return Text(description="text", reads=lambda field: _nonempty(field, expected, lines=True))
 
 
 def _nonempty(field: Field, expected: str, *, lines: bool = False) -> str:
@@ -48,7 +50,7 @@ def _nonempty(field: Field, expected: str, *, lines: bool = False) -> str:
 
 def _one_of(*words: str) -> Text:
     listed = f"{', '.join(words[:-1])} or {words[-1]}"
-    return Text(words=listed, reads=lambda field: field.one_of({choice: choice for choice in words}))
+    return Text(description=listed, reads=lambda field: field.one_of({choice: choice for choice in words}))
 
 
 _SOURCE = _line("the source of the number")
@@ -73,7 +75,7 @@ class CountedApproaches:
         return most_an_hour(self.count, self.hours, chance)
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The count, the hours and the source, in words."""
         return f"{self.count} approaches in {self.hours:.4g} h ({self.source})"
 
@@ -96,7 +98,7 @@ class StatedApproaches:
         return self.at_most
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The bound, its confidence and the source, in words."""
         return f"at most {self.at_most:g} an hour with {100.0 * self.confidence:.10g} % ({self.source})"
 
@@ -131,7 +133,7 @@ def _fitted(field: Field) -> CountedApproaches:
 class _FittedApproaches:
     approaches: CountedApproaches = key(
         "fitted",
-        Text(words="file, relative to the plan", reads=_fitted),
+        Text(description="file, relative to the plan", reads=_fitted),
         "the output of `safety-harness hands fit --json`: its approaches and hours",
         "hands.json",
     )

@@ -24,6 +24,7 @@ import numpy as np
 
 from safety_harness.admission.repeatability import DrivenAgain, RepeatabilityResult
 from safety_harness.base.exceptions import RecordingError
+from safety_harness.base.renamed import renamed_parameters
 from safety_harness.base.whole_file import replacing, writing
 from safety_harness.cell.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.claims.properties.base import Unit
@@ -242,7 +243,7 @@ class Ledger:
     @property
     def slow(self) -> list[str]:
         """The strata whose answers took longer than their runs allow, in words."""
-        named = ((name, self.times(k).words) for k, name in enumerate(self.declared.strata))
+        named = ((name, self.times(k).summary) for k, name in enumerate(self.declared.strata))
         return [f"{name}: {text}" for name, text in named if text]
 
     def take_opened(self, files: Iterable[tuple[str, str]]) -> None:
@@ -391,13 +392,13 @@ class Ledger:
             return RepeatabilityResult(questions=0)
         order = "ORDER BY differing = 0, words = '', id"
         rows = list(self.all(f"SELECT questions, asked, differing, words, apart FROM repeated {order}"))
-        questions, asked, differing = (sum(row[k] for row in rows) for k in range(3))
+        questions, asked_again, differing = (sum(row[k] for row in rows) for k in range(3))
         kind: Callable[..., RepeatabilityResult] = RepeatabilityResult
         if any(row[4] & BY_RUNS for row in rows):
             kind = partial(DrivenAgain, of_avoider=any(row[4] & OF_AVOIDER for row in rows))
         return kind(
             questions=questions,
-            asked=asked,
+            asked=asked_again,
             differing=differing,
             words=next((row[3] for row in rows), ""),
             apart=any(row[4] & BY_PROCESS for row in rows),
@@ -464,19 +465,20 @@ class Ledger:
             delete = "DELETE FROM trace WHERE stratum = ? AND episode = ?"
             self.connection.executemany(delete, ((stratum, episode) for episode in episodes))
 
-    def stop(self, stratum: int, after: int) -> None:
+    @renamed_parameters(after="episodes")  # deprecated: the old name, for one release
+    def stop(self, stratum: int, episodes: int) -> None:
         """End a stratum early, and remove later episodes.
 
         Args:
             stratum: The number of the stratum.
-            after: The number of episodes that remain.
+            episodes: The number of episodes that remain.
 
         """
         with self.transaction():
             for table in ("trace", "judgement", "episode", *["added"] * self._has("added")):
                 delete = f"DELETE FROM {table} WHERE stratum = ? AND episode >= ?"
-                self.connection.execute(delete, (stratum, after))
-            self.connection.execute("UPDATE stratum SET stopped_after = ? WHERE id = ?", (after, stratum))
+                self.connection.execute(delete, (stratum, episodes))
+            self.connection.execute("UPDATE stratum SET stopped_after = ? WHERE id = ?", (episodes, stratum))
 
     def stopped_after(self, stratum: int) -> int | None:
         """Return the number of episodes after which a stratum stopped; None if it did not stop.

@@ -141,7 +141,9 @@ def explained(path: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         text, code = str(error), getattr(error, "sqlite_errorcode", 0) & 0xFF
         if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
-            raise OutputError.of(path, OSError(f"{text}; the ledger keeps all committed episodes")) from error
+            raise OutputError.from_os_error(
+                path, OSError(f"{text}; the ledger keeps all committed episodes")
+            ) from error
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             raise unusable(path, "a ledger without the lock of another process", text) from error
         raise unusable(path, "a ledger, whole and readable", text) from error

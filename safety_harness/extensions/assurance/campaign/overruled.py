@@ -66,7 +66,7 @@ class OverrulingCompared:
     episodes: PairedComparison  # second campaign minus first
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The comparison in one line."""
         pair, more = self.episodes, self.after.share - self.before.share
         was, now = (

@@ -26,7 +26,7 @@ MEANINGS = {
     "P1": "avoidable",
     "P2": "scarcely avoidable",
 }
-WAYS = tuple(" ".join(path) for path in product(SEVERITIES, EXPOSURES, AVOIDANCES))
+PATHS = tuple(" ".join(path) for path in product(SEVERITIES, EXPOSURES, AVOIDANCES))
 PFH_D = {"a": (1e-5, 1e-4), "b": (3e-6, 1e-5), "c": (1e-6, 3e-6), "d": (1e-7, 1e-6), "e": (1e-8, 1e-7)}
 
 
@@ -50,7 +50,7 @@ class RiskGraph:
 
 ISO_13849 = RiskGraph(
     name="ISO 13849-1:2023, Annex A (informative)",
-    levels=dict(zip(WAYS, "abbccdde", strict=True)),
+    levels=dict(zip(PATHS, "abbccdde", strict=True)),
     an_hour={level: high for level, (_, high) in PFH_D.items()},
 )
 
@@ -98,16 +98,16 @@ OWN_GRAPH = KeyTable(
     keys=(
         Key(
             "graph",
-            Text(words="text", expected="the graph's name and edition"),
+            Text(description="text", expected="the graph's name and edition"),
             "whose graph it is",
             "the company's own, edition 3",
         ),
         Key(
             "levels",
             FreeKeys(
-                of=Text(words="text", expected="a level"),
-                words=f"mapping of {', '.join(WAYS)}",
-                expected="the level of each of " + ", ".join(WAYS),
+                of=Text(description="text", expected="a level"),
+                description=f"mapping of {', '.join(PATHS)}",
+                expected="the level of each of " + ", ".join(PATHS),
             ),
             "the level of each path",
             "levels: {S1 F1 P1: low, S1 F1 P2: low, S1 F2 P1: low, S1 F2 P2: high, S2 F1 P1: high, "
@@ -117,7 +117,7 @@ OWN_GRAPH = KeyTable(
             "an hour",
             FreeKeys(
                 of=_RATE,
-                words="mapping of levels to numbers",
+                description="mapping of levels to numbers",
                 expected="the violations an hour of each level",
             ),
             "the largest number of violations an hour for each level",
@@ -138,12 +138,12 @@ def read_graph(field: Field | None) -> RiskGraph:
     levels: dict[str, str] = {}
     listed = given.required("levels")
     for path, value in listed.entries("a mapping of the eight ways to levels"):
-        if path not in WAYS:
-            raise value.error(f"one of {', '.join(WAYS)}", got=path, hint=near_miss(path, WAYS))
+        if path not in PATHS:
+            raise value.error(f"one of {', '.join(PATHS)}", got=path, hint=near_miss(path, PATHS))
         levels[path] = value.sentence("a level")
         if levels[path] not in rates:
             raise value.error(f'a level with a rate in "an hour": {", ".join(rates) or "none"}')
-    if missing := [path for path in WAYS if path not in levels]:
-        raise listed.error(f"a level for each of {', '.join(WAYS)}", got=f"none for {', '.join(missing)}")
+    if missing := [path for path in PATHS if path not in levels]:
+        raise listed.error(f"a level for each of {', '.join(PATHS)}", got=f"none for {', '.join(missing)}")
     name = given.required("graph").sentence("the graph's name and edition")
     return RiskGraph(name=name, levels=levels, an_hour=rates)

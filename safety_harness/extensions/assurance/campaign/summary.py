@@ -103,7 +103,7 @@ class FallbackTally:
     reason: str
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """The text for headlines; empty if the avoider always answered."""
         return fallback_words(self.unanswered, self.decisions)
 

@@ -29,7 +29,7 @@ class AvoiderWatch:
         """Take in a run."""
         self.decisions += len(run.decisions)
         self.unanswered += int(np.count_nonzero(unanswered(run)))
-        self.times += AnswersTook.of(run)
+        self.times += AnswersTook.from_trace(run)
         self.repeatability.add(run)
 
     def add_row(self, row: Row, scenario: Callable[[], Scenario]) -> None:
@@ -44,7 +44,7 @@ class AvoiderWatch:
     @property
     def time_lines(self) -> list[str]:
         """A line if the avoider was slower than its runs allow; else empty."""
-        return [f"computing time: {text}" for text in [self.times.words] if text]
+        return [f"computing time: {text}" for text in [self.times.summary] if text]
 
     def remarks(self, plan: Plan) -> Iterator[str]:
         """Ask the avoider again, and yield reasons why the runs do not represent the avoider of ``plan``."""

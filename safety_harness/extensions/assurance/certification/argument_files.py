@@ -26,7 +26,7 @@ from safety_harness.scenario.nodes import parse_tree
 
 GSN, NOTES = "argument.gsn.yaml", "argument.yaml"
 MOST_LETTERS, MOST_BYTES = 2000, 2**20  # letters of a note, bytes of the file
-_ABOUT = """\
+_HEADER = """\
 # Write a note on any element of the argument here. certify keeps it and shows it as your justification; it
 # changes no verdict. Run certify again after each change, because the report has this file's hash.
 """
@@ -92,12 +92,16 @@ def notes_text(evidence: Evidence) -> str:
 
     A note whose element no longer exists stays in the file, with a remark.
     """
-    elements = {one.name: one for one in argument_of(evidence).every() if one.name}
-    notes = {one.element: one.text for one in evidence.notes}
-    lines = [_ABOUT]
+    elements = {element.name: element for element in argument_of(evidence).every() if element.name}
+    notes = {note.element: note.text for note in evidence.notes}
+    lines = [_HEADER]
     for name in dict.fromkeys((*elements, *notes)):
-        one = elements.get(name)
-        head = f"{one.kind.name.lower()}: {plain(one.text, longest=160)}" if one else "on no element any more"
+        element = elements.get(name)
+        head = (
+            f"{element.kind.name.lower()}: {plain(element.text, longest=160)}"
+            if element
+            else "on no element any more"
+        )
         lines.append(f"\n# {head}\n{json.dumps(name, ensure_ascii=False)}:{_scalar(notes.get(name, ''))}\n")
     return "".join(lines)
 

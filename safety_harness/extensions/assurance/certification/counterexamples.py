@@ -191,7 +191,7 @@ def read_findings(path: Path) -> Found:
         InputError: ``fuzz`` did not write the file; the error names the field.
 
     """
-    findings = typed(read_json(path, "the findings of a search"), Found, path, others=True)
+    findings = typed(read_json(path, "the findings of a search"), Found, path, further_fields=True)
     if not 0 <= findings.tried <= findings.budget:
         place, got = Place(file=path, field="tried"), str(findings.tried)
         raise InputError(place=place, expected=f"0 to {findings.budget} runs", got=got)
@@ -235,18 +235,18 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
     if not known:
         return None
     lines = [
-        f"{stratum}: {found.tried} runs of the searcher {found.searcher} in the kinematic world, "
-        f"{count_words(len(found.distinct), 'group of violations', 'groups of violations')}; "
-        f"{count_words(len(found.counterexamples), 'was', 'were')} shrunk"
-        f"{' and confirmed in PyBullet' * bool(found.confirmed)}, "
-        f"{count_words(len(found.unconfirmed), 'was', 'were')} not confirmed"
-        for stratum, found in known
+        f"{stratum}: {search.tried} runs of the searcher {search.searcher} in the kinematic world, "
+        f"{count_words(len(search.distinct), 'group of violations', 'groups of violations')}; "
+        f"{count_words(len(search.counterexamples), 'was', 'were')} shrunk"
+        f"{' and confirmed in PyBullet' * bool(search.confirmed)}, "
+        f"{count_words(len(search.unconfirmed), 'was', 'were')} not confirmed"
+        for stratum, search in known
     ]
     lines += [f"{item.stratum}: the search {item.problem}" for item in searches if item.found is None]
-    lines += [f"{stratum}: {found.attribution.words}" for stratum, found in known if found.attribution]
+    lines += [f"{stratum}: {search.attribution.words}" for stratum, search in known if search.attribution]
     lines.append("A search looks where violations are: its counts are no estimate of anything.")
     return SearchSummary(
-        runs=sum(found.tried for _, found in known), searcher=known[0][1].searcher, lines=tuple(lines)
+        runs=sum(search.tried for _, search in known), searcher=known[0][1].searcher, lines=tuple(lines)
     )
 
 
@@ -314,7 +314,7 @@ def _example(
     data: bytes | None = None,
 ) -> Example:
     """Return a counterexample with its margin and its ``replay`` command; ``numbered`` sets its number."""
-    index = run.under(sentence).about
+    index = run.under_claim(sentence).about
     shown = CounterexampleEvidence(
         number=0,
         claim=None if claim is None else claim + 1,
@@ -345,8 +345,8 @@ def told_whose_fault(plan: Plan, met: Sequence[Example | str]) -> tuple[Example 
         claim = item.shown.claim if isinstance(item, Example) and item.shown.independent else None
         if isinstance(item, Example) and claim is not None and counts[claim] < MOST_ASKED:
             counts[claim] += 1
-            told = attribution.explain(item.run.trace.scenario, plan.claims[claim - 1].claim)
-            item = with_fault(item, told.lines)
+            attributions = attribution.explain(item.run.trace.scenario, plan.claims[claim - 1].claim)
+            item = with_fault(item, attributions.lines)
         examples.append(item)
     return tuple(examples)
 

@@ -172,7 +172,9 @@ def delta_of(earlier: EarlierReport, later: EarlierReport) -> EvidenceDelta:
     """
     with ExitStack() as stack:
         reports = (earlier, later)
-        first, second = (stack.enter_context(Ledger.open(one.folder / LEDGER, alone=True)) for one in reports)
+        first, second = (
+            stack.enter_context(Ledger.open(report.folder / LEDGER, alone=True)) for report in reports
+        )
         _refuse_order(earlier, first, second)
         return delta_between(
             earlier.evidence,

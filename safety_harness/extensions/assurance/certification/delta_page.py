@@ -41,14 +41,14 @@ def write_delta(folder: Path, delta: EvidenceDelta, *, command: str, generated_a
         write_whole(folder / JSON, delta.as_text())
         write_whole(folder / PAGE, render(delta, command=command, generated_at=generated_at))
     except OSError as error:
-        raise OutputError.of(folder, error) from error
+        raise OutputError.from_os_error(folder, error) from error
 
 
 def render(delta: EvidenceDelta, *, command: str, generated_at: datetime) -> str:
     """Return the page of ``delta`` as text; it shows the ``command`` that repeats it and ``generated_at``."""
     return render_page(
         "delta.html.j2",
-        of="safety_harness.extensions.assurance",
+        package="safety_harness.extensions.assurance",
         made=(generated_at, command),
         delta=delta,
         basis=". ".join(delta.bases),

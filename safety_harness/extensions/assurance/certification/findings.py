@@ -108,8 +108,8 @@ def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenF
             text = f"{stratum.name}: {stratum.failed} of {stratum.made} runs could not be carried on{most}"
             yield OpenFinding(text, "strata")
         fallback = fallback_of(ledger, place)
-        if fallback.words:
-            text = f"{stratum.name}: {fallback.words}; most often: {fallback.reason}"
+        if fallback.summary:
+            text = f"{stratum.name}: {fallback.summary}; most often: {fallback.reason}"
             yield OpenFinding(text, "strata")
 
 

@@ -76,7 +76,7 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
         for name, text in {JSON: as_text(evidence), **texts}.items():
             write_whole(folder / name, text)
     except OSError as error:
-        raise OutputError.of(folder, error) from error
+        raise OutputError.from_os_error(folder, error) from error
     return evidence
 
 
@@ -163,7 +163,7 @@ def write_manifest(folder: Path, files: Iterable[StoredFile]) -> None:
     try:
         write_whole(folder / MANIFEST, text + "\n")
     except OSError as error:
-        raise OutputError.of(folder / MANIFEST, error) from error
+        raise OutputError.from_os_error(folder / MANIFEST, error) from error
 
 
 def read_manifest(folder: Path) -> dict[str, str]:

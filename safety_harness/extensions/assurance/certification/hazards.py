@@ -64,7 +64,7 @@ def _hazard(plan: Plan, hazard: Hazard, worst: list[tuple[float, str] | None]) -
         level=required.level,
         asked_an_hour=required.an_hour,
         claims=tuple(claim + 1 for claim in claims),
-        approaches="" if known is None else known.words,
+        approaches="" if known is None else known.summary,
         approaches_an_hour=most,
         rate_confidence=None if most is None else 1.0 - error.of_each_rate,
         rates=tuple(rates),

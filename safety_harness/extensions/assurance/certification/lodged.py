@@ -78,7 +78,7 @@ def write_once(made: L, file: Path, read: Callable[[Path], L], *, expected: str)
     try:
         write_whole(file, made.as_json)
     except OSError as error:
-        raise OutputError.of(file, error) from error
+        raise OutputError.from_os_error(file, error) from error
     return made
 
 
@@ -246,4 +246,4 @@ def read_seal(file: Path) -> Seal:
         InputError: The file is no seal.
 
     """
-    return typed(of_format(read_json(file, SEAL_FORMAT), SEAL_FORMAT, file), Seal, file, others=True)
+    return typed(of_format(read_json(file, SEAL_FORMAT), SEAL_FORMAT, file), Seal, file, further_fields=True)

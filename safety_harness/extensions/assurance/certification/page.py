@@ -110,7 +110,7 @@ def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard)
     views = [_counterexample(met, runs.get(met.number), replays, guard) for met in evidence.counterexamples]
     return render_page(
         "evidence.html.j2",
-        of="safety_harness.extensions.assurance",
+        package="safety_harness.extensions.assurance",
         basis=evidence.basis,
         style="evidence.css",
         scripts=("evidence.js", "coverage.js"),
@@ -209,7 +209,8 @@ def _counterexample(
     if run is None or len(run.trace.ticks) == 0:
         return {"one": met} | none
     part = f"the pictures of counterexample {met.number}"
-    return {"one": met} | guard.run(part, lambda: _pictures(met, run.under(met.sentence), replays), none)
+    shown = run.under_claim(met.sentence)
+    return {"one": met} | guard.run(part, lambda: _pictures(met, shown, replays), none)
 
 
 def _pictures(met: CounterexampleEvidence, run: JudgedRun, replays: Replays) -> dict[str, object]:
@@ -220,7 +221,7 @@ def _pictures(met: CounterexampleEvidence, run: JudgedRun, replays: Replays) -> 
         "run": run,
         "views": path_views(run, prefix=prefix),
         "timeline": Markup(timeline(run, prefix=f"{prefix}time-")),
-        "replay": replays.of(run, prefix.removesuffix("-")),
+        "replay": replays.arguments_for(run, prefix.removesuffix("-")),
         "moment": "" if moment is None else f"{moment.time_s:.3f}",
         "moment_name": "Nearest hand" if moment is None or moment.claim is None else "Worst moment",
     }

@@ -49,7 +49,7 @@ class CertifiedNetwork:
                 with replacing(folder / name) as part:
                     part.write_bytes(data)
             except OSError as error:
-                raise OutputError.of(folder / name, error) from error
+                raise OutputError.from_os_error(folder / name, error) from error
 
 
 def read_certified(file: Path, plan: Plan) -> CertifiedNetwork:

@@ -136,7 +136,7 @@ def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, c
         problem=problem,
         world=plan.world,
         dependent=ledger.dependent,
-        fallback=fallback.words,
+        fallback=fallback.summary,
         stood_in=bool(fallback.unanswered) and (fallback.unanswered == fallback.decisions or not claimed),
     )
     if standing is ClaimStatus.UNTESTED:
@@ -264,7 +264,7 @@ def _overruling(ledger: Ledger, place: int, stratum: str) -> OverrulingResult:
         stratum=stratum,
         proposals=whole.proposals,
         overruled=whole.overruled,
-        words=whole.words,
+        words=whole.summary,
         runs=int(runs),
         runs_overruled=int(overruled),
         bound=bound,

@@ -77,10 +77,10 @@ def _table(file: Path, kind: type[T]) -> T:
 STANDARDS = _table(TABLE, StandardsTable)
 TRACED = {
     claim: replace(
-        one, terms=tuple(replace(term, standard=STANDARDS[term.standard].name) for term in one.terms)
+        hazard, terms=tuple(replace(term, standard=STANDARDS[term.standard].name) for term in hazard.terms)
     )
-    for one in STANDARDS.hazards
-    for claim in one.claims
+    for hazard in STANDARDS.hazards
+    for claim in hazard.claims
 }
 OWN = Tracing(hazard="not stated by the plan: the claim is a formula of its author's")
 

@@ -94,7 +94,7 @@ def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
     lines = []
     for number, stratum in enumerate(plan.strata):
         traces = [run.trace for run in stored if run.stratum == number]
-        tried = TriedParts.of(*traces)
+        tried = TriedParts.from_traces(*traces)
         if tried.lines():
             start_m = traces[0].ticks["transform_tcp_to_base"][0, :3, 3]
             supposed = TriedParts()
@@ -102,7 +102,7 @@ def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
                 supposed.suppose(scenario, start_m)
             for title, parts in supposed.parts.items():
                 tried.join(title, parts, 0)
-        lines += [f"{stratum.name}: {line}" for line in tried.lines(stratum.space, of="kept runs")]
+        lines += [f"{stratum.name}: {line}" for line in tried.lines(stratum.space, subject="kept runs")]
     return lines
 
 
@@ -149,7 +149,7 @@ def calibration_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[Calibration
     """Yield, for each stratum of ``plan``, how often the avoider's intervals held in the ``stored`` runs."""
     for place, stratum in enumerate(plan.strata):
         model = model_of(plan.with_avoider(stratum.space.simplest))
-        prop = SpreadCalibration(intervals=None if model is None else IntervalRule.of(model))
+        prop = SpreadCalibration(intervals=None if model is None else IntervalRule.from_model(model))
         evaluation = prop.evaluate(run.trace for run in stored if run.stratum == place)
         yield CalibrationCheck(
             stratum=stratum.name,

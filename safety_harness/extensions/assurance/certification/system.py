@@ -46,8 +46,12 @@ def system_of(plan: Plan, opened: Mapping[str, str]) -> SystemDescription:
         under_test=tuple(dict.fromkeys(map(named_system, scenarios))),
         card=() if model is None else tuple(card_of(model)),
         limits=(
-            *(() if model is None else (str(one) for one in model.card.get("limits", ()))),
-            *dict.fromkeys(unknown_files(one).removeprefix("; ") for one in scenarios if unknown_files(one)),
+            *(() if model is None else (str(limit) for limit in model.card.get("limits", ()))),
+            *dict.fromkeys(
+                unknown_files(scenario).removeprefix("; ")
+                for scenario in scenarios
+                if unknown_files(scenario)
+            ),
         ),
         gate=() if first.driven else tuple(_gate(first.settings, model, named=first.avoider in NAMES)),
         settings=(

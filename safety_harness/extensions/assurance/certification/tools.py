@@ -246,21 +246,23 @@ def read_selftest(path: Path) -> SelfTest:
         InputError: The file is no selftest.json, or its trial has no fault; the error names the field.
 
     """
-    trial = typed(of_format(read_json(path, "a selftest.json"), FORMAT, path), _Trial, path, others=True)
-    about, tried = trial.about, trial.faults
+    trial = typed(
+        of_format(read_json(path, "a selftest.json"), FORMAT, path), _Trial, path, further_fields=True
+    )
+    facts, tried = trial.about, trial.faults
     faults = tuple(_caught(fault) for fault in tried if fault.state in ON_TRIAL)
     if not faults:
         place = Place(file=path, field="faults")
         raise InputError(place=place, expected="at least one fault that was on trial", got="none")
     return SelfTest(
-        profile=about.profile,
+        profile=facts.profile,
         faults=faults,
         false_alarms=tuple(str(fault.fault) for fault in tried if fault.state is FaultState.FALSE_ALARM),
-        source_hash=about.source_hash,
-        present=about.source_hash == source_hash(),
-        whole=not about.interrupted
-        and len(tried) >= about.planned
-        and "--fault" not in about.command.split(),
+        source_hash=facts.source_hash,
+        present=facts.source_hash == source_hash(),
+        whole=not facts.interrupted
+        and len(tried) >= facts.planned
+        and "--fault" not in facts.command.split(),
     )
 
 
@@ -284,7 +286,7 @@ def read_oracles(path: Path) -> tuple[Oracle, ...]:
 
     """
     path = located(path)
-    table = typed(read_json(path, "a table of oracles"), list[_Oracle], path, others=True)
+    table = typed(read_json(path, "a table of oracles"), list[_Oracle], path, further_fields=True)
     return tuple(
         Oracle(part=row.what, against=row.oracle, largest=f"{row.largest:.2g} {row.unit}") for row in table
     )

@@ -266,7 +266,7 @@ def rewritten(text: bytes) -> str:
     return json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
 
 
-WORDS = {
+PROSE_FIELDS = {
     *("rationale", "exercised_when", "hazard", "terms", "why", "about", "assumptions", "exclusions", "lines"),
     *("system", "separation", "calibration", "credibility", "findings", "margin", "selftest_absent"),
     *("whose_fault", "steps", "approaches"),
@@ -318,7 +318,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
     doubts: list[str] = []
     for place, was, new in _differences(plain(recorded), plain(now), ""):
         names = set(re.split(r"[.\[\]\d]+", place))
-        lenient = frozenset() if same else OF_RUNS if report.same_words else WORDS
+        lenient = frozenset() if same else OF_RUNS if report.same_words else PROSE_FIELDS
         minor = lenient & names or ("largest" in names and _is_close(was, new))
         (doubts if minor else faults).append(f"{place}: {_short(was)} in the report, {_short(new)} comes out")
     faults += _files(report)

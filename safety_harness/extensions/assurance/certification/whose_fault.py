@@ -18,13 +18,13 @@ def whose_fault(plan: Plan, ledger: Ledger) -> WhoseFault:
     It executes the programs that the plan names, as the runs did.
     """
     violated = ViolatedEpisodes.first(ledger, MOST)
-    tally = AttributionTally.of(
+    tally = AttributionTally.from_attributions(
         attribution
         for admitted, claims in violated_episodes(plan, violated, programs=True)
         for attribution in attribute(admitted, claims)
     )
     return WhoseFault(
-        about=f"{violated.words}, the first {MOST} of each claim" if violated.of else "",
+        about=f"{violated.summary}, the first {MOST} of each claim" if violated.of else "",
         groups=tuple(tally.groups.items()),
         would_help=tuple((change, count) for change, count in tally.would_help.items() if count),
     )

@@ -50,7 +50,7 @@ _Cluster = Annotated[
     Option(help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file.", metavar="ADDRESS|FILE"),
 ]
 _Part = Annotated[str, Option(help="Only the K-th of N parts, for 'merge'.", metavar="K/N")]
-_ABOUT = "Run a declared plan of up to millions of episodes into a ledger that survives crashes."
+_HELP = "Run a declared plan of up to millions of episodes into a ledger that survives crashes."
 
 
 class RareWay(StrEnum):
@@ -60,7 +60,7 @@ class RareWay(StrEnum):
     SPLITTING = "splitting"
 
 
-commands = Typer(name="campaign", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+commands = Typer(name="campaign", no_args_is_help=True, help=_HELP, short_help=_HELP)
 _command = partial(
     command, commands, interrupted="interrupted; the ledger has all committed episodes", failed=DIFFERS
 )
@@ -322,9 +322,16 @@ def _write_page(ledger: Ledger, state: LedgerState, path: Path) -> None:
 
     from safety_harness.base.whole_file import writing
     from safety_harness.extensions.assurance.pages.campaign_page import write_page
-    from safety_harness.scenario.files import told
+    from safety_harness.scenario.files import display_path
 
-    argv = ["safety-harness", "campaign", "status", str(told(ledger.path)), "--html", str(told(path))]
+    argv = [
+        "safety-harness",
+        "campaign",
+        "status",
+        str(display_path(ledger.path)),
+        "--html",
+        str(display_path(path)),
+    ]
     with writing(path):
         write_page(path, ledger, state, command=shlex.join(argv), generated_at=datetime.now(UTC))
     say(f"page: {path}")
@@ -472,7 +479,7 @@ def compare(
     assert second is not None
     with Ledger.open(first) as old, Ledger.open(second) as new:
         for ledger in (old, new):
-            if text := fallback_of(ledger).words:
+            if text := fallback_of(ledger).summary:
                 result(f"{ledger.path}: {text}")
         refuse_itself(old, new)
         refuse_incomparable(old, new)
@@ -506,7 +513,7 @@ def compare(
             basis=bases,
         )
         result(*difference_lines(compared, old.declared.confidence))
-        result(*(row.words for row in overruled if row.before.proposals or row.after.proposals))
+        result(*(row.summary for row in overruled if row.before.proposals or row.after.proposals))
         for loss in worse:
             was, now = (loss.unit.margin_text(margin) for margin in (loss.before, loss.after))
             result(f"  worse: {loss.stratum}, episode {loss.episode}: {loss.claim}: {was} -> {now}")
@@ -541,8 +548,8 @@ def attribute(
 @_unwritten("rare")
 def rare_violations(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
-    by: Annotated[
-        RareWay, Option(help="importance draws near violations, splitting moves there in steps.")
+    rare_way: Annotated[
+        RareWay, Option("--by", help="importance draws near violations, splitting moves there in steps.")
     ] = (RareWay.IMPORTANCE),
     pilot: Annotated[
         int | None, Option(help="For importance: draws per step of the pilot (default 500).", min=10)
@@ -591,15 +598,15 @@ def rare_violations(
         RareWay.SPLITTING: {"particles": particles, "steps": steps},
     }
     for method, options in given.items():
-        if method is not by and (name := next((key for key, count in options.items() if count), "")):
-            raise StatisticsError.of_option(f"--{name}", f"--by {method} with it", f"--by {by}")
-    chosen = {name: count for name, count in given[by].items() if count is not None}
-    if by is RareWay.IMPORTANCE:
+        if method is not rare_way and (name := next((key for key, count in options.items() if count), "")):
+            raise StatisticsError.of_option(f"--{name}", f"--by {method} with it", f"--by {rare_way}")
+    chosen = {name: count for name, count in given[rare_way].items() if count is not None}
+    if rare_way is RareWay.IMPORTANCE:
         how: Importance | Splitting = Importance(**chosen, replications=replications)
     else:
         how = Splitting(**{"particles": 200, "steps": 5} | chosen, replications=replications)
     rates, unlike, watch = [], False, AvoiderWatch()
-    with TERMINAL.words() as show:
+    with TERMINAL.messages() as show:
         for rate in estimated(read, how, lambda done: show(f"{done:,} draws of a claim in a stratum"), watch):
             rates.append(rate)
             result(rare_line(rate))

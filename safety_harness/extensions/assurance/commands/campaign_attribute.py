@@ -32,7 +32,7 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
             expected = "--execute-programs, since repeating an episode executes it"
             raise LedgerError.of_file(path, expected, f"a campaign with {', '.join(programs)}")
         violated = ViolatedEpisodes.first(ledger, most)
-        say(violated.words)
+        say(violated.summary)
         episodes = violated_episodes(plan, violated, programs=execute)
         attributed = attribute_all(episodes, len(violated.claims), "episodes", confirm, TERMINAL)
     return conclude(attributed, out)

@@ -158,7 +158,7 @@ def _fallback_lines(ledger: Ledger) -> list[str]:
     fallback = fallback_of(ledger)
     episodes = next(ledger.all("SELECT count(*) FROM episode"))[0]
     where = f"in {fallback.episodes} of {episodes} episodes; most often: {fallback.reason}"
-    return [f"  {fallback.words}, {where}"] if fallback.words else []
+    return [f"  {fallback.summary}, {where}"] if fallback.summary else []
 
 
 def _overruled_lines(ledger: Ledger) -> list[str]:
@@ -166,7 +166,7 @@ def _overruled_lines(ledger: Ledger) -> list[str]:
     strata = ledger.declared.strata
     each = [(name, overruling_in(ledger, k)) for k, name in enumerate(strata) if len(strata) > 1]
     shares = ", ".join(f"{name} {share_words(part.overruled, part.proposals)}" for name, part in each)
-    whole = overruling_in(ledger).words
+    whole = overruling_in(ledger).summary
     return [f"  {whole}", *([f"    by stratum: {shares}"] if shares else [])] if whole else []
 
 
@@ -177,7 +177,7 @@ def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[st
     declared = ledger.declared
     targets = dict(zip(declared.claims, declared.targets, strict=True))
     each = confidence_words(bounds[0].confidence)
-    fallback = fallback_of(ledger).words
+    fallback = fallback_of(ledger).summary
     lines = [
         f"how often a run that tests the claim violates it{f' ({fallback})' if fallback else ''}: all "
         f"{bounds[0].family} bounds, two a line, "

@@ -40,8 +40,8 @@ class _PlanOrCommand(TyperGroup):
 
 
 commands = Typer()
-_ABOUT = "Run a declared plan and write its evidence; declare, seal, delta."
-of_certify = Typer(name="certify", cls=_PlanOrCommand, help=_ABOUT, short_help=_ABOUT)
+_HELP = "Run a declared plan and write its evidence; declare, seal, delta."
+of_certify = Typer(name="certify", cls=_PlanOrCommand, help=_HELP, short_help=_HELP)
 
 
 @command(
@@ -227,10 +227,12 @@ def tell_delta(
     """
     from safety_harness.extensions.assurance.certification.delta import EarlierReport
     from safety_harness.extensions.assurance.certify_job import compare_reports
-    from safety_harness.scenario.files import told
+    from safety_harness.scenario.files import display_path
 
     earlier, later = EarlierReport.read(old), EarlierReport.read(new)
-    made_by = shlex.join(["safety-harness", "certify", "delta", str(told(old)), str(told(new))])
+    made_by = shlex.join(
+        ["safety-harness", "certify", "delta", str(display_path(old)), str(display_path(new))]
+    )
     delta = compare_reports(earlier, later, made_by)
     _tell_delta(delta, later.folder)
     return DIFFERS if delta.regressions else AS_EXPECTED

@@ -34,14 +34,14 @@ def history(
 
     from safety_harness.base.exceptions import OutputError
     from safety_harness.extensions.assurance.pages.history import read_history, write_page
-    from safety_harness.scenario.files import told
+    from safety_harness.scenario.files import display_path
 
     read = read_history(folder)
-    argv = ["safety-harness", "history", str(told(folder)), "--out", str(told(out))]
+    argv = ["safety-harness", "history", str(display_path(folder)), "--out", str(display_path(out))]
     try:
         write_page(out, read, command=shlex.join(argv), generated_at=datetime.now(UTC))
     except OSError as error:
-        raise OutputError.of(out, error) from error
+        raise OutputError.from_os_error(out, error) from error
     say(read.sentence, read.revisions[-1].basis)
     turns = [
         {"claim": item.claimed, "turns": item.turns, "as_expected": not item.unlike} for item in read.courses

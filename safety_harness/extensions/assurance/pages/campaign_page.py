@@ -27,7 +27,7 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.replay import Replays
 from safety_harness.report.words import with_minus
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.trace.store import load_trace
 
 MOST_EPISODES = 1000  # with violations; the ledger has all
@@ -70,7 +70,7 @@ def write_page(
     shown = list(_shown(ledger, worst))
     page = render_page(
         "campaign.html.j2",
-        of="safety_harness.extensions.assurance",
+        package="safety_harness.extensions.assurance",
         replays=bool(shown),
         shown=shown,
         made=(generated_at, command),
@@ -82,7 +82,7 @@ def write_page(
             item
             for item in (
                 ledger.dependent,
-                fallback_of(ledger).words,
+                fallback_of(ledger).summary,
                 ledger.repeated.words,
                 *ledger.slow,
                 *ledger.wrists,
@@ -98,8 +98,8 @@ def write_page(
         violations=sum(
             tally.of_claim(k).counts[EpisodeOutcome.VIOLATED] for k in range(len(declared.claims))
         ),
-        ledger=told(ledger.path),
-        plan=told(declared.plan_file),
+        ledger=display_path(ledger.path),
+        plan=display_path(declared.plan_file),
         fingerprint=state.fingerprint,
     )
     write_whole(path, page)
@@ -157,11 +157,24 @@ def _strata(ledger: Ledger, tally: CampaignTally) -> Iterator[Cells]:
 
 
 def _worst(
-    of: Declared, stratum: int, episode: int, claim: int, margin: float, time_s: float | None, kept: bool
+    declared: Declared,
+    stratum: int,
+    episode: int,
+    claim: int,
+    margin: float,
+    time_s: float | None,
+    kept: bool,
 ) -> Cells:
     at = "–" if time_s is None else f"{time_s:.3f} s"
     trace = "kept" if kept else "made again from its seed"
-    return of.strata[stratum], episode, of.claims[claim], _margin(of.units[claim], margin), at, trace
+    return (
+        declared.strata[stratum],
+        episode,
+        declared.claims[claim],
+        _margin(declared.units[claim], margin),
+        at,
+        trace,
+    )
 
 
 def _shown(ledger: Ledger, worst: Iterable[Cells]) -> Iterator[dict[str, object]]:
@@ -174,12 +187,12 @@ def _shown(ledger: Ledger, worst: Iterable[Cells]) -> Iterator[dict[str, object]
             file = Path(folder) / f"{number}.trace"
             file.write_bytes(data)
             trace, sentence = load_trace(file), ledger.declared.claims[claim]
-            run = JudgedRun(trace, judge(trace), "").under(sentence)
+            run = JudgedRun(trace, judge(trace), "").under_claim(sentence)
             yield {
                 "id": f"shown-{number}",
                 "what": f"{ledger.declared.strata[stratum]}, episode {episode}",
                 "words": f"{sentence}: {_margin(ledger.declared.units[claim], margin)}",
-                "replay": replays.of(run, f"shown-{number}"),
+                "replay": replays.arguments_for(run, f"shown-{number}"),
             }
 
 

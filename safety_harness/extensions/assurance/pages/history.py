@@ -184,7 +184,7 @@ def write_page(path: Path, history: History, *, command: str, generated_at: date
     shares = {name: shares_of(revisions, name) for name in avoiders}
     page = render_page(
         "history.html.j2",
-        of="safety_harness.extensions.assurance",
+        package="safety_harness.extensions.assurance",
         made=(generated_at, command),
         basis=revisions[-1].basis,
         history=history,

@@ -86,8 +86,8 @@ def evidence_apart(share: ArrayLike, count: ArrayLike, trials: ArrayLike) -> Flo
     return np.asarray(mixture - _likelihood(p, k, n - k))
 
 
-def _likelihood(share: Floats, successes: Floats, others: Floats) -> Floats:
+def _likelihood(share: Floats, successes: Floats, failures: Floats) -> Floats:
     """Return the logarithm of p^k (1 - p)^m; 0 times an infinite logarithm is 0."""
     with np.errstate(invalid="ignore"):
-        each = successes * log(share), others * log1p(-share)
-    return np.where(successes > 0.0, each[0], 0.0) + np.where(others > 0.0, each[1], 0.0)
+        each = successes * log(share), failures * log1p(-share)
+    return np.where(successes > 0.0, each[0], 0.0) + np.where(failures > 0.0, each[1], 0.0)

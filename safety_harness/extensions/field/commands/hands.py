@@ -10,8 +10,8 @@ from typer import Argument, Option, Typer
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import Seed, command
 
-_ABOUT = "Make a scenario space of recorded hands."
-commands = Typer(name="hands", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+_HELP = "Make a scenario space of recorded hands."
+commands = Typer(name="hands", no_args_is_help=True, help=_HELP, short_help=_HELP)
 
 
 @commands.callback()

@@ -10,8 +10,8 @@ from typer import Argument, Option, Typer
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
 
-_ABOUT = "List a log's unconfirmed assumptions, or estimate how far its clocks are apart."
-commands = Typer(name="log", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+_HELP = "List a log's unconfirmed assumptions, or estimate how far its clocks are apart."
+commands = Typer(name="log", no_args_is_help=True, help=_HELP, short_help=_HELP)
 
 
 @command(commands, "check", then="safety-harness judge {log}")

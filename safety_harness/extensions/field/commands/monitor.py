@@ -92,7 +92,7 @@ def monitor(
     Exit code 130: interrupted.
     """
     from safety_harness.base.exceptions import Place, SettingsError
-    from safety_harness.extensions.field.monitoring.cell import taken
+    from safety_harness.extensions.field.monitoring.cell import assumptions_of
     from safety_harness.extensions.field.monitoring.journal import Journal
     from safety_harness.extensions.field.monitoring.monitor import NO_SAFETY_FUNCTION, Monitor
     from safety_harness.scenario.units import TIME, parse_quantity
@@ -107,7 +107,7 @@ def monitor(
         own.journal = Journal(cell=watched, claims=sentences, folder=out, most_bytes=part * 10**6, keep=keep)
     say(NO_SAFETY_FUNCTION)
     if cell is None:
-        assumed = "; ".join(taken([item.name for item in watched.hands]).splitlines())
+        assumed = "; ".join(assumptions_of([item.name for item in watched.hands]).splitlines())
         say(f"assumed without a LOG.yaml: {assumed}")
     for sentence, reason in own.unwatched.items():
         say(f"not watched, though judge may decide it on the log: {sentence} (expected {reason.expected})")
@@ -232,7 +232,7 @@ def lines_of(stream: IO[bytes], patience_s: float) -> Iterator[bytes | None]:
 def _say(change: VerdictLine, as_json: bool) -> None:
     """Print a change of a verdict."""
     if as_json:
-        result(json.dumps(change.told))
+        result(json.dumps(change.as_dict))
         return
     now = "" if change.latest is change.verdict else f", now {change.latest.value}"
     margin = "" if change.margin is None else f"  {change.margin:+.4g} {change.unit}".rstrip()

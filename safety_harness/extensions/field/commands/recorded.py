@@ -33,8 +33,8 @@ class _Quantities(TyperGroup):
         return super().parse_args(ctx, joined)
 
 
-_ABOUT = "Make a scenario, and a space around it, of the log of a cell."
-of_scenarios = Typer(name="scenario", cls=_Quantities, no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+_HELP = "Make a scenario, and a space around it, of the log of a cell."
+of_scenarios = Typer(name="scenario", cls=_Quantities, no_args_is_help=True, help=_HELP, short_help=_HELP)
 commands = Typer()
 Log = Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")]
 OfCell = Annotated[
@@ -46,11 +46,11 @@ OfCell = Annotated[
         metavar="FILE",
     ),
 ]
-From = Annotated[
+Begin = Annotated[
     str | None,
     Option("--from", help="Begin of the used part, since the first sample: 1.5 s.", metavar="TIME"),
 ]
-To = Annotated[str | None, Option("--to", help="End of the used part.", metavar="TIME")]
+End = Annotated[str | None, Option("--to", help="End of the used part.", metavar="TIME")]
 ElbowTowards = Annotated[
     str | None,
     Option(
@@ -77,8 +77,8 @@ def scenario_from(
         str | None,
         Option(help="Factors of the hands' speed in the space: 0.8..1.25.", metavar="LOW..HIGH"),
     ] = None,
-    from_: From = None,
-    to: To = None,
+    start: Begin = None,
+    to: End = None,
     desired_tcp: Annotated[
         str | None,
         Option(
@@ -108,7 +108,7 @@ def scenario_from(
     Exit code 0: the files are written, and can run.
     Exit code 2: the scenario cannot be made, or cannot run, with the reason.
     """
-    from safety_harness.admission.admit import Looker
+    from safety_harness.admission.admit import Checker
     from safety_harness.admission.avoiders import as_seen_from
     from safety_harness.admission.spaces import draw_admissible
     from safety_harness.base.compiled import without_compiling
@@ -121,7 +121,7 @@ def scenario_from(
         write_all,
     )
     from safety_harness.extensions.field.recorded.scenario import scenario_from as make
-    from safety_harness.scenario.files import told
+    from safety_harness.scenario.files import display_path
     from safety_harness.scenario.read import read_scenario
     from safety_harness.space.read import read_space
 
@@ -130,14 +130,14 @@ def scenario_from(
     if scenario is not None and desired_tcp is not None:
         raise LogError.of_option("--desired-tcp", "only --scenario, which has a desired TCP too", desired_tcp)
     given = None if scenario is None else _cell(scenario)
-    cell_log, desired_m = _part(log, from_, to), _point(desired_tcp, "--desired-tcp")
+    cell_log, desired_m = _part(log, start, to), _point(desired_tcp, "--desired-tcp")
     if given is None:
         end = "as --desired-tcp says" if desired_m is not None else "where the log ends"
         named = f"the defaults (desired TCP {end}, avoider {USUAL})"
         given = usual_cell(cell_log, desired_m)
         say(f"note: without --scenario, it uses {named}")
     else:
-        named = str(told(Path(str(scenario))))
+        named = str(display_path(Path(str(scenario))))
     cell = as_seen_from(folder, given)
     made = make(cell_log, cell, elbow_towards_in_base_m=_point(elbow_towards))
     file, space = folder / f"{cell_log.name}.yaml", folder / f"{cell_log.name}-around.yaml"
@@ -146,20 +146,20 @@ def scenario_from(
     if neighbourhood:
         files[space] = space_text(made, neighbourhood, named=named).encode()
     write_all(files)
-    result(*(f"wrote {told(path)}" for path in files))
+    result(*(f"wrote {display_path(path)}" for path in files))
     say(*(f"note: {note}" for note in made.notes))
     document(files=list(files), notes=made.notes)
     try:
-        without_compiling(lambda: Looker().look(read_scenario(file)))
+        without_compiling(lambda: Checker().check(read_scenario(file)))
         if neighbourhood:
             draws = without_compiling(lambda: draw_admissible(read_space(space), seed=0, count=20))
-            say(f"{told(space)}: {draws}")
+            say(f"{display_path(space)}: {draws}")
     except InputError as error:
         say("the written files cannot run as they are:")
         explain_each([error])
         return BAD_INPUT
-    say("next:", f"  safety-harness run {shlex.quote(str(told(file)))}")
-    say(*[f"  safety-harness fuzz {shlex.quote(str(told(space)))}"] * bool(neighbourhood))
+    say("next:", f"  safety-harness run {shlex.quote(str(display_path(file)))}")
+    say(*[f"  safety-harness fuzz {shlex.quote(str(display_path(space)))}"] * bool(neighbourhood))
     return AS_EXPECTED
 
 
@@ -222,8 +222,8 @@ def _point(text: str | None, option: str = "--elbow-towards") -> Vector3 | None:
 def compare_worlds(
     log: Log,
     scenario: OfCell = None,
-    from_: From = None,
-    to: To = None,
+    start: Begin = None,
+    to: End = None,
     elbow_towards: ElbowTowards = None,
     out: Annotated[Path, Option(help="Folder for compare-worlds.json.")] = Path("reports/compare-worlds"),
 ) -> int:
@@ -246,15 +246,15 @@ def compare_worlds(
     from safety_harness.extensions.field.recorded.compare import compare_worlds as compare
     from safety_harness.extensions.field.recorded.scenario import scenario_from as make
     from safety_harness.extensions.field.recorded.words import comparison_lines
-    from safety_harness.scenario.files import told
+    from safety_harness.scenario.files import display_path
     from safety_harness.scenario.typed_json import plain
 
     cell = _cell(scenario)
-    made = make(_part(log, from_, to), cell, elbow_towards_in_base_m=_point(elbow_towards))
+    made = make(_part(log, start, to), cell, elbow_towards_in_base_m=_point(elbow_towards))
     comparison = compare(made)
     result(*comparison_lines(comparison))
     say(*(f"note: {note}" for note in comparison.notes))
     write_text(out / FILE, as_json(comparison))
     document(format=FORMAT, **plain(comparison))
-    say(f"{told(out / FILE)}: for safety-harness certify PLAN --cell")
+    say(f"{display_path(out / FILE)}: for safety-harness certify PLAN --cell")
     return DIFFERS if any(claim.differs for claim in comparison.claims) else AS_EXPECTED

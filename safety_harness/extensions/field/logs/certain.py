@@ -40,7 +40,7 @@ from safety_harness.extensions.field.logs.streams import NS, LogSamples
 from safety_harness.extensions.field.logs.told import ahead_s
 from safety_harness.extensions.field.logs.told_ticks import with_told
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence
 from safety_harness.scenario.read import scenario_of
@@ -144,11 +144,18 @@ def _derived(trace: Trace, columns: dict[str, Measurement]) -> Trace:
     """Return the trace with the columns that follow from joints and hands, with their uncertainties."""
     known, count = trace.known, len(trace.ticks)
     values, ticks = derived(trace), trace.ticks.copy()
-    of_arm = [gap for name in JOINTS for gap in known.of(name).gaps]
-    of_distance = [*known.of(JOINTS[0]).gaps, *known.of(HAND).gaps, *known.of(ELBOW).gaps]
+    of_arm = [gap for name in JOINTS for gap in known.measurement_of(name).gaps]
+    of_distance = [
+        *known.measurement_of(JOINTS[0]).gaps,
+        *known.measurement_of(HAND).gaps,
+        *known.measurement_of(ELBOW).gaps,
+    ]
     reach_m = float(arm_of(trace).reach_m.sum())
     bounds = {
-        "transform_tcp_to_base": (known.within(JOINTS[0], count) * reach_m, known.of(JOINTS[0]).gaps),
+        "transform_tcp_to_base": (
+            known.uncertainty_of(JOINTS[0], count) * reach_m,
+            known.measurement_of(JOINTS[0]).gaps,
+        ),
         "tcp_speed_mps": (tcp_velocity_moved_mps(trace), tuple(of_arm)),
     }
     if not known.missing([ELBOW]) and trace.scenario.hands:
@@ -448,7 +455,9 @@ def _system(scenario: Scenario) -> SystemUnderTest:
 def _provenance(log: CellLog) -> Provenance:
     """Return the provenance of our software, with the files of the log by their hashes."""
     ours = provenance(RECORDED)
-    return replace(ours, files=(*ours.files, *((str(told(file)), sha256_of(file)) for file in log.files)))
+    return replace(
+        ours, files=(*ours.files, *((str(display_path(file)), sha256_of(file)) for file in log.files))
+    )
 
 
 def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:

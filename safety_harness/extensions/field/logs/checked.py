@@ -108,17 +108,17 @@ def the_short_way(joints: LogSamples, facts: JointFacts, arm: ArmModel) -> LogSa
 
 
 def wrapped_rad(
-    way: NDArray[np.float64], step_s: NDArray[np.float64] | float, facts: JointFacts, arm: ArmModel
+    steps_rad: NDArray[np.float64], step_s: NDArray[np.float64] | float, facts: JointFacts, arm: ArmModel
 ) -> NDArray[np.float64]:
-    """Return the whole turns [rad] by which steps ``way`` (..., n) of joints without ends wrap.
+    """Return the whole turns [rad] by which steps ``steps_rad`` (..., n) of joints without ends wrap.
 
     A step takes ``step_s`` (..., 1). Within the longest gap, a step counts as a wrap only if the joint cannot
     have gone the long way in that time.
     """
     endless = np.isinf(arm.position_lower_rad) & np.isinf(arm.position_upper_rad)
     sure = step_s * facts.move_at_most_radps + 2.0 * facts.known_to_rad < np.pi
-    wraps = endless & (np.abs(way) > np.pi) & (sure | (step_s > facts.longest_gap_s))
-    return 2.0 * np.pi * np.where(wraps, np.round(way / (2.0 * np.pi)), 0.0)
+    wraps = endless & (np.abs(steps_rad) > np.pi) & (sure | (step_s > facts.longest_gap_s))
+    return 2.0 * np.pi * np.where(wraps, np.round(steps_rad / (2.0 * np.pi)), 0.0)
 
 
 def noted_beyond_ends(joints: LogSamples, arm: ArmModel) -> LogSamples:

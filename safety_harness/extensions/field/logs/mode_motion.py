@@ -20,7 +20,7 @@ from safety_harness.trace.trace import Trace
 
 TCP, HAND = "transform_tcp_to_base", "hand_position_in_base_m"
 OF_THE_GOAL = (GAIN_SWITCH, GAIN_SWITCH_WITHIN, GAIN_SWITCH_ITERATIONS, CONVERGED)
-ABOUT = 1.5  # critical distances, within which a hand may be the cause: a retreat goes beyond one
+CAUSE_REACH = 1.5  # critical distances, within which a hand may be the cause: a retreat goes beyond one
 RETREATED_M = 0.01  # farther from the desired position; braking after a retreat takes less than 1 mm of it
 
 
@@ -37,17 +37,17 @@ def refuse_retreat_while_servoing(trace: Trace, log: CellLog) -> None:
         return
     servoing = known.measured("mode", ticks) & (ticks["mode"] == Mode.SERVOING)
     servoing &= known.measured(TCP, ticks) & known.measured(HAND, ticks).all(axis=1)
-    tcp_off_m, hand_off_m = (known.within(name, len(ticks)) for name in (TCP, HAND))
+    tcp_off_m, hand_off_m = (known.uncertainty_of(name, len(ticks)) for name in (TCP, HAND))
     far_m = position_errors_m(trace)
     tcp_m = true_motion(trace).tcp_m
     from_hands_m = tcp_m[:, None] - ticks[HAND]
     apart_m = np.where(ticks["hand_present"], np.linalg.norm(from_hands_m, axis=2), np.inf)
     hand_m = apart_m.min(axis=1)
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    near = hand_m - tcp_off_m - hand_off_m < ABOUT * critical_m
-    for first, after in zip(*runs_of(servoing & near), strict=True):
-        least_m = np.minimum.accumulate((far_m + tcp_off_m)[first:after])
-        away = (far_m - tcp_off_m)[first:after] - least_m > RETREATED_M
+    is_near = hand_m - tcp_off_m - hand_off_m < CAUSE_REACH * critical_m
+    for first, stop in zip(*runs_of(servoing & is_near), strict=True):
+        least_m = np.minimum.accumulate((far_m + tcp_off_m)[first:stop])
+        away = (far_m - tcp_off_m)[first:stop] - least_m > RETREATED_M
         if not away.any():
             continue
         end = first + int(np.argmax(away))

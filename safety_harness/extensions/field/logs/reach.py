@@ -29,7 +29,7 @@ class Reach:
 
     def known_gaps(self, hand: int | None = None) -> tuple[Gap, ...]:
         """Return the gaps in the form of a trace."""
-        return tuple(Gap(first=first, after=after, hand=hand) for first, after in self.gaps)
+        return tuple(Gap(first=first, after=end, hand=hand) for first, end in self.gaps)
 
 
 def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floats | float) -> Floats:
@@ -103,7 +103,7 @@ def over_ticks(
         frozen: (m + 1,) true for a sample that repeats the previous one. None: all false.
 
     """
-    within, bounded, lost = np.zeros(count), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+    reached, bounded, lost = np.zeros(count), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
     begin, end = time_ns[:-1], time_ns[1:]
     known = end - begin <= longest_ns
     if frozen is not None:
@@ -113,7 +113,7 @@ def over_ticks(
     spread = last - first
     for step in range(int(spread[known].max(initial=-1)) + 1):
         some = known & (spread >= step)
-        np.maximum.at(within, first[some] + step, off_by[some])
+        np.maximum.at(reached, first[some] + step, off_by[some])
         bounded[first[some] + step] = True
     last_before, first_after = begin[~known] // period_ns, -(-end[~known] // period_ns)
     for left, right in zip(last_before.tolist(), first_after.tolist(), strict=True):
@@ -121,8 +121,8 @@ def over_ticks(
     ends, rest = np.divmod(np.concatenate([begin[~known], end[~known]]), period_ns)
     ends = ends[(rest == 0) & (ends >= 0) & (ends < count)]
     lost[ends[~bounded[ends]]] = True
-    within[lost] = 0.0
-    return Reach(within, tuple((int(a), int(b)) for a, b in zip(*runs_of(lost), strict=True)))
+    reached[lost] = 0.0
+    return Reach(reached, tuple((int(a), int(b)) for a, b in zip(*runs_of(lost), strict=True)))
 
 
 def known_beyond_ns(longest_ns: int) -> int:
@@ -142,17 +142,17 @@ def from_ends(
     reach: Reach, first_ns: int, last_ns: int, *, most: float, sample: float, longest_ns: int, period_ns: int
 ) -> Reach:
     """Return the bounds with ticks before the first and after the last sample, up to half the longest gap."""
-    count, within, gaps = len(reach.within), reach.within.copy(), list(reach.gaps)
+    count, reached, gaps = len(reach.within), reach.within.copy(), list(reach.gaps)
     ticks = np.arange(count) * period_ns
     away_ns = np.maximum(first_ns - ticks, ticks - last_ns)
     outside = away_ns > 0
     too_far = away_ns > known_beyond_ns(longest_ns)
     reachable = beyond_end(away_ns.astype(np.float64), most=most, sample=sample, period_ns=period_ns)
-    near = (away_ns > -period_ns) & ~too_far
-    within = np.where(near, np.maximum(within, reachable), within)
+    in_time = (away_ns > -period_ns) & ~too_far
+    reached = np.where(in_time, np.maximum(reached, reachable), reached)
     for side in (outside & (ticks < first_ns) & too_far, outside & (ticks > last_ns) & too_far):
         where = np.flatnonzero(side)
         if len(where):
             gaps.append((int(where[0]), int(where[-1]) + 1))
-            within[where] = 0.0
-    return Reach(within, tuple(sorted(gaps)))
+            reached[where] = 0.0
+    return Reach(reached, tuple(sorted(gaps)))

@@ -83,11 +83,11 @@ class WatchedCell:
 
     def log_text(self, joints: str, hands: Sequence[str], claims: Sequence[str]) -> str:
         """Return the LOG.yaml of ``joints`` and ``hands``, tables of the samples, judged by ``claims``."""
-        said = _tree_of(self.said.node)
-        assert isinstance(said, dict)
+        tree = _tree_of(self.said.node)
+        assert isinstance(tree, dict)
         file = log_file(self.said)
-        if file is not None and "robot" in said:
-            said["robot"] = _seen_from_anywhere(said["robot"], file.parent.absolute())
+        if file is not None and "robot" in tree:
+            tree["robot"] = _seen_from_anywhere(tree["robot"], file.parent.absolute())
         names = [scalar_text(hand.name) for hand in self.hands]
         forearms: dict[str, Tree] = {
             name: scalar_text(
@@ -96,7 +96,7 @@ class WatchedCell:
             for name, hand, table in zip(names, self.hands, hands, strict=True)
         }
         streams = {name: scalar_text(f"{table}#hand") for name, table in zip(names, hands, strict=True)}
-        kept: dict[str, Tree] = {key: said[key] for key in KEYS if key in said and key not in (TCP, *STREAMS)}
+        kept: dict[str, Tree] = {key: tree[key] for key in KEYS if key in tree and key not in (TCP, *STREAMS)}
         of_joints, of_hands = _table(kept, "joints"), _table(kept, "hands")
         for table in (of_joints, of_hands):
             for key in ("names", "unit", "time", "frame", "left out", "speeds"):
@@ -108,7 +108,7 @@ class WatchedCell:
         if self.hands:
             log["hands"] = streams
             kept["hands"] = of_hands | {"forearm": forearms, "frame": "base"}
-        kept["claims"] = [scalar_text(one) for one in claims]
+        kept["claims"] = [scalar_text(claim) for claim in claims]
         return text_of(kept)
 
 
@@ -121,33 +121,33 @@ def read_cell(path: Path, claims: Sequence[str] = ()) -> WatchedCell:
 
 
 def cell_taken(robot: str, hands: Sequence[str], period: str, claims: Sequence[str]) -> WatchedCell:
-    """Return a cell with the uncertainties of ``taken``."""
+    """Return a cell with the uncertainties of ``assumptions_of``."""
     streams = ", ".join(f"{scalar_text(name)}: none" for name in hands)
     streams = f"hands: {{{streams}}}, " if hands else ""
     text = f"log: {{joints: none, {streams}period: {scalar_text(period)}}}\n"
-    text += taken(hands) + f"robot: {scalar_text(robot)}\n"
+    text += assumptions_of(hands) + f"robot: {scalar_text(robot)}\n"
     return _cell_of(Field(parse_tree(text, None), None, path="", line=1), claims)
 
 
-def taken(hands: Sequence[str]) -> str:
+def assumptions_of(hands: Sequence[str]) -> str:
     """Return the assumptions about joints and hands without a LOG.yaml."""
     return TAKEN_OF_JOINTS + TAKEN_OF_HANDS * bool(hands)
 
 
-def _cell_of(said: Field, claims: Sequence[str]) -> WatchedCell:
-    given = said.fields(KEYS)
+def _cell_of(document: Field, claims: Sequence[str]) -> WatchedCell:
+    given = document.fields(KEYS)
     streams = given.required("log").fields(OF_LOG)
     period = streams.optional("period")
     period_s = DEFAULTS.clock.control_period_s
     if period is not None:
         period_s = period.quantity(TIME, least=SHORTEST_PERIOD_NS / NS, most=LONGEST_PERIOD_NS / NS)
     if claims:
-        node = Items(tuple(Scalar(one, 1) for one in claims), 1)
-        said = Field(_with(said.node, "claims", node), said.file, path="", line=1)
-        given = said.fields(KEYS)
-    scenario = _scenario(given, period_s, said)
+        node = Items(tuple(Scalar(claim, 1) for claim in claims), 1)
+        document = Field(_with(document.node, "claims", node), document.file, path="", line=1)
+        given = document.fields(KEYS)
+    scenario = _scenario(given, period_s, document)
     cell = WatchedCell(
-        said=said,
+        said=document,
         scenario=scenario,
         joint_facts=facts_of_joints(said_of_joints(given), arm_model(scenario.robot)),
         hands=(),
@@ -174,17 +174,17 @@ def _hands(field: Field, forearm: Field) -> tuple[WatchedHand, ...]:
     names = [name for name, _ in field.entries("hands by their names")] if named else ["hand"]
     if not 0 < len(names) <= MAX_HANDS:
         raise field.error(f"1 to {MAX_HANDS} hands", got=str(len(names)))
-    found = []
+    hands = []
     for name in names:
         own = forearm
         if isinstance(forearm.node, Mapping):
             own = forearm.fields(tuple(names)).required(name)
         text = own.scalar("the elbow's stream, not measured, or none")
-        found.append(WatchedHand(name, text not in (NOT_MEASURED, NO_FOREARM), text != NO_FOREARM))
-    return tuple(found)
+        hands.append(WatchedHand(name, text not in (NOT_MEASURED, NO_FOREARM), text != NO_FOREARM))
+    return tuple(hands)
 
 
-def _scenario(given: Fields, period_s: float, said: Field) -> Scenario:
+def _scenario(given: Fields, period_s: float, document: Field) -> Scenario:
     """Return arm, settings and claims as a scenario."""
     robot = given.optional("robot")
     arm = arm_model(read_robot(robot, {})) if robot is not None else None
@@ -201,7 +201,7 @@ def _scenario(given: Fields, period_s: float, said: Field) -> Scenario:
         if (field := given.optional(key)) is not None:
             texts[key] = field.node
     tree = Mapping(tuple((Scalar(key, 1), node) for key, node in texts.items()), 1)
-    return scenario_of(tree, log_file(said), name="monitor", claims_required=False)
+    return scenario_of(tree, log_file(document), name="monitor", claims_required=False)
 
 
 def _seen_from_anywhere(robot: Tree, folder: Path) -> Tree:
@@ -213,13 +213,13 @@ def _seen_from_anywhere(robot: Tree, folder: Path) -> Tree:
         )
     assert isinstance(robot, dict)
     texts = {key: str(robot[key]).strip('"') for key in ("arm", "urdf", "capsules") if key in robot}
-    return robot | {key: scalar_text(str(folder / one)) for key, one in texts.items() if ":" not in one}
+    return robot | {key: scalar_text(str(folder / path)) for key, path in texts.items() if ":" not in path}
 
 
 def _table(tree: dict[str, Tree], key: str) -> dict[str, Tree]:
-    found = tree.get(key, {})
-    assert isinstance(found, dict)
-    return dict(found)
+    table = tree.get(key, {})
+    assert isinstance(table, dict)
+    return dict(table)
 
 
 def _with(tree: Node, key: str, value: Node) -> Node:

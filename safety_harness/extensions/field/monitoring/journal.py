@@ -73,7 +73,9 @@ class Journal:
         return {hand.name: hand.elbow for hand in self.cell.hands}
 
     def _write(self, name: str, time_ns: int, values: Sequence[float | None]) -> None:
-        row = ",".join([str(time_ns), *("" if one is None else repr(float(one)) for one in values)]).encode()
+        row = ",".join(
+            [str(time_ns), *("" if value is None else repr(float(value)) for value in values)]
+        ).encode()
         row += b"\n"
         if self._room < len(row):
             self._begin()

@@ -17,7 +17,7 @@ from math import inf
 import numpy as np
 
 from safety_harness.base.exceptions import FormulaError, StreamError
-from safety_harness.claims.formulas.claim import GRAVEST
+from safety_harness.claims.formulas.claim import WORST_FIRST
 from safety_harness.claims.formulas.signals import hand_distance
 from safety_harness.extensions.field.logs.streams import NS, SHORTEST_STEP_NS
 from safety_harness.extensions.field.monitoring.cell import WatchedCell
@@ -65,9 +65,11 @@ class VerdictLine:
     reason: str
 
     @property
-    def told(self) -> dict[str, object]:
+    def as_dict(self) -> dict[str, object]:
         """Return the line for programs."""
         return asdict(self) | {"verdict": self.verdict.value, "latest": self.latest.value}
+
+    told = as_dict  # deprecated: the old name, for one release
 
 
 @dataclass(kw_only=True)
@@ -97,11 +99,11 @@ class Monitor:
         self._sensing = Sensing(cell, tuple(self._hands.values()))
         revisable = int((cell.hand_facts.longest_gap_s + LATENCY_S) / cell.period_s) + 4
         self.claims: list[WatchedClaim] = []
-        for one in cell.scenario.claims:
+        for claim in cell.scenario.claims:
             try:
-                self.claims.append(self._watched(one.sentence, revisable))
+                self.claims.append(self._watched(claim.sentence, revisable))
             except FormulaError as error:
-                self.unwatched[one.sentence] = error
+                self.unwatched[claim.sentence] = error
         if self.unwatched and not (self.some and self.claims):
             raise next(iter(self.unwatched.values()))
         self.time_s = 0.0
@@ -313,16 +315,16 @@ class Monitor:
 
     def _judge_again(self, *, grown: bool = False) -> Iterator[VerdictLine]:
         """Judge the ticks that are known better now."""
-        moments = [one for one in self._moments if one.tick >= self._stale]
+        moments = [moment for moment in self._moments if moment.tick >= self._stale]
         if not moments:
             return
         assert self._origin_ns is not None
         self.time_s = (self._origin_ns + moments[-1].tick * self.cell.period_ns) / NS
-        off = [self._joints.off(one.tick) for one in moments]
+        errors = [self._joints.errors_at(moment.tick) for moment in moments]
         first = len(self._moments) - len(moments)
         if first > 0:
             moments.insert(0, self._moments[first - 1])
-        seen = self._sensing.see(moments, len(moments) - len(off), off)
+        seen = self._sensing.see(moments, len(moments) - len(errors), errors)
         for claim in self.claims:
             claim.see(seen, moments[0].tick, grown=grown)
         self._stale = self._next
@@ -330,12 +332,12 @@ class Monitor:
             self._forget(oldest)
         yield from self._changes()
 
-    def _forget(self, before: int) -> None:
-        self._joints.forget(before)
+    def _forget(self, first_kept: int) -> None:
+        self._joints.forget(first_kept)
         for tracks in self._hands.values():
             for track in tracks:
                 if track is not None:
-                    track.forget(before)
+                    track.forget(first_kept)
 
     def _changes(self, silence: str = "") -> Iterator[VerdictLine]:
         """Yield changed verdicts: a worse verdict at once, a better verdict after the hands' longest gap.
@@ -343,12 +345,12 @@ class Monitor:
         A verdict that is close comes and goes with every sample of a hand.
         """
         for number, claim in enumerate(self.claims):
-            now, told = _said(claim, silence), self._told[number]
-            if now == told:
+            now, reported = _verdicts_of(claim, silence), self._told[number]
+            if now == reported:
                 self._better_since_s[number] = inf
                 continue
             since_s = self._better_since_s[number] = min(self._better_since_s[number], self.time_s)
-            worse = told is None or any(map(_worse, now, told))
+            worse = reported is None or any(map(_worse, now, reported))
             if worse or self.time_s - since_s >= self.cell.hand_facts.longest_gap_s:
                 self._told[number], self._better_since_s[number] = now, inf
                 yield self._change(claim, silence)
@@ -356,7 +358,7 @@ class Monitor:
     def _change(self, claim: WatchedClaim, silence: str = "") -> VerdictLine:
         """Return a claim's line at the latest tick; with ``silence`` the time since then is unknown."""
         part = claim.deciding
-        verdict, latest = _said(claim, silence)
+        verdict, latest = _verdicts_of(claim, silence)
         signals = self._moments[-1].signals if self._moments else None
         return VerdictLine(
             time_s=self.time_s,
@@ -369,11 +371,11 @@ class Monitor:
         )
 
 
-def _worse(now: Verdict, told: Verdict) -> bool:
-    return GRAVEST.index(now) < GRAVEST.index(told)
+def _worse(now: Verdict, reported: Verdict) -> bool:
+    return WORST_FIRST.index(now) < WORST_FIRST.index(reported)
 
 
-def _said(claim: WatchedClaim, silence: str) -> tuple[Verdict, Verdict]:
+def _verdicts_of(claim: WatchedClaim, silence: str) -> tuple[Verdict, Verdict]:
     """Return the verdicts on the run and at the latest tick; a ``silence`` leaves violations alone."""
     verdict = claim.verdict
     if silence:

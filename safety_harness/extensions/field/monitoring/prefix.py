@@ -164,8 +164,8 @@ class _Node:
             reading.append((len(code), *_reading(formula, columns)))
         operator, rows = OPERATORS.index(type(formula)), [part.row for part in self.parts] or [0]
         row = rows[0]
-        for other in rows[1:-1]:  # of three and more, two by two
-            code.append((operator, row, other, *NO_WINDOW))
+        for further in rows[1:-1]:  # of three and more, two by two
+            code.append((operator, row, further, *NO_WINDOW))
             row = len(code) - 1
         code.append((operator, row, rows[-1], *(NO_WINDOW if span is None else span.ticks(period_s))))
         self.row: int = len(code) - 1
@@ -173,7 +173,7 @@ class _Node:
     def now(self, oldest: NDArray[np.float64]) -> Ends:
         """Return both ends, by the values ``oldest`` (nodes, 2) of every node."""
         if not self._over:
-            return self._after(self._ends(oldest))
+            return self._at_first_tick(self._ends(oldest))
         lows, highs = zip(*(part.now(oldest) for part in self.parts), strict=True)
         if isinstance(self._formula, Not):
             return -highs[0], -lows[0]
@@ -185,10 +185,10 @@ class _Node:
         for part in self.parts if self._over else ():
             part.forget(oldest)
         lasts, ends = self.step(oldest)
-        self._best = self._after(ends)
+        self._best = self._at_first_tick(ends)
         self._lasting = min(self._lasting[0], lasts[0]), min(self._lasting[1], lasts[1])
 
-    def _after(self, later: Ends) -> Ends:
+    def _at_first_tick(self, later: Ends) -> Ends:
         """Return the margins at the first tick where those at the oldest tick are ``later``."""
         (low, high), (least, most), (best, best_high) = later, self._lasting, self._best
         return max(best, min(least, low)), max(best_high, min(most, high))
@@ -233,32 +233,32 @@ def _evaluate(
     seen: NDArray[np.float64],  # (m, signals, c) of the latest ticks
     values: NDArray[np.float64],  # (k, 2, ticks), written
     first: int,
-    after: int,
+    stop: int,
 ) -> None:
-    """Write the margins of every node from tick ``first`` to before ``after``, as ``semantics.margins`` does.
+    """Write the margins of every node from tick ``first`` to before ``stop``, as ``semantics.margins`` does.
 
     A truth has limit 0.5 and an end of infinity.
     """
-    told = seen.shape[0]
+    count = seen.shape[0]
     for a in range(reading.shape[0]):
         node, signal, above, low, high = reading[a]
-        for k in range(max(told - (after - first), 0), told):
+        for k in range(max(count - (stop - first), 0), count):
             least, most = seen[k, signal, low] - limits[a, 0], seen[k, signal, high] - limits[a, 0]
             if not above:
                 least, most = limits[a, 0] - seen[k, signal, high], limits[a, 0] - seen[k, signal, low]
             if limits[a, 1] == np.inf:
                 least, most = np.copysign(np.inf, least), np.copysign(np.inf, most)
-            values[node, 0, after - told + k] = least if least != 0.0 else limits[a, 1]
-            values[node, 1, after - told + k] = most if most != 0.0 else limits[a, 1]
+            values[node, 0, stop - count + k] = least if least != 0.0 else limits[a, 1]
+            values[node, 1, stop - count + k] = most if most != 0.0 else limits[a, 1]
     for i in range(code.shape[0]):
-        operator, one, other, begin, end = code[i]
+        operator, first_part, second_part, begin, end = code[i]
         if operator >= NOT:
-            values[i, 0, first:after], values[i, 1, first:after] = operate(
+            values[i, 0, first:stop], values[i, 1, first:stop] = operate(
                 operator,
                 begin,
                 end,
-                values[one, 0, first:after],
-                values[one, 1, first:after],
-                values[other, 0, first:after],
-                values[other, 1, first:after],
+                values[first_part, 0, first:stop],
+                values[first_part, 1, first:stop],
+                values[second_part, 0, first:stop],
+                values[second_part, 1, first:stop],
             )

@@ -46,10 +46,10 @@ from safety_harness.extensions.field.monitoring.cell import WatchedCell
 from safety_harness.extensions.field.monitoring.tracks import BodyTrack
 
 MEASURED = (hand_distance, nearest_hand_to_tcp, tcp_speed, tcp_height, joint_speed, elapsed_time)
-APART, NEAR, TCP_SPEED, HEIGHT, JOINT_SPEED, ELAPSED = range(6)  # in ``MEASURED``
+HAND_DISTANCE, TCP_DISTANCE, TCP_SPEED, HEIGHT, JOINT_SPEED, ELAPSED = range(6)  # in ``MEASURED``
 # What is known of a signal at a tick: what was measured, NaN for nothing; the least and the largest that it
 # can have been, there and from there to the next tick; and 1 if it certainly exercises a claim, else 0.
-VALUE, LOW, HIGH, CELL_LOW, CELL_HIGH, TRIED = range(6)
+VALUE, LOW, HIGH, CELL_LOW, CELL_HIGH, EXERCISED = range(6)
 Values = NDArray[np.float64]
 
 
@@ -123,63 +123,63 @@ class Sensing:
         self._cell = _Cell(arm, *tcp, radii_m, cell.period_s)
 
     def see(
-        self, moments: Sequence[TickSeen], fresh: int, off: Sequence[tuple[float, float] | None]
+        self, moments: Sequence[TickSeen], fresh: int, errors: Sequence[tuple[float, float] | None]
     ) -> Values:
         """Return the signals (m, signals, 6) of moments in a row.
 
         Args:
             moments: The ticks, whose ``signals`` are set.
             fresh: The first of them of which more is known now.
-            off: The errors of joints and of their speeds from there on; None where the arm is lost.
+            errors: The errors of joints and of their speeds from there on; None where the arm is lost.
 
         """
-        for moment, own in zip(moments[fresh:], off, strict=True):
+        for moment, own in zip(moments[fresh:], errors, strict=True):
             moment.off = own or (nan, nan)
             self._place_hands(moment)
-        first, found = moments[0].tick, np.empty((len(moments), len(MEASURED), 6))
+        first, values = moments[0].tick, np.empty((len(moments), len(MEASURED), 6))
         names = ("elapsed_s", "joints_rad", "rates_radps", "off", "bodies_m", "bodies_off_m")
         columns = (np.array([getattr(moment, name) for moment in moments]) for name in names)
-        _sense(self._cell, _Seen._make([*columns, *self._corners(first, first + len(moments) - 1)]), found)
-        for moment, signals in zip(moments, found, strict=True):
+        _sense(self._cell, _Seen._make([*columns, *self._corners(first, first + len(moments) - 1)]), values)
+        for moment, signals in zip(moments, values, strict=True):
             moment.signals = signals
-        return found
+        return values
 
     def _place_hands(self, moment: TickSeen) -> None:
         moment.bodies_m, moment.bodies_off_m = np.full((*self._nowhere.shape, 3), nan), self._nowhere.copy()
         for k, (hand, elbow) in enumerate(self._hands):
             if (own := hand.at(moment.tick)) is None:
                 continue
-            other = own if elbow is hand else None if elbow is None else elbow.at(moment.tick)
+            elbow_place = own if elbow is hand else None if elbow is None else elbow.at(moment.tick)
             moment.bodies_m[k], moment.bodies_off_m[k, 0] = own[0], own[1]
-            if other is not None:
-                moment.bodies_m[k, 1], moment.bodies_off_m[k, 1] = other
+            if elbow_place is not None:
+                moment.bodies_m[k, 1], moment.bodies_off_m[k, 1] = elbow_place
 
     def _corners(self, first: int, last: int) -> tuple[NDArray[np.int64], Values, Values]:
         """Return the samples of hands between two ticks.
 
         These are hands (c,), times (c,) in ticks after ``first``, and places (c, 2, 3) of hand and elbow.
         """
-        found = []
+        corners = []
         for k, (hand, elbow) in enumerate(self._hands):
-            other, begin_ns, end_ns = elbow or hand, first * self._period_ns, last * self._period_ns
+            partner, begin_ns, end_ns = elbow or hand, first * self._period_ns, last * self._period_ns
             times = hand.corners(begin_ns, end_ns)
-            if other is not hand:
-                times = sorted({*times, *other.corners(begin_ns, end_ns)})
+            if partner is not hand:
+                times = sorted({*times, *partner.corners(begin_ns, end_ns)})
             for time_ns in sorted(times):
                 if time_ns % self._period_ns:
-                    places = hand.between(time_ns), other.between(time_ns)
-                    found.append((k, (time_ns - begin_ns) / self._period_ns, places))
-        if not found:
+                    places = hand.place_at(time_ns), partner.place_at(time_ns)
+                    corners.append((k, (time_ns - begin_ns) / self._period_ns, places))
+        if not corners:
             return np.empty(0, np.int64), np.empty(0), np.empty((0, 2, 3))
-        which, at, places_m = zip(*found, strict=True)
-        return np.array(which), np.array(at), np.array(places_m)
+        bodies, at, places_m = zip(*corners, strict=True)
+        return np.array(bodies), np.array(at), np.array(places_m)
 
 
 @compiled
-def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
+def _sense(cell: _Cell, seen: _Seen, signals: Values) -> None:
     """Write the signals at each tick, as if the run ended there, and from each tick to the next.
 
-    ``found`` is of shape (m, signals, 6).
+    ``signals`` is of shape (m, signals, 6).
     """
     arm, tcp, period_s, joints_rad = cell.arm, cell.tcp, cell.period_s, seen.joints_rad
     count, hands, n = seen.bodies_m.shape[0], seen.bodies_m.shape[1], joints_rad.shape[1]
@@ -201,20 +201,25 @@ def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
             hand, elbow = seen.bodies_m[k, h]
             to_tcp_m[h, k] = distance_m(hand, tcp_m[k])
             apart_m[h, k], _ = distance_between(arm.capsules, ends_m, hand, elbow, *cell.radii_m)
-    found[:], found[:, :, LOW], found[:, :, CELL_LOW], found[:, :, TRIED] = np.nan, np.inf, np.inf, 0.0
+    signals[:], signals[:, :, LOW], signals[:, :, CELL_LOW], signals[:, :, EXERCISED] = (
+        np.nan,
+        np.inf,
+        np.inf,
+        0.0,
+    )
     exact, later_s = np.zeros(count), np.append(seen.elapsed_s[1:], seen.elapsed_s[-1:])
-    _put(found[:, ELAPSED], seen.elapsed_s, exact, seen.elapsed_s, later_s, exact, exact)
-    found[:, ELAPSED, TRIED] = 1.0
+    _put(signals[:, ELAPSED], seen.elapsed_s, exact, seen.elapsed_s, later_s, exact, exact)
+    signals[:, ELAPSED, EXERCISED] = 1.0
     step_m = np.sqrt(((tcp_m[1:] - tcp_m[:-1]) ** 2).sum(axis=1))
     step_rad = np.abs(joints_rad[1:] - joints_rad[:-1])
-    _put_speed(found[:, TCP_SPEED], speed_mps, step_m.reshape(-1, 1) / period_s, off_mps, off_m, period_s)
+    _put_speed(signals[:, TCP_SPEED], speed_mps, step_m.reshape(-1, 1) / period_s, off_mps, off_m, period_s)
     rates_radps = np.abs(seen.rates_radps)
-    _put_speed(found[:, JOINT_SPEED], rates_radps, step_rad / period_s, faster_radps, turned_rad, period_s)
+    _put_speed(signals[:, JOINT_SPEED], rates_radps, step_rad / period_s, faster_radps, turned_rad, period_s)
     way_m = np.maximum(np.maximum(speed_mps[:-1, 0], speed_mps[1:, 0]) * period_s, step_m)
     between_m = place_between(or_next(off_m), or_next(off_mps), period_s)
     low_m, high_m = cells(tcp_m[:, 2], way_m, exact[1:])
-    _put(found[:, HEIGHT], tcp_m[:, 2], off_m, low_m, high_m, between_m, between_m)
-    found[:, HEIGHT, TRIED] = ~np.isnan(off_m)
+    _put(signals[:, HEIGHT], tcp_m[:, 2], off_m, low_m, high_m, between_m, between_m)
+    signals[:, HEIGHT, EXERCISED] = ~np.isnan(off_m)
     bend_rad = np.abs(seen.rates_radps[1:] - seen.rates_radps[:-1]) * period_s / 4.0
     bend_m, tcp_bend_m = (bend_rad * arm.reach_m).sum(axis=1), (bend_rad * tcp.reach_m).sum(axis=1)
     turned_m = (step_rad * arm.reach_m).sum(axis=1)
@@ -234,7 +239,7 @@ def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
         above_m = between_m + 2.0 * or_next(hand_m)
         below_m = np.maximum(or_next(off_m), by_rad * tcp.reach_m.sum()) + or_next(hand_m)
         below_m[-1], above_m[-1] = above_m[-1], above_m[-1] + at_m[-1]
-        _put(found[:, NEAR], to_tcp_m[h], at_m, low_m, high_m, below_m, above_m)
+        _put(signals[:, TCP_DISTANCE], to_tcp_m[h], at_m, low_m, high_m, below_m, above_m)
         at_m, low_m = np.maximum(hand_m, elbow_m) + off_m, apart_m[h].copy()
         ends_m, ways_m = between_ticks(
             arm, cell.space, joints_rad, bodies_m, corner_at, corners_m, bend_m, cell.radii_m, RESOLUTION_M
@@ -243,26 +248,27 @@ def _sense(cell: _Cell, seen: _Seen, found: Values) -> None:
         _, high_m = cells(apart_m[h], turned_m + np.maximum(ways_m[0], ways_m[1]), bend_m)
         moved_m = apart_between(hand_m, elbow_m, off_m, faster_radps * reach_m, period_s)
         below_m, above_m = or_next(moved_m), or_next(moved_m + at_m)
-        _put(found[:, APART], apart_m[h], at_m, low_m, high_m, below_m, above_m)
+        _put(signals[:, HAND_DISTANCE], apart_m[h], at_m, low_m, high_m, below_m, above_m)
     for side in (LOW, CELL_LOW):
-        found[:, :, side] = np.where(found[:, :, side] < np.inf, found[:, :, side], -np.inf)
+        signals[:, :, side] = np.where(signals[:, :, side] < np.inf, signals[:, :, side], -np.inf)
     for side in (HIGH, CELL_HIGH):
-        found[:, :, side] = np.where(np.isnan(found[:, :, side]), np.inf, found[:, :, side])
+        signals[:, :, side] = np.where(np.isnan(signals[:, :, side]), np.inf, signals[:, :, side])
 
 
 @compiled
 def _put_speed(
-    known: Values, at_ticks: Values, mean: Values, off: Values, place: Values, period_s: float
+    known: Values, at_ticks: Values, mean: Values, speed_error: Values, place: Values, period_s: float
 ) -> None:
-    """Write a speed, ``known`` (m, 6), of so many joints, which is ``off`` (m,) as its ``place`` (m,) is.
+    """Write a speed, ``known`` (m, 6), of so many joints, with the error ``speed_error`` (m,).
 
-    ``at_ticks`` is of shape (m, joints) and ``mean`` of shape (m - 1, joints).
+    Its place has the error ``place`` (m,).  ``at_ticks`` is of shape (m, joints) and ``mean`` of shape
+    (m - 1, joints).
     """
     value, low, high, means = speed_cells(at_ticks, mean)
-    by = speed_between(or_next(off), or_next(place), period_s)
-    _put(known, value, off, low, high, by, by)
-    known[:, TRIED] = value - MOVES > speed_between(off, place, period_s)
-    known[:-1, TRIED] = np.maximum(known[:-1, TRIED], means - MOVES > by[:-1])
+    mean_error = speed_between(or_next(speed_error), or_next(place), period_s)
+    _put(known, value, speed_error, low, high, mean_error, mean_error)
+    known[:, EXERCISED] = value - MOVES > speed_between(speed_error, place, period_s)
+    known[:-1, EXERCISED] = np.maximum(known[:-1, EXERCISED], means - MOVES > mean_error[:-1])
 
 
 @compiled

@@ -44,8 +44,8 @@ class WithinByTick:
         self._alone: dict[int, None] = {}  # ticks with a sample at the end of a gap
         self.oldest = 0
 
-    def add(self, begin_ns: int, end_ns: int, off: float, *, lost: bool = False) -> None:
-        """Add the error ``off`` beside the line from a sample to the next, or a time that is ``lost``."""
+    def add(self, begin_ns: int, end_ns: int, error: float, *, lost: bool = False) -> None:
+        """Add the error ``error`` beside the line from a sample to the next, or a time that is ``lost``."""
         first, last = begin_ns // self._period_ns, -(-end_ns // self._period_ns)
         if lost or end_ns - begin_ns > self._longest_ns:
             self._lost |= dict.fromkeys(range(max(first + (last - first > 1), self.oldest), last))
@@ -53,7 +53,7 @@ class WithinByTick:
             self._alone |= {tick: None for tick, beside_ns in ends if not beside_ns}
             return
         for tick in range(max(first, self.oldest), last + 1):
-            self._off[tick] = max(self._off.get(tick, 0.0), off)
+            self._off[tick] = max(self._off.get(tick, 0.0), error)
 
     def at(self, tick: int) -> float | None:
         """Return the error at a tick; None where it is unknown."""
@@ -61,11 +61,11 @@ class WithinByTick:
             return None
         return self._off.get(tick, 0.0)
 
-    def forget(self, before: int) -> None:
+    def forget(self, first_kept: int) -> None:
         """Forget the ticks before this tick."""
-        self.oldest = before
+        self.oldest = first_kept
         for kept in (self._off, self._lost, self._alone):
-            while kept and (tick := next(iter(kept))) < before:
+            while kept and (tick := next(iter(kept))) < first_kept:
                 del kept[tick]
 
 
@@ -88,14 +88,14 @@ class JointTrack:
         turned_rad = self._turned_rad
         if self.last is not None:
             step_s = (time_ns - self.last[0]) / NS
-            way, most = position_rad - turned_rad - self.last[1], self._facts.move_at_most_radps
-            wrapped = wrapped_rad(way, step_s, self._facts, self._arm)
-            turned_rad, way = turned_rad + wrapped, np.abs(way - wrapped)
-            fast = way - step_s * most - 2.0 * self._facts.known_to_rad
+            step_rad, most = position_rad - turned_rad - self.last[1], self._facts.move_at_most_radps
+            wrapped = wrapped_rad(step_rad, step_s, self._facts, self._arm)
+            turned_rad, step_rad = turned_rad + wrapped, np.abs(step_rad - wrapped)
+            fast = step_rad - step_s * most - 2.0 * self._facts.known_to_rad
             if fast.max() > 0.0:
                 joint = int(fast.argmax())
                 raise Jump(
-                    f"joint {joint + 1} turn {np.degrees(way[joint]):.4g} deg in {step_s * 1e3:.4g} ms, "
+                    f"joint {joint + 1} turn {np.degrees(step_rad[joint]):.4g} deg in {step_s * 1e3:.4g} ms, "
                     f"which can {np.degrees(most[joint]):.4g} deg/s"
                 )
         self._turned_rad = turned_rad
@@ -106,33 +106,33 @@ class JointTrack:
 
         Return the time since which a joint is frozen; None if all move.
         """
-        sample, before = (time_ns, position_rad, rates_radps), self.last
-        self._before, self.last = before, sample
+        sample, previous = (time_ns, position_rad, rates_radps), self.last
+        self._before, self.last = previous, sample
         joints = zip(self._repeats, position_rad.tolist(), strict=True)
-        since = [at_ns for one, value in joints if (at_ns := one.since(time_ns, (value,))) is not None]
-        if before is None:
+        since = [at_ns for joint, value in joints if (at_ns := joint.since(time_ns, (value,))) is not None]
+        if previous is None:
             self._within.add(0, 0, self._facts.known_to_rad)
             return None
         frozen = bool(since) and not self._facts.at_rest
-        begin_ns = min(before[0], *since) if frozen else before[0]
-        step_s, facts = (time_ns - before[0]) / NS, self._facts
+        begin_ns = min(previous[0], *since) if frozen else previous[0]
+        step_s, facts = (time_ns - previous[0]) / NS, self._facts
         most, hard = facts.move_at_most_radps, facts.accelerate_at_most_radps2
-        slope = (position_rad - before[1])[None] / step_s
+        slope = (position_rad - previous[1])[None] / step_s
         # of one step, by numbers: it is the quicker way
         steps = np.array([step_s]) if hard is None else step_s
-        off = joint_off_rad(slope, steps, most=most, hardest=hard, sample_rad=facts.known_to_rad)
-        self._within.add(begin_ns, time_ns, off.item(), lost=frozen)
+        error = joint_off_rad(slope, steps, most=most, hardest=hard, sample_rad=facts.known_to_rad)
+        self._within.add(begin_ns, time_ns, error.item(), lost=frozen)
         if facts.speeds_known_to_radps is None:
-            off = rate_off(slope, steps, most=most, hardest=hard, sample=facts.known_to_rad)
+            error = rate_off(slope, steps, most=most, hardest=hard, sample=facts.known_to_rad)
         else:
             assert rates_radps is not None
-            assert before[2] is not None
-            fastest = np.maximum(np.abs(rates_radps), np.abs(before[2])) + most
+            assert previous[2] is not None
+            fastest = np.maximum(np.abs(rates_radps), np.abs(previous[2])) + most
             more = float(fastest.max()) if hard is None else hard * step_s / 2.0
-            off = np.array(facts.speeds_known_to_radps + more)
-        self._rate_within.add(begin_ns, time_ns, off.item(), lost=frozen)
-        if self.slope is not None and before[0] % self._period_ns:
-            cell = before[0] // self._period_ns
+            error = np.array(facts.speeds_known_to_radps + more)
+        self._rate_within.add(begin_ns, time_ns, error.item(), lost=frozen)
+        if self.slope is not None and previous[0] % self._period_ns:
+            cell = previous[0] // self._period_ns
             bend = float(np.abs(slope[0] - self.slope).max()) * self._period_ns / NS / 4.0
             self._bends[cell] = self._bends.get(cell, 0.0) + bend
         self.slope = slope[0]
@@ -153,20 +153,20 @@ class JointTrack:
         assert self._before[2] is not None
         return position, self._before[2] + share * (rates_radps - self._before[2])
 
-    def off(self, tick: int) -> tuple[float, float] | None:
+    def errors_at(self, tick: int) -> tuple[float, float] | None:
         """Return the errors of position and speed at a tick; None if they are unknown."""
-        within, rate = self._within.at(tick), self._rate_within.at(tick)
-        if within is None or rate is None:
+        position_error, rate = self._within.at(tick), self._rate_within.at(tick)
+        if position_error is None or rate is None:
             return None
         if self.slope is None:  # one sample alone
             rate = float(self._facts.move_at_most_radps.max())
-        return within + max(self._bends.get(tick, 0.0), self._bends.get(tick - 1, 0.0)), rate
+        return position_error + max(self._bends.get(tick, 0.0), self._bends.get(tick - 1, 0.0)), rate
 
-    def forget(self, before: int) -> None:
+    def forget(self, first_kept: int) -> None:
         """Forget the ticks before this tick."""
-        self._within.forget(before)
-        self._rate_within.forget(before)
-        while self._bends and (cell := next(iter(self._bends))) < before - 1:
+        self._within.forget(first_kept)
+        self._rate_within.forget(first_kept)
+        while self._bends and (cell := next(iter(self._bends))) < first_kept - 1:
             del self._bends[cell]
 
 
@@ -208,9 +208,9 @@ class BodyTrack:
             before_ns, before_m = self.samples[-1]
             way_m = np.array([length(position_m - before_m)])
             steps, most = np.array([(time_ns - before_ns) / NS]), self._facts.moves_at_most_mps
-            off = body_off_m(way_m, steps, most_mps=most, sample_m=self._sample_m)
+            error_m = body_off_m(way_m, steps, most_mps=most, sample_m=self._sample_m)
             begin_ns = before_ns if since_ns is None else min(since_ns, before_ns)
-            self._within.add(begin_ns if self.lost else before_ns, time_ns, float(off[0]), lost=self.lost)
+            self._within.add(begin_ns if self.lost else before_ns, time_ns, float(error_m[0]), lost=self.lost)
         else:
             self._first_ns = time_ns
         self.samples.append((time_ns, position_m))
@@ -221,40 +221,40 @@ class BodyTrack:
         if not self.samples or self._first_ns is None:
             return None
         time_ns, last_ns = tick * self._period_ns, self.samples[-1][0]
-        within = self._within.at(tick)
+        error_m = self._within.at(tick)
         away_ns = max(self._first_ns - time_ns, time_ns - last_ns)
-        if within is None or away_ns > self.reaches_ns or (self.lost and time_ns > last_ns):
+        if error_m is None or away_ns > self.reaches_ns or (self.lost and time_ns > last_ns):
             return None
         if away_ns > -self._period_ns:
             most = self._facts.moves_at_most_mps
             own_m = beyond_end(away_ns, most=most, sample=self._sample_m, period_ns=self._period_ns)
-            within = max(within, own_m)
-        return self.between(time_ns), within
+            error_m = max(error_m, own_m)
+        return self.place_at(time_ns), error_m
 
-    def between(self, time_ns: int) -> Values:
+    def place_at(self, time_ns: int) -> Values:
         """Return the place at a time on the line between its samples."""
-        after = self.samples[-1]
-        if time_ns >= after[0]:
-            return after[1]
-        for before in reversed(self.samples):
-            if before[0] <= time_ns:
-                share = (time_ns - before[0]) / (after[0] - before[0])
-                return before[1] + share * (after[1] - before[1])
-            after = before
-        return after[1]
+        later = self.samples[-1]
+        if time_ns >= later[0]:
+            return later[1]
+        for earlier in reversed(self.samples):
+            if earlier[0] <= time_ns:
+                share = (time_ns - earlier[0]) / (later[0] - earlier[0])
+                return earlier[1] + share * (later[1] - earlier[1])
+            later = earlier
+        return later[1]
 
     def corners(self, begin_ns: int, end_ns: int) -> list[int]:
         """Return the times of samples between two times."""
-        found = []
+        places = []
         for time_ns, _ in reversed(self.samples):
             if time_ns <= begin_ns:
                 break
             if time_ns < end_ns:
-                found.append(time_ns)
-        return found
+                places.append(time_ns)
+        return places
 
-    def forget(self, before: int) -> None:
+    def forget(self, first_kept: int) -> None:
         """Forget the ticks before this tick."""
-        self._within.forget(before)
-        while len(self.samples) > 1 and self.samples[1][0] <= before * self._period_ns:
+        self._within.forget(first_kept)
+        while len(self.samples) > 1 and self.samples[1][0] <= first_kept * self._period_ns:
             self.samples.popleft()

@@ -8,7 +8,7 @@ from math import inf, isnan
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.claims.formulas.claim import GRAVEST, near_of
+from safety_harness.claims.formulas.claim import WORST_FIRST, near_of
 from safety_harness.claims.formulas.formula import (
     Comparison,
     Formula,
@@ -34,10 +34,10 @@ from safety_harness.extensions.field.monitoring.prefix import Prefix, is_endless
 from safety_harness.extensions.field.monitoring.sensing import (
     CELL_HIGH,
     CELL_LOW,
+    EXERCISED,
     HIGH,
     LOW,
     MEASURED,
-    TRIED,
     VALUE,
     Values,
 )
@@ -56,7 +56,7 @@ def watched_formula(sentence: str) -> Formula:
     entry, match = claimed
     if entry.formula:
         return parse_formula(entry.formula.format(match[1]))
-    known = " and ".join(f'"{one.example}"' for one in CATALOGUE if one.formula)
+    known = " and ".join(f'"{entry.example}"' for entry in CATALOGUE if entry.formula)
     expected = f"a formula, or a sentence of the catalogue that is one, as {known} are"
     raise formula_error(expected, f'"{sentence}", which looks at a whole run', "judge tells it of the log")
 
@@ -71,7 +71,7 @@ class WatchedClaim:
         formula = watched_formula(sentence)
         for signal in signals_of(formula):
             if signal not in known:
-                expected = f"a signal that this stream has: {', '.join(one.words for one in known)}"
+                expected = f"a signal that this stream has: {', '.join(signal.words for signal in known)}"
                 raise formula_error(expected, signal.words)
         self.sentence = sentence
         self.parts = [WatchedPart(part, period_s, revisable) for part in parts_of(formula)]
@@ -89,13 +89,13 @@ class WatchedClaim:
     def verdict(self) -> Verdict:
         """Return the verdict on the run so far, as if it ended now."""
         first = self.parts[0]
-        return first.verdict if self.single else _gravest([part.verdict for part in self.parts])
+        return first.verdict if self.single else _worst([part.verdict for part in self.parts])
 
     @property
     def latest(self) -> Verdict:
         """Return the verdict at the latest decided tick, if a claim asks every tick; else that on the run."""
         first = self.parts[0]
-        return first.latest if self.single else _gravest([part.latest for part in self.parts])
+        return first.latest if self.single else _worst([part.latest for part in self.parts])
 
     @property
     def deciding(self) -> WatchedPart:
@@ -113,9 +113,9 @@ class WatchedPart:
         self.part, self.unit = part, unit_of(part)
         self.verdict = self.latest = Verdict.INCONCLUSIVE
         self.margin: float | None = None
-        ways = _ways(part)
-        single = all(len(one) == 1 for one in ways.values())
-        rising = {atom for atom in ways if 1 in ways[atom]}
+        directions = _directions(part)
+        single = all(len(signs) == 1 for signs in directions.values())
+        rising = {atom for atom in directions if 1 in directions[atom]}
 
         def prefix(formula: Formula, least: int, most: int) -> Prefix:
             """A comparison's columns, as the formula's ``least`` and ``most`` are asked of ticks or cells.
@@ -136,15 +136,17 @@ class WatchedPart:
         self._most = self._least if single else prefix(part, AT_TICK, AT_TICK)
         goal = goal_of(part)
         self._end = None if goal is None else prefix(goal, AT_TICK, AT_TICK)
-        asked = dict.fromkeys((self._least, self._most, self._end))
-        self._prefixes = [prefix for prefix in asked if prefix is not None]
+        nodes = dict.fromkeys((self._least, self._most, self._end))
+        self._prefixes = [prefix for prefix in nodes if prefix is not None]
         self._signals = signals_of(part)
         self._read = [MEASURED.index(signal) for signal in self._signals]
         triggers = signals_of(part.trigger) if isinstance(part, Globally) else ()
-        self._untried = {k for k, one in zip(self._read, self._signals, strict=True) if one not in triggers}
+        self._untried = {
+            k for k, signal in zip(self._read, self._signals, strict=True) if signal not in triggers
+        }
         self._asked = False
         of_hands = (hand_distance, nearest_hand_to_tcp)
-        near_m = (near_of(part, one) if one in of_hands else -inf for one in self._signals)
+        near_m = (near_of(part, signal) if signal in of_hands else -inf for signal in self._signals)
         self._near_m = dict(zip(self._read, near_m, strict=True))
         span = getattr(part, "span", None)
         self._begin = span.ticks(period_s)[0] if span is not None else 0
@@ -170,8 +172,8 @@ class WatchedPart:
         if not self._asked and isinstance(self.part, Globally):
             self._asked = self._most.triggered
         elif not self._asked and (first == 0 or not isinstance(self.part, Initially)):
-            asked = seen[:1] if isinstance(self.part, Initially) else seen
-            self._asked = not bool(np.isnan(asked[:, self._read, VALUE]).any(axis=1).all())
+            judged = seen[:1] if isinstance(self.part, Initially) else seen
+            self._asked = not bool(np.isnan(judged[:, self._read, VALUE]).any(axis=1).all())
         ticks = first + np.arange(len(seen))
         own = seen[(ticks >= self._begin) & (ticks <= self._last)]
         if self._untried and (not isinstance(self.part, Globally) or self._most.triggered):
@@ -180,7 +182,7 @@ class WatchedPart:
     @staticmethod
     def _tries(own: Values, near_m: float) -> NDArray[np.bool_]:
         """Return (m,) where a signal ``own`` (m, 6) exercises a claim; within ``near_m`` it does."""
-        tries: NDArray[np.bool_] = (own[:, TRIED] > 0.0) | (
+        tries: NDArray[np.bool_] = (own[:, EXERCISED] > 0.0) | (
             ~np.isnan(own[:, VALUE]) & (own[:, HIGH] < near_m)
         )
         return tries
@@ -194,29 +196,31 @@ class WatchedPart:
 
     def reason(self, now: Values) -> str:
         """Return its signals at the latest tick, ``now`` (signals, 6), and what it lacks."""
-        words = ", ".join(_told(signal, now[k]) for k, signal in zip(self._read, self._signals, strict=True))
+        values = ", ".join(
+            _value_text(signal, now[k]) for k, signal in zip(self._read, self._signals, strict=True)
+        )
         if self.verdict is Verdict.INCONCLUSIVE and self._least.least >= 0.0:
-            return f"never exercised yet: {words}"
-        return words
+            return f"never exercised yet: {values}"
+        return values
 
 
-def _ways(formula: Formula, sign: int = 1) -> dict[Comparison | Truth, set[int]]:
+def _directions(formula: Formula, sign: int = 1) -> dict[Comparison | Truth, set[int]]:
     """Return for each comparison whether the formula's margin rises with its own (1), falls (-1), or both.
 
     The other bound of a trigger counts, as if the margin fell.
     """
     if isinstance(formula, Comparison | Truth):
         return {formula: {sign}}
-    found: dict[Comparison | Truth, set[int]] = {}
+    directions: dict[Comparison | Truth, set[int]] = {}
     for part in formula.parts:
         turned = isinstance(formula, Not) or (isinstance(formula, Globally) and part is formula.trigger)
-        for atom, ways in _ways(part, -sign if turned else sign).items():
-            found.setdefault(atom, set()).update(ways)
-    return found
+        for atom, signs in _directions(part, -sign if turned else sign).items():
+            directions.setdefault(atom, set()).update(signs)
+    return directions
 
 
-def _gravest(verdicts: Sequence[Verdict]) -> Verdict:
-    return next(verdict for verdict in GRAVEST if verdict in verdicts)
+def _worst(verdicts: Sequence[Verdict]) -> Verdict:
+    return next(verdict for verdict in WORST_FIRST if verdict in verdicts)
 
 
 def _verdict(least: float, most: float) -> Verdict:
@@ -225,7 +229,7 @@ def _verdict(least: float, most: float) -> Verdict:
     return Verdict.HOLDS if least >= 0.0 else Verdict.INCONCLUSIVE
 
 
-def _told(signal: Signal, known: Values) -> str:
+def _value_text(signal: Signal, known: Values) -> str:
     """Return a signal's value in words, with its bounds (6,) if they differ."""
     if known[LOW] == -inf or isnan(known[VALUE]):
         return f"{signal.words} not known"

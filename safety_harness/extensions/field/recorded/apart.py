@@ -154,10 +154,10 @@ def _at(time_s: Floats, known_s: Floats, values: Floats) -> Floats:
 
 def _normal(total: Floats, joints: int) -> Floats:
     """Return (1 + j,) a further delay d and offsets o: least squares of apart = o - d rate, from sums."""
-    n, (apart, rate, both, square) = total[0], total[1:].reshape(4, joints)
+    n, (difference, rate, both, square) = total[0], total[1:].reshape(4, joints)
     slope = (square - rate**2 / n).sum()
-    more = 0.0 if slope <= 0.0 else -(both - rate * apart / n).sum() / slope
-    return np.concatenate([[more], (apart + more * rate) / n])
+    more = 0.0 if slope <= 0.0 else -(both - rate * difference / n).sum() / slope
+    return np.concatenate([[more], (difference + more * rate) / n])
 
 
 def _jackknife(rows: Floats, estimate: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:

@@ -33,7 +33,7 @@ from safety_harness.extensions.field.recorded.apart import (
     fit_of,
 )
 from safety_harness.extensions.field.recorded.scenario import FromLog
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
 from safety_harness.trace.provenance import provenance
@@ -153,10 +153,10 @@ def compare_worlds(made: FromLog) -> CellComparison:
     worlds = tuple(_beside(made, world, recorded) for world in WORLDS)
     origin = provenance("recorded", tuple(name for world in WORLDS for name in world.libraries))
     read = [*made.log.files, *(file for file in (made.log.file, made.cell.file) if file is not None)]
-    hashes = [(str(told(file)), sha256_of(file)) for file in read if file.is_file()]
+    hashes = [(str(display_path(file)), sha256_of(file)) for file in read if file.is_file()]
     hashes += [(name.name, name.hand.motion.sha256) for name in made.hands]
     return CellComparison(
-        log=str(told(made.log.file)) if made.log.file else made.log.name,
+        log=str(display_path(made.log.file)) if made.log.file else made.log.name,
         title=trace.scenario.title,
         scenario=made.cell.name,
         tested=made.scenario.under_test,
@@ -206,7 +206,7 @@ def beside(
         absent.append(f"what follows after {simulated.time_s[-1]:.3f} s: the run has {simulated.ended}")
     names = arm_model(recorded.scenario.robot).joint_names
     there = shared & recorded.known.measured(JOINTS, recorded.ticks)
-    off_by = recorded.known.within(JOINTS, len(recorded.ticks))[there]
+    off_by = recorded.known.uncertainty_of(JOINTS, len(recorded.ticks))[there]
     time_s, own = recorded.time_s[there], recorded.ticks[JOINTS][there]
     differences = _simulated(simulated, JOINTS, time_s) - own
     joints = [
@@ -239,7 +239,7 @@ def _simulated(trace: Trace, name: str, time_s: Floats) -> Floats:
 def _tcp(recorded: Trace, simulated: Trace, shared: NDArray[np.bool_]) -> Difference | None:
     """Return the statistics of the distance between recorded and simulated TCP, which has no sign."""
     there = shared & recorded.known.measured(TCP, recorded.ticks)
-    time_s, off_by = recorded.time_s[there], recorded.known.within(TCP, len(recorded.ticks))[there]
+    time_s, off_by = recorded.time_s[there], recorded.known.uncertainty_of(TCP, len(recorded.ticks))[there]
     way_m = _simulated(simulated, TCP, time_s)[:, :3, 3] - recorded.ticks[TCP][there][:, :3, 3]
     return difference_of("TCP", "m", time_s, np.linalg.norm(way_m, axis=1), off_by)
 
@@ -252,7 +252,7 @@ def _distances(
         absent.append("hand distances: the log does not have all of the hands and forearms")
         return
     measured = recorded.known.measured(DISTANCE, recorded.ticks)
-    within_m = recorded.known.within(DISTANCE, len(recorded.ticks))
+    within_m = recorded.known.uncertainty_of(DISTANCE, len(recorded.ticks))
     for k, hand in enumerate(hands):
         there = shared & measured[:, k]
         time_s, off_m = recorded.time_s[there], within_m[there]

@@ -115,7 +115,7 @@ def evaluate(
     return scores.exit_code
 
 
-def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
+def _lines(scored: ScoredAvoider, against: str) -> Iterator[str]:
     """Yield the terminal's lines on one avoider; ``against`` names the reference or is empty."""
     from safety_harness.extensions.lab.commands.evaluation_tables import titled
     from safety_harness.extensions.lab.pages.score_tables import (
@@ -127,27 +127,29 @@ def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
         towards_words,
     )
 
-    cards = (one.card, *one.yardsticks)
+    cards = (scored.card, *scored.yardsticks)
     yield from titled(
-        f"{one.reference}: {one.card.name}; below it the yardsticks, for comparison",
+        f"{scored.reference}: {scored.card.name}; below it the yardsticks, for comparison",
         ("region", "avoider", *COLUMNS),
         [(row.region, row.avoider, *row.cells) for row in rows_of(cards, figures)],
     )
     yield ""
-    alike = all(repeat.differ == 0 for repeat in one.card.repeats)
-    same = f"the same bits in all {len(one.card.repeats)} ways of asking"
-    diff: Sequence[str] = [f"{one.way.value}: {repeat_words(one)}" for one in one.card.repeats if one.differ]
+    alike = all(repeat.differ == 0 for repeat in scored.card.repeats)
+    same = f"the same bits in all {len(scored.card.repeats)} ways of asking"
+    diff: Sequence[str] = [
+        f"{repeat.way.value}: {repeat_words(repeat)}" for repeat in scored.card.repeats if repeat.differ
+    ]
     yield "asked again: " + (same if alike else "; ".join(diff))
-    yield f"time: {times_words(one.card)}"
-    for search in one.searches:
+    yield f"time: {times_words(scored.card)}"
+    for search in scored.searches:
         yield f"searched {search.region}: {search.asked:,} questions in a ledger of their own"
-    yield towards_words(one.card)
+    yield towards_words(scored.card)
     beside = f" that {against} has not" if against else ""
-    yield f"{len(one.findings)} findings on {one.reference}{beside}" + (":" if one.findings else "")
-    yield from map(_finding, one.findings)
-    if one.unlike:
-        yield f"unlike the reference in {len(one.unlike)} ways (findings only with --against):"
-        yield from map(_finding, one.unlike)
+    yield f"{len(scored.findings)} findings on {scored.reference}{beside}" + (":" if scored.findings else "")
+    yield from map(_finding, scored.findings)
+    if scored.unlike:
+        yield f"unlike the reference in {len(scored.unlike)} ways (findings only with --against):"
+        yield from map(_finding, scored.unlike)
 
 
 def _finding(finding: ScoreFinding) -> str:

@@ -147,13 +147,13 @@ def _decisions(file: Path, text: str, out: Path) -> int:
     with writing(path):
         save_trace(replace(trace, certified=certified), path)
     rows = [
-        (str(number), f"{time_s:.3f} s", decision.words)
+        (str(number), f"{time_s:.3f} s", decision.summary)
         for number, (decision, time_s) in enumerate(
             zip(certified.decisions, trace.decisions["time_s"], strict=True), 1
         )
     ]
     result(*table(("decision", "at", "every hand near"), rows, columns_of(sys.stdout), named_by=1))
-    result("", certified.words, str(path))
+    result("", certified.summary, str(path))
     say(f"safety-harness judge {path} --out {out} shows it in the report")
     document(trace=path, **plain(certified))
     same = bool(rows) and all(decision.whole is Sameness.SAME for decision in certified.decisions)

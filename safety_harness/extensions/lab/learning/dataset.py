@@ -222,7 +222,7 @@ def generate(
         raise DatasetError(place=Place(field="seed"), expected="a seed of at least 0", got=str(seed))
     settings = replace(settings, avoidance=replace(settings.avoidance, candidate_count=candidates))
     tcp_in_base = space.tcp.draw(stream(seed, Stream.TCPS), tcps)
-    errors = ImageErrors.of(settings)
+    errors = ImageErrors.from_settings(settings)
     selected, in_view = np.empty((tcps, 3)), np.empty(tcps, np.int64)
     step = max(1, VIEWS_AT_A_TIME // candidates)
     for start in range(0, tcps, step):

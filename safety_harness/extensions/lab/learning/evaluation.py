@@ -102,7 +102,7 @@ class DataCard:
     sha256: str
 
     @classmethod
-    def of(cls, card: Mapping[str, Any]) -> DataCard | None:
+    def from_card(cls, card: Mapping[str, Any]) -> DataCard | None:
         """Return the data of a model file's ``card``; None if it has no data in the seen space."""
         data = card.get("data")
         try:
@@ -313,7 +313,7 @@ def evaluate_model(
                 median_largest_spread_m=float(np.median(largest)),
                 intervals=_intervals(model, positions, labels, spreads),
                 auroc=auroc(seen_spread, largest) if is_unseen else None,
-                unreachable=Proportion.of(~reachable(positions, settings, robot)),
+                unreachable=Proportion.from_rows(~reachable(positions, settings, robot)),
             )
         )
     return figures
@@ -365,7 +365,7 @@ def _intervals(
     above = np.asarray(largest_spread(spreads) > calibration.spread_threshold_m)
     inside: NDArray[np.bool_] = np.all(np.abs(positions - labels) <= half_widths, axis=-1)
     return CalibratedIntervals(
-        covered=Proportion.of(inside),
+        covered=Proportion.from_rows(inside),
         coverage=coverage(positions, labels, half_widths),
-        above_threshold=Proportion.of(above) if has_spread(model) else None,
+        above_threshold=Proportion.from_rows(above) if has_spread(model) else None,
     )

@@ -52,7 +52,7 @@ class LoadedModel:
     @property
     def candidates(self) -> int:
         """The candidates for each TCP in its training data, which decide the noise of its labels."""
-        card = DataCard.of(self.model.card)
+        card = DataCard.from_card(self.model.card)
         return card.candidates if card and card.candidates else DEFAULTS.avoidance.candidate_count
 
 
@@ -134,7 +134,7 @@ def figures_of(
                 candidates=net.candidates,
                 on_set=lambda name: say(f"drawing {samples} TCPs and hands: {name}"),
             )
-        card = DataCard.of(net.model.card)
+        card = DataCard.from_card(net.model.card)
         if card is not None and card not in parts:
             say(f"{net.label}: making its training data again")
             parts[card] = test_part(cell.settings, card, samples=samples, seed=seed)

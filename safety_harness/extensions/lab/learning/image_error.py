@@ -37,7 +37,7 @@ class ImageErrors(NamedTuple):
     height_px: int
 
     @classmethod
-    def of(cls, settings: Settings) -> ImageErrors:
+    def from_settings(cls, settings: Settings) -> ImageErrors:
         """Return the errors for the cell of ``settings``, with the camera's true mount."""
         camera_to_base, object_to_camera = desired_camera(settings)
         view, camera = view_of(settings), settings.camera

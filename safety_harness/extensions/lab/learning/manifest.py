@@ -99,8 +99,8 @@ _WITH_ARITHMETIC_0 = {
 
 def is_named_by(dataset: CompactDataset, sha256: str) -> bool:
     """Return whether ``sha256`` is the ``data_hash`` of a data set, also if an earlier arithmetic made it."""
-    found = data_hash(dataset)
-    return sha256 in (found, _WITH_ARITHMETIC_0.get(found))
+    digest = data_hash(dataset)
+    return sha256 in (digest, _WITH_ARITHMETIC_0.get(digest))
 
 
 def data_hash(dataset: CompactDataset) -> str:
@@ -141,7 +141,7 @@ def load_dataset(folder: Path) -> CompactDataset:
     file = folder / MANIFEST
     manifest = _read_manifest(file)
     try:
-        read = typed(manifest, _Read, file, others=True, error=DatasetError)
+        read = typed(manifest, _Read, file, further_fields=True, error=DatasetError)
         settings = typed(manifest["settings"], Settings, file, where="settings", error=DatasetError)
     except RegionError as error:
         raise _error(file, "a manifest as this version writes it", str(error), "space") from error

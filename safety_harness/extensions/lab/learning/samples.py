@@ -59,7 +59,9 @@ class Normalisation:
     target_std: NDArray[np.float64]  # (3,)
 
     @classmethod
-    def of(cls, recipe: Recipe, mean: NDArray[np.float64], std: NDArray[np.float64]) -> Normalisation:
+    def from_recipe(
+        cls, recipe: Recipe, mean: NDArray[np.float64], std: NDArray[np.float64]
+    ) -> Normalisation:
         """Return a recipe's normalisation by ``mean`` and ``std`` (9,), or plain millimetres without one.
 
         Args:

@@ -173,7 +173,7 @@ class _Run:
         self.recipe, self.seed, self.device = recipe, seed, device
         self._samples, self._training = samples, training
         mean, std = moments(samples, training)
-        self.normalisation = Normalisation.of(recipe, mean, std)
+        self.normalisation = Normalisation.from_recipe(recipe, mean, std)
         variance_mm2 = float(np.mean(std[6:] ** 2)) * 1e6
         self.weight_decay = recipe.weight_decay(len(training), variance_mm2)
         chosen = self._chosen(validation, recipe.validation_samples, _VALIDATION)

@@ -44,7 +44,7 @@ def render(evidence: ProofEvidence) -> str:
     proven = sum(proof.verdict == "proven" for proof in proofs)
     return render_page(
         "proof.html.j2",
-        of="safety_harness.extensions.lab",
+        package="safety_harness.extensions.lab",
         basis=BASIS_OF_ANSWERS,
         style="score.css",
         e=evidence,

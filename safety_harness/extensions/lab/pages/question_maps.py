@@ -63,17 +63,19 @@ def question_map(
         title: The title.
 
     """
-    across, up, seen = view
+    across, upwards, seen = view
     low, high = positions.min(axis=0), positions.max(axis=0)
     size = np.maximum(high - low, 1e-6)
     cell = np.minimum(((positions - low) / size * CELLS).astype(np.int64), CELLS - 1)
-    place = cell[:, across], cell[:, up]
+    place = cell[:, across], cell[:, upwards]
     count, sums = np.zeros((CELLS, CELLS)), np.full((CELLS, CELLS), 0.0 if scale.shares else -np.inf)
     np.add.at(count, place, 1.0)
     (np.add if scale.shares else np.maximum).at(sums, place, values)
     worst = np.where(count > 0, scale.classes(sums / np.maximum(count, 1.0) if scale.shares else sums), -1)
-    ends = ((low[across], high[across]), (low[up], high[up]))
-    return class_map(worst, scale, ends, AXES[across] + AXES[up], f"seen {seen}", prefix=prefix, title=title)
+    ends = ((low[across], high[across]), (low[upwards], high[upwards]))
+    return class_map(
+        worst, scale, ends, AXES[across] + AXES[upwards], f"seen {seen}", prefix=prefix, title=title
+    )
 
 
 def class_map(

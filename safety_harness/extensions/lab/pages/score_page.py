@@ -37,7 +37,7 @@ from safety_harness.extensions.lab.scoring.results import Scored, ScoredAvoider,
 from safety_harness.extensions.lab.scoring.scorecard import RegionScore
 from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.words import point_words
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 
 FAR = Scale(
     (0.01, 0.02, 0.04, 0.06),
@@ -62,7 +62,7 @@ def render(evidence: ScoreEvidence) -> str:
     scored = evidence.scored
     return render_page(
         "score.html.j2",
-        of="safety_harness.extensions.lab",
+        package="safety_harness.extensions.lab",
         basis=BASIS_OF_ANSWERS,
         style="score.css",
         e=evidence,
@@ -167,4 +167,6 @@ def _worst_row(number: int, shown: ShownQuestion) -> dict[str, object]:
 def _run_command(scored: ScoredAvoider) -> str:
     """Return the command that runs all files of the worst questions."""
     paths: list[Path] = [shown.file.path for shown in scored.worst if shown.file.path is not None]
-    return shlex.join(["safety-harness", "run", *(str(told(path)) for path in paths)]) if paths else ""
+    return (
+        shlex.join(["safety-harness", "run", *(str(display_path(path)) for path in paths)]) if paths else ""
+    )

@@ -43,14 +43,16 @@ def network_of(data: bytes) -> tuple[list[Any], float, float]:
     tensors = json.loads(data[8 : (start := 8 + int.from_bytes(data[:8], "little"))])
     card = json.loads(tensors.pop("__metadata__")["safety_harness"])
     need(card["kind"] == "relu perceptron" and (m := card["members"]) >= 1, "the network is no perceptron")
-    mean, std, to, by = (np.array(card[k]) for k in ("input_mean", "input_std", "target_mean", "target_std"))
+    mean, std, to, scale = (
+        np.array(card[k]) for k in ("input_mean", "input_std", "target_mean", "target_std")
+    )
     for name, raw in tensors.items():
         tensors[name] = np.frombuffer(data[start:][slice(*raw["data_offsets"])], "<f4").reshape(raw["shape"])
     steps, each = list[Any](), [f"{k}" for k in range(m)]
     for k in each:
         w, b = ([tensors[f"{k}/fc{n}.{part}"] for n in ("1", "2", "_out")] for part in ("weight", "bias"))
-        w[0], w[2] = w[0] / std, w[2] * by[:, None]
-        b[0], b[2] = b[0] - w[0] @ mean, to + by * b[2]
+        w[0], w[2] = w[0] / std, w[2] * scale[:, None]
+        b[0], b[2] = b[0] - w[0] @ mean, to + scale * b[2]
         x, y, z = ((w[n].T, b[n], np.abs(b[n])) for n in range(3))
         steps += [("x", [HAND, TCP], *x), ("x", ["x"]), ("y", ["x"], *y), ("y", ["y"]), (k, ["y"], *z)]
     mean = np.tile(EYE, (m, 1)) / m
@@ -125,7 +127,7 @@ def off_optimum(centre: Array, half: Array, q: Array, g: Array, r: Array) -> tup
     gap, cos, rho = DESIRED - centre[:, 3:], np.cos(CONE), np.linalg.norm(half[:, 3:], axis=1)
     least, most = np.full(len(q), np.inf), np.zeros(len(q))
     rim = -1.0, EYE - np.outer(AXIS, AXIS), RADIUS * np.sin(CONE), RADIUS * cos
-    for sign, flat, scale, up in ((1.0, EYE, RADIUS, 0.0), rim):
+    for sign, flat, scale, offset in ((1.0, EYE, RADIUS, 0.0), rim):
         norm = np.linalg.norm(gap @ flat, axis=1)
         part = np.where(norm - rho > 1e-6, rho / norm, np.nan)  # NaN: no direction, and nothing is confirmed
         to = gap @ flat / norm[:, None]
@@ -134,7 +136,7 @@ def off_optimum(centre: Array, half: Array, q: Array, g: Array, r: Array) -> tup
             [PULL * half[:, :3, None] * EYE, half[:, 3:, None] * (slope - PULL * EYE)], axis=1
         )
         own = np.concatenate([g[:, :6] + own, g[:, 6:]], axis=1)
-        low, high = lengths(q - scale * to - up * AXIS - PULL * (centre[:, 3:] - centre[:, :3]), own, r)
+        low, high = lengths(q - scale * to - offset * AXIS - PULL * (centre[:, 3:] - centre[:, :3]), own, r)
         rest = scale * 2.0 / np.sqrt(3.0) * (-np.log1p(-part) - part)
         applies = sign * (gap @ AXIS - cos * np.linalg.norm(gap, axis=1)) + (1.0 + cos) * rho >= -MARGIN
         least = np.where(applies, np.minimum(least, low - rest), least)
@@ -148,21 +150,21 @@ def products(q: Array, w: Array, half: Array, g: Array, r: Array) -> tuple[Array
     linear, both = np.einsum("nki,ni->nk", g, w), np.einsum("nki,nmi->nkm", g[:, :6], h)
     linear[:, :6] += np.einsum("nki,ni->nk", h, q)
     square = np.einsum("nkk->nk", both) / 2.0  # times e^2, which is in [0, 1]: as much on either side
-    off = np.abs(both + both.transpose(0, 2, 1)).sum(axis=(1, 2)) / 2.0 - np.abs(square).sum(axis=1)
+    deviation = np.abs(both + both.transpose(0, 2, 1)).sum(axis=(1, 2)) / 2.0 - np.abs(square).sum(axis=1)
     rest = (np.abs(g[:, 6:]).sum(axis=1) + r) * np.abs(h).sum(axis=1) + r * np.abs(w)
-    off += np.abs(linear).sum(axis=1) + rest.sum(axis=1)
+    deviation += np.abs(linear).sum(axis=1) + rest.sum(axis=1)
     middle = (q * w).sum(axis=1) + square.sum(axis=1)
-    return middle - off, middle + off
+    return middle - deviation, middle + deviation
 
 
 def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: float, doubt: float) -> Any:
     """Return whether ``code`` is right for each box (n,) from ``low`` to ``high`` (n, 6)."""
-    kind, limit, (near, far) = claim["kind"], claim["limit_m"], claim["region"]["apart_m"]
+    kind, limit, (nearest_m, far) = claim["kind"], claim["limit_m"], claim["region"]["apart_m"]
     half = np.maximum(high - (centre := (low + high) / 2.0), centre - low) * (1.0 + 1e-12)
     gap, wide = centre[:, 3:] - centre[:, :3], half[:, 3:] + half[:, :3]
     nearest, farthest = np.linalg.norm([np.maximum(np.abs(gap) - wide, 0.0), np.abs(gap) + wide], axis=2)
     if code == OUTSIDE:
-        return (farthest < near - MARGIN) | (nearest > far + MARGIN)
+        return (farthest < nearest_m - MARGIN) | (nearest > far + MARGIN)
     forms = forms_of(steps, u, centre, half)
     z, g, r = forms[ANSWER]
     need((np.abs(z) + np.abs(g).sum(axis=1) + r < FARTHEST).all(), "an answer may be out of all bounds")
@@ -173,11 +175,13 @@ def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: flo
         least, most = off_optimum(centre, half, step, g, r)
     kept, broken = (limit - most, least - limit) if kind in BELOW else (least - limit, limit - most)
     if kind == "unsure":  # a spread above the threshold will do as well
-        off = np.abs((z := forms["off"])[1]).sum(axis=1) + z[2]
-        square = np.stack([np.maximum(np.abs(z[0]) - off, 0.0), np.abs(z[0]) + off]) ** 2
+        deviation = np.abs((z := forms["off"])[1]).sum(axis=1) + z[2]
+        square = np.stack([np.maximum(np.abs(z[0]) - deviation, 0.0), np.abs(z[0]) + deviation]) ** 2
         least, most = np.sqrt(square.reshape(2, len(z[0]), -1, 3).mean(axis=2)).max(axis=2)
         kept, broken = np.maximum(kept, least - doubt), np.minimum(broken, doubt - most)
-    return kept >= MARGIN if code == PROVEN else (broken >= MARGIN) & (nearest >= near) & (farthest <= far)
+    return (
+        kept >= MARGIN if code == PROVEN else (broken >= MARGIN) & (nearest >= nearest_m) & (farthest <= far)
+    )
 
 
 @np.errstate(all="ignore")

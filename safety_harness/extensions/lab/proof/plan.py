@@ -37,7 +37,7 @@ MOST_SAMPLES = 10_000_000
 ANY_APART_M = 0.0, 4.0 * LARGEST_COORDINATE_M  # 0 to more than the distance of any pair
 LEAST_INSIDE = 1e-3  # the least probability of a normal axis within each region
 
-Asked = LearnedAvoider | OnnxFunction
+AskedNetwork = LearnedAvoider | OnnxFunction
 Floats = NDArray[np.float64]
 Normal = tuple[float, float]  # mean and standard deviation [m]
 
@@ -83,12 +83,12 @@ class ProofRegion:
         It is a sum over ``STEPS``^3 offsets from TCP to hand.
         """
         offsets, chances = [], []
-        for low, high, from_, to in zip(
+        for low, high, start, to in zip(
             self.hand_low_m, self.hand_high_m, self.tcp_low_m, self.tcp_high_m, strict=True
         ):
-            edges = np.linspace(low - to, high - from_, STEPS + 1)
+            edges = np.linspace(low - to, high - start, STEPS + 1)
             offset = (edges[1:] + edges[:-1]) / 2.0  # from TCP to hand; its chance: the overlap of two boxes
-            overlap = np.maximum(0.0, np.minimum(high, to + offset) - np.maximum(low, from_ + offset))
+            overlap = np.maximum(0.0, np.minimum(high, to + offset) - np.maximum(low, start + offset))
             offsets.append(offset)
             chances.append(overlap / overlap.sum())
         x, y, z = np.meshgrid(*offsets, indexing="ij")
@@ -131,7 +131,7 @@ class ProofPlan:
     avoider: str
     model_file: Path
     network: ReluNetwork
-    asked: Asked
+    asked: AskedNetwork
     proofs: tuple[PlannedProof, ...]
     questions: QuestionLaw | None = None
 
@@ -156,8 +156,8 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
     refuse_other_kind(path, FileKind.PROOF)
     given = Field(Library().tree(path), path, path="", line=1).fields(KEYS)
     title = given.required("proof").prose("a title on one line")
-    if about := given.optional("about"):
-        about.prose("why", lines=True)
+    if text := given.optional("about"):
+        text.prose("why", lines=True)
     avoider = given.required("avoider")
     name = avoider.sentence("a network")
     if name not in SHIPPED and not name.endswith((MODEL_SUFFIX, ONNX_SUFFIX)):
@@ -217,7 +217,7 @@ def seen_region(seen: SeenSpace) -> ProofRegion:
 def _region(name: str, at: Field, seen: ProofRegion | None) -> ProofRegion:
     """Return boxes and distance of a region; missing parts come from ``seen``."""
     given = at.fields(("hand", "tcp", "apart"))
-    hand, tcp, apart = (given.optional(key) for key in ("hand", "tcp", "apart"))
+    hand, tcp, distances = (given.optional(key) for key in ("hand", "tcp", "apart"))
     hands, tcps = _box(hand) if hand else None, _box(tcp) if tcp else None
     if seen is not None:
         hands = hands or (seen.hand_low_m, seen.hand_high_m)
@@ -225,9 +225,9 @@ def _region(name: str, at: Field, seen: ProofRegion | None) -> ProofRegion:
     if hands is None or tcps is None:
         raise at.error("boxes of hands and of TCPs, since the network's file does not state its seen space")
     apart_m = ANY_APART_M
-    if apart:
-        near, far = apart.items("two lengths such as [100 mm, 400 mm]", count=2)
-        near_m = near.quantity(LENGTH, least=0.0)
+    if distances:
+        nearest_m, far = distances.items("two lengths such as [100 mm, 400 mm]", count=2)
+        near_m = nearest_m.quantity(LENGTH, least=0.0)
         apart_m = near_m, far.quantity(LENGTH, above=near_m, most=ANY_APART_M[1])
     return ProofRegion(
         name=name,

@@ -14,7 +14,7 @@ from safety_harness.extensions.lab.proof.box_kernel import REFUTED, UNDECIDED
 from safety_harness.extensions.lab.proof.certificate import Proof, WrongQuestion
 from safety_harness.extensions.lab.proof.claims import ClaimKind, margins_of, optimum_constants
 from safety_harness.extensions.lab.proof.plan import ProofPlan
-from safety_harness.extensions.lab.proof.tree import BoxTree, Over, examined, work
+from safety_harness.extensions.lab.proof.tree import BoxTree, MapBatches, examined, work
 
 MOST_ASKED = 200_000  # questions at the centres of leaves
 WRONG_BY = 1e-8  # m or m2, beyond all rounding
@@ -33,7 +33,7 @@ class Effort:
 
     seconds: float
     halvings: int
-    over: Over = map
+    over: MapBatches = map
     at_once: int = 1
     stopped: Callable[[], bool] = field(default=lambda: False)
     show: OnStep = field(default=lambda text, share: None)
@@ -68,7 +68,7 @@ def continue_proofs(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Ite
             halvings=effort.halvings,
             doubt_m=plan.doubt_m,
             until_s=now_s + share_s,
-            over=effort.over,
+            map_batches=effort.over,
             at_once=effort.at_once,
             on_level=report,
             stopped=effort.stopped,

@@ -71,7 +71,7 @@ def halves(low: Floats, high: Floats, codes: Codes) -> Boxes:
     return lows, highs
 
 
-Over = Callable[[Callable[[Boxes], Codes], Iterable[Boxes]], Iterable[Codes]]
+MapBatches = Callable[[Callable[[Boxes], Codes], Iterable[Boxes]], Iterable[Codes]]
 
 
 def examined(
@@ -127,7 +127,7 @@ def work(
     halvings: int,
     until_s: float,
     doubt_m: float = np.nan,
-    over: Over = map,
+    map_batches: MapBatches = map,
     at_once: int = 1,
     on_level: Callable[[BoxTree], Any] = lambda tree: None,
     stopped: Callable[[], bool] = lambda: False,
@@ -144,7 +144,7 @@ def work(
         halvings: The greatest depth.
         until_s: The end, by ``time.monotonic``.
         doubt_m: The network's threshold of the spread; NaN: no threshold.
-        over: Maps batches of boxes, for example in other processes.
+        map_batches: Maps batches of boxes, for example in other processes.
         at_once: The number of batches at a time; the result does not depend on it.
         on_level: Receives the tree after each level.
         stopped: Ends the work when it returns True.
@@ -161,7 +161,7 @@ def work(
         batches = ((low[part], high[part]) for part in _parts(waiting))
         rows = _parts(waiting)
         while (group := list(islice(rows, at_once))) and not stopped() and time.monotonic() < until_s:
-            for part, judged in zip(group, over(judge, list(islice(batches, at_once))), strict=True):
+            for part, judged in zip(group, map_batches(judge, list(islice(batches, at_once))), strict=True):
                 codes[part] = np.where(judged < PROVEN, UNDECIDED, judged) if last else judged
         low, high = halves(low, high, codes)
         _put_next(tree, level, old_codes, len(low))

@@ -99,7 +99,7 @@ def region_score(
         asked_in_runs=region.asked_in_runs and len(questions) > 0,
         questions=questions,
         answers=answers,
-        answered=Proportion.of(given) if len(questions) else None,
+        answered=Proportion.from_rows(given) if len(questions) else None,
         worst_off=_worst(region.name, questions, answers, settings, by_gained=False),
         worst_gained=_worst(region.name, questions, answers, settings, by_gained=True),
         step_m=step_m,
@@ -141,8 +141,8 @@ def _figures(
     sure, has_threshold = is_sure(kept.spreads_m, kept.thresholds_m), np.isfinite(kept.thresholds_m)
     reached = in_reach(proposed, settings, robot)
     values = (
-        Proportion.of(gained >= 0.0),
-        Proportion.of(reached),
+        Proportion.from_rows(gained >= 0.0),
+        Proportion.from_rows(reached),
         (quantile(gained, 0.5), quantile(gained, 0.05)),
         float(gained.min()),
         (quantile(angle, 0.5), quantile(angle, 0.95)),
@@ -153,10 +153,10 @@ def _figures(
         _matrix(pull),
         _matrix(scale),
         _spreads(error, posed, kept.spreads_m) if kept.spreads_m.any() else None,
-        Proportion.of((off_by > WRONG_M) & sure),
-        Proportion.of(~sure) if has_threshold.any() else None,
+        Proportion.from_rows((off_by > WRONG_M) & sure),
+        Proportion.from_rows(~sure) if has_threshold.any() else None,
         _most_alike(proposed, step_m),
-        Proportion.of(sure & ~((gained >= 0.0) & reached)),
+        Proportion.from_rows(sure & ~((gained >= 0.0) & reached)),
     )
     return dict(zip(_NAMES, values, strict=True))
 
@@ -189,7 +189,7 @@ def _most_alike(proposed: ArrayNx3, step_m: float) -> Proportion:
             around = np.pad(counts, 2)
             usual = 2 * np.max([around[k : k + len(counts)] for k in (0, 1, 3, 4)], axis=0)
         most = max(most, int((counts - usual).max()))
-    return Proportion.of(np.arange(len(proposed)) < most)
+    return Proportion.from_rows(np.arange(len(proposed)) < most)
 
 
 def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot) -> NDArray[np.bool_]:
@@ -230,7 +230,7 @@ def _spreads(error: ArrayNx3, posed: Questions, spreads: ArrayNx3) -> Spreads:
     errors_m = root_mean_square(off_by)
     return Spreads(
         within=tuple(
-            tuple(Proportion.of(np.abs(error[:, axis]) <= k * spreads[:, axis]) for axis in range(3))  # type: ignore[misc]
+            tuple(Proportion.from_rows(np.abs(error[:, axis]) <= k * spreads[:, axis]) for axis in range(3))  # type: ignore[misc]
             for k in SPREAD_COUNTS
         ),
         error_to_spread=Figure(errors_m.value / rms_m, errors_m.low / rms_m, errors_m.high / rms_m),

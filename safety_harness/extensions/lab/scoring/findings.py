@@ -190,7 +190,7 @@ def _towards(
     count = min(len(scored.questions) for scored in (score, *beside))  # the questions of all cards
     own, *theirs = (_leads_towards(scored, count) for scored in (score, *beside))
     alone = own & ~np.any(theirs, axis=0)
-    share = Proportion.of(alone)
+    share = Proportion.from_rows(alone)
     if share.low > limits.towards:
         text = f"{_percent(share)} of the answers lead towards the hand where each yardstick leads away"
         shown = tuple(score.questions.single(int(row)) for row in np.flatnonzero(alone)[:3])
@@ -342,13 +342,13 @@ def _slope(jumps: Jumps) -> float:
 
 def _of_repeats(repeats: Iterable[AskedAgain], same_m: float) -> Iterator[ScoreFinding]:
     """Yield the findings on answers that did not repeat."""
-    for one in repeats:
-        if one.largest_m > same_m:
+    for repeat in repeats:
+        if repeat.largest_m > same_m:
             text = (
-                f"{one.differ} of {one.questions:,} answers differ, by up to {one.largest_m * MM:.3g} mm, "
-                f"when {one.way.value}"
+                f"{repeat.differ} of {repeat.questions:,} answers differ, "
+                f"by up to {repeat.largest_m * MM:.3g} mm, when {repeat.way.value}"
             )
-            yield ScoreFinding(Kind.NOT_REPEATED, "", text, () if one.first is None else (one.first,))
+            yield ScoreFinding(Kind.NOT_REPEATED, "", text, () if repeat.first is None else (repeat.first,))
 
 
 def _of_times(card: Scorecard, limits: FindingLimits) -> Iterator[ScoreFinding]:

@@ -217,7 +217,7 @@ def _followed(
     if followed and stepped >= STEPPED * followed:
         jumps = replace(jumps, step_m=max(jumps.step_m, STEPPED_M / 2.0))
     largest = largest if largest and largest.change_m > jumps.limit_m else None
-    share = Proportion.of(jumped_m > jumps.limit_m) if count else None
+    share = Proportion.from_rows(jumped_m > jumps.limit_m) if count else None
     return replace(jumps, segments=count, jumped=share, largest=largest, steepest=steepest)
 
 

@@ -91,7 +91,7 @@ def question_file(
     scenario_seed: int,
     *,
     title: str,
-    about: str,
+    description: str,
     claims: tuple[str, ...],
     settings: Settings = DEFAULTS,
     robot: AnyRobot = Robot.UR10,
@@ -106,7 +106,7 @@ def question_file(
         tcp_in_base_m: The question's TCP.
         scenario_seed: The scenario's seed.
         title: The scenario's title.
-        about: The scenario's description.
+        description: The scenario's description.
         claims: The sentences of its claims.
         settings: The settings of the cell.
         robot: The arm.
@@ -116,7 +116,7 @@ def question_file(
     bare = Scenario(
         name=path.stem,
         title=title,
-        about=about,
+        about=description,
         duration_s=LASTS_S,
         seed=scenario_seed,
         start=PoseStart(position_in_base_m=_vector3(tcp_in_base_m)),

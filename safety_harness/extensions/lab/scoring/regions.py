@@ -75,7 +75,7 @@ def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion
 
     """
     near_m = settings.avoidance.critical_distance_m
-    about = f"of {seen.source}; hands within {near_m * 1e3:g} mm of the TCP"
+    description = f"of {seen.source}; hands within {near_m * 1e3:g} mm of the TCP"
 
     def region_of(name: str, hands: Region, tcps: Region) -> QuestionRegion:
         def holds(hand: ArrayNx3, tcp: ArrayNx3) -> Flags:
@@ -83,7 +83,7 @@ def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion
 
         return QuestionRegion(
             name=name,
-            about=f"{name}: {about}",
+            about=f"{name}: {description}",
             pairs=lambda rng, count: (hands.draw(rng, count), tcps.draw(rng, count)),
             holds=holds,
             asked_in_runs=True,

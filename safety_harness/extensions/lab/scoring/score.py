@@ -63,7 +63,7 @@ class Counts:
     sample: int = 1_000
 
     @classmethod
-    def of(cls, questions: int) -> Counts:
+    def from_total(cls, questions: int) -> Counts:
         """Return counts with ``questions`` in the first region, and everything else in proportion."""
         return cls()._times(questions / cls.first)
 

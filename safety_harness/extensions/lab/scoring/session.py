@@ -73,9 +73,11 @@ class ScoringSession:
     def run(self) -> Scored:
         """Score all avoiders; Ctrl-C ends the session and keeps the finished avoiders."""
         subjects = [
-            (Subject.of(entry, AVOIDER), self._regions(entry)) for entry in self.references
+            (Subject.from_reference(entry, AVOIDER), self._regions(entry)) for entry in self.references
         ]  # a wrong name is found before the first question
-        rival = None if self.against is None else Subject.of(self.against, Place(field="--against"))
+        rival = (
+            None if self.against is None else Subject.from_reference(self.against, Place(field="--against"))
+        )
         for file in self.replaces:
             with suppress(OSError):  # a folder that cannot be written is refused when the page is
                 file.unlink()
@@ -169,7 +171,7 @@ class ScoringSession:
     def _counts(self, subject: Subject, regions: list[QuestionRegion]) -> Counts:
         """Return the numbers of questions for an avoider."""
         if self.questions is not None:
-            return Counts.of(self.questions)
+            return Counts.from_total(self.questions)
         return paced(subject, regions[0], self.seed)
 
     def _yardsticks(self, regions: list[QuestionRegion], counts: Counts) -> tuple[Scorecard, ...]:
@@ -219,7 +221,7 @@ class ScoringSession:
                 tried.tcp_in_base_m,
                 tried.scenario_seed,
                 title=f"worst question {number}: {objective.value}",
-                about=_description(tried, self.seed),
+                description=_description(tried, self.seed),
                 claims=CLAIMS,
                 settings=by_name[tried.region].settings,
                 robot=by_name[tried.region].robot,
@@ -256,11 +258,13 @@ def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorec
     The same Python file in another folder may load other weights.  It returns a warning if only the
     answers agree.
     """
-    hashes = {one: avoider_sha256(scenario_of_avoider(one)) for one in (reference, against)}
-    keys = {(sha256, file_and_name(one)[1] if sha256 else one) for one, sha256 in hashes.items()}
+    hashes = {name: avoider_sha256(scenario_of_avoider(name)) for name in (reference, against)}
+    keys = {(sha256, file_and_name(name)[1] if sha256 else name) for name, sha256 in hashes.items()}
     pairs = zip(card.regions, beside.regions, strict=True)
-    asked = (compared(WayOfAsking.AGAIN, one.questions, one.answers, other.answers) for one, other in pairs)
-    if any(again.differ for again in asked):
+    comparisons = (
+        compared(WayOfAsking.AGAIN, first.questions, first.answers, second.answers) for first, second in pairs
+    )
+    if any(again.differ for again in comparisons):
         return []
     if len(keys) == 1:
         got = f"{against}, which is {reference} by its hash; a comparison with itself has no findings"

@@ -1,0 +1,30 @@
+"""Old names of parameters, which work for one release."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+_Parameters = ParamSpec("_Parameters")
+_Result = TypeVar("_Result")
+
+
+def renamed_parameters(
+    **names: str,
+) -> Callable[[Callable[_Parameters, _Result]], Callable[_Parameters, _Result]]:
+    """Return a decorator whose function also takes old names of its keywords.
+
+    Args:
+        names: The new name of each old name.
+
+    """
+
+    def decorate(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
+        @wraps(function)
+        def call(*args: Any, **keywords: Any) -> _Result:
+            return function(*args, **{names.get(name, name): value for name, value in keywords.items()})
+
+        return call
+
+    return decorate
