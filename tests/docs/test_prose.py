@@ -28,7 +28,6 @@ FIRST = re.compile(
 )
 OVER_BUDGET = {  # pages that are still too long; take a page out once it fits
     "explanation/formulas.md",
-    "explanation/green-tried.md",
     "explanation/search.md",
     "explanation/shield.md",
     "reference/scenario.md",
