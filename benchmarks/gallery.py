@@ -1,4 +1,4 @@
-"""The pictures of docs/tutorials/first-run.md, of the pages in reports/sample: make sample first.
+"""The pictures of README.md and docs/tutorials/first-run.md, from reports/sample: make sample first.
 
 Run: python benchmarks/gallery.py
 """
@@ -23,10 +23,14 @@ OUT = ROOT / "docs" / "assets" / "gallery"
 WIDTH_PX, COLOURS = 1000, 256
 UNFOLD = "document.querySelectorAll('details.run').forEach((one) => { one.open = true; });"
 REPLAY = f"{UNFOLD} document.querySelector('.replay').scrollIntoView();"
+FAILURE = f"""{UNFOLD} const last = [...document.querySelectorAll('.replay')].at(-1); last.scrollIntoView();
+const worst = [...last.querySelectorAll('button')].find((one) => one.innerText === 'Worst moment');
+setTimeout(() => worst.click(), 2000);"""
 COVERAGE = "document.querySelector('#coverage').scrollIntoView();"
 PICTURES = {
     "run": ("run/report.html", "light", ""),
     "replay": ("run/report.html", "light", REPLAY),
+    "failure": ("run/report.html", "light", FAILURE),
     "fuzz": ("fuzz/fuzz.html", "light", ""),
     "coverage": ("fuzz/fuzz.html", "light", COVERAGE),
     "evidence": ("evidence/evidence.html", "light", ""),
@@ -44,7 +48,7 @@ def main() -> None:
         for name, (page, scheme, script) in PICTURES.items():
             show(browser, (ROOT / "reports" / "sample" / page).as_uri(), width=WIDTH_PX, scheme=scheme)
             browser.execute_script(script)
-            time.sleep(4.0 if "replay" in name else 1.0)
+            time.sleep(4.0 if "replay" in script else 1.0)
             clip = {"format": "png", "captureBeyondViewport": False}
             data = browser.execute_cdp_cmd("Page.captureScreenshot", clip)["data"]
             picture = Image.open(io.BytesIO(b64decode(data))).convert("RGB")

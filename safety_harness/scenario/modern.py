@@ -52,9 +52,9 @@ def _edits(node: Node, in_words_of_today: Callable[[str], str]) -> Iterator[tupl
         names = {key.value for key, _ in node.value}
         former = next((FORMER[name] for name in FORMER if name in names), {})
         for key, value in node.value:
-            new = former.get(key.value)
-            if new is not None and new not in names:
-                yield key.start_mark.index, key.end_mark.index, new
+            present = former.get(key.value)
+            if present is not None and present not in names:
+                yield key.start_mark.index, key.end_mark.index, present
             else:
                 yield from _edits(key, in_words_of_today)
             yield from _edits(value, in_words_of_today)

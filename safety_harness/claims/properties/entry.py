@@ -110,9 +110,9 @@ class CatalogueEntry:
         return re.sub(r"(\S+)( \w+)\(s\)", lambda found: found[1] + found[2] + "s" * (found[1] != "1"), words)
 
 
-def _pattern(words: str) -> str:
-    """Return the pattern of all sentences with these words, and a group for each field."""
-    return FIELD.sub(lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", PLURAL.sub(r"\1s?", words))
+def _pattern(wording: str) -> str:
+    """Return the pattern of all sentences with this wording, and a group for each field."""
+    return FIELD.sub(lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", PLURAL.sub(r"\1s?", wording))
 
 
 def _limit(text: str, unit: str, scenario: Scenario, place: Place) -> float:
