@@ -244,7 +244,7 @@ class Field(NamedTuple):
         return chosen[0]
 
     def fields(self, allowed: tuple[str, ...], *, hints: dict[str, str] | None = None) -> Fields:
-        """Return the values of a mapping with certain keys, ``wrong`` if it has others.
+        """Return the values of a mapping with certain keys; mistakes in its other keys are in ``wrong``.
 
         Args:
             allowed: The keys that it may have.
@@ -252,13 +252,18 @@ class Field(NamedTuple):
 
         """
         entries = self.entries(_mapping_with(allowed))
-        wrong = None
+        wrong = list[InputError]()
         for key, field in entries:
             if key not in allowed:
                 hint = (hints or {}).get(key) or near_miss(key, allowed)
                 expected = f"one of the keys {', '.join(allowed)}"
-                wrong = noted(field.error(expected, got=f'the key "{shown(key)}"', hint=hint))
-        return Fields(self, {key: field for key, field in entries if key in allowed}, wrong)
+                wrong.append(noted(field.error(expected, got=f'the key "{shown(key)}"', hint=hint)))
+        return Fields(self, {key: field for key, field in entries if key in allowed}, tuple(wrong))
+
+
+def is_meant(key: str, error: InputError) -> bool:
+    """Return whether a wrong key is ``key``, misspelt."""
+    return f'"{key}"' in error.hint
 
 
 @lru_cache
@@ -269,11 +274,11 @@ def _mapping_with(keys: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class Fields:
-    """The values of a mapping by their keys; ``wrong`` is a mistake in the keys, which was noted."""
+    """The values of a mapping by their keys; ``wrong`` are mistakes in the keys, which were noted."""
 
     whole: Field
     by_key: dict[str, Field]
-    wrong: InputError | None = None
+    wrong: tuple[InputError, ...] = ()
 
     def __contains__(self, key: str) -> bool:
         return key in self.by_key
@@ -283,9 +288,10 @@ class Fields:
 
     def required(self, key: str, hint: str = "") -> Field:
         """Return the value of ``key``; ScenarioError, with the hint, if it is absent."""
-        if key not in self.by_key and self.wrong is not None:
-            raise self.wrong  # the key may be there, misspelled
         if key not in self.by_key:
+            for error in self.wrong:
+                if is_meant(key, error):
+                    raise error
             present = ", ".join(map(shown, self.by_key))
             place = replace(self.whole.place, field=join(self.whole.path, key))
             got = f"only {present}" if present else "nothing"
