@@ -378,8 +378,8 @@ class KeyTable:
 
         own = (key for key in self.keys if key.attribute)
         read_values = {name: value for name, value in each(pair, own) if value is not REQUIRED}
-        if given.wrong is not None:
-            raise given.wrong
+        if given.wrong:
+            raise given.wrong[0]
         for attribute, table in self.beside:
             if any(name in given for name in table.names):
                 read_values[attribute] = table.made_of(given)

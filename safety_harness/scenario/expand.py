@@ -19,7 +19,7 @@ from safety_harness.scenario.compose import (
     variants,
     without_keys,
 )
-from safety_harness.scenario.fields import Field, every_mistake, is_sentence
+from safety_harness.scenario.fields import Field, Fields, each, every_mistake, is_meant, is_sentence
 from safety_harness.scenario.files import as_path, resolved
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import Scenario
@@ -121,7 +121,7 @@ class Gathered:
             self.errors.append(error)
 
     def _add_suite(self, root: Field, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
-        """Add the scenarios of a suite; ScenarioError for a circle or too many levels."""
+        """Add the scenarios of a suite, and its mistakes; ScenarioError for a circle or too many levels."""
         if resolved(file) in suites:
             circle = " names ".join(suite.name for suite in (*suites, file))
             raise ScenarioError(
@@ -130,11 +130,21 @@ class Gathered:
         if len(suites) >= DEEPEST_SUITE:
             expected = f"suites of at most {DEEPEST_SUITE} levels"
             raise ScenarioError(place=place or root.place, expected=expected, got="a deeper one")
-        given = root.fields(SUITE_TABLE.names)
-        SUITE_TABLE.values(given)
-        for item in given.required("scenarios").items("a list of files, folders and suites", least=1):
-            path = file.parent / item.sentence("a file, a folder or a suite, relative to this one")
-            self.add(path, item.place, (*suites, resolved(file)))
+        listed = list[tuple[Path, Place]]()
+
+        def read(item: Field) -> None:
+            path = item.sentence("a file, a folder or a suite, relative to this one")
+            listed.append((file.parent / path, item.place))
+
+        def read_list(given: Fields) -> None:
+            each(read, given.required("scenarios").items("a list of files, folders and suites", least=1))
+
+        with every_mistake() as found:
+            given = root.fields(SUITE_TABLE.names)
+            each(lambda read: read(given), (SUITE_TABLE.values, read_list))
+        self.errors += found
+        for path, at in listed:
+            self.add(path, at, (*suites, resolved(file)))
 
     def take(self, scenario: Scenario) -> None:
         """Add a scenario; ScenarioError if its name exists already or there are too many."""
@@ -206,7 +216,8 @@ def mistakes_of(variant: Variant, file: Path, mended: list[Mended]) -> list[Inpu
             elif name and name not in faulty and faulty.isdisjoint(READ_WITH.get(name, ())):
                 missing = ScenarioError(place=error.place, expected=error.expected, got="none")
                 errors.append(error if name in there else missing)  # its own text would speak of examples
-        names = {name for name, _ in named if name} - faulty
+        meant = {key for key in TOP.names if any(is_meant(key, error) for error in mistakes)} - there
+        names = {name for name, _ in named if name}.union(meant) - faulty
         if not names:
             return errors
         faulty |= names

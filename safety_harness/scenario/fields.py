@@ -250,7 +250,7 @@ class Field(NamedTuple):
         hints: dict[str, str] | None = None,
         former: abc.Mapping[str, str] | None = None,
     ) -> Fields:
-        """Return the values of a mapping with certain keys, ``wrong`` if it has others.
+        """Return the values of a mapping with certain keys, its other keys are mistakes in ``wrong``.
 
         Args:
             allowed: The keys that it may have.
@@ -261,13 +261,18 @@ class Field(NamedTuple):
         given = self.entries(_mapping_with(allowed))
         renamed = {old: new for old, new in (former or {}).items() if new not in dict(given)}
         entries = [(renamed.get(key, key), field) for key, field in given]
-        mistake = None
+        wrong = list[InputError]()
         for key, field in entries:
             if key not in allowed:
                 hint = (hints or {}).get(key) or near_miss(key, allowed)
                 expected = f"one of the keys {', '.join(allowed)}"
-                mistake = noted(field.error(expected, got=f'the key "{shown(key)}"', hint=hint))
-        return Fields(self, {key: field for key, field in entries if key in allowed}, mistake)
+                wrong.append(noted(field.error(expected, got=f'the key "{shown(key)}"', hint=hint)))
+        return Fields(self, {key: field for key, field in entries if key in allowed}, tuple(wrong))
+
+
+def is_meant(key: str, error: InputError) -> bool:
+    """Return whether a wrong key is ``key``, misspelt."""
+    return f'"{key}"' in error.hint
 
 
 @lru_cache
@@ -278,11 +283,11 @@ def _mapping_with(keys: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class Fields:
-    """The values of a mapping by their keys; ``wrong`` is a mistake in the keys, which was noted."""
+    """The values of a mapping by their keys; ``wrong`` are mistakes in the keys, which were noted."""
 
     whole: Field
     by_key: dict[str, Field]
-    wrong: InputError | None = None
+    wrong: tuple[InputError, ...] = ()
 
     def __contains__(self, key: str) -> bool:
         return key in self.by_key
@@ -292,9 +297,10 @@ class Fields:
 
     def required(self, key: str, hint: str = "") -> Field:
         """Return the value of ``key``; ScenarioError, with the hint, if it is absent."""
-        if key not in self.by_key and self.wrong is not None:
-            raise self.wrong  # the key may be there, misspelled
         if key not in self.by_key:
+            for error in self.wrong:
+                if is_meant(key, error):
+                    raise error
             present = ", ".join(map(shown, self.by_key))
             place = replace(self.whole.place, field=join(self.whole.path, key))
             got = f"only {present}" if present else "nothing"

@@ -333,6 +333,7 @@ SUITE = KeyTable(
             "why one would run it",
             "All of it takes a minute.",
             "empty",
+            attribute="about",
         ),
         Key(
             "scenarios",

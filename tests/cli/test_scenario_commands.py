@@ -213,6 +213,41 @@ def test_every_mistake_of_a_file_is_told_at_once(
         read_scenario(Path("many.yaml"))
 
 
+def test_a_misspelt_required_key_is_one_mistake_and_hides_no_missing_key(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    hands = "hands: [{hnd: right hand, elbow: [1 m, 0 m, 0 m], starts at: [1 m, -1 m, 0 m]}]\n"
+    wrong = GOOD.replace("\nduration:", "\nduratoin:").replace("tcp start:", "colour:") + hands
+    write(Path(), wrong=wrong)
+    assert validate([Path("wrong.yaml")]) == BAD_INPUT
+    err = capsys.readouterr().err
+    told = [line.split(": ")[2] for line in err.splitlines() if line.startswith("error:")]
+    assert sorted(told) == ["colour", "duratoin", "hands[0].elbow", "hands[0].hnd", "tcp start"]
+    assert 'hint     did you mean "duration"?' in err
+
+
+def test_every_mistake_of_a_suite_is_told_beside_a_wrong_key(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    suite = "suite: [s]\nabut: a\nabout: [b]\nscenarios:\n- good.yaml\n- [1]\n- gone.yaml\n"
+    write(Path(), good=GOOD, suite=suite, misspelt="suite: s\nscenarois: []\ncolour: red\n")
+    assert validate([Path("suite.yaml"), Path("misspelt.yaml")]) == BAD_INPUT
+    out, err = capsys.readouterr()
+    told = [line.split(": ")[1:] for line in err.splitlines() if line.startswith("error:")]
+    assert [" ".join(one) for one in told] == [
+        "misspelt.yaml:2 scenarois",
+        "misspelt.yaml:3 colour",
+        "suite.yaml:1 suite",
+        "suite.yaml:2 abut",
+        "suite.yaml:3 about",
+        "suite.yaml:6 scenarios[1]",
+        "suite.yaml:7 scenarios[2]",
+    ]
+    assert out.startswith("ok good.yaml")
+
+
 def test_an_avoider_is_looked_at_beside_other_mistakes(
     tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -112,7 +112,8 @@ class CatalogueEntry:
 
 def _pattern(wording: str) -> str:
     """Return the pattern of all sentences with this wording, and a group for each field."""
-    return FIELD.sub(lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", PLURAL.sub(r"\1s?", wording))
+    wording = PLURAL.sub(r"\1s?", wording)
+    return FIELD.sub(lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", wording)
 
 
 def _limit(text: str, unit: str, scenario: Scenario, place: Place) -> float:
