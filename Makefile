@@ -24,9 +24,10 @@ test: $(VENV)/tested
 # Everything but what is marked long.
 test-all: test slow
 
-# What tests/slow.txt names.
+# What tests/slow.txt names, less what LESS ignores: pytest does not ignore a file that it is given.
 slow: warm
-	$(call run,-m 'slow and not long' $(LESS) $(shell cut -d: -f1 tests/slow.txt | sort -u | xargs -I% find tests paper/tests -name %))
+	$(call run,-m 'slow and not long' $(LESS) $(filter-out $(patsubst --ignore=%,%,$(LESS)),$(shell \
+		cut -d: -f1 tests/slow.txt | sort -u | xargs -I% find tests paper/tests -name %)))
 	$(BIN)/python $(SUITE) examples/suites --safety-derandomize
 
 # The core, quick and slow, where no wing is installed.
@@ -190,6 +191,8 @@ ASKING := $(addprefix tests/assurance/statistics/test_,binomial.py distances.py 
 	$(addprefix tests/scenario/test_,read_scenario.py schema.py write_scenario.py) tests/trace/test_store.py \
 	$(addprefix tests/space/test_,space.py strategy.py) tests/search/test_searchers.py \
 	tests/cell/avoidance/test_model_file.py tests/cli/test_nearest.py tests/test_public_names.py
+# Of these, what takes seconds and asks no dependency for anything that the others do not.
+UNASKED := type_check test_rare adversary whole_shifts stopping_as_soon many_repetitions more_ways
 oldest := lowest-direct
 newest := highest
 .venv-oldest/versions .venv-newest/versions: .venv-%/versions: pyproject.toml .venv-lock/installed
@@ -199,7 +202,7 @@ newest := highest
 oldest newest: %: .venv-%/versions
 	.venv-$@/bin/python -m pip check
 	.venv-$@/bin/safety-harness run scenarios/rendered-images.yaml --out reports/$@
-	.venv-$@/bin/python -m pytest -q --assert=plain -W ignore::DeprecationWarning -p no:cacheprovider $(QUICK) $(ASKING) -k 'not type_check and not test_rare and not doc'
+	.venv-$@/bin/python -m pytest -q --assert=plain -W ignore::DeprecationWarning -p no:cacheprovider $(QUICK) $(ASKING) -k '$(UNASKED:%=not % and) not doc'
 
 # Beside what other people install.
 CROWD := torch==2.13.0 stable-baselines3 gymnasium mujoco pin rosbags

@@ -7,11 +7,13 @@ and rounded away from the truth by at most 2^-43 of itself.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.compiled import compiled
 from safety_harness.base.elementary import exp, log, log1p
 
 Floats = NDArray[np.float64]
@@ -95,6 +97,12 @@ def _stirling(x: Any) -> Any:
     return np.where(below == 1.0, rest, moved + rest)
 
 
+@lru_cache
+def _stirling_of(x: float) -> Any:
+    """Return ``_stirling`` of one number, kept for the next call."""
+    return _stirling(x)
+
+
 def _deviance(x: Any, mean: Any) -> Any:
     """Return x log(x / mean) + mean - x, without a difference of nearly equal numbers (Loader, 2000)."""
     deviation, v = x - mean, (x - mean) / (x + mean)
@@ -107,22 +115,42 @@ def _deviance(x: Any, mean: Any) -> Any:
 
 def upper_gamma(a: Any, x: Any) -> Any:
     """Return P(X > x) of a gamma distribution with shape ``a``, elementwise."""
-    a, x = np.broadcast_arrays(np.asarray(a, np.float64), np.asarray(x, np.float64))
+    a, x = np.asarray(a, np.float64), np.asarray(x, np.float64)
     with np.errstate(all="ignore"):
-        factor = np.sqrt(a) * exp(-_deviance(a, x) - _stirling(a) - _HALF_LOG_2PI)
-        small = x < a + 1.0
-        # below the mean a series of the lower tail
-        term = total = 1.0 / a
-        k = np.array(a)
-        for _ in range(_MOST_TERMS):
-            k = k + 1.0
-            term = np.where(small, term * x / k, 0.0)
-            total = total + term
-            if not (term > 1e-17 * total).any():
-                break
-        fraction = _lentz(lambda m: (-m * (m - a), x + 2.0 * m + 1.0 - a), x + 1.0 - a, ~small)
-        result = np.where(small, 1.0 - factor * total, factor / fraction)
+        rest = _stirling(a) if a.ndim else _stirling_of(float(a))
+        factor = np.sqrt(a) * exp(-_deviance(a, x) - rest - _HALF_LOG_2PI)
+        a, x = np.broadcast_arrays(a, x)
+        parts = _gamma_parts(np.array(a).reshape(-1), np.array(x).reshape(-1)).reshape(x.shape)
+        result = np.where(x < a + 1.0, 1.0 - factor * parts, factor / parts)
         return np.where(x <= 0.0, 1.0, result)[()]
+
+
+@compiled
+def _gamma_parts(a: Floats, x: Floats) -> Floats:
+    """Return a series of the lower tail below the mean, above it a continued fraction (Lentz), each (n,)."""
+    parts = np.empty_like(x)
+    for i in range(len(x)):
+        if x[i] < a[i] + 1.0:
+            k = a[i]
+            term = value = 1.0 / k
+            for _ in range(_MOST_TERMS):
+                k += 1.0
+                term = term * x[i] / k
+                value += term
+                if not term > 1e-17 * value:
+                    break
+        else:
+            d, value = 0.0, x[i] + 1.0 - a[i]
+            c = value
+            for m in range(1, _MOST_TERMS):
+                above, below = -m * (m - a[i]), x[i] + 2.0 * m + 1.0 - a[i]
+                d = 1.0 / (below + above * d)
+                c = below + above / c
+                value = value * c * d
+                if not abs(c * d - 1.0) > 1e-15:
+                    break
+        parts[i] = value
+    return parts
 
 
 def beta_share(a: Any, b: Any, x: Any, *, above: bool = False) -> Any:
@@ -142,15 +170,15 @@ def beta_share(a: Any, b: Any, x: Any, *, above: bool = False) -> Any:
                 return -(p + half) * (p + q + half) * y / ((p + m - 1.0) * (p + m)), 1.0
             return half * (q - half) * y / ((p + m - 1.0) * (p + m)), 1.0
 
-        share = factor / _lentz(term, np.ones_like(y), np.ones(y.shape, bool))
+        share = factor / _lentz(term, np.ones_like(y))
         result = np.where(turned != above, 1.0 - share, share)
         result = np.where(x <= 0.0, 1.0 * above, np.where(x >= 1.0, 1.0 - above, result))
         return np.where(np.isnan(x), np.nan, result)[()]
 
 
-def _lentz(term: Callable[[int], tuple[Any, Any]], first: Floats, wanted: NDArray[np.bool_]) -> Floats:
-    """Return a continued fraction first + a_1/(b_1 + a_2/(b_2 + ...)) where it is ``wanted`` (Lentz)."""
-    value, c, d = np.array(first), np.array(first), np.zeros_like(first)
+def _lentz(term: Callable[[int], tuple[Any, Any]], first: Floats) -> Floats:
+    """Return a continued fraction first + a_1/(b_1 + a_2/(b_2 + ...)) (Lentz)."""
+    value, c, d, wanted = np.array(first), np.array(first), np.zeros_like(first), np.ones(first.shape, bool)
     for m in range(1, _MOST_TERMS):
         above, below = term(m)
         d = 1.0 / (below + above * d)

@@ -59,6 +59,7 @@ def added_sections(page: str, shown: object, prefix: str = "") -> list[dict[str,
     return added
 
 
+@lru_cache  # which compiles each template once
 def templates(package: str = PACKAGE) -> Environment:
     """Return the templates; they escape their values, and a missing name is an error.
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 from ruamel.yaml import YAML
@@ -66,6 +67,7 @@ class Mapping:
 Node = Scalar | Sequence | Mapping
 
 
+@lru_cache(maxsize=64)  # a trace is read several times, a space with each of its plans
 def parse_tree(text: str, file: Path | None) -> Node:
     """Return the tree of a YAML text with exactly one document.
 

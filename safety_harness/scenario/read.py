@@ -284,7 +284,7 @@ def _check_move(move: HandMove, given: Mapping[str, Field], hand: MovingHand) ->
             hint='a hand is faster on purpose with the key "speed at most" of its own, above "moves"',
         )
     if isinstance(move, Reach) and move.hesitation and move.hesitation.distance_m <= move.until_distance_m:
-        expected = f'a distance farther away than "until", {given["until"].got()}'
+        expected = f"a distance of more than {move.until_distance_m * 1e3:g} mm, where the reach ends"
         raise given["hesitating at"].error(expected)
 
 

@@ -254,7 +254,11 @@ def space_text(fitted: HandsFit) -> str:
     speed, varied = by_name[SPEED_OF].text, ("from ", "normal ", "one of ")
     choices: dict[str, Tree] = {"choices": {"reach speed": speed}} if speed.startswith(varied) else {}
     speed = "the reach speed" if choices else speed
-    come: dict[str, Tree] = {"reach for tcp": speed, "until": by_name[END].text, "at most": "4 s"}
+    come: dict[str, Tree] = {
+        "reach for tcp": speed,
+        "stop at distance": by_name[END].text,
+        "give up after": "4 s",
+    }
     pause: list[Tree] = [{"wait": by_name[PAUSE].text}] if PAUSE in by_name else []
     times = max(1, round(fitted.per_hour / 3600.0 * 20.0))
     moves: list[Tree] = [*pause, come, *stay, {"withdraw": speed}]

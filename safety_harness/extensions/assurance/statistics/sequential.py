@@ -16,6 +16,8 @@ whose M is below 1/a contain the truth, at all times together (Robbins, 1970).
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -27,6 +29,7 @@ _SCALE = 0.5  # of the upper bound's mixture, Beta(_SCALE, 1) of p
 _JEFFREYS = 0.5  # of the lower bound's, Beta(_JEFFREYS, _JEFFREYS)
 
 
+@lru_cache(maxsize=4096)
 def anytime_upper(count: int, trials: int, chance: float) -> float:
     """Return an upper bound of the true share that holds at all times of the stream.
 
@@ -42,6 +45,7 @@ def anytime_upper(count: int, trials: int, chance: float) -> float:
     return settled(lambda p: evidence_below(p, count, trials) >= limit, count / trials, 1.0, 0.0)[1]
 
 
+@lru_cache(maxsize=4096)
 def anytime_lower(count: int, trials: int, chance: float) -> float:
     """Return a lower bound of the true share that holds at all times of the stream.
 
