@@ -43,47 +43,55 @@ CARDS = """\
 
 # Controllers that ship
 
-Written by `make bench-shipped_controllers`. Each is named as `controller:` or `--controller`
-([controllers](../how-to/controller.md)); none is safe by itself, and the table below says how far each is.
+Written by `make bench-shipped_controllers`. A file names a controller by `controller:`, a command by
+`--controller` ([controllers](../how-to/controller.md)). Each violates `{near}` in some runs: the table
+below has the shares.
 
 ## Visual servo
 
-The paper's, and the default: image moments of the object drive the TCP; when a predicted hand comes
-within the critical distance an [avoider](../how-to/avoider.md) proposes where to retreat to, and a gate
-decides. Sees the object and the predicted hands; reports mode, decisions and doubt. Needs the object in the
-camera's view at the start. States and transitions: [the state table](../reference/controller.md).
+The paper's controller, and the default. Image moments of the object drive the TCP. When a predicted hand
+comes within the critical distance, an [avoider](../how-to/avoider.md) proposes where to retreat to, and a
+gate decides. It sees the object and the predicted hands, reports mode, decisions and doubt, and needs the
+object in the camera's view at the start. States and transitions: [the state
+table](../reference/controller.md).
 
 ## Stop when near
 
-Straight to the desired TCP by the encoders alone, position and orientation, with the settings'
-`gain_far`; a protective stop while any hand of the sensor's last frame is within the critical distance
-of the TCP. Sees joints and hands as measured; reports its mode. It never retreats, does not see the
-object, and looks at the TCP alone: a hand at the elbow does not stop it.
+It goes straight to the desired TCP by the encoders alone, position and orientation, with the settings'
+`gain_far`. A protective stop lasts while any hand of the sensor's last frame is within the critical
+distance of the TCP. It sees joints and hands as measured, and reports its mode. It never retreats, does not
+see the object, and looks at the TCP alone: a hand at the elbow does not stop it.
 `safety_harness/cell/controller/stop_when_near.py`, 60 lines.
 
 ## Learned policy
 
-A network of 13,520 weights, trained by PPO in six minutes on two processors by
-[examples/train_a_policy.py](../../examples/train_a_policy.py) on `reaching-hands` with random seed 0, 1.5
-million actions of 40 ms each; `models/learned-policy.onnx`, SHA-256 `{sha256}`. It runs in this process
-by onnxruntime (extra `onnx`). Sees the TCP, and positions and velocities of the predicted hands;
-commands the TCP's velocity; reports nothing, so claims about mode and decisions are inconclusive.
+A network of 13,520 weights, `models/learned-policy.onnx`, SHA-256 `{sha256}`.
+[examples/train_a_policy.py](../../examples/train_a_policy.py) trained it by PPO in six minutes on two
+processors: `reaching-hands`, random seed 0, 1.5 million actions of 40 ms each. It runs in this process by
+onnxruntime (extra `onnx`). It sees the TCP, and positions and velocities of the predicted hands, and
+commands the TCP's velocity. It reports no mode and no decisions, so claims about them are inconclusive.
 
-- Rewarded: 20 for each metre nearer to the desired position; 40 T min(m, 0) at each tick, m being the
-  margin of "always hand distance > 150 mm" [m] and T = 8 ms. On the draws of that space below: {worth}.
-- Desired position, cell and speed limits are those of the default settings: with others it goes
-  elsewhere.
-- It never turns the tool: a tilted start stays tilted. It does not see the object, other obstacles or
-  its own limits.
-- It is an example of the way from training to evidence, and not to be run on a robot.
+- Its reward is 20 for each metre nearer to the desired position, and 40 T min(m, 0) at each tick. Here m is
+  the margin of "always hand distance > 150 mm" [m], and T = 8 ms. On the draws of that space below:
+  {worth}.
+- It knows only the desired position, cell and speed limits of the default settings.
+- It never turns the tool: a tilted start stays tilted. It does not see the object, obstacles or its own
+  limits.
+- It is an example of the way from training to evidence, and must not run on a robot.
 
 ## Side by side
 
-Revision {revision}. {draws} draws of each space (stream 1000), the same for all, kinematic world; the
-visual servo with the avoiders that the spaces name. *Violated*: runs in which "{near}" is; *limits*:
-runs in which a speed or joint limit is; *nearest*: the least distance of a hand in a run, median over
-the runs; *arrived*: runs in which the TCP comes within 20 mm of the desired position, and after how
-long (median of those); *off*: its distance from there at the end, median.
+Revision {revision}. {draws} draws of each space (stream 1000), the same for all, in the kinematic world.
+The visual servo has the avoiders that the spaces name.
+
+| column | meaning |
+|---|---|
+| violated | runs that violate "{near}" |
+| limits | runs that violate a speed or joint limit |
+| nearest | the least distance of a hand in a run, median over the runs |
+| arrived | runs in which the TCP comes within 20 mm of the desired position |
+| after | the time until then, median over these runs |
+| off | its distance from there at the end, median |
 
 | space | controller | violated | limits | nearest | arrived | after | off |
 |---|---|---|---|---|---|---|---|

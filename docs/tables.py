@@ -17,6 +17,7 @@ import typer
 from architecture_picture import picture
 
 from safety_harness.base import extension_points
+from safety_harness.base.exceptions import Place
 from safety_harness.claims.formulas.signals import SIGNALS
 from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.claims.properties.entry import entry_fields
@@ -25,7 +26,10 @@ from safety_harness.extensions.assurance.campaign.plan_keys import PLAN, TABLES,
 from safety_harness.extensions.assurance.certification.evidence import schema as evidence_schema
 from safety_harness.extensions.assurance.certification.standards import STANDARDS, standards_of
 from safety_harness.extensions.selftest.outcome import markdown as table_of
+from safety_harness.scenario import units
 from safety_harness.scenario.codec import Below, Key, KeyTable, QuantityValue
+from safety_harness.scenario.codec import table_of as table_of_keys
+from safety_harness.scenario.faults import EVERY_FAULT, OWN_KEYS, Timed
 from safety_harness.scenario.moves import MOVES
 from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.schema import scenario_schema, table_schema
@@ -53,6 +57,9 @@ def with_tables(text: str, page: Path) -> str:
     up = "../" * (len(page.relative_to(DOCS).parts) - 1)
     tables = {table.name: markdown(table) for table in (*every_table(), *TABLES)}
     tables["moves"] = markdown_of_moves(MOVES)
+    tables["units"] = markdown_of_units()
+    tables["faults"] = markdown_of_faults()
+    tables["the time of a fault"] = markdown(table_of_keys(Timed, "the time of a fault"))
     tables["claims"] = markdown_of_claims()
     tables["standards"] = markdown_of_standards()
     tables["extension points"] = markdown_of_extension_points()
@@ -87,6 +94,42 @@ def markdown_of_moves(moves: tuple[KeyTable, ...]) -> str:
     for table in moves:
         named, *further = (f"`{key.name}` ({_kind(key)})" for key in table.keys)
         rows.append(f"| {named} | {', '.join(further)} | {table.keys[0].meaning} |")
+    return _joined(rows)
+
+
+def markdown_of_units() -> str:
+    """Return every dimension with its units, an example and the bounds of a setting."""
+    dimensions = [one for one in vars(units).values() if isinstance(one, units.Dimension)]
+    rows = ["| dimension | units | example | a setting of it |", "|---|---|---|---|"]
+    for one in dimensions:
+        allowed = ", ".join([*one.units, *["or no unit" if one.units else "no unit"][: one.bare]])
+        bounds = f"{_shortest(one.least, one)} to {_shortest(one.most, one)}"
+        rows.append(f"| {one.name} | {allowed} | {one.example.partition(' or ')[0]} | {bounds} |")
+    return _joined(rows)
+
+
+def _shortest(value: float, dimension: units.Dimension) -> str:
+    """Return the shortest text of a value in SI that means exactly this value."""
+    texts = [f"{value:.9f}".rstrip("0").rstrip(".")] if not dimension.units else []
+    for unit in dimension.units:
+        number = f"{value / units.parse_quantity(f'1 {unit}', dimension, Place()):.9f}".rstrip("0").rstrip(
+            "."
+        )
+        texts.append(f"{number} {unit}")
+    exact = [one for one in texts if units.parse_quantity(one, dimension, Place()) == value]
+    return min(exact, key=len)
+
+
+def markdown_of_faults() -> str:
+    """Return every fault with its further keys and the docstring of its record."""
+    rows = ["| fault | further keys | meaning |", "|---|---|---|"]
+    for kind in EVERY_FAULT:
+        own = OWN_KEYS[kind]
+        further = ", ".join(f"`{key.name}` ({key.words})" for key in own.keys)
+        told = " ".join(kind.__doc__.split())
+        for key in own.keys:
+            told = told.replace(f"``{key.attribute}``", f"`{key.name}`")
+        rows.append(f"| `{own.told_by}: {own.name}` | {further} | {told.removesuffix('.')} |")
     return _joined(rows)
 
 

@@ -24,7 +24,6 @@ CLAIM = re.compile(r"\b(?:safe|compliant|certified)\b", re.IGNORECASE)
 DENIED = (
     r"\blooks? safe\b",
     r"\b(?:is|are) never (?:counted as )?safe\b",
-    r"\bnone is safe by itself\b",
     r"\b(?:no|not)\b[^.:;]{0,60}\ba safe (?:one|run|controller)\b",
     r"\bthe safe side\b",
     r"\bsafe for colour-blind readers\b",

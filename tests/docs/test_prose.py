@@ -26,9 +26,6 @@ FIRST = re.compile(
     r"<!-- reader: (?P<reader>\w+); (?:words: (?P<words>\d+)|written by: (?P<by>[\w/]+\.py)); "
     r"question: .+\? -->\n\n# "
 )
-OVER_BUDGET = {  # pages that are still too long; take a page out once it fits
-    "reference/scenario.md",
-}
 MOST = 20  # in 100 sentences; Hypothesis and pytest have 11 and 16
 
 
@@ -42,13 +39,13 @@ def test_a_page_begins_with_its_reader_its_question_and_its_budget(page: Path) -
 
 
 @pytest.mark.parametrize("page", EVERY, ids=lambda page: str(page.relative_to(ROOT)))
-def test_a_page_keeps_to_its_budget_of_words_unless_it_is_listed(page: Path) -> None:
+def test_a_page_keeps_to_its_budget_of_words(page: Path) -> None:
     text = page.read_text("utf-8")
     budget = FIRST.match(text)
     assert budget
     if budget["words"]:
-        count, name = prose.words(text), str(page.relative_to(ROOT)).removeprefix("docs/")
-        assert (count <= 1.15 * int(budget["words"])) == (name not in OVER_BUDGET), f"{count} words"
+        count = prose.words(text)
+        assert count <= 1.15 * int(budget["words"]), f"{count} words"
 
 
 @pytest.mark.parametrize("page", EVERY, ids=lambda page: str(page.relative_to(ROOT)))
