@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -31,11 +30,6 @@ def confirming_line(replay: Replay, attribution: Attribution) -> str:
     """Return the reference world's verdict on a violation, unchanged or with something changed."""
     margin = attribution.unit.margin_text(replay.margin)
     return f"in {PYBULLET.label}, {replay.words or 'as it is'}: {replay.outcome.value}, {margin}"
-
-
-def causes_of(counterexamples: int, causes: Mapping[str, Sequence[str]]) -> int:
-    """Count the causes: counterexamples that one change mends have one cause."""
-    return counterexamples - sum(len(files) - 1 for files in causes.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +76,10 @@ class SearchAttribution:
             return Explanation((f"whose fault: cannot be told: {described(error)}",))
         self.found[scenario.name] = one
         changed = (replay for replay in there if replay.changes)
+        known = one.answer in (AttributionAnswer.ATTRIBUTED, AttributionAnswer.UNAVOIDABLE)
         return Explanation(
             (f"whose fault: {one.words}", *(confirming_line(replay, one) for replay in changed)),
-            frozenset(one.mending or {f"{one.group}: {claim.sentence}"}),
+            (one.mending or (f"{one.group}: {claim.sentence}",)) if known else (),
             cost_s(KINEMATIC, [scenario] * (1 + len(one.replays)))
             + cost_s(PYBULLET, [scenario] * len(there)),
         )
@@ -92,30 +87,6 @@ class SearchAttribution:
     def explains(self, shown: WrittenCounterexample) -> bool:
         """Return whether ``found`` has the attribution of this counterexample."""
         return bool(shown.one.attribution) and shown.path.stem in self.found
-
-    def causes(self, session: SearchSession) -> dict[str, list[str]]:
-        """Return the changes of one ingredient that mend several counterexamples, with their files.
-
-        Each file is listed once, under the change that mends most.
-        """
-        paths = [one.path for one in session.written if self.explains(one)]
-        left = [(change, path.name) for path in paths for change in self.found[path.stem].mending]
-        found: dict[str, list[str]] = {}
-        while left:
-            change, count = Counter(change for change, _ in left).most_common(1)[0]
-            if count == 1:
-                break
-            found[change] = [name for one, name in left if one == change]
-            left = [(one, name) for one, name in left if name not in found[change]]
-        if found:
-            count = causes_of(len(session.written), found)
-            told = "1 cause" if count == 1 else f"{count} causes"
-            session.output.say(f"{told} in {len(session.written)} counterexamples")
-        for change, files in found.items():
-            session.output.say(
-                f"one cause of {len(files)} counterexamples: {change} mends {', '.join(files)}"
-            )
-        return found
 
     def of_search(self, session: SearchSession) -> FaultsOfSearch | None:
         """Attribute all groups; None without any, if not all are explained, or after an interruption."""

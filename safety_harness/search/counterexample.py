@@ -51,7 +51,7 @@ class Explanation:
     """
 
     lines: tuple[str, ...] = ()
-    causes: frozenset[str] = frozenset()
+    causes: tuple[str, ...] = ()
     cost_s: float = 0.0
 
 
@@ -192,7 +192,7 @@ class Counterexample:
     circumstances: tuple[str, ...]
     attribution: tuple[str, ...]
     draws: int | None
-    causes: frozenset[str] = frozenset()
+    causes: tuple[str, ...] = ()
     is_cut: bool = False
 
     @cached_property
@@ -323,7 +323,7 @@ def counterexample_of(
         else (),
         told.lines,
         confirm.share_of_draws(shrunk.scenario, DRAWS) if drawn else None,
-        told.causes,
+        told.causes or (complaint.kind,) * bool(complaint.kind),
         is_cut and not shrunk.interrupted,
     )
 
