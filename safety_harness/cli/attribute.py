@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+from safety_harness.admission.avoiders import option_of
 from safety_harness.base.input_errors import InputErrors
-from safety_harness.cli.console import BAD_INPUT, document, result, say
+from safety_harness.cell.simulation.worlds import PYBULLET
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    BAD_INPUT,
+    DIFFERS,
+    document,
+    next_step,
+    result,
+    say,
+)
 from safety_harness.cli.progress import TERMINAL
-from safety_harness.report.attribution_job import DATA, PICTURE, AttributionResult, attribute
+from safety_harness.report.attribution_job import DATA, PICTURE, TRACE, AttributionResult, attribute
 
 
 def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None, confirm: bool) -> int:
@@ -22,10 +33,19 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
 
     """
     try:
-        return conclude(attribute(paths, avoider=avoider, confirm=confirm, output=TERMINAL), out)
+        made = attribute(paths, avoider=avoider, confirm=confirm, output=TERMINAL)
     except InputErrors as error:
         say(f"{len(error.errors)} of the inputs cannot be used; nothing was run.")
         return BAD_INPUT
+    code = conclude(made, out)
+    first = min(paths[0].glob(f"*{TRACE}"), default=paths[0])
+    if code in (AS_EXPECTED, DIFFERS) and made.attributions and not confirm and PYBULLET.is_installed:
+        chosen = [] if avoider is None else [option_of(avoider), str(avoider)]
+        command = ["safety-harness", "attribute", *map(str, paths), *chosen, "--confirm"]
+        next_step(shlex.join(command), f"the same in {PYBULLET.label}")
+    elif code in (AS_EXPECTED, DIFFERS):
+        next_step(shlex.join(["safety-harness", "view" if first.suffix == TRACE else "run", str(first)]))
+    return code
 
 
 def conclude(attributed: AttributionResult, out: Path | None) -> int:

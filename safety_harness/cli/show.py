@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from safety_harness.admission.preview import preview_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.base.exceptions import ScenarioError
 from safety_harness.base.whole_file import write_text, writing
-from safety_harness.cli.console import AS_EXPECTED, document, result, say
+from safety_harness.cli.console import AS_EXPECTED, document, next_step, result, say
 from safety_harness.report.scene import Boxes, draw_scene
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario
@@ -57,6 +58,8 @@ def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
         path = out if alone else out / f"{space.name}{PICTURE}"
         pictures.append(_draw(path, drawn.scenarios, space.title, regions_of(space)))
     document(pictures=pictures)
+    spaces = [str(file) for _, file in gathered.spaces]
+    next_step(shlex.join(["safety-harness", *(("fuzz", spaces[0]) if spaces else ("run", *map(str, files)))]))
     return AS_EXPECTED
 
 

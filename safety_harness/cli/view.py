@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 
 from safety_harness.base.exceptions import Place, TraceError
 from safety_harness.base.whole_file import writing
-from safety_harness.cli.console import AS_EXPECTED, document, result, say
+from safety_harness.cli.console import AS_EXPECTED, document, next_step, result, say
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.judge_job import judged_run
 from safety_harness.report.knowledge import measured_lines
@@ -33,6 +34,7 @@ def view(paths: Sequence[Path], out: Path | None, *, opens: bool) -> int:
     document(page=str(file), runs=[name for name, _ in runs])
     if opens and not webbrowser.open(file.resolve().as_uri()):
         say("no browser could be opened: open the page by hand")
+    next_step(shlex.join(["safety-harness", "judge", *map(str, paths), "-v"]), "every verdict")
     return AS_EXPECTED
 
 

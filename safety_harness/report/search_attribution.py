@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -31,11 +30,6 @@ def confirming_line(replay: Replay, attribution: Attribution) -> str:
     """Return the reference world's verdict on a violation, unchanged or with something changed."""
     margin = attribution.unit.margin_text(replay.margin)
     return f"in {PYBULLET.label}, {replay.summary or 'as it is'}: {replay.outcome.value}, {margin}"
-
-
-def causes_of(counterexamples: int, causes: Mapping[str, Sequence[str]]) -> int:
-    """Count the causes: counterexamples that one change mends have one cause."""
-    return counterexamples - sum(len(files) - 1 for files in causes.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +76,13 @@ class SearchAttribution:
             return Explanation((f"whose fault: cannot be told: {described(error)}",))
         self.found[scenario.name] = attribution
         changed = (replay for replay in there if replay.changes)
+        known = attribution.answer in (AttributionAnswer.ATTRIBUTED, AttributionAnswer.UNAVOIDABLE)
         return Explanation(
             (
                 f"whose fault: {attribution.summary}",
                 *(confirming_line(replay, attribution) for replay in changed),
             ),
-            frozenset(attribution.mending or {f"{attribution.group}: {claim.sentence}"}),
+            (attribution.mending or (f"{attribution.group}: {claim.sentence}",)) if known else (),
             cost_s(KINEMATIC, [scenario] * (1 + len(attribution.replays)))
             + cost_s(PYBULLET, [scenario] * len(there)),
         )
@@ -95,30 +90,6 @@ class SearchAttribution:
     def explains(self, shown: WrittenCounterexample) -> bool:
         """Return whether ``found`` has the attribution of this counterexample."""
         return bool(shown.one.attribution) and shown.path.stem in self.found
-
-    def causes(self, session: SearchSession) -> dict[str, list[str]]:
-        """Return the changes of one ingredient that mend several counterexamples, with their files.
-
-        Each file is listed once, under the change that mends most.
-        """
-        paths = [written.path for written in session.written if self.explains(written)]
-        left = [(change, path.name) for path in paths for change in self.found[path.stem].mending]
-        mended: dict[str, list[str]] = {}
-        while left:
-            change, count = Counter(change for change, _ in left).most_common(1)[0]
-            if count == 1:
-                break
-            mended[change] = [name for change_left, name in left if change_left == change]
-            left = [(change_left, name) for change_left, name in left if name not in mended[change]]
-        if mended:
-            count = causes_of(len(session.written), mended)
-            count_text = "1 cause" if count == 1 else f"{count} causes"
-            session.output.say(f"{count_text} in {len(session.written)} counterexamples")
-        for change, files in mended.items():
-            session.output.say(
-                f"one cause of {len(files)} counterexamples: {change} mends {', '.join(files)}"
-            )
-        return mended
 
     def of_search(self, session: SearchSession) -> FaultsOfSearch | None:
         """Attribute all groups; None without any, if not all are explained, or after an interruption."""

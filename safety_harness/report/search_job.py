@@ -164,11 +164,8 @@ class SearchResult:
         return DIFFERS if self.session.differs or not alike else AS_EXPECTED
 
     def __repr__(self) -> str:
-        findings, count = self.findings, len(self.counterexamples)
-        runs = sum(group.count for group in findings.groups if group.claim is not None)
-        summary = f"{count} counterexamples of {runs} violating runs" if runs else "no violation found"
-        basis = basis_of_search(findings, self.session.confirmed)
-        return f"<{self.session.trials.space.name}: {summary} in {findings.tried} runs. {basis}>"
+        basis = basis_of_search(self.findings, self.session.confirmed)
+        return f"<{self.session.trials.space.name}: {self.session.summary}. {basis}>"
 
     def data(self) -> dict[str, object]:
         """Return the content of findings.json; empty after a full disk."""
@@ -218,6 +215,10 @@ class SearchResult:
                 made = replace(self, interrupted=True)
                 output.say(f"no page was written; the files are in {folder}")
         output.say(*made.session.last_lines(made.unwritable))
+        if made.evidence is not None and made.interrupted:
+            output.say(f"next: {made.evidence.command}    (the whole search again)")
+        elif made.evidence is not None and made.evidence.rest_command:
+            output.say(f"next: {made.evidence.rest_command}    (explains the rest)")
         return made
 
 
@@ -255,8 +256,7 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         against=trials.against,
         flips=tuple(session.flips),
         overruled=session.overruled,
-        left=tuple(session.left),
-        causes={} if attribution is None else attribution.causes(session),
+        causes=session.causes,
         coverage=trials.coverage,
         violations=trials.violations,
         shown=tuple(session.written),
@@ -330,8 +330,9 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         "counterexamples": [shown.path.name for shown in evidence.shown],
         "flips_near_the_limit": list(evidence.flips),
         "more_overruled_than_the_reference": evidence.overruled,
-        "causes": evidence.causes,
-        "not_explained": list(evidence.left),
+        "counted": evidence.causes.summary,
+        "causes": evidence.causes.explained,
+        "examples_not_explained": evidence.causes.not_explained,
         "attribution_of_counterexamples": {
             name: as_json_of(attribution) for name, attribution in evidence.attributed.items()
         },

@@ -25,7 +25,7 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.replay import Replays
-from safety_harness.report.search_attribution import FaultsOfSearch, causes_of, draw_attributions
+from safety_harness.report.search_attribution import FaultsOfSearch, draw_attributions
 from safety_harness.report.svg import DASHES, Ink, plain
 from safety_harness.report.words import margin_words, with_minus
 from safety_harness.scenario.files import display_path
@@ -34,7 +34,7 @@ from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld
 from safety_harness.search.counterexample import DRAWS
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.findings import Findings, Group
-from safety_harness.search.session import WrittenCounterexample, basis_of_search, not_found_words
+from safety_harness.search.session import Causes, WrittenCounterexample, basis_of_search, not_found_words
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 from safety_harness.trace.trace import Provenance, Trace
@@ -84,9 +84,14 @@ class SearchEvidence:
     attributed: Mapping[str, Attribution] = field(default_factory=dict)  # of counterexamples, by their files
     flips: tuple[str, ...] = ()  # differences from the reference that are none
     overruled: str = ""  # that the gate overrules more than of the reference
-    left: tuple[str, ...] = ()  # what was not explained
-    causes: dict[str, list[str]] = field(default_factory=dict)  # what mends several, and which files
+    causes: Causes = field(default_factory=Causes)
     against: Against | None = None  # how the runs differ from those with a reference
+
+    @property
+    def rest_command(self) -> str:
+        """The command that explains the other examples; empty if it would explain no more."""
+        more = self.causes.unasked and not self.findings.interrupted
+        return f"{self.command} --explain all" if more else ""
 
     @property
     def shrunk(self) -> int:
@@ -111,7 +116,6 @@ def render(evidence: SearchEvidence) -> str:
             (goal.sentence, [_claim_line(findings, k) for findings in searches])
             for k, goal in enumerate(findings.goals)
         ],
-        causes=causes_of(len(evidence.shown), evidence.causes),
         always=[g.sentence for k, g in enumerate(findings.goals) if findings.always_violated(k)],
         untested=[
             g.sentence for k, g in enumerate(findings.goals) if findings.tried and not findings.evidence[k]

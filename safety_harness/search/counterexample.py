@@ -53,7 +53,7 @@ class Explanation:
     """
 
     lines: tuple[str, ...] = ()
-    causes: frozenset[str] = frozenset()
+    causes: tuple[str, ...] = ()
     cost_s: float = 0.0
 
 
@@ -194,7 +194,7 @@ class Counterexample:
     circumstances: tuple[str, ...]
     attribution: tuple[str, ...]
     draws: int | None
-    causes: frozenset[str] = frozenset()
+    causes: tuple[str, ...] = ()
     is_cut: bool = False
 
     @cached_property
@@ -325,7 +325,7 @@ def counterexample_of(
         else (),
         explanation.lines,
         confirm.share_of_draws(shrunk.scenario, DRAWS) if drawn else None,
-        explanation.causes,
+        explanation.causes or (complaint.kind,) * bool(complaint.kind),
         is_cut and not shrunk.interrupted,
     )
 

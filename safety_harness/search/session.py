@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -78,9 +79,9 @@ def basis_of_search(findings: Findings, confirmed: int) -> str:
     return basis([str(KINEMATIC), *[str(PYBULLET)] * bool(confirmed)], counts)
 
 
-def _violations(count: int) -> str:
-    """Return a count of violations: of one claim in one run each."""
-    return f"{count:,} violation{'s' * (count != 1)}"
+def _counted(count: int, noun: str = "violation") -> str:
+    """Return a number with its noun; a violation is of one claim in one run."""
+    return f"{count:,} {noun}{'s' * (count != 1)}"
 
 
 def _report_at(report: Callable[[str], None], where: str, message: str) -> None:
@@ -120,10 +121,30 @@ class WrittenCounterexample:
     def found_words(self) -> str:
         """How many violations led to it, and the confirmed margin and contact before it was shrunk."""
         example, count = self.one, sum(group.count for group in self.groups)
-        parts = [f"{_violations(count)} led to it"]
+        parts = [f"{_counted(count)} led to it"]
         if example.evaluation is not None and example.found_margin is not None:
             parts.append(f"the worst by {example.evaluation.unit.margin_text(example.found_margin)}")
         return ", ".join([*parts, example.found_contact])
+
+
+@dataclass(frozen=True)
+class Causes:
+    """The causes of a search's violations, each with the files of its examples.
+
+    Each group of violations is an example; ``not_explained`` of them have no known cause.  The search can
+    still explain the ``unasked`` among these.
+    """
+
+    explained: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    not_explained: int = 0
+    unasked: int = 0
+
+    @property
+    def summary(self) -> str:
+        """The number of causes and of examples without one: the only way of counting."""
+        told = f"{_counted(len(self.explained), 'cause')} explained"
+        rest = f"{_counted(self.not_explained, 'example')} not explained{' yet' * bool(self.unasked)}"
+        return f"{told}, {rest}" if self.not_explained else told
 
 
 @dataclass(eq=False)
@@ -136,8 +157,8 @@ class SearchSession:
     explains each violation.  ``repeated`` compares answers with a second instance of the avoider; None if it
     was not run.  ``flips`` lists differences from a reference that a redraw did not show.  ``overruled``
     reports that the gate overrules the avoider more often than the reference.  Unless it ``explains_all``,
-    explanations have an ``allowance``: they simulate as much as the search did.  ``left`` has lines on what
-    was not explained.  It calls ``concluding`` after the search.  ``keeps`` tells whether findings are
+    explanations have an ``allowance``: they simulate as much as the search did.  ``examples`` has the
+    violations of each claim.  It calls ``concluding`` after the search.  ``keeps`` tells whether findings are
     written to ``out`` as they come.
     """
 
@@ -161,7 +182,29 @@ class SearchSession:
     overruled: str = ""
     keeps: bool = True
     allowance: Allowance = field(default_factory=Allowance)
-    left: list[str] = field(default_factory=list)
+    examples: list[_Examples] = field(default_factory=list)
+
+    @property
+    def causes(self) -> Causes:
+        """The causes; each file counts once, under the cause that it shares with most."""
+        left = [(cause, one.path.name) for one in self.written for cause in one.one.causes]
+        explained: dict[str, list[str]] = {}
+        while left:
+            ((cause, _),) = Counter(cause for cause, _ in left).most_common(1)
+            explained[cause] = [name for one, name in left if one == cause]
+            left = [(one, name) for one, name in left if name not in explained[cause]]
+        unknown = [one for one in self.written if not one.one.causes]
+        tried = sum(len(one.groups) for one in unknown if one.one.attribution)
+        count = sum(len(one.groups) for one in unknown)
+        if not self.explains_all or self.interrupted:  # otherwise the rest is attributed without shrinking
+            count += sum(len(one.left) for one in self.examples)
+        return Causes(explained, count, 0 if self.explains_all else count - tried)
+
+    @property
+    def summary(self) -> str:
+        """The numbers of causes, violations and runs."""
+        found = f"{_counted(int(self.findings.violated.sum()))} in {self.findings.tried:,} runs"
+        return f"{self.causes.summary}; {found}" if self.written else found
 
     @property
     def interrupted(self) -> bool:
@@ -221,6 +264,7 @@ class SearchSession:
         findings, say = self.findings, self.output.say
         fallback = fallback_words(self.trials.unanswered, self.trials.decisions)
         self._draw_again()
+        self.examples = self._examples_of_claims()
         whole = summary(findings, self.budget) + (f"; {fallback}" if fallback else "")
         overruled = filter(None, [self.trials.overruling.summary])
         lines = [*self.trials.space.notes, whole, *overruled, *nearest_lines(findings)]
@@ -245,7 +289,7 @@ class SearchSession:
         whole_basis = basis_of_search(findings, self.confirmed)
         say(short_basis(whole_basis))
         self.output.detail(whole_basis)
-        for sentence in self.not_found:
+        for sentence in [] if findings.interrupted else self.not_found:
             self.output.result(f"NOT FOUND  {sentence}: {not_found_words(findings)}")
         if self.written and not self.reference:
             say(NO_REFERENCE)
@@ -320,23 +364,29 @@ class SearchSession:
         doubt += [] if self.reference else [NO_REFERENCE]
         return [*doubt, *origin_of(self.trials, group.worst, searcher)]
 
+    @property
+    def _searches(self) -> list[Findings]:
+        """The findings of the search and of the baseline."""
+        return [self.findings] if self.baseline is None else [self.findings, self.baseline]
+
+    def _examples_of_claims(self) -> list[_Examples]:
+        """Return the violations of each claim; a claim that only the baseline violates is worth as much."""
+        examples = []
+        for claim in (*range(len(self.findings.goals)), None):
+            found = next((one for one in self._searches if one.of_claim(claim)), self.findings)
+            if groups := _one_of_each_kind_first(found.of_claim(claim)):
+                examples.append(_Examples(self, claim, found, groups))
+        return examples
+
     def _explain_groups(self) -> None:
         """Shrink and explain a violation of each claim, then others in turn while the allowance lasts.
 
-        The others get an example only for a new cause, unless all are explained.  A claim that only the
-        baseline violates is worth as much.
+        The others get an example only for a new cause, unless all are explained.
         """
-        claims = (*range(len(self.findings.goals)), None)
-        searches = [self.findings] if self.baseline is None else [self.findings, self.baseline]
-        examples = []
-        for claim in claims:
-            findings = next((search for search in searches if search.of_claim(claim)), self.findings)
-            groups = _one_of_each_kind_first(findings.of_claim(claim))
-            if groups:
-                examples.append(_Examples(self, claim, findings, groups, findings.sentence_of(groups[0])))
+        examples = self.examples
         each_s = cost_s(KINEMATIC, [self.trials.space.simplest])
         if not self.explains_all:
-            self.allowance.total_s = each_s * sum(search.tried for search in searches)
+            self.allowance.total_s = each_s * sum(search.tried for search in self._searches)
         going = []
         with self.output.messages() as report:
             for example in examples:
@@ -344,15 +394,20 @@ class SearchSession:
                 going += [example] if example.explain_next(report) else []
             self.allowance.share(last=True)
             while going:
-                affordable = self.allowance.has(AN_EXAMPLE * each_s)
+                others = self.allowance.has(AN_EXAMPLE * each_s)
                 going = [
                     example
                     for example in going
-                    if (example.claim is None or affordable) and example.explain_next(report)
+                    if (example.claim is None or others) and example.explain_next(report)
                 ]
-        for example in examples:
-            example.report()
-        self.output.say(*self.left)
+        if self.written:
+            self.output.result(f"VIOLATED  {self.summary}")
+        for written in self.written:
+            self.output.result(*written.lines)
+            self.output.detail(*(f"  {line}" for line in written.one.further))
+        for cause, files in self.causes.explained.items():
+            if len(files) > 1:
+                self.output.say(f"one cause of {len(files)} examples: {cause}: {', '.join(files)}")
 
     def _counterexample(
         self, group: Group, number: int, on_step: Callable[[str], None]
@@ -453,21 +508,20 @@ class _Examples:
     claim: int | None
     findings: Findings
     left: list[Group]
-    sentence: str
     written: list[WrittenCounterexample] = field(default_factory=list)
     shrunk: int = 0
-    again: int = 0  # violations of causes that have an example
 
     def _has_an_example(self, group: Group) -> bool:
         """Return whether the worst run of a group, as found, has the cause of an example."""
         session, causes = self.session, {cause for written in self.written for cause in written.one.causes}
-        if session.explains_all or self.claim is None or not causes:
+        if session.explains_all or not causes:
             return False
+        if self.claim is None:
+            return group.kind in causes
         claim = session.trials.claims[self.claim]
         explanation = session.explain(session._scenario_of(session.out, group.worst), claim)
         session.allowance.spent_s += explanation.cost_s
-        self.again += group.count * (known := not causes.isdisjoint(explanation.causes))
-        return known
+        return not causes.isdisjoint(explanation.causes)
 
     def explain_next(self, report: Callable[[str], None]) -> bool:
         """Explain the next violation that the confirming world shows; return whether there was any."""
@@ -475,15 +529,19 @@ class _Examples:
         while self.left and len(self.written) < MOST_SHRUNK and self.shrunk < 2 * MOST_SHRUNK:
             if session.findings.interrupted:
                 break
-            group = self.left.pop(0)
+            group = self.left[0]
             try:
                 if self._has_an_example(group):
+                    del self.left[0]
                     return True
             except KeyboardInterrupt:
                 session.findings.interrupted = True
                 break
             at = f"{self.findings.sentence_of(group)}, example {self.shrunk + 1}"
             case = session._counterexample(group, len(self.written) + 1, partial(_report_at, report, at))
+            if case is None and session.findings.interrupted:
+                break
+            del self.left[0]
             if case is None:
                 continue
             self.shrunk += 1
@@ -495,24 +553,6 @@ class _Examples:
                 self.written.append(session._save(case, [group], self.findings.searcher))
             return True
         return False
-
-    def report(self) -> None:
-        """Print the counterexamples, and how many violations have no explanation."""
-        output = self.session.output
-        for written in self.written:
-            output.result(*written.lines)
-            output.detail(*(f"  {line}" for line in written.one.further))
-        if self.session.findings.interrupted:
-            return
-        lines = [f"{_violations(self.again)} more of a cause that has an example"] if self.again else []
-        if any(written.one.is_cut for written in self.written):
-            lines.append("an example not explained to the end")
-        if self.left:
-            count = _violations(sum(group.count for group in self.left))
-            lines.append(f"{count} not explained, of the same cause or others")
-        if lines:
-            rest = "" if self.session.explains_all else "; --explain all"
-            self.session.left.append(f"{self.sentence}: {'; '.join(lines)} ({FINDINGS}, {AS_FOUND}{rest})")
 
 
 def search_space(
@@ -636,7 +676,7 @@ def summary(findings: Findings, budget: int) -> str:
     mishaps = sum(group.claim is None for group in findings.groups)
     return (
         f"tried {findings.tried}/{budget}, refused {findings.refused.total()}, "
-        f"{_violations(int(findings.violated.sum()))}" + (f", {mishaps} kinds of mishap" if mishaps else "")
+        f"{_counted(int(findings.violated.sum()))}" + (f", {mishaps} kinds of mishap" if mishaps else "")
     )
 
 

@@ -168,7 +168,12 @@ def test_ctrl_c_keeps_what_was_found(
 
     monkeypatch.setattr(Trials, "__call__", interrupted)
     assert fuzz(space, out=tmp_path / "out", budget=500) == INTERRUPTED
-    assert "kept as it was found" in capsys.readouterr().err
+    out, err = capsys.readouterr()
+    assert "kept as it was found" in err
+    assert "NOT FOUND" not in out
+    (then,) = [line for line in err.splitlines() if line.startswith("next: ")]
+    assert then.startswith("next: safety-harness fuzz short.yaml ")
+    assert then.endswith(" --out out    (the whole search again)")
     assert list((tmp_path / "out" / "as-found").glob("*.yaml"))
     assert json.loads((tmp_path / "out" / "findings.json").read_text())["interrupted"]
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import shlex
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from safety_harness.cli import progress
 from safety_harness.cli.console import DIFFERS
 from safety_harness.cli.fuzz import fuzz
+from safety_harness.cli.main import app
 from safety_harness.search import session as search_session
 from safety_harness.search.counterexample import STARTS_S
 
@@ -89,8 +92,8 @@ def test_one_story_from_two_sides_is_one_counterexample_with_all_its_runs(
     for step in ("confirming", "shrinking, run 1 of at most 60", "asking whose fault it is"):
         assert f"{at}: {step}\n" in err
     assert f"whose fault: 0 of {len(distinct)} groups of violations\n" in err
-    left = sum(group["runs"] for group in distinct if not group["counterexample"])
-    assert (f"{left} violation" in err and "not explained" in err) is (left > 0)
+    assert f"VIOLATED  {found_in(Path('out'))['counted']}; " in out
+    assert "(explains the rest)" not in err
     page = Path("out/fuzz.html").read_text()
     assert f"{runs} violations of searcher default led to it, in {len(shrunk)} groups" in page
 
@@ -116,9 +119,14 @@ def test_what_is_left_when_enough_was_shrunk_is_said_with_its_runs(
     assert isinstance(distinct, list)
     left = [group for group in distinct if group["counterexample"] is None]
     assert left
-    runs = sum(group["runs"] for group in left)
-    said = f"{runs} violation{'s' * (runs > 1)} not explained, of the same cause or others (findings"
-    assert said in capsys.readouterr().err
+    out, err = capsys.readouterr()
+    said = found_in(Path("out"))["counted"]
+    assert f"VIOLATED  {said}; " in out
+    assert said in Path("out/fuzz.html").read_text()
+    rest = next(line for line in err.splitlines() if line.endswith("    (explains the rest)"))
+    command = shlex.split(rest.removeprefix("next: ").removesuffix("    (explains the rest)"))
+    assert CliRunner().invoke(app, command[1:]).exit_code == DIFFERS
+    assert "--explain all" not in Path("out/fuzz.html").read_text().partition("Not explained yet")[2]
 
 
 def test_explanations_simulate_no_more_than_the_search_whatever_the_clock_says(
@@ -133,7 +141,7 @@ def test_explanations_simulate_no_more_than_the_search_whatever_the_clock_says(
     )
     few, slowly, every = Path("few"), Path("slowly"), Path("every")
     assert fuzz(space, out=few, budget=120) == DIFFERS
-    said = capsys.readouterr().err
+    said = capsys.readouterr()
     (allowance,) = [session.allowance for session in sessions]
     assert allowance.total_s == 120 * (0.4 + STARTS_S)
     assert 0.0 < allowance.spent_s < allowance.total_s
@@ -149,10 +157,9 @@ def test_explanations_simulate_no_more_than_the_search_whatever_the_clock_says(
         [group for group in found_in(out)["distinct"] if group["counterexample"]] for out in (few, every)
     )
     assert len(one) == 1 < len(several)
-    (line,) = found_in(few)["not_explained"]
-    assert "not explained" in line
-    assert line.endswith("--explain all)")
-    assert line in said
+    line = found_in(few)["counted"]
+    assert line.endswith(f"{found_in(few)['examples_not_explained']} examples not explained yet")
+    assert f"VIOLATED  {line}; 120 violations in 120 runs\n" in said.out
     assert line in (few / "fuzz.html").read_text()
     assert found_in(few)["attribution"] is None
     assert found_in(every)["attribution"] is not None

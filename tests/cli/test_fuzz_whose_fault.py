@@ -76,8 +76,16 @@ def test_a_fault_of_the_avoider_is_told_wherever_fuzz_says_something(
     assert isinstance(distinct, list)
     assert all_of_them["groups"] == {"avoider": len(distinct)}
     assert f"of {len(distinct)} groups of violations: {len(distinct)} avoider" in err
-    maps = ("refused", "groups", "would_have_helped", "coverage", "violations_by_cell", "overruling")
-    names = names_in(data, but=(*maps, "attribution_of_counterexamples"))
+    maps = (
+        "refused",
+        "groups",
+        "would_have_helped",
+        "coverage",
+        "violations_by_cell",
+        "overruling",
+        "causes",
+    )
+    names = names_in(data, but=(*maps, "causes", "attribution_of_counterexamples"))
     assert {"nearest_hand_m", "groups_of_violations", "least_sets"} <= names
     assert [name for name in names if not re.fullmatch("[a-z0-9_]+", name)] == []
     page = Path("out/fuzz.html").read_text()
@@ -99,12 +107,12 @@ def test_one_planted_cause_is_one_finding_in_the_terminal_and_on_the_page(
     assert len(files) == 3
     ((change, mended),) = json.loads(Path("out/findings.json").read_text())["causes"].items()
     assert sorted(mended) == sorted(files)
-    err = capsys.readouterr().err
-    assert "1 cause in 3 counterexamples\n" in err
-    assert f"one cause of 3 counterexamples: {change} mends {', '.join(mended)}" in err
+    out, err = capsys.readouterr()
+    assert "VIOLATED  1 cause explained; " in out
+    assert f"one cause of 3 examples: {change}: {', '.join(mended)}" in err
     page = Path("out/fuzz.html").read_text()
-    assert "1 cause in 3 counterexamples" in page
-    assert f"One cause of 3 counterexamples: <strong>{change}</strong> also mends" in page
+    assert "1 cause explained; each example below is confirmed" in page
+    assert f"One cause of 3 examples: <strong>{change}</strong>; also of" in page
 
 
 def test_a_hand_that_pursues_the_arm_is_called_unavoidable(capsys: pytest.CaptureFixture[str]) -> None:

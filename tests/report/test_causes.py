@@ -1,4 +1,4 @@
-"""Counterexamples that the same change of one ingredient mends are one cause."""
+"""Causes of a search's violations: examples with a common cause are one, and all others are counted."""
 
 from __future__ import annotations
 
@@ -6,50 +6,63 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from safety_harness.report.search_attribution import SearchAttribution, causes_of
+import pytest
+
+from safety_harness.search.session import Causes, SearchSession
 
 
-def attribution(*mending: str) -> Any:
-    return SimpleNamespace(mending=mending)
-
-
-def causes(**found: Any) -> tuple[dict[str, list[str]], list[str]]:
-    """Of counterexamples with these names, and one that nothing is said of; and what is told."""
-    said: list[str] = []
+def session(
+    *, left: int = 0, explains_all: bool = False, interrupted: bool = False, **causes: tuple[str, ...] | None
+) -> Any:
+    """A search with these examples (None: of two groups, whose cause cannot be told), and some ``left``."""
     written = [
-        SimpleNamespace(path=Path(f"out/{name}.yaml"), one=SimpleNamespace(attribution=lines))
-        for name, lines in (*((name, ("whose fault",)) for name in found), ("not attributed", ()))
+        SimpleNamespace(
+            path=Path(f"out/{name}.yaml"),
+            one=SimpleNamespace(causes=known or (), attribution=() if known == () else ("whose fault",)),
+            groups=[object()] if known else [object(), object()],
+        )
+        for name, known in causes.items()
     ]
-    session: Any = SimpleNamespace(written=written, output=SimpleNamespace(say=said.append))
-    return SearchAttribution(found).causes(session), said
-
-
-def test_what_one_change_mends_is_told_once_and_is_one_finding() -> None:
-    found, said = causes(
-        a=attribution("the first made sound"),
-        b=attribution("the second made sound"),
-        c=attribution("the first made sound"),
-        d=attribution(),
+    examples = [SimpleNamespace(left=[object()] * left)]
+    return SimpleNamespace(
+        written=written, examples=examples, explains_all=explains_all, interrupted=interrupted
     )
-    assert found == {"the first made sound": ["a.yaml", "c.yaml"]}
-    assert said == [
-        "4 causes in 5 counterexamples",
-        "one cause of 2 counterexamples: the first made sound mends a.yaml, c.yaml",
-    ]
+
+
+def causes_of(**options: Any) -> Causes:
+    """The causes of such a search."""
+    found: Any = SearchSession.causes
+    counted: Causes = found.fget(session(**options))
+    return counted
+
+
+def test_examples_with_a_common_cause_are_one_cause() -> None:
+    found = causes_of(a=("the first",), b=("the second",), c=("the first",))
+    assert found.explained == {"the first": ["a.yaml", "c.yaml"], "the second": ["b.yaml"]}
+    assert found.words == "2 causes explained"
 
 
 def test_a_change_that_mends_two_merges_them_although_another_mends_the_one_as_well() -> None:
-    found, _ = causes(
-        a=attribution("another", "the same"), b=attribution("the same"), c=attribution("another")
-    )
-    assert sorted(map(len, found.values())) == [2]
-    assert causes_of(3, found) == 2
-    assert causes(a=attribution("one"), b=attribution("other")) == ({}, [])
+    found = causes_of(a=("another", "the same"), b=("the same",), c=("another",))
+    assert sorted(map(len, found.explained.values())) == [1, 2]
 
 
-def test_an_example_that_is_not_explained_has_no_cause_of_an_earlier_one_with_its_name() -> None:
-    one = SimpleNamespace(path=Path("out/a.yaml"), one=SimpleNamespace(attribution=("whose fault: ...",)))
-    other = SimpleNamespace(path=Path("out/b.yaml"), one=SimpleNamespace(attribution=()))
-    session: Any = SimpleNamespace(written=[one, other])
-    earlier = {"a": attribution("the same"), "b": attribution("the same")}
-    assert SearchAttribution(earlier).causes(session) == {}
+@pytest.mark.parametrize(
+    ("options", "words", "unasked"),
+    [
+        ({"a": ("the first",), "left": 1}, "1 cause explained, 1 example not explained yet", 1),
+        ({"a": (), "left": 3}, "0 causes explained, 5 examples not explained yet", 5),
+        ({"a": None}, "0 causes explained, 2 examples not explained", 0),
+        ({"a": None, "left": 3, "explains_all": True}, "0 causes explained, 2 examples not explained", 0),
+        (
+            {"left": 1, "explains_all": True, "interrupted": True},
+            "0 causes explained, 1 example not explained",
+            0,
+        ),
+    ],
+)
+def test_examples_without_a_known_cause_are_counted(
+    options: dict[str, Any], words: str, unasked: int
+) -> None:
+    found = causes_of(**options)
+    assert (found.words, found.unasked) == (words, unasked)

@@ -44,7 +44,7 @@ def test_what_is_written_afterwards_is_what_the_command_writes(folder: Path) -> 
     again = safety_harness.run(one.path)
     assert again.exit_code == 0
     said = repr(found)
-    assert said.startswith("<short: 1 counterexamples of ")
+    assert said.startswith(f"<short: {found.session.causes.summary}; ")
     assert "PyBullet; claims exercised in " in said
     assert "\n" not in said
 

@@ -25,7 +25,7 @@ from safety_harness.search.counterexample import Counterexample
 from safety_harness.search.coverage import Coverage, CoverageCell
 from safety_harness.search.cube import Column, Cube
 from safety_harness.search.findings import Findings, Goal, Outcomes
-from safety_harness.search.session import WrittenCounterexample
+from safety_harness.search.session import Causes, WrittenCounterexample
 from safety_harness.search.shrink import Shrunk
 from safety_harness.search.trials import in_kinematic
 from safety_harness.trace.overruling import Overruling
@@ -210,20 +210,27 @@ def test_the_drawings_show_the_worst_moment_of_the_claim_in_the_heading() -> Non
 
 
 def test_counterexamples_of_one_cause_are_one_card() -> None:
-    three = tuple(replace(shown(), path=Path(f"out/{name}.yaml")) for name in "abc")
-    causes = {"avoider (exact optimum)": ["a.yaml", "c.yaml"]}
+    known = replace(counterexample(), causes=("avoider (exact optimum)",))
+    three = tuple(replace(shown(), one=known, path=Path(f"out/{name}.yaml")) for name in "abc")
+    causes = Causes({"avoider (exact optimum)": ["a.yaml", "c.yaml"], "camera": ["b.yaml"]}, 7, 7)
     page = parse(render(evidence(shown=three, causes=causes)))
-    assert "2 causes in 3 counterexamples" in page.text
-    assert "One cause of 2 counterexamples: avoider (exact optimum) also mends" in page.text
-    assert "causes2in 3 counterexamples" in page.all("dl", "counts")[0].text
+    assert "2 causes explained, 7 examples not explained yet" in page.text
+    assert "One cause of 2 examples: avoider (exact optimum); also of" in page.text
+    assert "causes explained2" in page.all("dl", "counts")[0].text
+    assert "examples not explained7" in page.all("dl", "counts")[0].text
+    assert "This explains the rest:" in page.text
+    assert " --explain all" in page.text
     cards = page.all("div", "answer")
     assert len(cards) == 2
+    assert [card.attributes["aria-label"] for card in cards] == ["Cause 1", "Cause 2"]
     assert all("as found" in card.text and "shrunk" in card.text for card in cards)
     assert all("109.8 mm, contact" in card.text for card in cards)
     assert all("contact" in card.text and "safety-harness run " in card.text for card in cards)
     assert all(len(card.all("svg")) == 1 for card in cards)
-    alone = parse(render(evidence(shown=three)))
-    assert "3 counterexamples, each" in alone.text
+    three = tuple(replace(one, one=replace(one.one, causes=())) for one in three)
+    alone = parse(render(evidence(shown=three, causes=Causes({}, 3))))
+    assert "0 causes explained, 3 examples not explained; each example below is" in alone.text
+    assert "This explains the rest:" not in alone.text
     assert len(alone.all("div", "answer")) == 3
 
 

@@ -122,6 +122,7 @@ def test_the_same_command_again_makes_nothing_anew(made: Path, capsys: pytest.Ca
 def test_a_report_stands(report: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert verify(report, runs=4, seed=1, execute_programs=False) == AS_EXPECTED
     said = words(capsys)
+    assert f"next: safety-harness certify seal {report}" in said
     assert "the report stands" in said
     assert "4 of 50 runs made again" in said
     assert said.count("DIFF") == 0
@@ -252,6 +253,9 @@ def test_what_is_declared_and_sealed_is_found_again_and_nothing_else(
     capsys.readouterr()
     assert seal_report(out) == AS_EXPECTED
     sealed = capsys.readouterr().out.strip()
+    assert verify(out, runs=1, seed=1, execute_programs=False) == AS_EXPECTED
+    then = capsys.readouterr().err.splitlines()[-1]
+    assert then == f"next: safety-harness verify {out} --seal {tmp_path.resolve()}/report.seal.json"
     assert verify(out, runs=1, seed=1, execute_programs=False, seal=sealed, declared=declared) == AS_EXPECTED
     said = words(capsys)
     assert "the report is unaltered since its seal" in said

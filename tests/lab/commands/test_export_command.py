@@ -45,7 +45,7 @@ def test_a_model_file_becomes_one_that_a_run_can_use(
     avoider = isolated_onnx(out, DEFAULTS)
     assert avoider.name == "ONNX model model.onnx"
     assert exported_use(out).seen == SEEN
-    assert printed.err == ""
+    assert printed.err == f"next: safety-harness evaluate {out}\n"
 
 
 def test_mistakes_are_explained_and_nothing_is_written(

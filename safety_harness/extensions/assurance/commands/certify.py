@@ -365,6 +365,7 @@ def verify(
     from safety_harness.cli.progress import paced_lines
     from safety_harness.extensions.assurance.certification.evidence import read_evidence
     from safety_harness.extensions.assurance.certification.folder import JSON
+    from safety_harness.extensions.assurance.certification.lodged import seal_file
     from safety_harness.extensions.assurance.certification.verify import verify as verify_report
 
     checks = []
@@ -392,4 +393,8 @@ def verify(
         result(evidence.basis, f"the report stands{open_ones}: {evidence.standing.value}")
     else:
         result("the report does not stand")
+    if stands and seal is None:
+        sealed = seal_file(report)
+        rest = ["verify", report, "--seal", sealed] if sealed.is_file() else ["certify", "seal", report]
+        next_step(shlex.join(["safety-harness", *map(str, rest)]))
     return AS_EXPECTED if stands and (whole or not strict) else DIFFERS

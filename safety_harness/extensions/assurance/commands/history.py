@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, result, say
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, next_step, result, say
 from safety_harness.cli.options import command
 
 commands = Typer()
@@ -34,6 +34,7 @@ def history(
 
     from safety_harness.base.exceptions import OutputError
     from safety_harness.extensions.assurance.pages.history import read_history, write_page
+    from safety_harness.report.run_result import TRACES
     from safety_harness.scenario.files import display_path
 
     read = read_history(folder)
@@ -48,4 +49,7 @@ def history(
     ]
     document(revisions=[item.name for item in read.revisions], courses=turns, growing=read.growing, page=out)
     result(str(out))
+    traces = folder / read.revisions[-1].name / TRACES
+    if traces.is_dir():
+        next_step(shlex.join(["safety-harness", "attribute", str(traces)]), "whose fault it is")
     return DIFFERS if read.unlike or read.growing else AS_EXPECTED

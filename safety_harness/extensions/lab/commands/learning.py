@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Callable
 from itertools import count
@@ -14,7 +15,7 @@ from typer import Argument, Option, Typer
 from safety_harness.base.exceptions import InadmissibleError, ModelError, NoAnswerError
 from safety_harness.base.extension_points import ExtensionPoint, names_of, part_named
 from safety_harness.base.extras import LEARNING, ONNX
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, document, result, say
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, document, next_step, result, say
 from safety_harness.cli.options import Seed, command
 
 if TYPE_CHECKING:
@@ -352,6 +353,7 @@ def export(
         written, *logs = write(trace, judge(trace, file=Path(model)), out)
         document(**{form: written} | ({"log": logs[0]} if logs else {}))
         result(f"{form}: {written}" + "".join(f", described by {log}" for log in logs))
+        next_step(shlex.join(["safety-harness", *(("judge", *map(str, logs)) if logs else ("view", model))]))
         return AS_EXPECTED
     path = model_file(str(model))
     if seed < 0:
@@ -364,4 +366,5 @@ def export(
     document(onnx=out, model=path, max_difference_m=difference_m)
     result(f"onnx: {out}")
     result(f"differs from {path} by {1e3 * difference_m:.1e} mm at most")
+    next_step(shlex.join(["safety-harness", "evaluate", str(out)]))
     return AS_EXPECTED
