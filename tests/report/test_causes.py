@@ -39,7 +39,7 @@ def causes_of(**options: Any) -> Causes:
 def test_examples_with_a_common_cause_are_one_cause() -> None:
     found = causes_of(a=("the first",), b=("the second",), c=("the first",))
     assert found.explained == {"the first": ["a.yaml", "c.yaml"], "the second": ["b.yaml"]}
-    assert found.words == "2 causes explained"
+    assert found.summary == "2 causes explained"
 
 
 def test_a_change_that_mends_two_merges_them_although_another_mends_the_one_as_well() -> None:
@@ -65,4 +65,4 @@ def test_examples_without_a_known_cause_are_counted(
     options: dict[str, Any], words: str, unasked: int
 ) -> None:
     found = causes_of(**options)
-    assert (found.words, found.unasked) == (words, unasked)
+    assert (found.summary, found.unasked) == (words, unasked)
