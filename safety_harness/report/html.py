@@ -283,7 +283,7 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
     limits = {flag_words(flag): (trace.ticks["limits"] & flag.value) != 0 for flag in Limit if flag}
     return {
         "views": path_views(run, prefix=f"{section}-") if drawn else (),
-        "replay": replays.arguments_for(run, section),
+        "replay": replays.arguments(run, section),
         "timeline": Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
         "moment_time": f"{moment.time_s:.3f} s" if moment else "",
         "moment_claim": moment.claim + 1 if moment and moment.claim is not None else None,  # counted from 1

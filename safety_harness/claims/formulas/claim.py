@@ -208,7 +208,7 @@ class _Asked:
 
     def cases(self, atoms: Atoms) -> list[Case]:
         """Return the possible modes, where several were possible and the part asks for more than one mode."""
-        gaps = self.trace.known.measurement_of("mode").gaps
+        gaps = self.trace.known.column("mode").gaps
         several = len(MODES.keys() & self.sampled.keys()) > 1
         either = {mode for gap in gaps for mode in gap.either} if several else set()
         count, margin_cases = self.trace.scenario.ticks + 1, []
@@ -289,9 +289,7 @@ class _Asked:
     def lacking(self) -> tuple[str, ...]:
         """Return the columns that it reads and that are not wholly known."""
         known = self.trace.known
-        return (
-            () if known.whole else tuple(n for n in _columns_of(self.part) if known.measurement_of(n).limited)
-        )
+        return () if known.whole else tuple(n for n in _columns_of(self.part) if known.column(n).limited)
 
     def lacks(self, columns: tuple[str, ...], reason: str = "", exercised: int = 0) -> Evaluation:
         """Return inconclusive, since ``columns`` are not known well enough."""

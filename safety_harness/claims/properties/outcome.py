@@ -74,7 +74,7 @@ class KeepsItsPlace(Worded):
         errors_m, tcp_m = position_errors_m(trace), true_motion(trace).tcp_m
         margins = []
         nearest_m = nearest_hand_m(trace) + farther_m * nearest_off_m(trace)
-        slack_m = 4.0 * farther_m * trace.known.measurement_of("transform_tcp_to_base").uncertainty
+        slack_m = 4.0 * farther_m * trace.known.column("transform_tcp_to_base").uncertainty
         for begin, end in np.transpose(runs_of(nearest_m > NoFalseAlarms().limit_m(trace.scenario.settings))):
             first = begin + left * bool(begin)
             ways_m = np.zeros(max(end - held - first, 0))

@@ -431,7 +431,7 @@ def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
         begun = slice(max(first - 1, 0), first + int(inside[0]) + 1) if len(inside) else slice(0)
         if len(inside) and known_ticks[begun].all() and not singular[begun].any():
             highs.append(limit_m - min(float(near_m[begun].min()), 2.0 * limit_m))
-    gaps = [(gap.first, gap.after) for gap in trace.known.measurement_of("decision").gaps]
+    gaps = [(gap.first, gap.after) for gap in trace.known.column("decision").gaps]
     for tick in trace.decisions["tick"].tolist():
         around = next((gap for gap in gaps if gap[0] <= tick < gap[1]), (tick - 1, tick + 2))
         window = slice(max(around[0], 0), around[1])

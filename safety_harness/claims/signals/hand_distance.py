@@ -259,10 +259,7 @@ def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
         true.rates_radps,
         trace.overshoot_radps,
         period_s,
-        not (
-            known.measurement_of("joint_position_rad").limited
-            or known.measurement_of("joint_velocity_radps").limited
-        ),
+        not (known.column("joint_position_rad").limited or known.column("joint_velocity_radps").limited),
         any(world_entry.substeps for world_entry in WORLDS if world_entry.name == world),
     )
 

@@ -75,7 +75,7 @@ def test_every_column_is_within_what_is_known_of_it(tmp_path: Path) -> None:
 
 def test_beyond_the_longest_gap_nothing_is_known(tmp_path: Path) -> None:
     trace = trace_of(read_log(_log(tmp_path, lost=((0.6, 0.9),)))).trace
-    (gap,) = trace.known.measurement_of("hand_distance_m").gaps
+    (gap,) = trace.known.column("hand_distance_m").gaps
     assert gap.hand == 0
     assert 0.5 < trace.time_s[gap.first] < 0.65
     assert 0.85 < trace.time_s[gap.after] < 1.0
@@ -101,8 +101,8 @@ def test_what_nobody_recorded_is_inconclusive_and_the_rest_is_the_logs(tmp_path:
     assert away.verdict is Verdict.INCONCLUSIVE
     assert "mode" in away.unmeasured
     assert found.trace.known.recorded
-    assert found.trace.known.measurement_of("joint_position_rad").source is Source.LOG
-    assert found.trace.known.measurement_of("hand_distance_m").source is Source.DERIVED
+    assert found.trace.known.column("joint_position_rad").source is Source.LOG
+    assert found.trace.known.column("hand_distance_m").source is Source.DERIVED
     assert "recorded, not simulated" in found.notes[0]
 
 

@@ -164,7 +164,7 @@ def test_a_stamp_that_is_not_known_well_leaves_open_when_the_mode_changed(run: T
     unsure = ("repulsing}, known to: 0 ms", "repulsing}, known to: 60 ms")
     log = log_file(logged(run), tmp_path, *CLOSELY, unsure)
     trace = trace_of(read_log(log)).trace
-    gaps = trace.known.measurement_of("mode").gaps
+    gaps = trace.known.column("mode").gaps
     changes = np.flatnonzero(np.diff(run.ticks["mode"])) + 1
     assert gaps[0].first == 0  # nothing was told before the first of them
     assert all(gap.first < change < gap.after for gap, change in zip(gaps[1:], changes, strict=True))
@@ -306,9 +306,9 @@ def test_formulas_on_modes_are_judged_where_a_mode_was_one_of_two(
     )
     logged = trace_of(read_log(file))
     trace = logged.trace
-    assert any(len(gap.either) > 1 for gap in trace.known.measurement_of("mode").gaps)
+    assert any(len(gap.either) > 1 for gap in trace.known.column("mode").gaps)
     save_trace(trace, tmp_path / "a.trace", recordings=logged.recordings)
-    assert load_trace(tmp_path / "a.trace").known.measurement_of("mode") == trace.known.measurement_of("mode")
+    assert load_trace(tmp_path / "a.trace").known.column("mode") == trace.known.column("mode")
     found = {one.sentence: one.verdict for one in judge(trace)}
     if halts:
         assert found["always not stopped"] is not Verdict.HOLDS

@@ -221,7 +221,7 @@ def _pictures(met: CounterexampleEvidence, run: JudgedRun, replays: Replays) -> 
         "run": run,
         "views": path_views(run, prefix=prefix),
         "timeline": Markup(timeline(run, prefix=f"{prefix}time-")),
-        "replay": replays.arguments_for(run, prefix.removesuffix("-")),
+        "replay": replays.arguments(run, prefix.removesuffix("-")),
         "moment": "" if moment is None else f"{moment.time_s:.3f}",
         "moment_name": "Nearest hand" if moment is None or moment.claim is None else "Worst moment",
     }

@@ -192,7 +192,7 @@ def _shown(ledger: Ledger, worst: Iterable[Cells]) -> Iterator[dict[str, object]
                 "id": f"shown-{number}",
                 "what": f"{ledger.declared.strata[stratum]}, episode {episode}",
                 "words": f"{sentence}: {_margin(ledger.declared.units[claim], margin)}",
-                "replay": replays.arguments_for(run, f"shown-{number}"),
+                "replay": replays.arguments(run, f"shown-{number}"),
             }
 
 

@@ -144,17 +144,13 @@ def _derived(trace: Trace, columns: dict[str, Measurement]) -> Trace:
     """Return the trace with the columns that follow from joints and hands, with their uncertainties."""
     known, count = trace.known, len(trace.ticks)
     values, ticks = derived(trace), trace.ticks.copy()
-    of_arm = [gap for name in JOINTS for gap in known.measurement_of(name).gaps]
-    of_distance = [
-        *known.measurement_of(JOINTS[0]).gaps,
-        *known.measurement_of(HAND).gaps,
-        *known.measurement_of(ELBOW).gaps,
-    ]
+    of_arm = [gap for name in JOINTS for gap in known.column(name).gaps]
+    of_distance = [*known.column(JOINTS[0]).gaps, *known.column(HAND).gaps, *known.column(ELBOW).gaps]
     reach_m = float(arm_of(trace).reach_m.sum())
     bounds = {
         "transform_tcp_to_base": (
             known.uncertainty_of(JOINTS[0], count) * reach_m,
-            known.measurement_of(JOINTS[0]).gaps,
+            known.column(JOINTS[0]).gaps,
         ),
         "tcp_speed_mps": (tcp_velocity_moved_mps(trace), tuple(of_arm)),
     }

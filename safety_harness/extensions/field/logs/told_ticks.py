@@ -135,7 +135,7 @@ def _track(trace: Trace, log: CellLog, ticks: NDArray[np.void], columns: dict[st
     tcp_m = true_motion(trace).tcp_m
     apart_m = np.linalg.norm(ticks["predicted_hand_in_base_m"] - tcp_m[:, None], axis=2)
     ticks[NEAREST] = np.where(ticks["track_valid"], apart_m, np.inf).min(axis=1)
-    both = (*gaps, *trace.known.measurement_of(TCP).gaps)
+    both = (*gaps, *trace.known.column(TCP).gaps)
     columns[NEAREST] = measurement(Source.DERIVED, off_m + trace.known.uncertainty_of(TCP, log.ticks), both)
 
 
@@ -161,7 +161,7 @@ def _decided(
     for joint_or_tcp, column in (("joint_position_rad", "joint_position_rad"), (POSITIONS["tcp"], TCP)):
         values = ticks[column][tick]
         decisions[joint_or_tcp] = values if column != TCP else values[:, :3, 3]
-        off_by = trace.known.measurement_of(column)
+        off_by = trace.known.column(column)
         lost = bool(len(tick)) and not trace.known.measured(column, ticks)[tick].all()
         uncertainty = off_by.uncertainty + _moved(ticks, column)
         known[joint_or_tcp] = (
