@@ -74,11 +74,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     read_in_part = (*gathered.scenarios, *(mended.scenario for mended in gathered.mended))
     claims = [(claim, scenario) for scenario in read_in_part for claim in scenario.claims]
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
-    tested = [
-        gathered_scenario.scenario
-        for gathered_scenario in gathered.mended
-        if not gathered_scenario.faulty & _CHANGE_WHAT_IS_TESTED
-    ]
+    tested = [case.scenario for case in gathered.mended if not case.faulty & _CHANGE_WHAT_IS_TESTED]
     if avoider is None:
         tested += gathered.scenarios
     _, of_tested = usable(tested, checker.check_tested)
@@ -89,7 +85,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     usable_files: list[dict[str, object]] = []
     for file, scenarios in groupby(checked, key=lambda one: one.scenario.file):
         if file not in bad:
-            in_file = [gathered_scenario.scenario for gathered_scenario in scenarios]
+            in_file = [case.scenario for case in scenarios]
             result(f"ok {file}: {_content_text(in_file)}")
             usable_files.append({"file": file, "kind": "scenario", "scenarios": [*map(_data, in_file)]})
     for space in spaces:

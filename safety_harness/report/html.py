@@ -298,13 +298,13 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
         "limits": _ticks_rows(trace, "limits", limits),
         "slowings": [
             (
-                f"{slowing.from_s:.3f}",
-                f"{slowing.to_s:.3f}",
-                slowing.part,
-                slowing.hand,
-                f"{100.0 * slowing.least_scale:.0f} %",
+                f"{slow.from_s:.3f}",
+                f"{slow.to_s:.3f}",
+                slow.part,
+                slow.hand,
+                f"{100.0 * slow.least_scale:.0f} %",
             )
-            for slowing in slowings(trace)[:MOST_SLOWINGS]
+            for slow in slowings(trace)[:MOST_SLOWINGS]
         ],
         "modes": _ticks_rows(trace, "mode", modes),
         "measured_ticks": {name: int(measured(trace, name).sum()) for name in ("mode", "limits")},

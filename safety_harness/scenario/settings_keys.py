@@ -118,16 +118,14 @@ def read_group(field: Field, name: str) -> Any:
     default = getattr(DEFAULTS, name)
     keys = setting_keys(type(default))
     given = field.fields(tuple(dict.fromkeys(key.path[0] for key in keys)), hints=_MOVED)
-    key_fields: list[tuple[Key, Field]] = []
+    pairs: list[tuple[Key, Field]] = []
     for above in _MAPPINGS:
         inner = given.optional(above)
         if inner is not None:
             names = {key.name: key for key in keys if key.within == (above,)}
-            key_fields += [(names[name], value) for name, value in inner.fields(tuple(names)).by_key.items()]
-    key_fields += [(key, given.required(key.name)) for key in keys if key.name in given and not key.within]
-    return replace(
-        default, **dict(each(lambda one: (one[0].attribute, one[0].value.read(one[1])), key_fields))
-    )
+            pairs += [(names[name], value) for name, value in inner.fields(tuple(names)).by_key.items()]
+    pairs += [(key, given.required(key.name)) for key in keys if key.name in given and not key.within]
+    return replace(default, **dict(each(lambda one: (one[0].attribute, one[0].value.read(one[1])), pairs)))
 
 
 def group_table(group: str, path: str) -> KeyTable:

@@ -166,8 +166,8 @@ def _paths(trace: Trace, most_parts: int) -> HandPaths:
     parts = np.full((max(count - 1, 0), len(scenario.hands)), most_parts)
     positions = np.zeros((count, len(scenario.hands), 2, 3))
     moving = np.zeros((max(count - 1, 0), len(scenario.hands)), np.bool_)
-    hand_of_corner, at, corners = np.zeros(most, np.int64), np.zeros(most), np.zeros((most, 2, 3))
-    corner_count = _follow(
+    owners, at, corners = np.zeros(most, np.int64), np.zeros(most), np.zeros((most, 2, 3))
+    n = _follow(
         hands.state,
         hands.moves,
         hands.samples,
@@ -175,21 +175,13 @@ def _paths(trace: Trace, most_parts: int) -> HandPaths:
         scenario.settings.clock.control_period_s,
         positions,
         moving,
-        hand_of_corner,
+        owners,
         at,
         corners,
         parts,
     )
     resolution_m = RESOLUTION_M if most_parts == 1 else 0.5 * RESOLUTION_M
-    return HandPaths(
-        positions,
-        moving,
-        hand_of_corner[:corner_count],
-        at[:corner_count],
-        corners[:corner_count],
-        parts,
-        resolution_m,
-    )
+    return HandPaths(positions, moving, owners[:n], at[:n], corners[:n], parts, resolution_m)
 
 
 @once_a_trace

@@ -176,10 +176,10 @@ class Sensing:
 
 
 @compiled
-def _sense(cell: _Cell, seen: _Seen, signals: Values) -> None:
+def _sense(cell: _Cell, seen: _Seen, out: Values) -> None:
     """Write the signals at each tick, as if the run ended there, and from each tick to the next.
 
-    ``signals`` is of shape (m, signals, 6).
+    ``out`` is of shape (m, signals, 6).
     """
     arm, tcp, period_s, joints_rad = cell.arm, cell.tcp, cell.period_s, seen.joints_rad
     count, hands, n = seen.bodies_m.shape[0], seen.bodies_m.shape[1], joints_rad.shape[1]
@@ -201,25 +201,20 @@ def _sense(cell: _Cell, seen: _Seen, signals: Values) -> None:
             hand, elbow = seen.bodies_m[k, h]
             to_tcp_m[h, k] = distance_m(hand, tcp_m[k])
             apart_m[h, k], _ = distance_between(arm.capsules, ends_m, hand, elbow, *cell.radii_m)
-    signals[:], signals[:, :, LOW], signals[:, :, CELL_LOW], signals[:, :, EXERCISED] = (
-        np.nan,
-        np.inf,
-        np.inf,
-        0.0,
-    )
+    out[:], out[:, :, LOW], out[:, :, CELL_LOW], out[:, :, EXERCISED] = (np.nan, np.inf, np.inf, 0.0)
     exact, later_s = np.zeros(count), np.append(seen.elapsed_s[1:], seen.elapsed_s[-1:])
-    _put(signals[:, ELAPSED], seen.elapsed_s, exact, seen.elapsed_s, later_s, exact, exact)
-    signals[:, ELAPSED, EXERCISED] = 1.0
+    _put(out[:, ELAPSED], seen.elapsed_s, exact, seen.elapsed_s, later_s, exact, exact)
+    out[:, ELAPSED, EXERCISED] = 1.0
     step_m = np.sqrt(((tcp_m[1:] - tcp_m[:-1]) ** 2).sum(axis=1))
     step_rad = np.abs(joints_rad[1:] - joints_rad[:-1])
-    _put_speed(signals[:, TCP_SPEED], speed_mps, step_m.reshape(-1, 1) / period_s, off_mps, off_m, period_s)
+    _put_speed(out[:, TCP_SPEED], speed_mps, step_m.reshape(-1, 1) / period_s, off_mps, off_m, period_s)
     rates_radps = np.abs(seen.rates_radps)
-    _put_speed(signals[:, JOINT_SPEED], rates_radps, step_rad / period_s, faster_radps, turned_rad, period_s)
+    _put_speed(out[:, JOINT_SPEED], rates_radps, step_rad / period_s, faster_radps, turned_rad, period_s)
     way_m = np.maximum(np.maximum(speed_mps[:-1, 0], speed_mps[1:, 0]) * period_s, step_m)
     between_m = place_between(or_next(off_m), or_next(off_mps), period_s)
     low_m, high_m = cells(tcp_m[:, 2], way_m, exact[1:])
-    _put(signals[:, HEIGHT], tcp_m[:, 2], off_m, low_m, high_m, between_m, between_m)
-    signals[:, HEIGHT, EXERCISED] = ~np.isnan(off_m)
+    _put(out[:, HEIGHT], tcp_m[:, 2], off_m, low_m, high_m, between_m, between_m)
+    out[:, HEIGHT, EXERCISED] = ~np.isnan(off_m)
     bend_rad = np.abs(seen.rates_radps[1:] - seen.rates_radps[:-1]) * period_s / 4.0
     bend_m, tcp_bend_m = (bend_rad * arm.reach_m).sum(axis=1), (bend_rad * tcp.reach_m).sum(axis=1)
     turned_m = (step_rad * arm.reach_m).sum(axis=1)
@@ -239,7 +234,7 @@ def _sense(cell: _Cell, seen: _Seen, signals: Values) -> None:
         above_m = between_m + 2.0 * or_next(hand_m)
         below_m = np.maximum(or_next(off_m), by_rad * tcp.reach_m.sum()) + or_next(hand_m)
         below_m[-1], above_m[-1] = above_m[-1], above_m[-1] + at_m[-1]
-        _put(signals[:, TCP_DISTANCE], to_tcp_m[h], at_m, low_m, high_m, below_m, above_m)
+        _put(out[:, TCP_DISTANCE], to_tcp_m[h], at_m, low_m, high_m, below_m, above_m)
         at_m, low_m = np.maximum(hand_m, elbow_m) + off_m, apart_m[h].copy()
         ends_m, ways_m = between_ticks(
             arm, cell.space, joints_rad, bodies_m, corner_at, corners_m, bend_m, cell.radii_m, RESOLUTION_M
@@ -248,11 +243,11 @@ def _sense(cell: _Cell, seen: _Seen, signals: Values) -> None:
         _, high_m = cells(apart_m[h], turned_m + np.maximum(ways_m[0], ways_m[1]), bend_m)
         moved_m = apart_between(hand_m, elbow_m, off_m, faster_radps * reach_m, period_s)
         below_m, above_m = or_next(moved_m), or_next(moved_m + at_m)
-        _put(signals[:, HAND_DISTANCE], apart_m[h], at_m, low_m, high_m, below_m, above_m)
+        _put(out[:, HAND_DISTANCE], apart_m[h], at_m, low_m, high_m, below_m, above_m)
     for side in (LOW, CELL_LOW):
-        signals[:, :, side] = np.where(signals[:, :, side] < np.inf, signals[:, :, side], -np.inf)
+        out[:, :, side] = np.where(out[:, :, side] < np.inf, out[:, :, side], -np.inf)
     for side in (HIGH, CELL_HIGH):
-        signals[:, :, side] = np.where(np.isnan(signals[:, :, side]), np.inf, signals[:, :, side])
+        out[:, :, side] = np.where(np.isnan(out[:, :, side]), np.inf, out[:, :, side])
 
 
 @compiled
