@@ -125,7 +125,9 @@ def read_group(field: Field, name: str) -> Any:
             names = {key.name: key for key in keys if key.within == (above,)}
             pairs += [(names[name], value) for name, value in inner.fields(tuple(names)).by_key.items()]
     pairs += [(key, given.required(key.name)) for key in keys if key.name in given and not key.within]
-    return replace(default, **dict(each(lambda one: (one[0].attribute, one[0].value.read(one[1])), pairs)))
+    return replace(
+        default, **dict(each(lambda pair: (pair[0].attribute, pair[0].value.read(pair[1])), pairs))
+    )
 
 
 def group_table(group: str, path: str) -> KeyTable:

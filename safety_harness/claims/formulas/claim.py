@@ -214,7 +214,7 @@ class _Asked:
         count, margin_cases = self.trace.scenario.ticks + 1, []
         for mode in sorted(either):
             where = np.zeros(count, np.bool_)
-            for gap in sorted(gaps, key=lambda one: one.either == ()):  # those of any mode last
+            for gap in sorted(gaps, key=lambda gap: gap.either == ()):  # those of any mode last
                 where[gap.first : gap.after] = mode in gap.either
 
             def atom_margins(atom: Comparison | Truth, mode: int = mode) -> MarginBounds:
@@ -344,7 +344,7 @@ class _Asked:
             why = f"the run was cut short ({trace.ended})"
         if decisive.tick < len(trace.ticks) and decisive.atom is not None:
             every = sorted(
-                (decisive.atom.signal, *self.sampled), key=lambda one: not gaps_of(trace, one.reads)
+                (decisive.atom.signal, *self.sampled), key=lambda signal: not gaps_of(trace, signal.reads)
             )
             for signal in every:  # first those that were not always measured
                 holes = _holes(self.sampled[signal])

@@ -46,9 +46,9 @@ def _nonempty(field: Field, expected: str, *, lines: bool = False) -> str:
     return text
 
 
-def _one_of(*words: str) -> Text:
-    listed = f"{', '.join(words[:-1])} or {words[-1]}"
-    return Text(kind=listed, reads=lambda field: field.one_of({choice: choice for choice in words}))
+def _one_of(*choices: str) -> Text:
+    listed = f"{', '.join(choices[:-1])} or {choices[-1]}"
+    return Text(kind=listed, reads=lambda field: field.one_of({choice: choice for choice in choices}))
 
 
 _SOURCE = _line("the source of the number")
