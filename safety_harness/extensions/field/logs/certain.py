@@ -25,6 +25,7 @@ from safety_harness.claims.signals.true_motion import (
     tcp_velocity_moved_mps,
 )
 from safety_harness.extensions.field.logs.assumptions import unconfirmed_note
+from safety_harness.extensions.field.logs.controller_reports import ahead_s
 from safety_harness.extensions.field.logs.mode_motion import refuse_retreat_while_servoing
 from safety_harness.extensions.field.logs.model import Body, CellLog
 from safety_harness.extensions.field.logs.reach import (
@@ -36,9 +37,8 @@ from safety_harness.extensions.field.logs.reach import (
     over_ticks,
     rate_off,
 )
+from safety_harness.extensions.field.logs.reported_ticks import with_reports
 from safety_harness.extensions.field.logs.streams import NS, LogSamples
-from safety_harness.extensions.field.logs.told import ahead_s
-from safety_harness.extensions.field.logs.told_ticks import with_told
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Scenario
@@ -101,7 +101,7 @@ def trace_of(log: CellLog) -> Recorded:
     columns[PRESENT] = Measurement(source=Source.LOG, gaps=tuple(open_ends))
     columns |= _of_hands(log, paths)
     trace = replace(trace, known=knowing(trace, columns).known)
-    trace = with_told(_derived(trace, columns), log, columns)
+    trace = with_reports(_derived(trace, columns), log, columns)
     refuse_retreat_while_servoing(trace, log)
     return Recorded(trace, recordings, tuple(_notes(log, paths)))
 

@@ -13,8 +13,14 @@ from numpy.typing import NDArray
 
 from safety_harness.claims.properties.base import runs_of
 from safety_harness.claims.signals.true_motion import true_motion
+from safety_harness.extensions.field.logs.controller_reports import (
+    FIELDS,
+    POSITIONS,
+    ControllerReports,
+    ReportedStream,
+    width_of,
+)
 from safety_harness.extensions.field.logs.model import CellLog
-from safety_harness.extensions.field.logs.told import FIELDS, POSITIONS, Told, ToldStream, width_of
 from safety_harness.trace.known import OF_DECISIONS, Gap, Measurement, Source, measurement
 from safety_harness.trace.records import decision_dtype
 from safety_harness.trace.trace import Trace
@@ -26,7 +32,7 @@ TRACKED = ("track_valid", "predicted_hand_in_base_m")
 NEAREST, TCP = "predicted_distance_m", "transform_tcp_to_base"
 
 
-def with_told(trace: Trace, log: CellLog, columns: dict[str, Measurement]) -> Trace:
+def with_reports(trace: Trace, log: CellLog, columns: dict[str, Measurement]) -> Trace:
     """Return ``trace``, which has TCP and hands, with the reports; add their measurements to ``columns``."""
     reports, ticks = log.told, trace.ticks.copy()
     for name, stream in (("mode", reports.mode), ("limits", reports.limits)):
@@ -93,7 +99,7 @@ class _Standing:
         return tuple(sorted(gaps, key=lambda gap: gap.first))
 
 
-def _standing(stream: ToldStream, log: CellLog, *, passed_too: bool = False) -> _Standing:
+def _standing(stream: ReportedStream, log: CellLog, *, passed_too: bool = False) -> _Standing:
     """Return the standing reports.
 
     With ``passed_too``, reports that came and went since the previous tick may stand as well.
@@ -142,8 +148,8 @@ def _track(trace: Trace, log: CellLog, ticks: NDArray[np.void], columns: dict[st
 def _decided(
     trace: Trace,
     log: CellLog,
-    reports: Told,
-    stream: ToldStream,
+    reports: ControllerReports,
+    stream: ReportedStream,
     ticks: NDArray[np.void],
     columns: dict[str, Measurement],
 ) -> NDArray[np.void]:
