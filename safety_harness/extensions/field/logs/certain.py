@@ -62,7 +62,7 @@ _HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class LoggedTrace:
     """A log's trace, the bytes of its hands' paths by their SHA-256, and notes for the reader."""
 
     trace: Trace
@@ -70,7 +70,10 @@ class Recorded:
     notes: tuple[str, ...]
 
 
-def trace_of(log: CellLog) -> Recorded:
+Recorded = LoggedTrace  # deprecated: the old name, for one release
+
+
+def trace_from_log(log: CellLog) -> LoggedTrace:
     """Return the trace of a log.
 
     Raise LogError for a hand that is faster than stated, or for data that no scenario can hold.
@@ -103,7 +106,7 @@ def trace_of(log: CellLog) -> Recorded:
     trace = replace(trace, known=knowing(trace, columns).known)
     trace = with_reports(_derived(trace, columns), log, columns)
     refuse_retreat_while_servoing(trace, log)
-    return Recorded(trace, recordings, tuple(_notes(log, paths)))
+    return LoggedTrace(trace, recordings, tuple(_notes(log, paths)))
 
 
 def _beyond_joints(log: CellLog) -> tuple[list[Gap], list[str]]:
