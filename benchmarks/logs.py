@@ -143,7 +143,7 @@ def recordings(folder: Path) -> None:
             simulated = trace.ticks["hand_distance_m"][:, number].min() * 1e3 - 50.0
             margin = "" if found.margin is None else f"{found.margin * 1e3:+.1f}"
             why = found.reason if found.verdict is Verdict.INCONCLUSIVE else ""
-            within = log.trace.known.measurement_of("hand_distance_m").uncertainty * 1e3
+            within = log.trace.known.column("hand_distance_m").uncertainty * 1e3
             print(
                 f"| {name} | {hand.name} | {blanked} | {simulated:+.1f} | {found.verdict.value} | "
                 f"{margin or why.partition('; by what')[0]} | {within:.1f} |"

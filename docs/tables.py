@@ -77,12 +77,12 @@ def markdown(table: KeyTable) -> str:
     """The table as a page shows it; keys of an inner mapping follow the key that they stand below."""
     rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
     for key in table.keys:
-        rows.append(f"| `{key.name}` | {key.description} | {key.default} | {key.meaning} |")
+        rows.append(f"| `{key.name}` | {key.kind} | {key.default} | {key.meaning} |")
         for inner in (
             key.value.tables if isinstance(key.value, Below) and not key.value.tables[0].path else ()
         ):
             rows += [
-                f"| `{key.name}`: `{one.name}` | {one.description} | {one.default} | {one.meaning} |"
+                f"| `{key.name}`: `{one.name}` | {one.kind} | {one.default} | {one.meaning} |"
                 for one in inner.keys
             ]
     return _joined(rows)
@@ -138,7 +138,7 @@ def _joined(rows: list[str]) -> str:
 
 
 def _kind(key: Key) -> str:
-    return key.value.dimension.name if isinstance(key.value, QuantityValue) else key.value.description
+    return key.value.dimension.name if isinstance(key.value, QuantityValue) else key.value.kind
 
 
 def names_of_wings() -> dict[str, tuple[str, ...]]:

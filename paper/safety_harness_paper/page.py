@@ -60,7 +60,7 @@ def render(results: Sequence[Result], about: About, runs: Runs = ()) -> str:
         minus=with_minus,
         replays=bool(runs),
         seen=[
-            (words, run, replays.arguments_for(run, f"seen-{number}"))
+            (words, run, replays.arguments(run, f"seen-{number}"))
             for number, (words, run) in enumerate(runs, start=1)
         ],
         drawings={result.name: _drawings(result) for result in results},

@@ -263,7 +263,7 @@ def _is_copy(tested: Scenario, reference: Scenario) -> bool:
 def replay_command(
     scenario: Scenario,
     trace: Path,
-    *others: Path,
+    *more_traces: Path,
     verb: str = "replay",
     shown_path: Callable[[Path], Path] = display_path,
 ) -> str:
@@ -275,12 +275,12 @@ def replay_command(
     Args:
         scenario: The scenario of the runs.
         trace: The trace.
-        *others: Further traces.
+        *more_traces: Further traces.
         verb: The command that repeats runs.
         shown_path: Names the files; a command that is not stored may show them as they are.
 
     """
-    parts = ["safety-harness", verb, *(str(shown_path(file)) for file in (trace, *others))]
+    parts = ["safety-harness", verb, *(str(shown_path(file)) for file in (trace, *more_traces))]
     if is_a_program(scenario.under_test):
         reference = command_line_reference(scenario)
         program = told_avoider(os.path.abspath(reference) if file_and_name(reference)[0] else reference)

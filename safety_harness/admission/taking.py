@@ -17,7 +17,7 @@ from safety_harness.base.exceptions import InadmissibleError, InputError, Place
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.write import write_scenario
 
-_Looked = TypeVar("_Looked")
+_Checked = TypeVar("_Checked")
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Incompatible:
 
 
 def accept(
-    scenario: Scenario, avoiders: Sequence[tuple[str | None, str]], inspect: Callable[[Scenario], _Looked]
-) -> list[_Looked] | Incompatible:
+    scenario: Scenario, avoiders: Sequence[tuple[str | None, str]], inspect: Callable[[Scenario], _Checked]
+) -> list[_Checked] | Incompatible:
     """Return the results of a check for a scenario with each of several avoiders, or why one of them fails.
 
     Args:

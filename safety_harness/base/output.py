@@ -24,7 +24,7 @@ def _no_block() -> Iterator[Callable[[list[str]], None]]:
 @contextmanager
 def _no_count(total: int, unit: str) -> Iterator[Callable[..., None]]:
     """Yield a function that ignores the progress; ``total`` and ``unit`` have no effect either."""
-    yield lambda done, words="", at="": None
+    yield lambda done, message="", at="": None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +77,7 @@ class Output:
         """Yield a function that takes the next step in words and the finished share (0 to 1)."""
         pace = Pace()
         with self.block() as show:
-            yield lambda words, share: show([words + where(share, 1.0, pace)])
+            yield lambda step, share: show([step + where(share, 1.0, pace)])
 
 
 QUIET = Output()

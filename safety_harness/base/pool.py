@@ -35,7 +35,9 @@ def pool(jobs: int, begin: Callable[[], None] | None = None) -> Iterator[Process
 
     """
     one_thread_each()
-    with ProcessPoolExecutor(jobs, mp_context=_Deaf(), initializer=_begin, initargs=(begin,)) as executor:
+    with ProcessPoolExecutor(
+        jobs, mp_context=InterruptImmuneContext(), initializer=_begin, initargs=(begin,)
+    ) as executor:
         try:
             yield executor
         except BaseException:
@@ -45,7 +47,7 @@ def pool(jobs: int, begin: Callable[[], None] | None = None) -> Iterator[Process
             raise
 
 
-class _DeafProcess(SpawnProcess):
+class InterruptImmuneProcess(SpawnProcess):
     """A process that ignores Ctrl-C from its start."""
 
     def start(self) -> None:
@@ -54,10 +56,10 @@ class _DeafProcess(SpawnProcess):
             super().start()
 
 
-class _Deaf(SpawnContext):
+class InterruptImmuneContext(SpawnContext):
     """The context that starts such processes."""
 
-    Process = _DeafProcess
+    Process = InterruptImmuneProcess
 
 
 def _begin(begin: Callable[[], None] | None) -> None:

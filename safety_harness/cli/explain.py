@@ -142,8 +142,8 @@ def _takes(key: Key) -> str:
         return f"a mapping with the keys {', '.join(dict.fromkeys(names))}"
     if isinstance(key.value, Several) and isinstance(key.value.of, Below):
         firsts = dict.fromkeys(table.told_by for table in key.value.of.tables)
-        return f"{key.value.description}, each a mapping with the key {' or '.join(firsts)}"
-    text = key.said if key.said and not _dimension(key.value) else key.value.description
+        return f"{key.value.kind}, each a mapping with the key {' or '.join(firsts)}"
+    text = key.said if key.said and not _dimension(key.value) else key.value.kind
     dimension = _dimension(key.value)
     if dimension is None or not dimension.units:
         return text

@@ -148,7 +148,7 @@ def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
     }
     pattern = re.compile("|".join(replacements))
     return {
-        path: pattern.sub(lambda found: replacements[found[0]], (FOLDER / source).read_text(encoding="utf-8"))
+        path: pattern.sub(lambda match: replacements[match[0]], (FOLDER / source).read_text(encoding="utf-8"))
         for source, path in files.items()
     }
 

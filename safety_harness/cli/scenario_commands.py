@@ -150,8 +150,7 @@ def explain(
 @command(commands)
 def claims(
     phrases: Annotated[
-        list[str] | None,
-        Argument(help="A claim, or words of it, such as: hand distance.", metavar="WORDS"),
+        list[str] | None, Argument(help="A claim, or words of it, such as: hand distance.", metavar="WORDS")
     ] = None,
 ) -> int:
     """List the claims about a run, or explain some of them.

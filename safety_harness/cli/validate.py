@@ -55,17 +55,19 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         checker = Checker()  # which executes nothing
         checked, errors = usable(
             gathered.scenarios,
-            lambda one: without_compiling(
-                lambda: checker.check(one if avoider is None else with_avoider(one, avoider))
+            lambda scenario: without_compiling(
+                lambda: checker.check(scenario if avoider is None else with_avoider(scenario, avoider))
             ),
         )
         untried = without_compiling(lambda: _untried(checked))
         spaces, errors_of_spaces = usable(
             gathered.spaces,
-            lambda one: without_compiling(lambda: _whole(lambda: _tried_space(one, checker, avoider))),
+            lambda variant: without_compiling(
+                lambda: _whole(lambda: _tried_space(variant, checker, avoider))
+            ),
         )
         read, errors_of_added = usable(
-            added, lambda one: without_compiling(lambda: _whole(lambda: _checked(located(one), checker)))
+            added, lambda path: without_compiling(lambda: _whole(lambda: _checked(located(path), checker)))
         )
     except KeyboardInterrupt:
         say("interrupted")
@@ -74,11 +76,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     read_in_part = (*gathered.scenarios, *(mended.scenario for mended in gathered.mended))
     claims = [(claim, scenario) for scenario in read_in_part for claim in scenario.claims]
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
-    tested = [
-        gathered_scenario.scenario
-        for gathered_scenario in gathered.mended
-        if not gathered_scenario.faulty & _CHANGE_WHAT_IS_TESTED
-    ]
+    tested = [case.scenario for case in gathered.mended if not case.faulty & _CHANGE_WHAT_IS_TESTED]
     if avoider is None:
         tested += gathered.scenarios
     _, of_tested = usable(tested, checker.check_tested)
@@ -87,9 +85,9 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     errors.sort(key=lambda error: (str(error.place.file or ""), error.place.line or 0))
     bad = {error.place.file for error in errors}
     usable_files: list[dict[str, object]] = []
-    for file, scenarios in groupby(checked, key=lambda one: one.scenario.file):
+    for file, scenarios in groupby(checked, key=lambda case: case.scenario.file):
         if file not in bad:
-            in_file = [gathered_scenario.scenario for gathered_scenario in scenarios]
+            in_file = [case.scenario for case in scenarios]
             result(f"ok {file}: {_content_text(in_file)}")
             usable_files.append({"file": file, "kind": "scenario", "scenarios": [*map(_data, in_file)]})
     for space in spaces:

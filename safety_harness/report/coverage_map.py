@@ -179,21 +179,21 @@ def _draw_key(root: Element, top: int) -> None:
 
 
 def _text(
-    parent: Element, x: float, y: float, label: str, ink: Ink = Ink.TEXT, size: float = 11, **others: str
+    parent: Element, x: float, y: float, label: str, ink: Ink = Ink.TEXT, size: float = 11, **named: str
 ) -> None:
-    """Write words; ``others`` are attributes by their names, with ``_`` in place of a hyphen."""
+    """Write words; ``named`` are attributes by their names, with ``_`` in place of a hyphen."""
     attributes = {"x": f"{x:g}", "y": f"{y:g}", "fill": _colour(ink), "font-size": f"{size:g}"}
-    attributes |= {name.replace("_", "-"): value for name, value in others.items()}
+    attributes |= {name.replace("_", "-"): value for name, value in named.items()}
     SubElement(parent, "text", attributes).text = label
 
 
-def _label(parent: Element, x: float, y: float, label: str, **others: str) -> None:
-    _text(parent, x, y, label, Ink.MUTED, 10, **others)
+def _label(parent: Element, x: float, y: float, label: str, **attributes: str) -> None:
+    _text(parent, x, y, label, Ink.MUTED, 10, **attributes)
 
 
-def _upright(parent: Element, left: float, y: float, label: str, **others: str) -> None:
+def _upright(parent: Element, left: float, y: float, label: str, **attributes: str) -> None:
     """Write words in a column, to read from below."""
-    _label(parent, left + 10, y, label, transform=f"rotate(-90 {left + 10:g} {y:g})", **others)
+    _label(parent, left + 10, y, label, transform=f"rotate(-90 {left + 10:g} {y:g})", **attributes)
 
 
 def _runs(count: int) -> str:

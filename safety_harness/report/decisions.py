@@ -106,7 +106,7 @@ class DecisionTally:
 
 def are_counted(trace: Trace) -> bool:
     """Return whether the trace has measured the outcomes of its decisions."""
-    return is_measured(trace) and decided(trace, "tick") and not trace.known.measurement_of("faults").limited
+    return is_measured(trace) and decided(trace, "tick") and not trace.known.column("faults").limited
 
 
 def avoiders(traces: Iterable[Trace]) -> list[tuple[str, int]]:

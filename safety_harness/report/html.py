@@ -79,7 +79,7 @@ def write_report(
     command: str,
     interrupted: bool,
     generated_at: datetime,
-    **about: Unpack[AboutRuns],
+    **facts: Unpack[AboutRuns],
 ) -> None:
     """Write the report on ``runs`` to ``path``, whole or not at all; the page needs no network.
 
@@ -90,7 +90,7 @@ def write_report(
         command: The command line that made the report.
         interrupted: Whether planned runs are missing.
         generated_at: The time on the page.
-        about: ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated`` as in ``AboutRuns``; you
+        facts: ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated`` as in ``AboutRuns``; you
             may omit each of them.
 
     Raises:
@@ -102,7 +102,7 @@ def write_report(
     for run in runs:
         refuse_other_type("write_report(runs)", run, JudgedRun)
     page = render(
-        runs, title=title, command=command, interrupted=interrupted, generated_at=generated_at, **about
+        runs, title=title, command=command, interrupted=interrupted, generated_at=generated_at, **facts
     )
     write_whole(path, page)
 
@@ -114,10 +114,10 @@ def render(
     command: str,
     interrupted: bool,
     generated_at: datetime,
-    **about: Unpack[AboutRuns],
+    **given_facts: Unpack[AboutRuns],
 ) -> str:
     """Return the page as text; the same arguments give the same bytes."""
-    facts = with_defaults(about)
+    facts = with_defaults(given_facts)
     summary = _summary(runs, whole=not (interrupted or facts["skipped"] or facts["refused"]))
     summary["interrupted"] = interrupted
     fallback = summary["decisions"].fallback
@@ -167,7 +167,7 @@ def _worst(sections: Sequence[Row]) -> Row | None:
     ]
     if not violated:
         return None
-    _, section, row = min(violated, key=lambda found: found[0])
+    _, section, row = min(violated, key=lambda ranked: ranked[0])
     run = section["run"].under(row["claim"].sentence)
     view = path_views(run, prefix="worst-")[1]
     return {"section": section, "row": row, "view": view, "nearest": nearest_hand_words(run.trace)}
@@ -283,7 +283,7 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
     limits = {flag_words(flag): (trace.ticks["limits"] & flag.value) != 0 for flag in Limit if flag}
     return {
         "views": path_views(run, prefix=f"{section}-") if drawn else (),
-        "replay": replays.arguments_for(run, section),
+        "replay": replays.arguments(run, section),
         "timeline": Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
         "moment_time": f"{moment.time_s:.3f} s" if moment else "",
         "moment_claim": moment.claim + 1 if moment and moment.claim is not None else None,  # counted from 1
@@ -298,13 +298,13 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
         "limits": _ticks_rows(trace, "limits", limits),
         "slowings": [
             (
-                f"{slowing.from_s:.3f}",
-                f"{slowing.to_s:.3f}",
-                slowing.part,
-                slowing.hand,
-                f"{100.0 * slowing.least_scale:.0f} %",
+                f"{slow.from_s:.3f}",
+                f"{slow.to_s:.3f}",
+                slow.part,
+                slow.hand,
+                f"{100.0 * slow.least_scale:.0f} %",
             )
-            for slowing in slowings(trace)[:MOST_SLOWINGS]
+            for slow in slowings(trace)[:MOST_SLOWINGS]
         ],
         "modes": _ticks_rows(trace, "mode", modes),
         "measured_ticks": {name: int(measured(trace, name).sum()) for name in ("mode", "limits")},

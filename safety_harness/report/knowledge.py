@@ -38,7 +38,7 @@ def measured_rows(trace: Trace) -> list[MeasuredRow]:
         return []
     groups: dict[tuple[bool, str, str, str], list[str]] = {}
     for name in COLUMNS_OF_A_TRACE:
-        fact = trace.known.measurement_of(name)
+        fact = trace.known.column(name)
         key = (fact.source is Source.NONE, fact.source.value, _accuracy(name, fact), _gaps(trace, fact.gaps))
         groups.setdefault(key, []).append(name)
     rest = (Source.SIMULATED.value, "", "")

@@ -40,7 +40,7 @@ def write_json(path: Path, data: dict[str, Any]) -> None:
 
 
 def report_data(
-    runs: Sequence[JudgedRun], *, interrupted: bool, **about: Unpack[AboutRuns]
+    runs: Sequence[JudgedRun], *, interrupted: bool, **facts: Unpack[AboutRuns]
 ) -> dict[str, Any]:
     """Return the results of ``runs`` in types that JSON has.
 
@@ -60,13 +60,13 @@ def report_data(
     Args:
         runs: The judged runs.
         interrupted: Whether planned runs are missing.
-        about: ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated``, as for ``write_report``.
+        facts: ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated``, as for ``write_report``.
 
     Raises:
         OSError: A trace file cannot be read.
 
     """
-    given = with_defaults(about)
+    given = with_defaults(facts)
     coverage, against, repeated = given["coverage"], given["against"], given["repeated"]
     skipped = given["skipped"]
     return {

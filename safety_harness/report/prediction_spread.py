@@ -29,10 +29,7 @@ def prediction_spread_m(trace: Trace) -> Floats:
     ticks = trace.ticks
     valid = ticks["track_valid"].astype(bool)
     upper = np.full((*valid.shape, 6), np.nan)
-    if (
-        trace.scenario.driven
-        or trace.known.measurement_of("predicted_hand_in_base_m").source is not Source.SIMULATED
-    ):
+    if trace.scenario.driven or trace.known.column("predicted_hand_in_base_m").source is not Source.SIMULATED:
         return upper
     settings = trace.scenario.settings
     sensor_in_base = np.broadcast_to(overhead_transform_sensor_to_base(settings), (len(ticks), 4, 4))

@@ -56,7 +56,7 @@ class Replays:
         self._meshes: dict[ArmModel, str] = {}  # and in which replay they are
         self._explained = ""  # the replay that says what is drawn
 
-    def arguments_for(self, run: JudgedRun, name: str, **more: object) -> dict[str, object] | None:
+    def arguments(self, run: JudgedRun, name: str, **more: object) -> dict[str, object] | None:
         """Return the arguments of the macro ``replay``; None for a run without ticks, or on a full page.
 
         Args:

@@ -206,7 +206,7 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
         ),
         **_pictures(drawn, example.evaluations, example.complaint, f"{name}-"),
         "replay": drawn
-        and replays.arguments_for(
+        and replays.arguments(
             JudgedRun(drawn, example.evaluations, "").under_claim(example.complaint.sentence), name
         ),
     }

@@ -28,7 +28,7 @@ def write_view(path: Path, runs: Sequence[tuple[str, JudgedRun]]) -> None:
             "name": name,
             "run": run,
             "lane": lane,
-            "replay": replays.arguments_for(run, f"view-{number}", from_s=start_s(runs[0][1])),
+            "replay": replays.arguments(run, f"view-{number}", from_s=start_s(runs[0][1])),
             "claims": claim_rows(run),
             "measured": measured_lines(run.trace),
             "notes": notes(run),

@@ -5,7 +5,7 @@ its kind of value with unit and bounds, its meaning, an example and its default.
 keys of a dataclass.
 
 A kind of value has three parts.  ``read`` takes a ``Field`` (ScenarioError with its line), ``write`` gives a
-text that reads back to the same bits, and ``description`` describes it for people.  ``schema`` and
+text that reads back to the same bits, and ``kind`` describes it for people.  ``schema`` and
 ``reference_tables`` build on these.
 """
 
@@ -72,7 +72,7 @@ class QuantityValue:
         return f"{name}, or `{self.or_word}`" if self.or_word else name
 
     @property
-    def description(self) -> str:
+    def kind(self) -> str:
         """The kind with the bounds: ``length, 1 mm to 2 m``."""
         if self.least is not None and self.most is not None:
             return f"{self.name}, {self.range_words}"
@@ -111,9 +111,9 @@ class QuantityValue:
 
 @dataclass(frozen=True, kw_only=True)
 class _Formed:
-    """A value with ``description`` for its kind and ``expected`` for messages."""
+    """A value with its ``kind``, and ``expected`` for messages."""
 
-    description: str
+    kind: str
     expected: str = ""
 
 
@@ -122,7 +122,7 @@ class Text(_Formed):
     """A text, or another value that a file writes as text.
 
     Args:
-        description: The kind of value, for people.
+        kind: The kind of value, for people.
         expected: Completes "expected ..." of a message.
         pattern: The pattern for the schema.
         or_mapping: Whether ``write`` may give a mapping in its place.
@@ -157,7 +157,7 @@ class Word:
         return tuple(str(member.value) if isinstance(member, Enum) else member for member in self.members)
 
     @property
-    def description(self) -> str:
+    def kind(self) -> str:
         """The words in a phrase: ``exact, raster or rendered``."""
         *first, last = self.options
         return f"{', '.join(first)} or {last}" if first else last
@@ -196,7 +196,7 @@ class Below(_Formed):
     """A mapping with the keys of one table, out of several tables.
 
     Args:
-        description: The kind of value, for people.
+        kind: The kind of value, for people.
         expected: Completes "expected ..." of a message.
         tables: The possible tables; their ``told_by`` tells them apart.
         noun: The name of such a mapping in messages.
@@ -205,7 +205,7 @@ class Below(_Formed):
 
     """
 
-    description: str = "mapping"
+    kind: str = "mapping"
     tables: tuple[KeyTable, ...]
     noun: str = ""
     order: tuple[str, ...] = ()
@@ -236,7 +236,7 @@ class Below(_Formed):
 class FreeKeys(_Formed):
     """A mapping whose keys are the user's own words."""
 
-    description: str = "mapping"
+    kind: str = "mapping"
     of: Value
     least: int = 0
 
@@ -312,9 +312,9 @@ class Key:
         return self.fallback is REQUIRED if self.or_else is None else self.or_else == REQUIRED
 
     @property
-    def description(self) -> str:
+    def kind(self) -> str:
         """The values that it takes, in words."""
-        return self.said or self.value.description
+        return self.said or self.value.kind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -482,9 +482,7 @@ def _tables(value: Value) -> Iterator[KeyTable]:
 def vector_of(dimension: Dimension, form: str, most: float) -> Several:
     """Return a list of three quantities, each from -``most`` to ``most``."""
     number = QuantityValue(dimension, least=-most, most=most)
-    return Several(
-        of=number, description=form, expected=f"a list of three, each {dimension.expected}", count=3
-    )
+    return Several(of=number, kind=form, expected=f"a list of three, each {dimension.expected}", count=3)
 
 
 TURN = QuantityValue(ANGLE, least=-LARGEST_ANGLE_RAD, most=LARGEST_ANGLE_RAD)

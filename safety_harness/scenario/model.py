@@ -92,7 +92,7 @@ _TILT = Key(
 )
 _JOINTS = Several(
     of=TURN,
-    description="list of angles",
+    kind="list of angles",
     expected="a list of as many joint angles as the arm has joints, 3 to 8, such as -90 deg",
     least=FEWEST_JOINTS,
     most=MOST_JOINTS,
@@ -146,7 +146,7 @@ TcpStart = OffsetStart | PoseStart | JointStart
 
 START = Below(tables=tuple(table_of(kind, "tcp start") for kind in get_args(TcpStart)))
 
-_HAND_NAME = Text(description="name", expected="a name for the hand")
+_HAND_NAME = Text(kind="name", expected="a name for the hand")
 _STARTS_AT, _TOWARDS = "[1.2 m, -0.7 m, 100 mm]", "[1.6 m, -1.2 m, 300 mm]"
 _SHIFT, _LATER = "[0 mm, 50 mm, 0 mm]", "500 ms"
 _FASTER = "2.5 m/s"
@@ -203,7 +203,7 @@ class MovingHand:
     )
     moves: tuple[HandMove, ...] = key(
         "moves",
-        Several(of=MOVE, description="list", expected="a list of moves"),
+        Several(of=MOVE, kind="list", expected="a list of moves"),
         "what it does; an empty list for a hand that rests",
         "moves:\n  - wait: 1 s\n  - withdraw: 1.6 m/s",
     )
@@ -252,10 +252,10 @@ _NOTHING: NDArray[np.float64] = np.zeros((0, 3))
 NOT_LOADED = RecordedMotion(_NOTHING[:, 0], _NOTHING, _NOTHING, (), "")  # of a hand until its file is read
 
 
-_PATH = Text(description="path", reads=lambda field: Path(field.sentence("the path of a recording")))
+_PATH = Text(kind="path", reads=lambda field: Path(field.sentence("the path of a recording")))
 _DIGEST = replace(DIGEST, writes=lambda motion: f'"{motion.sha256}"')
 # A track as the columns spell it: ``right hand`` is ``right_hand``.
-_TRACK = Text(description="name", reads=lambda field: field.sentence("the name of a track").replace(" ", "_"))
+_TRACK = Text(kind="name", reads=lambda field: field.sentence("the name of a track").replace(" ", "_"))
 
 
 _FACTOR = QuantityValue(NUMBER, least=0.01, most=LARGEST_FACTOR)
@@ -349,10 +349,7 @@ class JoinedHand:
 
     name: str = key("hand", _HAND_NAME, "for messages and reports", "- hand: left")
     joined_to: str = key(
-        "together with",
-        Text(description="name", expected="the name of a hand"),
-        "of the hand that leads",
-        "right",
+        "together with", Text(kind="name", expected="the name of a hand"), "of the hand that leads", "right"
     )
     apart_in_base_m: Vector3 = key(
         "apart", POINT, "from that hand's centre to this one's", "[0 mm, 300 mm, 0 mm]"
@@ -365,7 +362,7 @@ MOVING_HAND = table_of(MovingHand, "a hand that moves", path="hands")
 JOINED_HAND = table_of(JoinedHand, "a hand that goes with another", path="hands", told_by="together with")
 RECORDED_HAND = table_of(RecordedHand, "a hand that repeats a recording", path="hands")
 HAND = Below(tables=(MOVING_HAND, JOINED_HAND, RECORDED_HAND))
-HANDS = Several(of=HAND, description="list of at most eight", most=MAX_HANDS)
+HANDS = Several(of=HAND, kind="list of at most eight", most=MAX_HANDS)
 
 
 # The edition of the sentences' meanings.  In 1, people come at 1.6 m/s if a sentence names no speed.  In 1

@@ -42,7 +42,7 @@ LASTING = QuantityValue(TIME, above=0.0, most=LONGEST_S)
 _DISTANCE = QuantityValue(LENGTH, least=0.0, most=LARGEST_COORDINATE_M)
 _BOX = Several(
     of=POINT,
-    description="two opposite corners of a box",
+    kind="two opposite corners of a box",
     expected="a box: a list of two opposite corners, each a list of three lengths",
     count=2,
 )

@@ -13,7 +13,7 @@ from safety_harness.scenario.units import LENGTH
 MAX_OBSTACLES = 50
 _EDGES = Several(
     of=QuantityValue(LENGTH, least=0.001, most=10.0),
-    description="list of three lengths",
+    kind="list of three lengths",
     expected="a list of three lengths, its edges, such as 400 mm",
     count=3,
 )
@@ -44,7 +44,7 @@ class Obstacle:
 
 OBSTACLES = Several(
     of=Below(tables=(table_of(Obstacle, "an obstacle", path="obstacles"),)),
-    description=f"list of at most {MAX_OBSTACLES}",
+    kind=f"list of at most {MAX_OBSTACLES}",
     expected="a list of boxes",
     most=MAX_OBSTACLES,
 )

@@ -47,11 +47,9 @@ def _expectation(claim: Claim) -> str:
 
 CLAIMS = FreeKeys(
     of=Text(
-        description=EXPECTED,
-        pattern=f"^(holds|violated|inconclusive|violated{BY_AT_MOST}.+)$",
-        writes=_expectation,
+        kind=EXPECTED, pattern=f"^(holds|violated|inconclusive|violated{BY_AT_MOST}.+)$", writes=_expectation
     ),
-    description="mapping, at least one",
+    kind="mapping, at least one",
     expected="a mapping of claims, such as hand distance never below 50 mm: holds",
     least=1,
 )
@@ -104,7 +102,7 @@ def _title(field: Field) -> str:
 
 def _prose(expected: str) -> Text:
     """Return the kind of a text of several lines."""
-    return Text(description="text", reads=lambda field: field.prose(expected, lines=True))
+    return Text(kind="text", reads=lambda field: field.prose(expected, lines=True))
 
 
 def _added(name: str) -> Key:
@@ -128,7 +126,7 @@ def _write_added(values: tuple[tuple[str, Any], ...]) -> dict[str, Tree]:
     return {name: _added(name).value.write(value) for name, value in values}
 
 
-_LINE = Text(description="text, one line", reads=_title)
+_LINE = Text(kind="text, one line", reads=_title)
 TOP = KeyTable(
     name="a scenario",
     keys=(
@@ -184,7 +182,7 @@ TOP = KeyTable(
         ),
         Key(
             "avoider",
-            Text(description="name or file", expected="the name of an avoider"),
+            Text(kind="name or file", expected="the name of an avoider"),
             "what proposes repulsive positions: a name, `FILE.py:NAME` or `FILE.safetensors` "
             "([avoiders](how-to/avoider.md))",
             "opposite pose",
@@ -193,7 +191,7 @@ TOP = KeyTable(
         ),
         Key(
             "controller",
-            Text(description="name or file", expected="the name of a controller"),
+            Text(kind="name or file", expected="the name of a controller"),
             "what drives the arm: a name, or a program of yours; only the visual servo has an avoider "
             "([controllers](how-to/controller.md))",
             "stop when near",
@@ -244,11 +242,7 @@ TOP = KeyTable(
         ),
         Key(
             "faults",
-            Several(
-                of=Below(tables=fault_tables()),
-                description=f"list of at most {MOST_FAULTS}",
-                most=MOST_FAULTS,
-            ),
+            Several(of=Below(tables=fault_tables()), kind=f"list of at most {MOST_FAULTS}", most=MOST_FAULTS),
             "what goes wrong, and when",
             "faults:\n  - hand sensor: freezes\n    from: 500 ms\n    for: 200 ms",
             "none",
@@ -276,7 +270,7 @@ TOP = KeyTable(
         ),
         Key(
             "extensions",
-            Text(description="mapping", reads=_read_added, writes=_write_added, or_mapping=True),
+            Text(kind="mapping", reads=_read_added, writes=_write_added, or_mapping=True),
             "keys that installed packages add, each read by its package "
             "([how](explanation/architecture.md#how-a-wing-registers-its-parts))",
             "{}",
@@ -299,14 +293,14 @@ COMPOSED = KeyTable(
     keys=(
         Key(
             "extends",
-            Text(description="path"),
+            Text(kind="path"),
             f"the file whose values hold where this one says nothing; at most {LONGEST_CHAIN} in a chain",
             "bases/overhead.yaml",
             "none",
         ),
         Key(
             "without",
-            Several(of=Text(description="key or claim"), description="list of keys and claims", least=1),
+            Several(of=Text(kind="key or claim"), kind="list of keys and claims", least=1),
             "what of the extended file does not hold: keys at its top, or claims",
             "[hands, hand distance never below 50 mm]",
             "none",
@@ -337,7 +331,7 @@ SUITE = KeyTable(
         ),
         Key(
             "scenarios",
-            Several(of=Text(description="path"), description="list of paths", least=1),
+            Several(of=Text(kind="path"), kind="list of paths", least=1),
             "files, folders and other suites, relative to this file",
             "[fast-reach.yaml, recorded]",
         ),

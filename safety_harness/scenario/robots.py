@@ -139,7 +139,7 @@ class Piece:
 
 PIECES = Several(
     of=Below(tables=(table_of(Piece, "piece of a tool", path="robot.tool.capsules"),)),
-    description="list of at most 50",
+    kind="list of at most 50",
     expected="a list of capsules, each {from: ..., to: ..., radius: ...}",
     least=1,
     most=50,
@@ -222,16 +222,16 @@ def _sha256(field: Field) -> str:
     return digest
 
 
-DIGEST = Text(description="64 hex digits", pattern="^[0-9a-f]{64}$", reads=_sha256, writes='"{}"'.format)
-_FILE = Text(description="file", expected="the name of a file")
-_LINK = Text(description="name", expected="the name of a link")
+DIGEST = Text(kind="64 hex digits", pattern="^[0-9a-f]{64}$", reads=_sha256, writes='"{}"'.format)
+_FILE = Text(kind="file", expected="the name of a file")
+_LINK = Text(kind="name", expected="the name of a link")
 _EXAMPLE_SHA256 = "0123456789abcdef" * 4
 
 
 def _one_a_joint(noun: str, number: QuantityValue) -> Several:
     """Return a list of numbers, one for each joint; ``noun`` names them."""
     expected = f"a list of {noun}, one a joint, from the base"
-    return Several(of=number, description=f"list of {noun}", expected=expected, least=3, most=8)
+    return Several(of=number, kind=f"list of {noun}", expected=expected, least=3, most=8)
 
 
 @declared
@@ -245,7 +245,7 @@ class OwnRobot:
     urdf: str | None = key("urdf", _FILE, "the arm's description; or `package`", "panda.urdf", default=None)
     package: str | None = key(
         "package",
-        Text(description="name", expected="the name of a URDF in an installed package"),
+        Text(kind="name", expected="the name of a URDF in an installed package"),
         "a URDF of an installed package, in place of `urdf` ([robots](how-to/robot.md))",
         "pybullet/kuka_iiwa/model",
         default=None,
@@ -292,7 +292,7 @@ class OwnRobot:
     )
     without_geometry: tuple[str, ...] | None = key(
         "without geometry",
-        Several(of=_LINK, description="list of names", expected="a list of links"),
+        Several(of=_LINK, kind="list of names", expected="a list of links"),
         "links between others that nothing encloses, which are accepted so",
         "[forearm]",
         "none",
@@ -393,8 +393,8 @@ def robot_seen_from(folder: Path, text: str, standing_in: Path) -> str:
 _EQUIPPED = table_of(EquippedArm, "robot", path="robot")
 _ARM = Key(
     "arm",
-    Text(description=f"file, or {ROBOT_NAMES.description}", expected="a file with these keys"),
-    f"a file with these keys; what is said beside it comes first. Beside {ROBOT_NAMES.description} only "
+    Text(kind=f"file, or {ROBOT_NAMES.kind}", expected="a file with these keys"),
+    f"a file with these keys; what is said beside it comes first. Beside {ROBOT_NAMES.kind} only "
     "`seated at`, `tool`, `carries` and `tcp beyond capsules`",
     "shipped:iiwa14",
     "none",
@@ -418,7 +418,7 @@ class _RobotValue(Below):
 
 
 ROBOT_VALUE = _RobotValue(
-    description=f"{ROBOT_NAMES.description}, a file, or a mapping",
+    kind=f"{ROBOT_NAMES.kind}, a file, or a mapping",
     tables=(ROBOT,),
     or_text=rf"^({'|'.join(ROBOT_NAMES.options)})$|\.ya?ml$|^shipped:",
 )

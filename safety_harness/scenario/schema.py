@@ -76,7 +76,7 @@ def _table(table: KeyTable, further: KeyTable | None = None) -> Schema:
 def _key(key: Key) -> Schema:
     """Return the schema of a key."""
     default = f" Default: {key.default}." if key.default else ""
-    return {"description": f"{key.meaning}. Takes: {key.description}.{default}", **_value(key.value)}
+    return {"description": f"{key.meaning}. Takes: {key.kind}.{default}", **_value(key.value)}
 
 
 def _value(value: Value) -> Schema:

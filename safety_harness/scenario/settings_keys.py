@@ -71,7 +71,7 @@ def _setting_key(attribute: str, default: Any, description: Mapping[str, Any]) -
     takes = description["takes"]
     if not takes and description["least"] is None and not isinstance(value, Word):
         # The bounds that its dimension gives to every setting are not worth a mention.
-        takes = value.name if isinstance(value, QuantityValue) else value.description.partition(", each")[0]
+        takes = value.name if isinstance(value, QuantityValue) else value.kind.partition(", each")[0]
     return Key(
         name=name.removeprefix(f"{above} "),
         value=value,
@@ -87,7 +87,7 @@ def _setting_key(attribute: str, default: Any, description: Mapping[str, Any]) -
 def _value(default: Any, number: QuantityValue) -> Value:
     """Return the kind of value for a default; ``number`` is the kind of a single number."""
     if isinstance(default, DecisionCost):
-        return Text(description=FORM, or_mapping=True, reads=read_decision_time, writes=write_decision_time)
+        return Text(kind=FORM, or_mapping=True, reads=read_decision_time, writes=write_decision_time)
     if isinstance(default, Enum):
         return Word(type(default))
     if not isinstance(default, tuple):
@@ -95,20 +95,16 @@ def _value(default: Any, number: QuantityValue) -> Value:
     each = f", each {number.range_words}"
     if isinstance(default[0], tuple):
         expected = "a list of three to 100 corners, each a list of two lengths such as [40 mm, -30 mm]"
-        corner = Several(
-            of=number, description="a corner", expected="a corner such as [40 mm, -30 mm]", count=2
-        )
+        corner = Several(of=number, kind="a corner", expected="a corner such as [40 mm, -30 mm]", count=2)
         form = f"list of three to 100 corners{each}"
-        return Several(of=corner, description=form, expected=expected, least=3, most=100)
+        return Several(of=corner, kind=form, expected=expected, least=3, most=100)
     dimension, count = number.dimension, len(default)
     if count != 3:  # of joints: as many as the arm has
         expected = f"a list of 3 to 8, each {dimension.expected}"
-        return Several(
-            of=number, description=f"list of 3 to 8 angles{each}", expected=expected, least=3, most=8
-        )
+        return Several(of=number, kind=f"list of 3 to 8 angles{each}", expected=expected, least=3, most=8)
     form = {LENGTH: "point", ANGLE: "rotation"}[dimension]
     expected = f"a list of {count}, each {dimension.expected}"
-    return Several(of=number, description=form + each, expected=expected, count=count)
+    return Several(of=number, kind=form + each, expected=expected, count=count)
 
 
 _KEYS: dict[type[Any], tuple[Key, ...]] = {
@@ -122,15 +118,15 @@ def read_group(field: Field, name: str) -> Any:
     default = getattr(DEFAULTS, name)
     keys = setting_keys(type(default))
     given = field.fields(tuple(dict.fromkeys(key.path[0] for key in keys)), hints=_MOVED)
-    key_fields: list[tuple[Key, Field]] = []
+    pairs: list[tuple[Key, Field]] = []
     for above in _MAPPINGS:
         inner = given.optional(above)
         if inner is not None:
             names = {key.name: key for key in keys if key.within == (above,)}
-            key_fields += [(names[name], value) for name, value in inner.fields(tuple(names)).by_key.items()]
-    key_fields += [(key, given.required(key.name)) for key in keys if key.name in given and not key.within]
+            pairs += [(names[name], value) for name, value in inner.fields(tuple(names)).by_key.items()]
+    pairs += [(key, given.required(key.name)) for key in keys if key.name in given and not key.within]
     return replace(
-        default, **dict(each(lambda one: (one[0].attribute, one[0].value.read(one[1])), key_fields))
+        default, **dict(each(lambda pair: (pair[0].attribute, pair[0].value.read(pair[1])), pairs))
     )
 
 

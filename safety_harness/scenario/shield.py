@@ -83,5 +83,5 @@ class _ShieldValue(Below):
 
 
 SHIELD_VALUE = _ShieldValue(
-    description="speed and separation, or a mapping", tables=(SHIELD,), or_text=r"^speed and separation$"
+    kind="speed and separation, or a mapping", tables=(SHIELD,), or_text=r"^speed and separation$"
 )

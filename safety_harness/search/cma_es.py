@@ -91,7 +91,7 @@ class _Evolution:
         chosen = self._steps[order[:count]]
         step = product(self._weights, chosen)
         self._mean = self._mean + self.sigma * step
-        a, c, one_share, many = self._path_share, self._long_share, self._one_share, self._many_share
+        a, c, single, many = self._path_share, self._long_share, self._one_share, self._many_share
         white = product(self._axes, product(self._axes.T, step) / self._roots)
         self._path = (1.0 - a) * self._path + np.sqrt(a * (2.0 - a) * self._effective) * white
         self._generations, self._forgotten = self._generations + 1, self._forgotten * (1.0 - a) * (1.0 - a)
@@ -103,13 +103,13 @@ class _Evolution:
         weights = np.concatenate([self._weights, self._worse * n / self._sizes[order[count:]]])
         left = (
             1.0
-            - one_share
+            - single
             - many * (1.0 + float(self._worse.sum()))
-            + (0.0 if short else one_share * c * (2.0 - c))
+            + (0.0 if short else single * c * (2.0 - c))
         )
         ranked = product(self._steps[order].T * weights, self._steps[order])
         self._covariance = left * self._covariance + many * ranked
-        self._covariance += one_share * np.outer(self._long_path, self._long_path)
+        self._covariance += single * np.outer(self._long_path, self._long_path)
         self.sigma *= float(exp(min(1.0, a / self._damping * (size / self._usual - 1.0))))
 
     @property

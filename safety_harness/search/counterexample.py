@@ -257,7 +257,7 @@ def counterexample_of(
     sooner: ScenarioRunner | None = None,
     explain: Explain = unexplained,
     allowance: Allowance | None = None,
-    on_step: Callable[[str], None] = lambda words: None,
+    on_step: Callable[[str], None] = lambda step: None,
 ) -> Counterexample | None:
     """Confirm, shrink and explain a violation.
 

@@ -156,7 +156,7 @@ def _measured(trace: Trace, names: Iterable[str]) -> bool:
     """Return whether the trace has the columns ``names`` without gaps."""
     if not trace.known.columns:
         return True
-    return not any(trace.known.missing([name]) or trace.known.measurement_of(name).gaps for name in names)
+    return not any(trace.known.missing([name]) or trace.known.column(name).gaps for name in names)
 
 
 def _worst_decision(trace: Trace) -> tuple[int, int | None]:

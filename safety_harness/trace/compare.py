@@ -49,7 +49,7 @@ def first_difference(first: Trace, second: Trace, tolerance: float = 0.0) -> Tra
     for trace in (first, second):
         refuse_other_type("first_difference(first, second)", trace, Trace)
     for name in COLUMNS_OF_A_TRACE:
-        a, b = first.known.measurement_of(name), second.known.measurement_of(name)
+        a, b = first.known.column(name), second.known.column(name)
         if a != b:
             return TraceDifference("trace", 0, 0.0, (f"known.{name}",), _measured_as(a), _measured_as(b))
     first, second = as_measured(first), as_measured(second)

@@ -133,13 +133,13 @@ class Knowledge:
         """Was any of it read from a log?"""
         return any(measurement.source is Source.LOG for measurement in self.columns.values())
 
-    def measurement_of(self, name: str) -> Measurement:
+    def column(self, name: str) -> Measurement:
         """Return the measurement of one column."""
         return self.columns.get(name, _SIMULATED)
 
     def uncertainty_of(self, name: str, count: int) -> NDArray[np.float64]:
         """Return (count,) the uncertainty of one column at each tick, in its SI unit."""
-        measurement = self.measurement_of(name)
+        measurement = self.column(name)
         uncertainty = np.full(count, measurement.uncertainty)
         for span in measurement.closer:
             uncertainty[span.first : span.after] = span.uncertainty
@@ -149,19 +149,19 @@ class Knowledge:
         """Return the columns among ``names`` that were not measured at all."""
         if not self.columns:
             return ()
-        return tuple(name for name in names if self.measurement_of(name).source in NOWHERE)
+        return tuple(name for name in names if self.column(name).source in NOWHERE)
 
     def unreported(self, names: Iterable[str]) -> bool:
         """Are all of ``names`` columns that the controller of a simulated run does not report?"""
-        return all(self.measurement_of(name).source is Source.UNREPORTED for name in names)
+        return all(self.column(name).source is Source.UNREPORTED for name in names)
 
     def uncertain(self, names: Iterable[str]) -> tuple[str, ...]:
         """Return the columns among ``names`` that have an uncertainty."""
-        return tuple(name for name in names if self.measurement_of(name).uncertainty > 0.0)
+        return tuple(name for name in names if self.column(name).uncertainty > 0.0)
 
     def first_gap(self, names: Iterable[str]) -> Gap | None:
         """Return the gap of any of ``names`` that begins first."""
-        gaps = [gap for name in names for gap in self.measurement_of(name).gaps]
+        gaps = [gap for name in names for gap in self.column(name).gaps]
         return min(gaps, key=lambda gap: gap.first, default=None)
 
     def measured(self, name: str, ticks: NDArray[np.void]) -> NDArray[np.bool_]:
@@ -176,8 +176,8 @@ class Knowledge:
 
         """
         shape = (len(ticks), *ticks.dtype[name].shape[: name in PER_HAND])
-        mask = np.full(shape, self.measurement_of(name).source not in NOWHERE)
-        for gap in self.measurement_of(name).gaps:
+        mask = np.full(shape, self.column(name).source not in NOWHERE)
+        for gap in self.column(name).gaps:
             mask[gap.first : gap.after, ... if gap.hand is None else gap.hand] = False
         return mask
 

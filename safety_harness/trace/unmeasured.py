@@ -34,7 +34,7 @@ def as_measured(trace: Trace) -> Trace:
 
 def without_gaps(trace: Trace, names: Iterable[str]) -> Trace:
     """Return the trace with zeros in the gaps of the columns ``names``, so that no value there is wrong."""
-    lacking = [] if trace.known.whole else [name for name in names if trace.known.measurement_of(name).gaps]
+    lacking = [] if trace.known.whole else [name for name in names if trace.known.column(name).gaps]
     if not lacking:
         return trace
     ticks = trace.ticks.copy()

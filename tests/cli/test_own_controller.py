@@ -224,7 +224,7 @@ def test_run_says_what_is_not_reported(trace: Path) -> None:
     run = load_trace(trace)
     assert len(run.ticks) == run.scenario.ticks + 1
     assert len(run.decisions) == 0
-    assert run.known.measurement_of("mode") == run.known.measurement_of("decision.tick") == NOT_REPORTED
+    assert run.known.column("mode") == run.known.column("decision.tick") == NOT_REPORTED
     found = json.loads((trace.parents[1] / "report.json").read_text())["runs"][0]
     why = {claim["claim"]: claim["reason"] for claim in found["claims"] if claim["verdict"] == "inconclusive"}
     assert set(why) == {"always not repulsing", "retreats at most 3 times", "certain answers are used"}

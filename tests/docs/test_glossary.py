@@ -1,11 +1,14 @@
-"""The documents use the field's words (docs/reference/glossary.md), none of our private ones.
+"""Documents and names use the field's words (docs/reference/glossary.md), none of our private ones.
 
 What a program prints and what a scenario file says stands in code, where anything may stand.
 """
 
 from __future__ import annotations
 
+import ast
 import re
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -38,6 +41,44 @@ PRIVATE = {  # what we said: what the field says
     r"by lot": "at random",
 }
 
+BARE = {  # as the whole name of a function, a parameter or a variable
+    *("about", "after", "apart", "asked", "asking", "before", "between", "beyond", "by", "carry_on", "down"),
+    *("erring", "found", "from", "gravest", "gravity", "in", "look", "looker", "mishap", "near", "of", "off"),
+    *(
+        "one",
+        "ones",
+        "other",
+        "others",
+        "outright",
+        "over",
+        "room",
+        "said",
+        "says",
+        "spoilt",
+        "taken",
+        "tell",
+    ),
+    *("tent", "told", "under", "up", "way", "ways", "what", "which", "whose", "within", "word", "words"),
+    "wrong",
+}
+MOST_BARE_VARIABLES = 127  # most are fields of stored results, and old names that work for one release
+
+
+def names_of(text: str) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) for each function, parameter and assigned variable of a program."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield "function", node.name
+        elif isinstance(node, ast.arg):
+            yield "parameter", node.arg
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield "variable", node.id
+
+
+def bare_names(text: str) -> list[tuple[str, str]]:
+    """Return the names of a program that say nothing by themselves."""
+    return [(kind, name) for kind, name in names_of(text) if name.strip("_").lower() in BARE]
+
 
 def prose(text: str) -> str:
     """A page without its generated tables and its code, on one line."""
@@ -62,3 +103,21 @@ def test_what_is_printed_may_be_quoted() -> None:
 
 def test_a_phrase_is_found_over_the_end_of_a_line() -> None:
     assert re.search("put to the test", prose("a claim that no run put\nto the test"))
+
+
+def test_no_function_or_parameter_has_a_bare_name_and_few_variables_do() -> None:
+    bare = [
+        (kind, f"{path.relative_to(ROOT)}: {name}")
+        for path in sorted((ROOT / "safety_harness").rglob("*.py"))
+        for kind, name in bare_names(path.read_text(encoding="utf-8"))
+    ]
+    assert [name for kind, name in bare if kind != "variable"] == []
+    assert Counter(kind for kind, _ in bare)["variable"] <= MOST_BARE_VARIABLES
+
+
+def test_a_bare_name_is_seen_in_each_place() -> None:
+    program = (
+        "def told(of, *, whose=0):\n    _one = lambda what: what\n    return [word for word in _one(of)]\n"
+    )
+    seen = [("function", "told"), *(("parameter", name) for name in ("of", "what", "whose"))]
+    assert sorted(bare_names(program)) == sorted([*seen, ("variable", "_one"), ("variable", "word")])

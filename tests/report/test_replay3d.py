@@ -117,7 +117,7 @@ def test_it_stands_within_an_attribute_and_is_small() -> None:
 
 def test_a_page_has_so_many_replays_and_the_meshes_of_an_arm_once() -> None:
     page, run = Replays(most=3), factory.violated_run()
-    found = [page.arguments_for(run, f"run-{k}") for k in range(4)]
+    found = [page.arguments(run, f"run-{k}") for k in range(4)]
     data = [inflated(one["data"]) for one in found if one]
     assert [one is None for one in found] == [False, False, False, True]
     assert ["meshes" in one for one in data] == [True, False, False]

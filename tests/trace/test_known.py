@@ -240,7 +240,7 @@ def test_a_file_of_a_part_without_its_knowledge_is_none(stored: Path, tmp_path: 
 
 def test_of_a_run_that_ends_in_a_gap_the_gap_ends_with_it(whole: Trace) -> None:
     part = knowing(whole, {"sse": Measurement(gaps=(Gap(first=10, after=30), Gap(first=40, after=51)))})
-    assert until(part, 20, "cut").known.measurement_of("sse").gaps == (Gap(first=10, after=20),)
+    assert until(part, 20, "cut").known.column("sse").gaps == (Gap(first=10, after=20),)
     assert until(part, 10, "cut").known.whole
     with pytest.raises(TraceError, match=r"known\.sse"):
         replace(part, ticks=part.ticks[:45])

@@ -113,7 +113,7 @@ def see_hands(
     s.nearest_track = -1
     for i in range(tracks.shape[0]):
         if s.track_valid[i]:
-            distance = way_to_tcp(states, s.predicted_hand_in_base_m[i])
+            distance = distance_to_tcp_m(states, s.predicted_hand_in_base_m[i])
             # a NaN must not hide: it counts as the nearest
             if not (distance >= s.predicted_distance_m or np.isnan(s.predicted_distance_m)):
                 s.predicted_distance_m = distance
@@ -126,12 +126,12 @@ def see_hands(
 @inlined
 def hand_inside(parameters: ParameterRecords, states: StateRecords, track: int) -> bool:
     """Return whether a tracked hand is within the critical distance, |h - t| < d_crit; also for NaN."""
-    way_m = way_to_tcp(states, states[0].predicted_hand_in_base_m[track])
+    way_m = distance_to_tcp_m(states, states[0].predicted_hand_in_base_m[track])
     return not way_m >= parameters[0].critical_distance_m
 
 
 @inlined
-def way_to_tcp(states: StateRecords, position_in_base_m: Array3) -> float:
+def distance_to_tcp_m(states: StateRecords, position_in_base_m: Array3) -> float:
     """Return |p - t| [m] of a position p, such as a predicted hand, and the TCP t, both in the base frame."""
     s = states[0]
     total = 0.0
@@ -163,7 +163,7 @@ def decide_mode(
         if still and o.time_s - s.clear_since_s >= p.restart_delay_s - 1e-9:
             s.mode = SERVOING
     if s.mode == REPULSING:
-        if way_to_tcp(states, s.target_in_base_m) <= p.arrival_tolerance_m:
+        if distance_to_tcp_m(states, s.target_in_base_m) <= p.arrival_tolerance_m:
             if inside:
                 s.trigger = HAND_STILL_THERE
                 return True

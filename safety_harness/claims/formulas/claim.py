@@ -208,13 +208,13 @@ class _Asked:
 
     def cases(self, atoms: Atoms) -> list[Case]:
         """Return the possible modes, where several were possible and the part asks for more than one mode."""
-        gaps = self.trace.known.measurement_of("mode").gaps
+        gaps = self.trace.known.column("mode").gaps
         several = len(MODES.keys() & self.sampled.keys()) > 1
         either = {mode for gap in gaps for mode in gap.either} if several else set()
         count, margin_cases = self.trace.scenario.ticks + 1, []
         for mode in sorted(either):
             where = np.zeros(count, np.bool_)
-            for gap in sorted(gaps, key=lambda one: one.either == ()):  # those of any mode last
+            for gap in sorted(gaps, key=lambda gap: gap.either == ()):  # those of any mode last
                 where[gap.first : gap.after] = mode in gap.either
 
             def atom_margins(atom: Comparison | Truth, mode: int = mode) -> MarginBounds:
@@ -289,9 +289,7 @@ class _Asked:
     def lacking(self) -> tuple[str, ...]:
         """Return the columns that it reads and that are not wholly known."""
         known = self.trace.known
-        return (
-            () if known.whole else tuple(n for n in _columns_of(self.part) if known.measurement_of(n).limited)
-        )
+        return () if known.whole else tuple(n for n in _columns_of(self.part) if known.column(n).limited)
 
     def lacks(self, columns: tuple[str, ...], reason: str = "", exercised: int = 0) -> Evaluation:
         """Return inconclusive, since ``columns`` are not known well enough."""
@@ -346,7 +344,7 @@ class _Asked:
             why = f"the run was cut short ({trace.ended})"
         if decisive.tick < len(trace.ticks) and decisive.atom is not None:
             every = sorted(
-                (decisive.atom.signal, *self.sampled), key=lambda one: not gaps_of(trace, one.reads)
+                (decisive.atom.signal, *self.sampled), key=lambda signal: not gaps_of(trace, signal.reads)
             )
             for signal in every:  # first those that were not always measured
                 holes = _holes(self.sampled[signal])

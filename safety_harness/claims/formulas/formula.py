@@ -270,11 +270,7 @@ def joined(formula: Formula) -> str:
 
 def conjunction(*formulas: Formula) -> Formula:
     """Return all of ``formulas`` joined; their own members join the rest."""
-    return And(
-        tuple(
-            p for formula in formulas for p in (formula.members if isinstance(formula, And) else (formula,))
-        )
-    )
+    return And(tuple(p for part in formulas for p in (part.members if isinstance(part, And) else (part,))))
 
 
 def disjunction(*formulas: Formula) -> Formula:

@@ -220,7 +220,7 @@ class _Parser:
         ahead = [token.text for token in self.tokens[self.at :]]
         matches = [signal for signal in SIGNALS if ahead[: len(_words_of(signal))] == _words_of(signal)]
         if matches:
-            signal = max(matches, key=lambda one: len(_words_of(one)))
+            signal = max(matches, key=lambda match: len(_words_of(match)))
             self.at += len(_words_of(signal))
             return signal
         first, last = self.at, self.at

@@ -109,7 +109,7 @@ def in_mode(mode: Mode) -> Sample:
         if not gone.any():
             return is_mode
         value = is_mode.value.copy()
-        for gap in trace.known.measurement_of("mode").gaps:
+        for gap in trace.known.column("mode").gaps:
             if gap.either and mode not in gap.either:
                 value[gap.first : gap.after], gone[gap.first : gap.after] = 0.0, False
         return replace(at_ticks(np.where(gone, np.nan, value)), lost=gone)

@@ -209,7 +209,7 @@ class DecisionTime(Worded):
         return judged(self, trace, left_s[worst], decisions["time_s"][worst], reason, exercised)
 
 
-DECISION_TIME = CatalogueEntry(
+DECISION_TIME_CLAIM = CatalogueEntry(
     prop=DecisionTime(within_s=0.1),
     pattern=r"decisions within (.+)",
     make=lambda match, _, place: DecisionTime(within_s=quantity(match[1], TIME, place)),

@@ -330,11 +330,9 @@ def judged(
             why = f"{unsure}: {ends} ({reason})"
             if not isfinite(margin):
                 why = f"{MAY_SATURATE}; at the ticks {prop.unit.margin_text(most)} ({reason})"
-            evaluation = inconclusive(prop, why, exercised=exercised)
+            result = inconclusive(prop, why, exercised=exercised)
             return (
-                evaluation
-                if not isfinite(margin)
-                else replace(evaluation, margin=margin, worst_time_s=worst_time_s)
+                result if not isfinite(margin) else replace(result, margin=margin, worst_time_s=worst_time_s)
             )
         margin = max(margin, most) if not isfinite(margin) else margin
     if not isfinite(margin):

@@ -6,7 +6,7 @@ import re
 from functools import lru_cache
 
 from safety_harness.base.extension_points import ExtensionPoint, Registry
-from safety_harness.claims.properties.answered import ANSWERED, DECISION_TIME
+from safety_harness.claims.properties.answered import ANSWERED, DECISION_TIME_CLAIM
 from safety_harness.claims.properties.clear_ways import CLEAR_WAYS
 from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.fallback import CERTAIN, FALLBACK_POSES, STOPS, UNCERTAIN
@@ -81,7 +81,7 @@ _OWN = (
     FALSE_ALARMS,
     FALSE_ALARMS_WITHIN,
     HAND_PREDICTIONS,
-    DECISION_TIME,
+    DECISION_TIME_CLAIM,
     ANSWERED,
     JOINT_POSITIONS,
     JOINT_SPEEDS,

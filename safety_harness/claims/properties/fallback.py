@@ -110,20 +110,15 @@ def concluded(
         return unexercised(prop, none())
     lacked = f"no repulsion had time for {LEAST_WAY_M * 1e3:g} mm of way; a longer duration exercises it"
 
-    def evaluation_of(findings: list[Finding]) -> Evaluation:
+    def judge(findings: list[Finding]) -> Evaluation:
         worst = worst_of(findings)
         reason = worst.what + (f", worst of {exercised} decisions" if exercised > 1 else "")
         return judged(prop, trace, worst.margin_m, worst.time_s, reason, exercised, lambda: lacked)
 
     parts = [
-        replace(evaluation_of(part_findings), sentence=f"{prop.sentence}: {part}")
-        for part, part_findings in finding_lists.items()
-        if part_findings
+        replace(judge(own), sentence=f"{prop.sentence}: {part}") for part, own in finding_lists.items() if own
     ]
-    return replace(
-        evaluation_of([finding for part_findings in finding_lists.values() for finding in part_findings]),
-        parts=tuple(parts),
-    )
+    return replace(judge([finding for own in finding_lists.values() for finding in own]), parts=tuple(parts))
 
 
 @dataclass(frozen=True, kw_only=True)

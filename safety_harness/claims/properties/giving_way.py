@@ -107,7 +107,7 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
     """
     decision, count, known = trace.decisions[number], len(trace.ticks), trace.known
     first, last = int(decision["tick"]), last_tick(trace, number)
-    gaps = ((gap.first, gap.after) for gap in known.measurement_of("decision").gaps)
+    gaps = ((gap.first, gap.after) for gap in known.column("decision").gaps)
     around = slice(*next((gap for gap in gaps if gap[0] <= first < gap[1]), (max(first - 1, 0), first + 2)))
     run, period_s = slice(first, last + 1), trace.scenario.settings.clock.control_period_s
     tcp_m, hands_m = trace.ticks["transform_tcp_to_base"][:, :3, 3], trace.ticks["hand_position_in_base_m"]

@@ -41,10 +41,7 @@ def _ends_by(error_of: ErrorOf, speed: str = "", place: str = "") -> Ends:
 
     def ends(prop: object, trace: Trace, margin: float) -> tuple[float, float, bool]:
         error = float(error_of(trace)[2])
-        fast = (
-            not speed
-            or np.abs(trace.ticks[speed]).max() - trace.known.measurement_of(speed).uncertainty > MOVES
-        )
+        fast = not speed or np.abs(trace.ticks[speed]).max() - trace.known.column(speed).uncertainty > MOVES
         moves = fast or (place != "" and went(trace, place, np.isfinite(trace.time_s)))
         return margin - error, margin + error, bool(moves)
 

@@ -119,12 +119,12 @@ class _Judging:
     def evaluate(self, prop: Property, trace: Trace) -> Evaluation:
         """Judge the whole trace, or else its parts: a part that violates it decides."""
         known = trace.known
-        limited = [name for name in self.names if known.measurement_of(name).limited]
+        limited = [name for name in self.names if known.column(name).limited]
         lacking = [
             name
             for name in limited
             if name not in self.bounded
-            and (known.missing([name]) or (known.measurement_of(name).gaps and name not in self.filled))
+            and (known.missing([name]) or (known.column(name).gaps and name not in self.filled))
         ]
         if not lacking:
             evaluation = self.plain(prop, trace)
@@ -152,7 +152,7 @@ class _Judging:
             return replace(evaluation, margin=high)
         if evaluation.verdict is Verdict.HOLDS and low >= 0.0 and exercised:
             return replace(evaluation, margin=low)
-        unknown = [name for name in limited if trace.known.measurement_of(name).uncertainty == 0.0]
+        unknown = [name for name in limited if trace.known.column(name).uncertainty == 0.0]
         why = "not measured" if unknown else "known only to within an uncertainty"
         why = f"{why}: {', '.join(unknown or limited)}; the margin is "
         if low == -inf and high == inf:
@@ -173,7 +173,7 @@ def _lack(trace: Trace, name: str) -> str:
     names = [hand.name for hand in trace.scenario.hands]
     of_hand = "" if first.hand is None else f" of {[*names, *['another hand'] * MAX_HANDS][first.hand]}"
     begin_s, end_s = (_time_s(trace, tick) for tick in (first.first, first.after))
-    more = " and later" * (len(trace.known.measurement_of(name).gaps) > 1)
+    more = " and later" * (len(trace.known.column(name).gaps) > 1)
     return f"{name}{of_hand} from {begin_s:.3f} to {end_s:.3f} s{more}"
 
 
@@ -190,7 +190,7 @@ def _pieces(trace: Trace, lacking: Sequence[str], of_each_hand: bool) -> Iterato
     of_hands = {name for name in lacking if name in PER_HAND}
     if not of_each_hand or not of_hands:
         return
-    gaps = [(name, gap.hand) for name in of_hands for gap in known.measurement_of(name).gaps]
+    gaps = [(name, gap.hand) for name in of_hands for gap in known.column(name).gaps]
     gaps += [(name, None) for name in known.missing(of_hands)]
     lost = {
         k
@@ -247,7 +247,7 @@ def _without_arms(trace: Trace) -> Trace:
     )
     scenario = replace(scenario, hands=hands, settings=replace(scenario.settings, hand=sphere))
     ticks["elbow_position_in_base_m"] = ticks["hand_position_in_base_m"]
-    position = trace.known.measurement_of("hand_position_in_base_m")
+    position = trace.known.column("hand_position_in_base_m")
     columns = {**trace.known.columns, "elbow_position_in_base_m": position}
     armless = replace(trace, scenario=scenario, ticks=ticks, known=Knowledge(columns))
     ticks = ticks.copy()
@@ -272,7 +272,7 @@ def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
         @wraps(evaluate)
         def evaluate_whole(prop: Property, trace: Trace) -> Evaluation:
             known = trace.known
-            lacking = [name for name in names if known.missing([name]) or known.measurement_of(name).gaps]
+            lacking = [name for name in names if known.missing([name]) or known.column(name).gaps]
             lacking = [] if of_any and known.simulated else lacking
             return not_measured(prop, lacking, known=trace.known) if lacking else evaluate(prop, trace)
 

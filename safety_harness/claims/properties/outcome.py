@@ -74,7 +74,7 @@ class KeepsItsPlace(Worded):
         errors_m, tcp_m = position_errors_m(trace), true_motion(trace).tcp_m
         margins = []
         nearest_m = nearest_hand_m(trace) + farther_m * nearest_off_m(trace)
-        slack_m = 4.0 * farther_m * trace.known.measurement_of("transform_tcp_to_base").uncertainty
+        slack_m = 4.0 * farther_m * trace.known.column("transform_tcp_to_base").uncertainty
         for begin, end in np.transpose(runs_of(nearest_m > NoFalseAlarms().limit_m(trace.scenario.settings))):
             first = begin + left * bool(begin)
             ways_m = np.zeros(max(end - held - first, 0))
@@ -150,27 +150,20 @@ class ReactsWithin(Worded):
         velocity, braking = np.diff(tcp_m, axis=0) / period_s, ticks["limits"] & int(Limit.BRAKING) != 0
         speed = np.maximum(np.linalg.norm(velocity, axis=1), TINY_MPS)
         for first, end in np.transpose(runs_of(is_near)).tolist():
-            last_before, was = (
-                first - 1,
-                max(first - 1 - round(BEFORE_S / period_s), round(STARTED_S / period_s)),
-            )
-            if last_before < was or first == last or speed[last_before] <= MOVES or braking[last_before]:
+            prior, was = (first - 1, max(first - 1 - round(BEFORE_S / period_s), round(STARTED_S / period_s)))
+            if prior < was or first == last or speed[prior] <= MOVES or braking[prior]:
                 continue
             leads = product(velocity, from_hand_m[first] / max(apart_m[first], TINY_MPS))
             # an arm that arrives slows as what is left of its way does
-            now, away, left = (
-                speed[last_before],
-                leads[last_before],
-                errors_m / max(errors_m[last_before], TINY_M),
-            )
+            now, away, left = (speed[prior], leads[prior], errors_m / max(errors_m[prior], TINY_M))
             arrives = min(1.0 / max(left[was], TINY_M), 1.0)
             reacted = now <= HALF * arrives * speed[was]
             reacted |= away - arrives * leads[was] >= HALF * speed[was] > HALF * MOVES
-            reacted |= away > 0.0 and errors_m[first] > errors_m[last_before]
+            reacted |= away > 0.0 and errors_m[first] > errors_m[prior]
             if reacted or away >= HALF * settings.avoidance.repulsion_speed_mps:
                 continue
             until = slice(first, min(end + halved, last))
-            slowing = power(min(now / speed[was], 1.0), 1.0 / max(last_before - was, 1))
+            slowing = power(min(now / speed[was], 1.0), 1.0 / max(prior - was, 1))
             usual = np.minimum(power(slowing, np.arange(1, until.stop - first + 1)), left[until])
             change = 1.0 - speed[until] / np.maximum(usual * now, TINY_MPS)
             change = np.maximum(change, (leads[until] - away * usual) / now)

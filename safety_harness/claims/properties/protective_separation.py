@@ -51,7 +51,7 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
     distance_m, rate_radps = (
         known.uncertainty_of(name, len(trace.ticks)) for name in ("hand_distance_m", "joint_velocity_radps")
     )
-    speed_mps, faster_radps = known.measurement_of("tcp_speed_mps").uncertainty, rate_radps[:, None]
+    speed_mps, faster_radps = known.column("tcp_speed_mps").uncertainty, rate_radps[:, None]
     per_speed_s2pm, grace_s = braking.stop_time_per_speed_s2pm, GRACE_TICKS * period_s
     stopped_mps = prop.stopped_from_mps(trace)
     reaction_s, stop_s = _times_s(trace, stopped_mps)
@@ -60,13 +60,13 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
     turns_radps = np.abs(true.rates_radps)
     sure = turns_radps.max(axis=1) >= STANDSTILL_RADPS + rate_radps
     maybe = turns_radps.max(axis=1) >= STANDSTILL_RADPS - rate_radps
-    off_mps = 2.0 / period_s * max(known.measurement_of(name).uncertainty for name in OF_HANDS[:2])
+    off_mps = 2.0 / period_s * max(known.column(name).uncertainty for name in OF_HANDS[:2])
     hand_mps = np.minimum(_steps_m(trace)[1] / period_s + off_mps, _fastest_mps(trace))
     most_mps = hand_mps if prop.own_speeds else np.full_like(hand_mps, prop.assumed_mps)
     least_mps = 0.0 if prop.own_speeds else prop.assumed_mps
 
     stopping = _may_be_stopping(trace)
-    in_doubt = known.measurement_of("limits").limited or (bool(stopping.any()) and speed_mps > 0.0)
+    in_doubt = known.column("limits").limited or (bool(stopping.any()) and speed_mps > 0.0)
     whole_s = per_speed_s2pm * stopped_mps + braking.stop_time_base_s
     left_s = (
         whole_s + braking.reaction_time_s if in_doubt else reaction_s + stop_s
@@ -96,7 +96,7 @@ def _may_be_stopping(trace: Trace) -> NDArray[np.bool_]:
 
 def _fastest_mps(trace: Trace) -> float:
     """Return the largest possible speed of a hand or elbow, by what is known of them."""
-    rates = [trace.known.measurement_of(name).at_most_per_s for name in OF_HANDS[:2]]
+    rates = [trace.known.column(name).at_most_per_s for name in OF_HANDS[:2]]
     return max(np.inf if rate is None else rate for rate in rates)
 
 
@@ -237,7 +237,7 @@ def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 def _times_s(trace: Trace, speed_mps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the times of stops from a speed (n,) that is at least the TCP's, as ``times_left_s``."""
-    known = not trace.known.measurement_of("limits").limited
+    known = not trace.known.column("limits").limited
     return (_times_left_s if known else _full_times_s)(trace, speed_mps, 0.0)
 
 

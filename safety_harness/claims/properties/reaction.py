@@ -115,9 +115,9 @@ def _answer_ends(
     """
     gives, may = may_give_way(trace)
     last, longest, open_from, too_long = len(sure) - 1, [0, 0], len(sure), False
-    for side, (is_near, giving) in enumerate(((maybe, gives), (sure, may))):
-        for first, end in zip(*runs_of(~giving if whole_stretch else is_near & ~giving), strict=True):
-            inside = np.flatnonzero(is_near[first:end])
+    for side, (close, giving) in enumerate(((maybe, gives), (sure, may))):
+        for first, end in zip(*runs_of(~giving if whole_stretch else close & ~giving), strict=True):
+            inside = np.flatnonzero(close[first:end])
             if len(inside):
                 took = min(end, last) - (first + int(inside[0]))
                 too_late = time_left_s(trace, prop.within_s, took - 1) < 0.0
@@ -185,12 +185,12 @@ class GivesWay(Worded):
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch without giving way."""
-        is_near, unknown = predicted_near(trace)
+        close, unknown = predicted_near(trace)
         if unknown >= 0:
             return inconclusive(self, f"the prediction is not finite from {trace.time_s[unknown]:.3f} s")
         stretches = []
         for first, end in zip(*runs_of(~gives_way(trace)), strict=True):
-            inside = np.flatnonzero(is_near[first:end])
+            inside = np.flatnonzero(close[first:end])
             if len(inside):
                 stretches.append((first + int(inside[0]), end))
         return _judged(self, trace, predicted_near(trace, NEAR_M)[0], stretches, "predicted hand")
@@ -224,49 +224,43 @@ class GivesWayToTrueHand(Worded):
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch with a hand and without giving way."""
         nearest_m, gives = nearest_hand_m(trace), gives_way(trace)
-        is_near = nearest_m < trace.scenario.settings.avoidance.critical_distance_m
-        ignored = [
-            slice(*stretch)
-            for stretch in zip(*runs_of(is_near), strict=True)
-            if not gives[slice(*stretch)].any()
-        ]
-        stretches = zip(*runs_of(is_near & ~gives), strict=True)
-        return _judged(self, trace, is_near & (nearest_m < NEAR_M), stretches, "true hand", ignored)
+        close = nearest_m < trace.scenario.settings.avoidance.critical_distance_m
+        ignored = [slice(*run) for run in zip(*runs_of(close), strict=True) if not gives[slice(*run)].any()]
+        stretches = zip(*runs_of(close & ~gives), strict=True)
+        return _judged(self, trace, close & (nearest_m < NEAR_M), stretches, "true hand", ignored)
 
 
 def _judged(
     prop: GivesWay | GivesWayToTrueHand,
     trace: Trace,
-    is_near: NDArray[np.bool_],  # (n,) what counts as an occasion
+    close: NDArray[np.bool_],  # (n,) what counts as an occasion
     unanswered: Iterable[tuple[int, int]],
     body: str,
     ignored: Sequence[slice] = (),  # encounters in which the arm never gave way
 ) -> Evaluation:
     """Judge the longest stretch in which a near hand was not answered."""
-    occasions = times_begun(is_near)
-    longest, since, open_from = 0, int(np.argmax(is_near)), len(is_near)  # in ticks
+    occasions = times_begun(close)
+    longest, since, open_from = 0, int(np.argmax(close)), len(close)  # in ticks
     for first, end in unanswered:
-        took = min(end, len(is_near) - 1) - first
-        if end == len(is_near) and time_left_s(trace, prop.within_s, took) >= 0.0:
+        took = min(end, len(close) - 1) - first
+        if end == len(close) and time_left_s(trace, prop.within_s, took) >= 0.0:
             open_from = first
         elif took > longest:
             longest, since = took, first
     margin_s = time_left_s(trace, prop.within_s, longest)
-    decided = times_begun(is_near[:open_from])  # one that gave way and is open again has been answered once
+    decided = times_begun(close[:open_from])  # one that gave way and is open again has been answered once
     if margin_s >= 0.0 and occasions == 0:
         true = isinstance(prop, GivesWayToTrueHand)
         return unexercised(prop, no_near_hand(trace) if true else no_predicted_hand(trace))
     if margin_s >= 0.0 and decided == 0:
         had_ms = (
-            (len(is_near) - 1 - int(np.argmax(is_near)))
-            * trace.scenario.settings.clock.control_period_s
-            * 1e3
+            (len(close) - 1 - int(np.argmax(close))) * trace.scenario.settings.clock.control_period_s * 1e3
         )
         why = f"the run ends {had_ms:.0f} ms after a {body} came near, before the {prop.within_s * 1e3:g} ms"
         return inconclusive(prop, f"{why} allowed; a longer duration exercises it")
     reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {body} came near"
     evaluation = judged(prop, trace, margin_s, trace.time_s[since + longest], reason, decided)
-    left = next((encounter for encounter in ignored if encounter.stop < len(is_near)), None)
+    left = next((encounter for encounter in ignored if encounter.stop < len(close)), None)
     if left is None or evaluation.verdict is not Verdict.HOLDS:
         return evaluation
     when = f"from {trace.time_s[left.start]:.3f} s to {trace.time_s[left.stop]:.3f} s"
@@ -434,7 +428,7 @@ def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
         begun = slice(max(first - 1, 0), first + int(inside[0]) + 1) if len(inside) else slice(0)
         if len(inside) and known_ticks[begun].all() and not singular[begun].any():
             highs.append(limit_m - min(float(near_m[begun].min()), 2.0 * limit_m))
-    gaps = [(gap.first, gap.after) for gap in trace.known.measurement_of("decision").gaps]
+    gaps = [(gap.first, gap.after) for gap in trace.known.column("decision").gaps]
     for tick in trace.decisions["tick"].tolist():
         around = next((gap for gap in gaps if gap[0] <= tick < gap[1]), (tick - 1, tick + 2))
         window = slice(max(around[0], 0), around[1])

@@ -91,9 +91,7 @@ class SpreadCalibration:
         problem = next((f"{t.scenario.name}: {w}" for t in every if (w := first_inconsistency(t))), None)
         if problem is not None:
             return inconclusive(self, f"a trace contradicts itself: {problem}")
-        if lacking := [
-            name for name in READ if any(trace.known.measurement_of(name).limited for trace in every)
-        ]:
+        if lacking := [name for name in READ if any(trace.known.column(name).limited for trace in every)]:
             return not_measured(self, lacking)
         intervals = self.intervals or (_shipped(avoiders.pop()) if avoiders else None)
         if intervals is None:

@@ -58,7 +58,7 @@ def basis(
 
     """
     if not isinstance(exercised, str):
-        counts = sorted(exercised, key=lambda one: (one[0] / max(one[1], 1), one))
+        counts = sorted(exercised, key=lambda pair: (pair[0] / max(pair[1], 1), pair))
         exercised = "no claim was exercised"
         if counts:
             (least, least_runs), (most, runs) = counts[0], counts[-1]

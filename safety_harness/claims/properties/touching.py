@@ -108,11 +108,7 @@ def theorem_words(trace: Trace, evaluation: Evaluation) -> str:
         return "REFUTES THE SHIELD'S THEOREM: until then no assumption that a trace tells was broken"
     if broken and broken[0].number == NOT_KNOWN:
         return f"whether the shield's theorem applies is not known: {broken[0].text}"
-    return (
-        f"the shield's theorem does not apply: {'; '.join(assumption.text for assumption in broken)}"
-        if broken
-        else ""
-    )
+    return f"the shield's theorem does not apply: {'; '.join(part.text for part in broken)}" if broken else ""
 
 
 def refutes_theorem(trace: Trace, evaluation: Evaluation) -> bool:

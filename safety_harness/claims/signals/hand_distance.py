@@ -259,10 +259,7 @@ def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
         true.rates_radps,
         trace.overshoot_radps,
         period_s,
-        not (
-            known.measurement_of("joint_position_rad").limited
-            or known.measurement_of("joint_velocity_radps").limited
-        ),
+        not (known.column("joint_position_rad").limited or known.column("joint_velocity_radps").limited),
         any(world_entry.substeps for world_entry in WORLDS if world_entry.name == world),
     )
 
@@ -281,15 +278,12 @@ def _joint_bends(
     bends, recorded = np.zeros(max(rates_radps.shape[0] - 1, 0)), len(overshoot_radps) >= len(rates_radps)
     for k in range(bends.shape[0]):
         for joint in range(arm.chain[0].joint_axes.shape[0]):
-            rate_before, rate_after = rates_radps[k, joint], rates_radps[k + 1, joint]
+            start, end = rates_radps[k, joint], rates_radps[k + 1, joint]
             overshoot = overshoot_radps[k, joint] if recorded else 0.0
             mean = (joints_rad[k + 1, joint] - joints_rad[k, joint]) / period_s
-            below, above = (
-                mean - min(rate_before, rate_after) + overshoot,
-                max(rate_before, rate_after) + overshoot - mean,
-            )
+            below, above = (mean - min(start, end) + overshoot, max(start, end) + overshoot - mean)
             inside, angle = min(below, above) > -ROUNDING_RADPS, 0.25 * (below + above) * period_s
-            if engine and not (inside if recorded else abs(mean - rate_after) < SATURATED_RADPS):
+            if engine and not (inside if recorded else abs(mean - end) < SATURATED_RADPS):
                 angle = np.inf
             elif exact and inside and below + above > 0.0:
                 angle = max(below, 0.0) * max(above, 0.0) / (below + above) * period_s

@@ -87,7 +87,7 @@ def no_predicted_hand(trace: Trace) -> str:
 
 def _not_all_seen(trace: Trace) -> bool:
     """Return whether a statement on near hands, predicted or true, would exceed what is known."""
-    return not trace.known.whole and any(trace.known.measurement_of(name).limited for name in SEEN)
+    return not trace.known.whole and any(trace.known.column(name).limited for name in SEEN)
 
 
 def no_decision(trace: Trace) -> str:
@@ -152,7 +152,7 @@ def went(trace: Trace, place: str, counted: NDArray[np.bool_]) -> bool:
     Only stretches whose ticks are all ``counted`` (n,) count.
     """
     values = trace.ticks[place] if trace.ticks[place].ndim == 2 else trace.ticks[place][:, :3, 3]
-    error, slow = 2.0 * trace.known.measurement_of(place).uncertainty, MOVES * trace.time_s[:, None]
+    error, slow = 2.0 * trace.known.column(place).uncertainty, MOVES * trace.time_s[:, None]
     for ticks in np.split(np.arange(len(values)), np.flatnonzero(np.diff(counted)) + 1):
         for along in (values[ticks] - slow[ticks], -values[ticks] - slow[ticks]):
             if counted[ticks].all() and np.any(along - np.fmin.accumulate(along) > error):

@@ -45,17 +45,14 @@ def _errors(
     """Least over hands of |predicted - true| [m], the true one straight between the ticks around ``at``."""
     last = hands_m.shape[0] - 1
     for k in range(at.shape[0]):
-        tick_before = int(at[k])
-        tick_after, part = min(tick_before + 1, last), at[k] - tick_before
+        start = int(at[k])
+        stop, part = min(start + 1, last), at[k] - start
         for track in range(errors_m.shape[1]):
             nearest = np.inf
             for hand in range(hands):
                 total = 0.0
                 for i in range(3):
-                    true = (
-                        hands_m[tick_before, hand, 0, i] * (1.0 - part)
-                        + hands_m[tick_after, hand, 0, i] * part
-                    )
+                    true = hands_m[start, hand, 0, i] * (1.0 - part) + hands_m[stop, hand, 0, i] * part
                     total += (predicted_m[k, track, i] - true) ** 2
                 distance_m = sqrt(total)
                 if not distance_m >= nearest:

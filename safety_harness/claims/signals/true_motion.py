@@ -166,8 +166,8 @@ def _paths(trace: Trace, most_parts: int) -> HandPaths:
     parts = np.full((max(count - 1, 0), len(scenario.hands)), most_parts)
     positions = np.zeros((count, len(scenario.hands), 2, 3))
     moving = np.zeros((max(count - 1, 0), len(scenario.hands)), np.bool_)
-    hand_of_corner, at, corners = np.zeros(most, np.int64), np.zeros(most), np.zeros((most, 2, 3))
-    corner_count = _follow(
+    owners, at, corners = np.zeros(most, np.int64), np.zeros(most), np.zeros((most, 2, 3))
+    n = _follow(
         hands.state,
         hands.moves,
         hands.samples,
@@ -175,21 +175,13 @@ def _paths(trace: Trace, most_parts: int) -> HandPaths:
         scenario.settings.clock.control_period_s,
         positions,
         moving,
-        hand_of_corner,
+        owners,
         at,
         corners,
         parts,
     )
     resolution_m = RESOLUTION_M if most_parts == 1 else 0.5 * RESOLUTION_M
-    return HandPaths(
-        positions,
-        moving,
-        hand_of_corner[:corner_count],
-        at[:corner_count],
-        corners[:corner_count],
-        parts,
-        resolution_m,
-    )
+    return HandPaths(positions, moving, owners[:n], at[:n], corners[:n], parts, resolution_m)
 
 
 @once_a_trace
@@ -207,7 +199,7 @@ def first_stray(trace: Trace) -> int | None:
         for body, name in enumerate(BODIES):
             off_m = np.linalg.norm(stored_m[:, :, body] - moved_m[:, :, body], axis=2)
             same = ~known.measured(name, trace.ticks)[:, : off_m.shape[1]]
-            same |= off_m <= known.measurement_of(name).uncertainty + SAME_M
+            same |= off_m <= known.column(name).uncertainty + SAME_M
             stored_m[:, :, body][same] = moved_m[:, :, body][same]
     stray = ~np.isclose(stored_m, moved_m, rtol=0.0, atol=SAME_M, equal_nan=True)
     return int(np.argmax(stray.any(axis=(1, 2, 3)))) if stray.any() else None
@@ -217,7 +209,7 @@ def follows_unknown(trace: Trace) -> bool:
     """Return whether a hand heads for a TCP that was not measured everywhere and exactly."""
     moves = [move for hand in trace.scenario.hands if isinstance(hand, MovingHand) for move in hand.moves]
     seeks = any(isinstance(move, ReachForTcp | FollowTcp) for move in moves)
-    return seeks and trace.known.measurement_of("transform_tcp_to_base").limited
+    return seeks and trace.known.column("transform_tcp_to_base").limited
 
 
 def apart_moved_m(trace: Trace) -> NDArray[np.float64]:

@@ -30,7 +30,7 @@ def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tu
     return tuple(
         name
         for name in columns
-        if any(tick is None or g.first <= tick < g.after for g in known.measurement_of(name).gaps)
+        if any(tick is None or g.first <= tick < g.after for g in known.column(name).gaps)
     )
 
 
@@ -38,7 +38,7 @@ def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
     """Return (n, hands) the ticks at which one of ``columns`` was not measured, for each possible hand."""
     lost_rows = np.zeros((len(trace.ticks), *trace.ticks.dtype["hand_present"].shape), np.bool_)
     for name in columns:
-        for gap in trace.known.measurement_of(name).gaps:
+        for gap in trace.known.column(name).gaps:
             lost_rows[gap.first : gap.after, ... if gap.hand is None else gap.hand] = True
     return lost_rows
 
@@ -63,7 +63,7 @@ def as_known(signal: Signal, measured: Sampled, trace: Trace) -> Sampled:
     The signal is unknown at lost ticks and in the cells that touch them.  A value of the measured hands
     bounds it from above there.
     """
-    columns = [name for name in signal.reads if trace.known.measurement_of(name).limited]
+    columns = [name for name in signal.reads if trace.known.column(name).limited]
     if not columns or measured.absent:
         return measured
     at, below, above = signal.off(trace) if signal.off else (0.0, 0.0, 0.0)
@@ -100,7 +100,7 @@ def by_uncertainty_of(*columns: str) -> ErrorOf:
     """Return the errors of a signal that is as uncertain as ``columns`` together."""
 
     def errors(trace: Trace) -> tuple[float, float, float]:
-        together = sum(trace.known.measurement_of(name).uncertainty for name in columns)
+        together = sum(trace.known.column(name).uncertainty for name in columns)
         return together, together, together
 
     return errors
@@ -110,11 +110,7 @@ def of_change(column: str) -> ErrorOf:
     """Return the errors of the mean change of ``column`` from tick to tick, in its unit per second."""
 
     def errors(trace: Trace) -> tuple[float, float, float]:
-        error = (
-            2.0
-            * trace.known.measurement_of(column).uncertainty
-            / trace.scenario.settings.clock.control_period_s
-        )
+        error = 2.0 * trace.known.column(column).uncertainty / trace.scenario.settings.clock.control_period_s
         return error, error, error
 
     return errors
@@ -131,7 +127,7 @@ def of_speed(speed: str, position: str) -> ErrorOf:
     """Return the errors of a speed; a mean between ticks has those of both positions over the period."""
 
     def errors(trace: Trace) -> tuple[float, float, float]:
-        at, place = (trace.known.measurement_of(name).uncertainty for name in (speed, position))
+        at, place = (trace.known.column(name).uncertainty for name in (speed, position))
         between_ticks = float(speed_between(at, place, trace.scenario.settings.clock.control_period_s))
         return at, between_ticks, between_ticks
 
@@ -140,7 +136,7 @@ def of_speed(speed: str, position: str) -> ErrorOf:
 
 def of_place(trace: Trace) -> tuple[float, float, float]:
     """Return the errors of a place of the TCP: its own, and between ticks half of the error of its way."""
-    at, speed = (trace.known.measurement_of(name).uncertainty for name in (TCP, TCP_SPEED))
+    at, speed = (trace.known.column(name).uncertainty for name in (TCP, TCP_SPEED))
     between_ticks = float(place_between(at, speed, trace.scenario.settings.clock.control_period_s))
     return at, between_ticks, between_ticks
 
@@ -155,7 +151,7 @@ def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
         return np.inf, np.inf, np.inf
     tcp, between_ticks, _ = of_place(trace)
     columns = ("joint_position_rad", "joint_velocity_radps", HANDS)
-    turned_rad, faster_radps, hand = (trace.known.measurement_of(name).uncertainty for name in columns)
+    turned_rad, faster_radps, hand = (trace.known.column(name).uncertainty for name in columns)
     turned_rad += 0.5 * trace.scenario.settings.clock.control_period_s * faster_radps
     low = max(tcp, turned_rad * float(tcp_of(trace).reach_m.sum()))
     return tcp + hand, low + hand, between_ticks + 2.0 * hand

@@ -10,10 +10,10 @@ from safety_harness.scenario.kinds import FileKind
 from safety_harness.scenario.model import Claim
 
 if TYPE_CHECKING:
-    from safety_harness.extensions.field.logs.certain import Recorded
+    from safety_harness.extensions.field.logs.certain import LoggedTrace
 
 
-def _recorded(path: Path, claims: tuple[Claim, ...]) -> Recorded:
+def _recorded(path: Path, claims: tuple[Claim, ...]) -> LoggedTrace:
     from safety_harness.extensions.field.logs.judging import recorded
 
     return recorded(path, claims)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safety_harness.extensions.field.logs.assumptions import Assumption, assumptions_of
-from safety_harness.extensions.field.logs.certain import Recorded, trace_of
+from safety_harness.extensions.field.logs.certain import LoggedTrace, trace_from_log
 from safety_harness.extensions.field.logs.model import CellLog
 from safety_harness.extensions.field.logs.read import read_log as read_description
 from safety_harness.report.evidence import JudgedRun, basis_of, worst_verdict
@@ -27,7 +27,7 @@ def read_log(file: str | Path) -> LogResult:
 
     """
     log = read_description(file)
-    return LogResult(Path(file), log, trace_of(log))
+    return LogResult(Path(file), log, trace_from_log(log))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,7 +43,7 @@ class LogResult:
 
     file: Path
     log: CellLog
-    recorded: Recorded
+    recorded: LoggedTrace
 
     @property
     def trace(self) -> Trace:

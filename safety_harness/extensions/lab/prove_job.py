@@ -66,11 +66,11 @@ def prove(
     with ExitStack() as closing:
         stopped = closing.enter_context(one_more_ctrl_c(output.say, "interrupted: finishing the batch"))
         on_step = closing.enter_context(output.steps())
-        map_batches = map if jobs == 1 else closing.enter_context(pool(jobs)).map
+        mapping = map if jobs == 1 else closing.enter_context(pool(jobs)).map
         effort = Effort(
             seconds=60.0 * minutes,
             halvings=halvings,
-            over=map_batches,
+            over=mapping,
             at_once=jobs,
             stopped=stopped,
             show=on_step,

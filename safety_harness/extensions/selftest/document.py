@@ -129,7 +129,7 @@ def render(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun, runs: Caught
         minus=with_minus,
         replays=bool(runs),
         seen=[
-            (case, run, replays.arguments_for(run, f"seen-{number}"))
+            (case, run, replays.arguments(run, f"seen-{number}"))
             for number, (case, run) in enumerate(runs, start=1)
         ],
     )

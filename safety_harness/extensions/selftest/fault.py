@@ -105,7 +105,7 @@ def seeded(
 ) -> Callable[[Changing], Graded]:
     """Decorate a change with the place where it is seeded and its SeverityLevels; ``ONLY`` without values."""
     ladder = SeverityLevels(values, unit, per_si, names) if values else ONLY
-    return lambda what: (where(what), ladder)
+    return lambda change: (where(change), ladder)
 
 
 def fault_of(

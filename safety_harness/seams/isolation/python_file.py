@@ -69,11 +69,7 @@ def _misfit(node: ast.AST, method: str, keywords: set[str]) -> str:
     """The parameters of a class's plain method that no call with these keywords, or "seen" too, fits."""
     if not isinstance(node, ast.ClassDef):
         return ""
-    own = [
-        function
-        for function in node.body
-        if isinstance(function, ast.FunctionDef) and function.name == method
-    ]
+    own = [item for item in node.body if isinstance(item, ast.FunctionDef) and item.name == method]
     if not own or own[-1].decorator_list or own[-1].args.kwarg:
         return ""
     given = own[-1].args

@@ -136,8 +136,8 @@ class LogFile(pytest.File):
 class ScenarioNode(pytest.Collector):
     """One scenario or space of a file that holds several."""
 
-    def __init__(self, *, items: Callable[[pytest.Collector], Nodes], **others: Any) -> None:
-        super().__init__(**others)
+    def __init__(self, *, items: Callable[[pytest.Collector], Nodes], **options: Any) -> None:
+        super().__init__(**options)
         self._items = items
 
     def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
@@ -148,8 +148,8 @@ class ScenarioNode(pytest.Collector):
 class FileItem(pytest.Item):
     """The item of one claim of a file; ``check`` judges it."""
 
-    def __init__(self, *, claim: Claim, check: Callable[[TestRun], None], **others: Any) -> None:
-        super().__init__(**others)
+    def __init__(self, *, claim: Claim, check: Callable[[TestRun], None], **options: Any) -> None:
+        super().__init__(**options)
         self.claim, self._check = claim, check
 
     def runtest(self) -> None:

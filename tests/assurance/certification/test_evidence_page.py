@@ -8,7 +8,7 @@ import page
 import pytest
 from made_up_evidence import HASH, HOSTILE, STRATA, evidence, outcome
 
-from safety_harness.extensions.assurance.certification.evidence import ClaimStatus, OpenFinding, by_gravity
+from safety_harness.extensions.assurance.certification.evidence import ClaimStatus, OpenFinding, by_severity
 from safety_harness.extensions.assurance.certification.page import render
 from safety_harness.report.page_parts import asset
 
@@ -49,13 +49,13 @@ def test_a_refuted_claim_names_on_top_a_stratum_that_exceeds_its_target() -> Non
 
 
 def test_claims_stand_by_gravity_wherever_they_are_listed(document: page.Node) -> None:
-    grave = [claim.sentence for claim in by_gravity(evidence().claims)]
+    grave = [claim.sentence for claim in by_severity(evidence().claims)]
     (table,) = document.all("table", "verdicts")
     articles = [one for one in document.all("article") if "claim-" in one.attributes.get("id", "")]
     for listed in ([row.text for row in table.all("tr")][1:], [one.text for one in articles]):
         assert all(name in text for name, text in zip(grave, listed, strict=True))
     assert grave[0].startswith("hand distance never below")
-    assert [one.standing for one in by_gravity(evidence().claims)][:2] == [
+    assert [one.standing for one in by_severity(evidence().claims)][:2] == [
         ClaimStatus.REFUTED,
         ClaimStatus.UNTESTED,
     ]

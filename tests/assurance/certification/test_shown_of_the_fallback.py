@@ -36,7 +36,7 @@ def row(stratum: int, episode: int, claims: int, *, silent: int = 0, why: str = 
         proposed=2 - silent,
         opposite=silent,
         faults=silent,
-        mishap=why if silent else "",
+        run_error=why if silent else "",
     )
 
 

@@ -71,7 +71,7 @@ def test_no_mask_changes_a_verdict_but_to_inconclusive(batch: int) -> None:
         for prop, whole in evaluations:
             found = prop.evaluate(partly)
             what = (number, trace.scenario.name, partly.known, whole, found)
-            if not any(partly.known.measurement_of(column).limited for column in columns_read_by(prop) or ()):
+            if not any(partly.known.column(column).limited for column in columns_read_by(prop) or ()):
                 assert replace(found, reason="") == replace(whole, reason=""), what
             elif found.verdict is not whole.verdict:
                 assert found.verdict is Verdict.INCONCLUSIVE, what

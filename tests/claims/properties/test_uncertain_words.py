@@ -84,7 +84,7 @@ def with_gaps(rng: np.random.Generator, trace: Trace, seen: Trace, names: tuple[
         )
         first = max(at - int(rng.integers(1, 8)), 0)
         gap = Gap(first=first, after=min(at + int(rng.integers(1, 8)), len(seen.ticks)))
-        columns[name] = replace(seen.known.measurement_of(name), source=Source.LOG, gaps=(gap,))
+        columns[name] = replace(seen.known.column(name), source=Source.LOG, gaps=(gap,))
     if "predicted_hand_in_base_m" in names and rng.uniform() < 0.5:
         ticks, off = seen.ticks.copy(), rng.normal(size=seen.ticks["predicted_hand_in_base_m"].shape)
         off /= np.linalg.norm(off, axis=-1, keepdims=True)

@@ -85,7 +85,7 @@ def test_a_controller_is_noticed_by_its_motion_alone(
     run: Callable[[UserController], Trace], fault: UserController, claim: KeepsItsPlace | ReactsWithin
 ) -> None:
     trace, sound = run(fault), run(Sound())
-    assert trace.known.measurement_of("mode") == NOT_REPORTED
+    assert trace.known.column("mode") == NOT_REPORTED
     found = claim.evaluate(trace)
     assert found.verdict is Verdict.VIOLATED, found
     kept = claim.evaluate(sound)

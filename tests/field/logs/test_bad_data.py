@@ -96,11 +96,11 @@ def test_a_cell_that_is_no_number_is_told_with_its_column(log: Path, text: str) 
 
 @pytest.mark.parametrize("text", ["", "nan", "NaN"])
 def test_a_sample_without_a_number_was_not_measured(log: Path, text: str) -> None:
-    before = judged_log(log).trace.known.measurement_of("hand_position_in_base_m")
+    before = judged_log(log).trace.known.column("hand_position_in_base_m")
     rows = log.with_name("hands.csv").read_text().splitlines()
     rows[12:20] = [_cell(row, 2, text) for row in rows[12:20]]
     log.with_name("hands.csv").write_text("\n".join(rows) + "\n")
-    after = judged_log(log).trace.known.measurement_of("hand_position_in_base_m")
+    after = judged_log(log).trace.known.column("hand_position_in_base_m")
     assert before.gaps == ()
     assert len(after.gaps) == 1
 

@@ -11,7 +11,7 @@ from cells import cell, recorded, said, write_csv
 from truths import Judged, judged_logs, truth_at
 
 from safety_harness.admission.trial import judge
-from safety_harness.extensions.field.logs.certain import trace_of
+from safety_harness.extensions.field.logs.certain import trace_from_log
 from safety_harness.extensions.field.logs.read import read_log
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.known import Source
@@ -61,7 +61,7 @@ def test_every_column_is_within_what_is_known_of_it(tmp_path: Path) -> None:
         true_cell = cell(rng)
         write_csv(recorded(true_cell, rng, seconds=1.6, lost=((0.5, 0.6),)), tmp_path)
         (tmp_path / "LOG.yaml").write_text(said("joints.csv", "hands.csv#hand", "hands.csv#elbow"))
-        trace = trace_of(read_log(tmp_path / "LOG.yaml")).trace
+        trace = trace_from_log(read_log(tmp_path / "LOG.yaml")).trace
         true, count = truth_at(trace, true_cell, trace.time_s).ticks, len(trace.ticks)
         for name in ("joint_position_rad", "joint_velocity_radps", "tcp_speed_mps"):
             off = np.abs(trace.ticks[name] - true[name]).reshape(count, -1).max(axis=1)
@@ -74,8 +74,8 @@ def test_every_column_is_within_what_is_known_of_it(tmp_path: Path) -> None:
 
 
 def test_beyond_the_longest_gap_nothing_is_known(tmp_path: Path) -> None:
-    trace = trace_of(read_log(_log(tmp_path, lost=((0.6, 0.9),)))).trace
-    (gap,) = trace.known.measurement_of("hand_distance_m").gaps
+    trace = trace_from_log(read_log(_log(tmp_path, lost=((0.6, 0.9),)))).trace
+    (gap,) = trace.known.column("hand_distance_m").gaps
     assert gap.hand == 0
     assert 0.5 < trace.time_s[gap.first] < 0.65
     assert 0.85 < trace.time_s[gap.after] < 1.0
@@ -86,8 +86,10 @@ def test_beyond_the_longest_gap_nothing_is_known(tmp_path: Path) -> None:
 
 def test_the_clock_that_is_said_wrongly_known_widens_what_is_certain(tmp_path: Path) -> None:
     text = said("joints.csv", "hands.csv#hand", "hands.csv#elbow")
-    close = trace_of(read_log(_log(tmp_path, text=text))).trace
-    loose = trace_of(read_log(_log(tmp_path, text=text.replace("known to: 5 ms", "known to: 55 ms")))).trace
+    close = trace_from_log(read_log(_log(tmp_path, text=text))).trace
+    loose = trace_from_log(
+        read_log(_log(tmp_path, text=text.replace("known to: 5 ms", "known to: 55 ms")))
+    ).trace
     wider = loose.known.uncertainty_of("hand_distance_m", 100) - close.known.uncertainty_of(
         "hand_distance_m", 100
     )
@@ -95,19 +97,19 @@ def test_the_clock_that_is_said_wrongly_known_widens_what_is_certain(tmp_path: P
 
 
 def test_what_nobody_recorded_is_inconclusive_and_the_rest_is_the_logs(tmp_path: Path) -> None:
-    found = trace_of(read_log(_log(tmp_path)))
+    found = trace_from_log(read_log(_log(tmp_path)))
     verdicts = {one.sentence: one for one in judge(found.trace)}
     away = verdicts["never retreats without a hand"]
     assert away.verdict is Verdict.INCONCLUSIVE
     assert "mode" in away.unmeasured
     assert found.trace.known.recorded
-    assert found.trace.known.measurement_of("joint_position_rad").source is Source.LOG
-    assert found.trace.known.measurement_of("hand_distance_m").source is Source.DERIVED
+    assert found.trace.known.column("joint_position_rad").source is Source.LOG
+    assert found.trace.known.column("hand_distance_m").source is Source.DERIVED
     assert "recorded, not simulated" in found.notes[0]
 
 
 def test_its_trace_is_stored_and_judged_alike(tmp_path: Path) -> None:
-    found = trace_of(read_log(_log(tmp_path, lost=((0.6, 0.7),))))
+    found = trace_from_log(read_log(_log(tmp_path, lost=((0.6, 0.7),))))
     save_trace(found.trace, tmp_path / "log.trace", recordings=found.recordings)
     again = load_trace(tmp_path / "log.trace")
     assert again.known == found.trace.known
@@ -116,11 +118,11 @@ def test_its_trace_is_stored_and_judged_alike(tmp_path: Path) -> None:
 
 def test_without_a_forearm_only_hands_alone_are_judged(tmp_path: Path) -> None:
     text = said("joints.csv", "hands.csv#hand", "not measured")
-    trace = trace_of(read_log(_log(tmp_path, text=text))).trace
+    trace = trace_from_log(read_log(_log(tmp_path, text=text))).trace
     (never, *_) = judge(trace)
     assert never.verdict is Verdict.INCONCLUSIVE
     assert "hands without their forearms" in never.reason
     assert "elbow_position_in_base_m" in never.unmeasured
-    none = trace_of(read_log(_log(tmp_path, text=said("joints.csv", "hands.csv#hand", "none")))).trace
+    none = trace_from_log(read_log(_log(tmp_path, text=said("joints.csv", "hands.csv#hand", "none")))).trace
     assert not none.known.missing(["elbow_position_in_base_m", "hand_distance_m"])
     assert "not bounded" not in judge(none)[0].reason

@@ -159,10 +159,10 @@ def test_a_place_for_not_seen_is_no_measurement(
 ) -> None:
     """Zeros in the sensor's frame, or one far place again and again: a gap, and a word on it."""
     log.write_text(log.read_text().replace("frame: base", frame))
-    assert judged_log(log).trace.known.measurement_of("hand_position_in_base_m").gaps == ()
+    assert judged_log(log).trace.known.column("hand_position_in_base_m").gaps == ()
     at_places(log, dict.fromkeys(range(12, 20), nowhere))
     found = judged_log(log)
-    assert len(found.trace.known.measurement_of("hand_position_in_base_m").gaps) == 1
+    assert len(found.trace.known.column("hand_position_in_base_m").gaps) == 1
     assert any("hands.csv#hand: 8 of " in note and "are no measurements" in note for note in found.notes)
 
 

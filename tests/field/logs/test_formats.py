@@ -15,7 +15,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from safety_harness.admission.trial import judge
 from safety_harness.base.exceptions import LogError
-from safety_harness.extensions.field.logs.certain import trace_of
+from safety_harness.extensions.field.logs.certain import trace_from_log
 from safety_harness.extensions.field.logs.read import read_log
 
 
@@ -38,7 +38,7 @@ def test_five_formats_one_verdict(streams: Streams, tmp_path: Path) -> None:
     for form in FORMATS:
         folder = tmp_path / form.__name__
         folder.mkdir()
-        trace = trace_of(read_log(_log(folder, form(streams, folder)))).trace
+        trace = trace_from_log(read_log(_log(folder, form(streams, folder)))).trace
         found[form.__name__] = [(e.sentence, e.verdict, e.reason[:60]) for e in judge(trace)], trace
     verdicts, first = found["csv"]
     assert len({verdict for _, verdict, _ in verdicts}) > 1

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from truths import truth_at
 
 from safety_harness.base.exceptions import InputError
-from safety_harness.extensions.field.logs.certain import trace_of
+from safety_harness.extensions.field.logs.certain import trace_from_log
 from safety_harness.extensions.field.logs.read import read_log
 
 FINE_M, COARSE_M = 0.002, 0.022
@@ -52,7 +52,7 @@ def test_a_hand_is_within_what_its_samples_say(
 ) -> None:
     one, streams, known_m = half_coarse
     file = log_file(tmp_path, streams, [f"{m * 1e3}" for m in known_m], "{field: off}")
-    trace = trace_of(read_log(file)).trace
+    trace = trace_from_log(read_log(file)).trace
     true, count = truth_at(trace, one, trace.time_s).ticks, len(trace.ticks)
     within = {
         name: trace.known.uncertainty_of(name, count)

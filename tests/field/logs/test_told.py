@@ -14,7 +14,7 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import judge, run_kinematic
 from safety_harness.base.exceptions import InputError, LogError
 from safety_harness.claims.properties.base import Evaluation
-from safety_harness.extensions.field.logs.certain import trace_of
+from safety_harness.extensions.field.logs.certain import trace_from_log
 from safety_harness.extensions.field.logs.read import read_log
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import read_scenario
@@ -44,7 +44,7 @@ def log_file(streams: Streams, folder: Path, *edits: tuple[str, str]) -> Path:
 
 def judged(file: Path) -> dict[str, Evaluation]:
     """By their sentences."""
-    return {one.sentence: one for one in judge(trace_of(read_log(file)).trace)}
+    return {one.sentence: one for one in judge(trace_from_log(read_log(file)).trace)}
 
 
 def verdicts(file: Path) -> dict[str, Verdict]:
@@ -163,8 +163,8 @@ def test_without_them_their_claims_say_that_they_were_not_recorded(
 def test_a_stamp_that_is_not_known_well_leaves_open_when_the_mode_changed(run: Trace, tmp_path: Path) -> None:
     unsure = ("repulsing}, known to: 0 ms", "repulsing}, known to: 60 ms")
     log = log_file(logged(run), tmp_path, *CLOSELY, unsure)
-    trace = trace_of(read_log(log)).trace
-    gaps = trace.known.measurement_of("mode").gaps
+    trace = trace_from_log(read_log(log)).trace
+    gaps = trace.known.column("mode").gaps
     changes = np.flatnonzero(np.diff(run.ticks["mode"])) + 1
     assert gaps[0].first == 0  # nothing was told before the first of them
     assert all(gap.first < change < gap.after for gap, change in zip(gaps[1:], changes, strict=True))
@@ -223,7 +223,7 @@ def test_its_trace_is_stored_with_what_was_told(
     synthetic: tuple[Streams, Words, Words], tmp_path: Path
 ) -> None:
     streams, well, _ = synthetic
-    found = trace_of(read_log(log_file(replace(streams, words=well), tmp_path)))
+    found = trace_from_log(read_log(log_file(replace(streams, words=well), tmp_path)))
     save_trace(found.trace, tmp_path / "log.trace", recordings=found.recordings)
     again = load_trace(tmp_path / "log.trace")
     assert again.known == found.trace.known
@@ -255,7 +255,7 @@ def test_a_mapping_that_is_wrong_is_refused_with_its_place(
 ) -> None:
     streams, well, _ = synthetic
     with pytest.raises(InputError) as refused:
-        trace_of(read_log(log_file(replace(streams, words=well), tmp_path, (old, new))))
+        trace_from_log(read_log(log_file(replace(streams, words=well), tmp_path, (old, new))))
     assert says in str(refused.value)
 
 
@@ -304,11 +304,11 @@ def test_formulas_on_modes_are_judged_where_a_mode_was_one_of_two(
         ("log: {", "log: {from: 10 ms, "),
         ("claims:\n", "claims:\n" + "".join(f"  - {one}\n" for one in (*EITHER, *OTHERS))),
     )
-    logged = trace_of(read_log(file))
+    logged = trace_from_log(read_log(file))
     trace = logged.trace
-    assert any(len(gap.either) > 1 for gap in trace.known.measurement_of("mode").gaps)
+    assert any(len(gap.either) > 1 for gap in trace.known.column("mode").gaps)
     save_trace(trace, tmp_path / "a.trace", recordings=logged.recordings)
-    assert load_trace(tmp_path / "a.trace").known.measurement_of("mode") == trace.known.measurement_of("mode")
+    assert load_trace(tmp_path / "a.trace").known.column("mode") == trace.known.column("mode")
     found = {one.sentence: one.verdict for one in judge(trace)}
     if halts:
         assert found["always not stopped"] is not Verdict.HOLDS

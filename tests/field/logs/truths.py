@@ -11,7 +11,7 @@ from cells import FASTEST_MPS, Cell, Floats, Streams, cell, recorded, said, writ
 from safety_harness.admission.claims import property_of
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.signals.true_motion import derived
-from safety_harness.extensions.field.logs.certain import trace_of
+from safety_harness.extensions.field.logs.certain import trace_from_log
 from safety_harness.extensions.field.logs.read import read_log
 from safety_harness.scenario.model import Claim, RecordedHand, RecordedMotion, Verdict
 from safety_harness.trace.known import WHOLLY_KNOWN
@@ -94,7 +94,7 @@ def judged_logs(seed: int, folder: Path) -> list[Judged]:
     write_csv(streams, folder)
     text = said("joints.csv", "hands.csv#hand", "hands.csv#elbow")
     (folder / "LOG.yaml").write_text(text)
-    trace = trace_of(read_log(folder / "LOG.yaml")).trace
+    trace = trace_from_log(read_log(folder / "LOG.yaml")).trace
     end_s = float(trace.time_s[-1])
     true = truth_at(trace, one, np.arange(0.0, end_s + FINE_S / 2.0, FINE_S))
     nearest_m = float(true.ticks["hand_distance_m"][:, 0].min())

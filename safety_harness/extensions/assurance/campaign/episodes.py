@@ -207,7 +207,7 @@ class EpisodeRunner:
             run=number_of(run),
             theorem=theorem_bits(run),
             cell="" if cell is None else str(cell),
-            mishap=fault_of(run),
+            run_error=fault_of(run),
             failure=broken,
             worker=self.worker,
             asked=() if run.scenario.driven else tuple(asked_in(run)),

@@ -32,13 +32,11 @@ LOW, NOT_LOW = "low", "not low"
 
 
 def _line(expected: str) -> Text:
-    return Text(
-        description="text, one line", expected=expected, reads=lambda field: _nonempty(field, expected)
-    )
+    return Text(kind="text, one line", expected=expected, reads=lambda field: _nonempty(field, expected))
 
 
 def _prose(expected: str) -> Text:
-    return Text(description="text", reads=lambda field: _nonempty(field, expected, lines=True))
+    return Text(kind="text", reads=lambda field: _nonempty(field, expected, lines=True))
 
 
 def _nonempty(field: Field, expected: str, *, lines: bool = False) -> str:
@@ -48,9 +46,9 @@ def _nonempty(field: Field, expected: str, *, lines: bool = False) -> str:
     return text
 
 
-def _one_of(*words: str) -> Text:
-    listed = f"{', '.join(words[:-1])} or {words[-1]}"
-    return Text(description=listed, reads=lambda field: field.one_of({choice: choice for choice in words}))
+def _one_of(*choices: str) -> Text:
+    listed = f"{', '.join(choices[:-1])} or {choices[-1]}"
+    return Text(kind=listed, reads=lambda field: field.one_of({choice: choice for choice in choices}))
 
 
 _SOURCE = _line("the source of the number")
@@ -133,7 +131,7 @@ def _fitted(field: Field) -> CountedApproaches:
 class _FittedApproaches:
     approaches: CountedApproaches = key(
         "fitted",
-        Text(description="file, relative to the plan", reads=_fitted),
+        Text(kind="file, relative to the plan", reads=_fitted),
         "the output of `safety-harness hands fit --json`: its approaches and hours",
         "hands.json",
     )

@@ -323,7 +323,7 @@ class Ledger:
                 own = (row.stratum, row.episode, row.seed, row.draws, *counts, *noted)
                 if row.cell:
                     execute("INSERT OR IGNORE INTO cell (words) VALUES (?)", (row.cell,))
-                texts = (row.cell, row.mishap or None, row.failure or None)
+                texts = (row.cell, row.run_error or None, row.failure or None)
                 here = (row.seconds, row.worker)
                 execute(_EPISODE, (*own, *texts, *here))
                 for claim, verdict in enumerate(row.judgements):

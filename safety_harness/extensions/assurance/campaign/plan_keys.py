@@ -10,8 +10,8 @@ from safety_harness.scenario.units import FRACTION, NUMBER
 
 LEAST_TARGET = 1e-9  # smaller targets need more runs than any plan has
 
-_LINE = Text(description="text, one line", expected="a text on one line")
-_TEXT = Text(description="text", expected="a text")
+_LINE = Text(kind="text, one line", expected="a text on one line")
+_TEXT = Text(kind="text", expected="a text")
 
 
 def _count(least: int) -> QuantityValue:
@@ -41,13 +41,7 @@ CLAIM = _table(
         or_else="only estimated",
     ),
     Key("hazard", _TEXT, "what may happen to whom, in words", "a hand is crushed", or_else="ours"),
-    Key(
-        "hazards",
-        Several(of=_LINE, description="list of names"),
-        "hazards of the plan",
-        "[crushed hand]",
-        "none",
-    ),
+    Key("hazards", Several(of=_LINE, kind="list of names"), "hazards of the plan", "[crushed hand]", "none"),
 )
 SEARCH = _table("the search", Key("runs", _count(0), "of the search for counterexamples", "2000", "0"))
 KEPT = _table(
@@ -62,7 +56,7 @@ def _below(table: KeyTable) -> Below:
 
 
 def _several(table: KeyTable) -> Several:
-    return Several(of=_below(table), description="list of mappings", least=1)
+    return Several(of=_below(table), kind="list of mappings", least=1)
 
 
 PLAN = KeyTable(

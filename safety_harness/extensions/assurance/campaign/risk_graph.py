@@ -98,15 +98,15 @@ OWN_GRAPH = KeyTable(
     keys=(
         Key(
             "graph",
-            Text(description="text", expected="the graph's name and edition"),
+            Text(kind="text", expected="the graph's name and edition"),
             "whose graph it is",
             "the company's own, edition 3",
         ),
         Key(
             "levels",
             FreeKeys(
-                of=Text(description="text", expected="a level"),
-                description=f"mapping of {', '.join(PATHS)}",
+                of=Text(kind="text", expected="a level"),
+                kind=f"mapping of {', '.join(PATHS)}",
                 expected="the level of each of " + ", ".join(PATHS),
             ),
             "the level of each path",
@@ -117,7 +117,7 @@ OWN_GRAPH = KeyTable(
             "an hour",
             FreeKeys(
                 of=_RATE,
-                description="mapping of levels to numbers",
+                kind="mapping of levels to numbers",
                 expected="the violations an hour of each level",
             ),
             "the largest number of violations an hour for each level",

@@ -30,7 +30,7 @@ class Row:
     ``run`` is the number that identifies the run, 0 without a run. ``theorem`` has ``theorem_bits``: bit 0
     is set behind a shield, and bit n if assumption n did not hold.
 
-    ``cell`` is its cell in the coverage of the domain. The run error ``mishap`` is the avoider's act in
+    ``cell`` is its cell in the coverage of the domain. The ``run_error`` is the avoider's act in
     place of an answer, and ``failure`` the reason why there is no run. ``seconds`` and ``worker`` belong to
     this machine; all else is the same on every machine.
     """
@@ -50,7 +50,7 @@ class Row:
     run: int = 0
     theorem: int = 0
     cell: str = ""
-    mishap: str = ""
+    run_error: str = ""
     failure: str = ""
     seconds: float = 0.0
     worker: str = ""

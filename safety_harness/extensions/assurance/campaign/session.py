@@ -47,7 +47,7 @@ def run_missing(
     on_progress: Callable[[CampaignRunner], None] = lambda runner: None,
     enough: Callable[[], bool] = lambda: False,
     part: tuple[int, int] = (0, 1),
-    say: Callable[[str], None] = lambda words: None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> bool:
     """Run the missing episodes of a ledger, and create the ledger if it is missing.
 

@@ -26,7 +26,7 @@ from safety_harness.extensions.assurance.certification.evidence import (
     ClaimStatus,
     Evidence,
     HazardEvidence,
-    by_gravity,
+    by_severity,
 )
 from safety_harness.extensions.assurance.certification.system import DATA, LEARNING
 from safety_harness.extensions.assurance.certification.verdicts import at_most, hourly, percent, worst_status
@@ -167,7 +167,7 @@ def _hazards(evidence: Evidence) -> Iterator[Element]:
         claims = [item for item in evidence.claims if item.number in hazard.claims]
         yield _hazard(hazard, claims, rated=bool(hazard.met) and not evidence.plan.model_only)
     named = {number for hazard in evidence.hazards for number in hazard.claims}
-    unnamed = [item for item in by_gravity(evidence.claims) if item.number not in named]
+    unnamed = [item for item in by_severity(evidence.claims) if item.number not in named]
     for hazard_text in dict.fromkeys(item.hazard for item in unnamed):
         claims = [item for item in unnamed if item.hazard == hazard_text]
         below = tuple(_claim(item, ()) for item in claims)
@@ -204,7 +204,9 @@ def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool)
         f"Kept rare: {hazard.name}{limit} ({hazard.event})",
         "rates",
         DOUBT if state == DONE and not rated else state,
-        tuple(_claim(row, (rates[row.number],) if row.number in rates else ()) for row in by_gravity(claims)),
+        tuple(
+            _claim(row, (rates[row.number],) if row.number in rates else ()) for row in by_severity(claims)
+        ),
         tuple(beside),
         name=f"hazard: {hazard.name}",
     )

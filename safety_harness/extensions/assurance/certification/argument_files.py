@@ -96,11 +96,9 @@ def notes_text(evidence: Evidence) -> str:
     notes = {note.element: note.text for note in evidence.notes}
     lines = [_HEADER]
     for name in dict.fromkeys((*elements, *notes)):
-        element = elements.get(name)
+        part = elements.get(name)
         head = (
-            f"{element.kind.name.lower()}: {plain(element.text, longest=160)}"
-            if element
-            else "on no element any more"
+            f"{part.kind.name.lower()}: {plain(part.text, longest=160)}" if part else "on no element any more"
         )
         lines.append(f"\n# {head}\n{json.dumps(name, ensure_ascii=False)}:{_scalar(notes.get(name, ''))}\n")
     return "".join(lines)

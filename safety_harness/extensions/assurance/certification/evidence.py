@@ -545,7 +545,7 @@ class Evidence:
 SEVERITY = list(ClaimStatus)
 
 
-def by_gravity(claims: Iterable[ClaimEvidence]) -> list[ClaimEvidence]:
+def by_severity(claims: Iterable[ClaimEvidence]) -> list[ClaimEvidence]:
     """Return ``claims`` with the most severe status first; claims of equal status keep the plan's order."""
     return sorted(claims, key=lambda claim: -SEVERITY.index(claim.standing))
 

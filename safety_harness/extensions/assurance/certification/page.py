@@ -24,7 +24,7 @@ from safety_harness.extensions.assurance.certification.evidence import (
     Evidence,
     OpenFinding,
     as_text,
-    by_gravity,
+    by_severity,
 )
 from safety_harness.extensions.assurance.certification.figures import (
     bounds_figure,
@@ -122,7 +122,7 @@ def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard)
         answer=_answer(evidence),
         at_most=at_most,
         beside_target=beside_target,
-        claims=by_gravity(evidence.claims),
+        claims=by_severity(evidence.claims),
         findings=_by_gravity(evidence),
         alone=confidence_alone(evidence),
         query=lambda claim: shlex.join(
@@ -164,7 +164,7 @@ def _counts(evidence: Evidence) -> list[tuple[str, str, list[ClaimEvidence]]]:
     """Return (words, class, claims) for the four numbers at the top."""
     open_ones = (ClaimStatus.NOT_SHOWN, ClaimStatus.INCOMPLETE, ClaimStatus.ESTIMATED, ClaimStatus.DOUBTED)
     return [
-        (label, css, [claim for claim in by_gravity(evidence.claims) if claim.standing in statuses])
+        (label, css, [claim for claim in by_severity(evidence.claims) if claim.standing in statuses])
         for label, css, statuses in (
             ("shown", "holds", (ClaimStatus.SHOWN,)),
             ("refuted", "violated", (ClaimStatus.REFUTED,)),
@@ -221,7 +221,7 @@ def _pictures(met: CounterexampleEvidence, run: JudgedRun, replays: Replays) -> 
         "run": run,
         "views": path_views(run, prefix=prefix),
         "timeline": Markup(timeline(run, prefix=f"{prefix}time-")),
-        "replay": replays.arguments_for(run, prefix.removesuffix("-")),
+        "replay": replays.arguments(run, prefix.removesuffix("-")),
         "moment": "" if moment is None else f"{moment.time_s:.3f}",
         "moment_name": "Nearest hand" if moment is None or moment.claim is None else "Worst moment",
     }

@@ -14,7 +14,7 @@ from safety_harness.extensions.assurance.certification.evidence import (
     HazardEvidence,
     HourlyBound,
     OverrulingResult,
-    by_gravity,
+    by_severity,
 )
 from safety_harness.extensions.assurance.certification.table_cells import (
     DASH,
@@ -55,7 +55,7 @@ def verdicts(evidence: Evidence) -> CellTable:
     return table_of(
         "All claims over all strata of the plan, the gravest first: the largest upper bound, and the counts "
         "of all strata together. Each number leads to its rows. The report claims no performance level.",
-        by_gravity(evidence.claims),
+        by_severity(evidence.claims),
         {
             "Claim": lambda row: text_cell(
                 row.sentence, href=f"claim-{row.number}", row=f"claim-row-{row.number}"
@@ -151,7 +151,7 @@ def rates(evidence: Evidence) -> CellTable:
 def results(evidence: Evidence) -> CellTable:
     """Return the table of every claim in every stratum, the most severe claim first."""
     known = confidence_alone(evidence)
-    rows = [(row, k, part) for row in by_gravity(evidence.claims) for k, part in enumerate(row.outcomes)]
+    rows = [(row, k, part) for row in by_severity(evidence.claims) for k, part in enumerate(row.outcomes)]
     return table_of(
         "Trials are the runs that put the claim to the test. Runs without a verdict and runs that could not "
         "be carried on count as violations in the upper bound only."

@@ -48,9 +48,7 @@ def system_of(plan: Plan, opened: Mapping[str, str]) -> SystemDescription:
         limits=(
             *(() if model is None else (str(limit) for limit in model.card.get("limits", ()))),
             *dict.fromkeys(
-                unknown_files(scenario).removeprefix("; ")
-                for scenario in scenarios
-                if unknown_files(scenario)
+                unknown_files(case).removeprefix("; ") for case in scenarios if unknown_files(case)
             ),
         ),
         gate=() if first.driven else tuple(_gate(first.settings, model, named=first.avoider in NAMES)),

@@ -171,7 +171,7 @@ class Compared:
             return
         exercised = [then[k].exercised == now.exercised for k, now in enumerate(row.judgements)]
         times = [_same(then[k].worst_time_s, now.worst_time_s) for k, now in enumerate(row.judgements)]
-        ours = (*now, row.cell or None, row.mishap or None, bool(row.failure))
+        ours = (*now, row.cell or None, row.run_error or None, bool(row.failure))
         if counts != ours or not all((*exercised, *times)):
             self.otherwise += 1
             if self.same:

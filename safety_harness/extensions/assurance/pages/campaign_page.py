@@ -157,24 +157,11 @@ def _strata(ledger: Ledger, tally: CampaignTally) -> Iterator[Cells]:
 
 
 def _worst(
-    declared: Declared,
-    stratum: int,
-    episode: int,
-    claim: int,
-    margin: float,
-    time_s: float | None,
-    kept: bool,
+    plan: Declared, stratum: int, episode: int, claim: int, margin: float, time_s: float | None, kept: bool
 ) -> Cells:
     at = "–" if time_s is None else f"{time_s:.3f} s"
     trace = "kept" if kept else "made again from its seed"
-    return (
-        declared.strata[stratum],
-        episode,
-        declared.claims[claim],
-        _margin(declared.units[claim], margin),
-        at,
-        trace,
-    )
+    return (plan.strata[stratum], episode, plan.claims[claim], _margin(plan.units[claim], margin), at, trace)
 
 
 def _shown(ledger: Ledger, worst: Iterable[Cells]) -> Iterator[dict[str, object]]:
@@ -192,7 +179,7 @@ def _shown(ledger: Ledger, worst: Iterable[Cells]) -> Iterator[dict[str, object]
                 "id": f"shown-{number}",
                 "what": f"{ledger.declared.strata[stratum]}, episode {episode}",
                 "words": f"{sentence}: {_margin(ledger.declared.units[claim], margin)}",
-                "replay": replays.arguments_for(run, f"shown-{number}"),
+                "replay": replays.arguments(run, f"shown-{number}"),
             }
 
 

@@ -62,4 +62,4 @@ class SharedError:
 
         """
         bounds = bounds_of(samples, self.confidence_of_runs, family=claims * len(samples))
-        return max(bounds, key=lambda one: one.high)
+        return max(bounds, key=lambda bound: bound.high)

@@ -25,6 +25,7 @@ from safety_harness.claims.signals.true_motion import (
     tcp_velocity_moved_mps,
 )
 from safety_harness.extensions.field.logs.assumptions import unconfirmed_note
+from safety_harness.extensions.field.logs.controller_reports import ahead_s
 from safety_harness.extensions.field.logs.mode_motion import refuse_retreat_while_servoing
 from safety_harness.extensions.field.logs.model import Body, CellLog
 from safety_harness.extensions.field.logs.reach import (
@@ -36,9 +37,8 @@ from safety_harness.extensions.field.logs.reach import (
     over_ticks,
     rate_off,
 )
+from safety_harness.extensions.field.logs.reported_ticks import with_reports
 from safety_harness.extensions.field.logs.streams import NS, LogSamples
-from safety_harness.extensions.field.logs.told import ahead_s
-from safety_harness.extensions.field.logs.told_ticks import with_told
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Scenario
@@ -62,7 +62,7 @@ _HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class LoggedTrace:
     """A log's trace, the bytes of its hands' paths by their SHA-256, and notes for the reader."""
 
     trace: Trace
@@ -70,7 +70,10 @@ class Recorded:
     notes: tuple[str, ...]
 
 
-def trace_of(log: CellLog) -> Recorded:
+Recorded = LoggedTrace  # deprecated: the old name, for one release
+
+
+def trace_from_log(log: CellLog) -> LoggedTrace:
     """Return the trace of a log.
 
     Raise LogError for a hand that is faster than stated, or for data that no scenario can hold.
@@ -101,9 +104,9 @@ def trace_of(log: CellLog) -> Recorded:
     columns[PRESENT] = Measurement(source=Source.LOG, gaps=tuple(open_ends))
     columns |= _of_hands(log, paths)
     trace = replace(trace, known=knowing(trace, columns).known)
-    trace = with_told(_derived(trace, columns), log, columns)
+    trace = with_reports(_derived(trace, columns), log, columns)
     refuse_retreat_while_servoing(trace, log)
-    return Recorded(trace, recordings, tuple(_notes(log, paths)))
+    return LoggedTrace(trace, recordings, tuple(_notes(log, paths)))
 
 
 def _beyond_joints(log: CellLog) -> tuple[list[Gap], list[str]]:
@@ -144,17 +147,13 @@ def _derived(trace: Trace, columns: dict[str, Measurement]) -> Trace:
     """Return the trace with the columns that follow from joints and hands, with their uncertainties."""
     known, count = trace.known, len(trace.ticks)
     values, ticks = derived(trace), trace.ticks.copy()
-    of_arm = [gap for name in JOINTS for gap in known.measurement_of(name).gaps]
-    of_distance = [
-        *known.measurement_of(JOINTS[0]).gaps,
-        *known.measurement_of(HAND).gaps,
-        *known.measurement_of(ELBOW).gaps,
-    ]
+    of_arm = [gap for name in JOINTS for gap in known.column(name).gaps]
+    of_distance = [*known.column(JOINTS[0]).gaps, *known.column(HAND).gaps, *known.column(ELBOW).gaps]
     reach_m = float(arm_of(trace).reach_m.sum())
     bounds = {
         "transform_tcp_to_base": (
             known.uncertainty_of(JOINTS[0], count) * reach_m,
-            known.measurement_of(JOINTS[0]).gaps,
+            known.column(JOINTS[0]).gaps,
         ),
         "tcp_speed_mps": (tcp_velocity_moved_mps(trace), tuple(of_arm)),
     }

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from safety_harness.extensions.field.logs.certain import Recorded, trace_of
+from safety_harness.extensions.field.logs.certain import LoggedTrace, trace_from_log
 from safety_harness.extensions.field.logs.mode_motion import refuse_retreat_while_servoing
 from safety_harness.extensions.field.logs.read import read_log
 from safety_harness.scenario.model import Claim
 
 
-def recorded(path: str | Path, claims: Sequence[Claim] = ()) -> Recorded:
+def recorded(path: str | Path, claims: Sequence[Claim] = ()) -> LoggedTrace:
     """Return the trace of the log that a LOG.yaml describes.
 
     Args:
@@ -24,7 +24,7 @@ def recorded(path: str | Path, claims: Sequence[Claim] = ()) -> Recorded:
 
     """
     log = read_log(path)
-    result = trace_of(log)
+    result = trace_from_log(log)
     if claims:
         scenario = replace(result.trace.scenario, claims=tuple(claims))
         result = replace(result, trace=replace(result.trace, scenario=scenario))

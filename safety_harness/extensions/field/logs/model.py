@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.extensions.field.logs.controller_reports import ControllerReports
 from safety_harness.extensions.field.logs.streams import NS, LogSamples
-from safety_harness.extensions.field.logs.told import Told
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.robots import AnyRobot
 
@@ -109,7 +109,7 @@ class CellLog:
     clock_known_to_s: float
     period_ns: int
     files: tuple[Path, ...]
-    told: Told
+    told: ControllerReports
     left_out: tuple[str, ...] = ()
     unmapped: tuple[str, ...] = ()
     tcp: TcpCheck | None = None

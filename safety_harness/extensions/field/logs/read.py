@@ -27,6 +27,12 @@ from safety_harness.extensions.field.logs.checked import (
     the_short_way,
     with_bounds,
 )
+from safety_harness.extensions.field.logs.controller_reports import (
+    STREAMS,
+    ControllerReports,
+    ReportClock,
+    read_reports,
+)
 from safety_harness.extensions.field.logs.facts import (
     FORMAT,
     OF_HANDS,
@@ -73,7 +79,6 @@ from safety_harness.extensions.field.logs.tables import (
     tracks_of,
 )
 from safety_harness.extensions.field.logs.tcp import checked_tcp
-from safety_harness.extensions.field.logs.told import STREAMS, Told, ToldClock, read_told
 from safety_harness.scenario.compose import MAX_BYTES
 from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.files import decode, read_bytes
@@ -154,9 +159,9 @@ def log_of(tree: Field, *, name: str, align: bool = False) -> CellLog:
         raise given.required(key).error("a stream of hands below log", got="none", hint="log: {hands: FILE}")
     clock_ns = None if hand_facts is None else ahead_ns
     reports = (
-        Told()
+        ControllerReports()
         if align
-        else reading.reports(ToldClock(hands_ahead_ns=clock_ns, hands_known_to_ns=round(known_to_s * NS)))
+        else reading.reports(ReportClock(hands_ahead_ns=clock_ns, hands_known_to_ns=round(known_to_s * NS)))
     )
     left_out, unmapped = ((), ()) if hand_facts is None else reading.neither(of_hands, bodies)
     tcp = reading.tcp(joints, facts, robot)
@@ -308,7 +313,7 @@ class _Reading:
         )
         return tuple(sorted(item for item in seen - used if not item.startswith(bodies)))
 
-    def reports(self, clock: ToldClock) -> Told:
+    def reports(self, clock: ReportClock) -> ControllerReports:
         """Return the controller's reports."""
         names = _names(said_of_joints(self.given).optional("names"), self.arm)
 
@@ -322,7 +327,9 @@ class _Reading:
         def positions(field: Field, keys: Fields) -> LogSamples:
             return self._positions(field, keys, (None, None), keep=True)
 
-        return read_told(self.given, self.streams, names, clock, self._source, positions, placed, self._given)
+        return read_reports(
+            self.given, self.streams, names, clock, self._source, positions, placed, self._given
+        )
 
     def _positions(
         self,

@@ -11,6 +11,7 @@ from safety_harness.base.settings import DEFAULTS
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.robots import arm_model
 from safety_harness.extensions.field.logs.certain import RECORDED, claims_of, log_file, settings_with
+from safety_harness.extensions.field.logs.controller_reports import STREAMS
 from safety_harness.extensions.field.logs.facts import (
     OF_HANDS,
     facts_of_hands,
@@ -30,7 +31,6 @@ from safety_harness.extensions.field.logs.read import (
     said_in,
 )
 from safety_harness.extensions.field.logs.streams import LATEST_S, NS
-from safety_harness.extensions.field.logs.told import STREAMS
 from safety_harness.scenario.codec import Tree, scalar_text
 from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.model import MAX_HANDS, Scenario

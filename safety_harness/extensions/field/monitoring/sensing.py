@@ -66,16 +66,16 @@ class TickSeen:
     elapsed_s: float
     joints_rad: Values
     rates_radps: Values
-    off: tuple[float, float] = (nan, nan)
+    joint_errors: tuple[float, float] = (nan, nan)
     bodies_m: Values | None = None
-    bodies_off_m: Values | None = None
+    body_errors_m: Values | None = None
     signals: Values | None = None
 
     @property
     def lost(self) -> bool:
         """Return whether the arm or a hand is unknown."""
-        assert self.bodies_off_m is not None
-        return isnan(self.off[0]) or bool(np.isnan(self.bodies_off_m[:, 0]).any())
+        assert self.body_errors_m is not None
+        return isnan(self.joint_errors[0]) or bool(np.isnan(self.body_errors_m[:, 0]).any())
 
 
 class HandTracks(NamedTuple):
@@ -102,9 +102,9 @@ class _Seen(NamedTuple):
     elapsed_s: Values  # (m,)
     joints_rad: Values  # (m, n)
     rates_radps: Values  # (m, n)
-    off: Values  # (m, 2) errors of joints and of their speeds, NaN where the arm is lost
+    joint_errors: Values  # (m, 2) errors of joints and of their speeds, NaN where the arm is lost
     bodies_m: Values  # (m, h, 2, 3) hands and elbows, NaN where they are not known
-    bodies_off_m: Values  # (m, h, 2) their errors
+    body_errors_m: Values  # (m, h, 2) their errors
     corner_hand: NDArray[np.int64]  # (c,) rising
     corner_at: Values  # (c,) ticks since the first, rising for each hand
     corners_m: Values  # (c, 2, 3) hand and elbow there
@@ -134,10 +134,10 @@ class Sensing:
 
         """
         for moment, own in zip(moments[fresh:], errors, strict=True):
-            moment.off = own or (nan, nan)
+            moment.joint_errors = own or (nan, nan)
             self._place_hands(moment)
         first, values = moments[0].tick, np.empty((len(moments), len(MEASURED), 6))
-        names = ("elapsed_s", "joints_rad", "rates_radps", "off", "bodies_m", "bodies_off_m")
+        names = ("elapsed_s", "joints_rad", "rates_radps", "joint_errors", "bodies_m", "body_errors_m")
         columns = (np.array([getattr(moment, name) for moment in moments]) for name in names)
         _sense(self._cell, _Seen._make([*columns, *self._corners(first, first + len(moments) - 1)]), values)
         for moment, signals in zip(moments, values, strict=True):
@@ -145,14 +145,14 @@ class Sensing:
         return values
 
     def _place_hands(self, moment: TickSeen) -> None:
-        moment.bodies_m, moment.bodies_off_m = np.full((*self._nowhere.shape, 3), nan), self._nowhere.copy()
+        moment.bodies_m, moment.body_errors_m = np.full((*self._nowhere.shape, 3), nan), self._nowhere.copy()
         for k, (hand, elbow) in enumerate(self._hands):
             if (own := hand.at(moment.tick)) is None:
                 continue
             elbow_place = own if elbow is hand else None if elbow is None else elbow.at(moment.tick)
-            moment.bodies_m[k], moment.bodies_off_m[k, 0] = own[0], own[1]
+            moment.bodies_m[k], moment.body_errors_m[k, 0] = own[0], own[1]
             if elbow_place is not None:
-                moment.bodies_m[k, 1], moment.bodies_off_m[k, 1] = elbow_place
+                moment.bodies_m[k, 1], moment.body_errors_m[k, 1] = elbow_place
 
     def _corners(self, first: int, last: int) -> tuple[NDArray[np.int64], Values, Values]:
         """Return the samples of hands between two ticks.
@@ -176,14 +176,14 @@ class Sensing:
 
 
 @compiled
-def _sense(cell: _Cell, seen: _Seen, signals: Values) -> None:
+def _sense(cell: _Cell, seen: _Seen, out: Values) -> None:
     """Write the signals at each tick, as if the run ended there, and from each tick to the next.
 
-    ``signals`` is of shape (m, signals, 6).
+    ``out`` is of shape (m, signals, 6).
     """
     arm, tcp, period_s, joints_rad = cell.arm, cell.tcp, cell.period_s, seen.joints_rad
     count, hands, n = seen.bodies_m.shape[0], seen.bodies_m.shape[1], joints_rad.shape[1]
-    turned_rad, faster_radps, reach_m = seen.off[:, 0], seen.off[:, 1], arm.reach_m.sum()
+    turned_rad, faster_radps, reach_m = seen.joint_errors[:, 0], seen.joint_errors[:, 1], arm.reach_m.sum()
     off_m = turned_rad * reach_m
     off_mps = velocity_off(arm.reach_m, turned_rad, faster_radps, seen.rates_radps)
     transforms, ends_m = np.empty((n + 2, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
@@ -201,25 +201,20 @@ def _sense(cell: _Cell, seen: _Seen, signals: Values) -> None:
             hand, elbow = seen.bodies_m[k, h]
             to_tcp_m[h, k] = distance_m(hand, tcp_m[k])
             apart_m[h, k], _ = distance_between(arm.capsules, ends_m, hand, elbow, *cell.radii_m)
-    signals[:], signals[:, :, LOW], signals[:, :, CELL_LOW], signals[:, :, EXERCISED] = (
-        np.nan,
-        np.inf,
-        np.inf,
-        0.0,
-    )
+    out[:], out[:, :, LOW], out[:, :, CELL_LOW], out[:, :, EXERCISED] = (np.nan, np.inf, np.inf, 0.0)
     exact, later_s = np.zeros(count), np.append(seen.elapsed_s[1:], seen.elapsed_s[-1:])
-    _put(signals[:, ELAPSED], seen.elapsed_s, exact, seen.elapsed_s, later_s, exact, exact)
-    signals[:, ELAPSED, EXERCISED] = 1.0
+    _put(out[:, ELAPSED], seen.elapsed_s, exact, seen.elapsed_s, later_s, exact, exact)
+    out[:, ELAPSED, EXERCISED] = 1.0
     step_m = np.sqrt(((tcp_m[1:] - tcp_m[:-1]) ** 2).sum(axis=1))
     step_rad = np.abs(joints_rad[1:] - joints_rad[:-1])
-    _put_speed(signals[:, TCP_SPEED], speed_mps, step_m.reshape(-1, 1) / period_s, off_mps, off_m, period_s)
+    _put_speed(out[:, TCP_SPEED], speed_mps, step_m.reshape(-1, 1) / period_s, off_mps, off_m, period_s)
     rates_radps = np.abs(seen.rates_radps)
-    _put_speed(signals[:, JOINT_SPEED], rates_radps, step_rad / period_s, faster_radps, turned_rad, period_s)
+    _put_speed(out[:, JOINT_SPEED], rates_radps, step_rad / period_s, faster_radps, turned_rad, period_s)
     way_m = np.maximum(np.maximum(speed_mps[:-1, 0], speed_mps[1:, 0]) * period_s, step_m)
     between_m = place_between(or_next(off_m), or_next(off_mps), period_s)
     low_m, high_m = cells(tcp_m[:, 2], way_m, exact[1:])
-    _put(signals[:, HEIGHT], tcp_m[:, 2], off_m, low_m, high_m, between_m, between_m)
-    signals[:, HEIGHT, EXERCISED] = ~np.isnan(off_m)
+    _put(out[:, HEIGHT], tcp_m[:, 2], off_m, low_m, high_m, between_m, between_m)
+    out[:, HEIGHT, EXERCISED] = ~np.isnan(off_m)
     bend_rad = np.abs(seen.rates_radps[1:] - seen.rates_radps[:-1]) * period_s / 4.0
     bend_m, tcp_bend_m = (bend_rad * arm.reach_m).sum(axis=1), (bend_rad * tcp.reach_m).sum(axis=1)
     turned_m = (step_rad * arm.reach_m).sum(axis=1)
@@ -229,7 +224,7 @@ def _sense(cell: _Cell, seen: _Seen, signals: Values) -> None:
         corner_at, corners_m = seen.corner_at[own], seen.corners_m[own]
         hands_m, turns_m = bodies_m.copy(), corners_m.copy()
         hands_m[:, 1], turns_m[:, 1] = bodies_m[:, 0], corners_m[:, 0]
-        hand_m, elbow_m = seen.bodies_off_m[:, h, 0], seen.bodies_off_m[:, h, 1]
+        hand_m, elbow_m = seen.body_errors_m[:, h, 0], seen.body_errors_m[:, h, 1]
         ends_m, ways_m = between_ticks(
             tcp, cell.tcp_space, joints_rad, hands_m, corner_at, turns_m, tcp_bend_m, POINT, RESOLUTION_M
         )
@@ -239,7 +234,7 @@ def _sense(cell: _Cell, seen: _Seen, signals: Values) -> None:
         above_m = between_m + 2.0 * or_next(hand_m)
         below_m = np.maximum(or_next(off_m), by_rad * tcp.reach_m.sum()) + or_next(hand_m)
         below_m[-1], above_m[-1] = above_m[-1], above_m[-1] + at_m[-1]
-        _put(signals[:, TCP_DISTANCE], to_tcp_m[h], at_m, low_m, high_m, below_m, above_m)
+        _put(out[:, TCP_DISTANCE], to_tcp_m[h], at_m, low_m, high_m, below_m, above_m)
         at_m, low_m = np.maximum(hand_m, elbow_m) + off_m, apart_m[h].copy()
         ends_m, ways_m = between_ticks(
             arm, cell.space, joints_rad, bodies_m, corner_at, corners_m, bend_m, cell.radii_m, RESOLUTION_M
@@ -248,11 +243,11 @@ def _sense(cell: _Cell, seen: _Seen, signals: Values) -> None:
         _, high_m = cells(apart_m[h], turned_m + np.maximum(ways_m[0], ways_m[1]), bend_m)
         moved_m = apart_between(hand_m, elbow_m, off_m, faster_radps * reach_m, period_s)
         below_m, above_m = or_next(moved_m), or_next(moved_m + at_m)
-        _put(signals[:, HAND_DISTANCE], apart_m[h], at_m, low_m, high_m, below_m, above_m)
+        _put(out[:, HAND_DISTANCE], apart_m[h], at_m, low_m, high_m, below_m, above_m)
     for side in (LOW, CELL_LOW):
-        signals[:, :, side] = np.where(signals[:, :, side] < np.inf, signals[:, :, side], -np.inf)
+        out[:, :, side] = np.where(out[:, :, side] < np.inf, out[:, :, side], -np.inf)
     for side in (HIGH, CELL_HIGH):
-        signals[:, :, side] = np.where(np.isnan(signals[:, :, side]), np.inf, signals[:, :, side])
+        out[:, :, side] = np.where(np.isnan(out[:, :, side]), np.inf, out[:, :, side])
 
 
 @compiled

@@ -19,7 +19,7 @@ from safety_harness.base.exceptions import LogError, OutputError, Place
 from safety_harness.base.settings import Vector3
 from safety_harness.base.whole_file import writing
 from safety_harness.cell.robot.robots import arm_model
-from safety_harness.extensions.field.logs.certain import trace_of
+from safety_harness.extensions.field.logs.certain import trace_from_log
 from safety_harness.extensions.field.logs.model import CellLog
 from safety_harness.extensions.field.logs.read import log_of, said_in
 from safety_harness.extensions.field.recorded.hands import HandFile, hand_file
@@ -105,7 +105,7 @@ def scenario_from(log: CellLog, cell: Scenario, *, elbow_towards_in_base_m: Vect
             obstacles or hands differ from the cell's.
 
     """
-    data = trace_of(log)
+    data = trace_from_log(log)
     _refuse_another_cell(log, data.trace.scenario, cell)
     length_m = cell.settings.hand.forearm_length_m
     hands = tuple(
@@ -154,7 +154,7 @@ def usual_cell(log: CellLog, desired_tcp_in_base_m: Vector3 | None = None) -> Sc
         desired_tcp_in_base_m: The desired TCP (3,) [m]. None: the place where the log ends.
 
     """
-    trace = trace_of(log).trace
+    trace = trace_from_log(log).trace
     own, end_m = trace.scenario, trace.ticks["transform_tcp_to_base"][-1, :3, 3]
     x, y, z = desired_tcp_in_base_m or tuple(round(float(x_m), 4) for x_m in end_m)
     place, lies = own.settings.cell, own.settings.object

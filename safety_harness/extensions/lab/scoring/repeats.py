@@ -74,12 +74,10 @@ def repeats(subject: Subject, sample: Questions, first: Answers, alone: int) -> 
     yield compared(WayOfAsking.AGAIN, sample, first, asked_together(avoider, sample))
     order = np.random.default_rng(len(sample)).permutation(len(sample))
     yield compared(WayOfAsking.ORDER, sample[order], first[order], asked_together(avoider, sample[order]))
-    yield compared(
-        WayOfAsking.FRESH, sample, first, asked_together(subject.apart(), sample), other_process=outside
-    )
+    yield compared(WayOfAsking.FRESH, sample, first, asked_together(subject.apart(), sample), outside=outside)
     mixed, own = after_others(sample)
     answers = asked_together(subject.apart(), mixed)[own]
-    yield compared(WayOfAsking.AFTER_OTHERS, sample, first, answers, other_process=outside)
+    yield compared(WayOfAsking.AFTER_OTHERS, sample, first, answers, outside=outside)
     few = min(len(sample), alone, INTERLEAVED)
     yield compared(WayOfAsking.INTERLEAVED, sample[:few], first[:few], _in_turn(subject, sample[:few]))
 
@@ -95,21 +93,16 @@ def _in_turn(subject: Subject, sample: Questions) -> Answers:
 
 
 def compared(
-    repetition: WayOfAsking,
-    sample: Questions,
-    first: Answers,
-    second: Answers,
-    *,
-    other_process: bool = False,
+    mode: WayOfAsking, sample: Questions, first: Answers, second: Answers, *, outside: bool = False
 ) -> AskedAgain:
     """Return a comparison of two times the answers to the same questions, by their bits.
 
     Args:
-        repetition: The way of asking the second time.
+        mode: The way of asking the second time.
         sample: The questions.
         first: The answers of the first time.
         second: The answers of the second time.
-        other_process: Whether the second time was in another process.
+        outside: Whether the second time was in another process.
 
     """
     mine, theirs = _numbers(first), _numbers(second)
@@ -121,12 +114,12 @@ def compared(
     apart_m = np.abs(mine[rows] - theirs[rows])
     apart_m[np.isnan(mine[rows, 6]) & np.isnan(theirs[rows, 6]), 6] = 0.0  # no threshold, both times
     return AskedAgain(
-        way=repetition,
+        way=mode,
         questions=len(sample),
         differ=len(rows),
         largest_m=float(np.nan_to_num(apart_m, nan=np.inf).max(initial=0.0)),
         first=sample.single(int(rows[0])) if len(rows) else None,
-        apart=other_process,
+        apart=outside,
     )
 
 

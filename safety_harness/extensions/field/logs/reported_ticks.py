@@ -13,8 +13,14 @@ from numpy.typing import NDArray
 
 from safety_harness.claims.properties.base import runs_of
 from safety_harness.claims.signals.true_motion import true_motion
+from safety_harness.extensions.field.logs.controller_reports import (
+    FIELDS,
+    POSITIONS,
+    ControllerReports,
+    ReportedStream,
+    width_of,
+)
 from safety_harness.extensions.field.logs.model import CellLog
-from safety_harness.extensions.field.logs.told import FIELDS, POSITIONS, Told, ToldStream, width_of
 from safety_harness.trace.known import OF_DECISIONS, Gap, Measurement, Source, measurement
 from safety_harness.trace.records import decision_dtype
 from safety_harness.trace.trace import Trace
@@ -26,7 +32,7 @@ TRACKED = ("track_valid", "predicted_hand_in_base_m")
 NEAREST, TCP = "predicted_distance_m", "transform_tcp_to_base"
 
 
-def with_told(trace: Trace, log: CellLog, columns: dict[str, Measurement]) -> Trace:
+def with_reports(trace: Trace, log: CellLog, columns: dict[str, Measurement]) -> Trace:
     """Return ``trace``, which has TCP and hands, with the reports; add their measurements to ``columns``."""
     reports, ticks = log.told, trace.ticks.copy()
     for name, stream in (("mode", reports.mode), ("limits", reports.limits)):
@@ -93,7 +99,7 @@ class _Standing:
         return tuple(sorted(gaps, key=lambda gap: gap.first))
 
 
-def _standing(stream: ToldStream, log: CellLog, *, passed_too: bool = False) -> _Standing:
+def _standing(stream: ReportedStream, log: CellLog, *, passed_too: bool = False) -> _Standing:
     """Return the standing reports.
 
     With ``passed_too``, reports that came and went since the previous tick may stand as well.
@@ -135,15 +141,15 @@ def _track(trace: Trace, log: CellLog, ticks: NDArray[np.void], columns: dict[st
     tcp_m = true_motion(trace).tcp_m
     apart_m = np.linalg.norm(ticks["predicted_hand_in_base_m"] - tcp_m[:, None], axis=2)
     ticks[NEAREST] = np.where(ticks["track_valid"], apart_m, np.inf).min(axis=1)
-    both = (*gaps, *trace.known.measurement_of(TCP).gaps)
+    both = (*gaps, *trace.known.column(TCP).gaps)
     columns[NEAREST] = measurement(Source.DERIVED, off_m + trace.known.uncertainty_of(TCP, log.ticks), both)
 
 
 def _decided(
     trace: Trace,
     log: CellLog,
-    reports: Told,
-    stream: ToldStream,
+    reports: ControllerReports,
+    stream: ReportedStream,
     ticks: NDArray[np.void],
     columns: dict[str, Measurement],
 ) -> NDArray[np.void]:
@@ -161,7 +167,7 @@ def _decided(
     for joint_or_tcp, column in (("joint_position_rad", "joint_position_rad"), (POSITIONS["tcp"], TCP)):
         values = ticks[column][tick]
         decisions[joint_or_tcp] = values if column != TCP else values[:, :3, 3]
-        off_by = trace.known.measurement_of(column)
+        off_by = trace.known.column(column)
         lost = bool(len(tick)) and not trace.known.measured(column, ticks)[tick].all()
         uncertainty = off_by.uncertainty + _moved(ticks, column)
         known[joint_or_tcp] = (

@@ -75,7 +75,7 @@ FASTEST_RADPS, FARTHEST_M, LARGEST_SPREAD_M = 8.0 * np.pi, 10.0, 10.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ToldStream:
+class ReportedStream:
     """One stream: ``time_ns`` (n,) on the clock of the joints, each stamp within ``off_ns`` of the truth."""
 
     samples: LogSamples
@@ -90,20 +90,20 @@ class ToldStream:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Told:
+class ControllerReports:
     """All reports in a log; ``decisions`` have the columns of ``fields``, in this order."""
 
-    mode: ToldStream | None = None
-    limits: ToldStream | None = None
-    commands: ToldStream | None = None
-    tracks: tuple[ToldStream, ...] = ()
+    mode: ReportedStream | None = None
+    limits: ReportedStream | None = None
+    commands: ReportedStream | None = None
+    tracks: tuple[ReportedStream, ...] = ()
     ahead: Field | None = None  # by how much the told hands are predicted
-    decisions: ToldStream | None = None
+    decisions: ReportedStream | None = None
     fields: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
-class ToldClock:
+class ReportClock:
     """The lead of the hands' clock over the joints' clock, and its uncertainty."""
 
     hands_ahead_ns: int | None
@@ -114,16 +114,16 @@ Positions = Callable[[Field, Fields], LogSamples]  # a stream of positions in th
 Places = Callable[[Field, LogSamples, int], LogSamples]  # column k and the next two, from a frame to the base
 
 
-def read_told(
+def read_reports(
     given: Fields,
     streams: Fields,
     joints: tuple[str, ...],
-    clock: ToldClock,
+    clock: ReportClock,
     source_of: Callable[[Field], LogSource],
     positions: Positions,
     placed: Places,
     to_base: Callable[[LogSource, Field], ToBase],
-) -> Told:
+) -> ControllerReports:
     """Return every stream below ``log`` that is one of ``STREAMS``.
 
     Args:
@@ -158,7 +158,7 @@ def read_told(
             parts["ahead"] = keys.required("ahead by")
         else:
             parts[name], parts["fields"] = own.decisions(placed, to_base)
-    return Told(**parts)  # type: ignore[arg-type]
+    return ControllerReports(**parts)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class _Reading:
     name: str
     field: Field
     keys: Fields
-    clock: ToldClock
+    clock: ReportClock
     source_of: Callable[[Field], LogSource]
 
     def codes_of(self, table: Field, ours: Mapping[str, int]) -> dict[str, float]:
@@ -183,14 +183,14 @@ class _Reading:
             raise table.error("a word at least")
         return meanings
 
-    def stream(self, codes: dict[str, float]) -> ToldStream:
+    def stream(self, codes: dict[str, float]) -> ReportedStream:
         """Return a stream of one word a sample."""
         source = self.source_of(self.field)
         if source.is_bag:
             return self.timed(self.read_bag(source, [Part(self.path(source), 1, 1.0, codes)]))
         return self.timed(self.read(source, [TableColumn(self.column(source), 1.0, codes)]))
 
-    def commands(self, joints: tuple[str, ...]) -> ToldStream:
+    def commands(self, joints: tuple[str, ...]) -> ReportedStream:
         """Return (n, j) speeds of the joints."""
         source, unit = self.source_of(self.field), self.keys.optional("unit")
         angle = None if unit is None else unit.one_of({item: item for item in ANGLE_UNITS})
@@ -209,7 +209,7 @@ class _Reading:
         self.refuse(samples, fast, f"joint speeds of at most {most:.0f} deg/s", "more", 'the key "unit"')
         return self.timed(samples)
 
-    def tracks(self, positions: Positions) -> tuple[ToldStream, ...]:
+    def tracks(self, positions: Positions) -> tuple[ReportedStream, ...]:
         """Return a stream for each tracked hand; a sample without numbers means that it is not tracked."""
         field, several = self.field, isinstance(self.field.node, MappingNode)
         parts = field.entries("tracked hands by their names") if several else (("", field),)
@@ -222,7 +222,7 @@ class _Reading:
 
     def decisions(
         self, placed: Places, to_base: Callable[[LogSource, Field], ToBase]
-    ) -> tuple[ToldStream, tuple[str, ...]]:
+    ) -> tuple[ReportedStream, tuple[str, ...]]:
         """Return a decision a sample: the numbers of each mapped field, in the order of ``FIELDS``."""
         mapped = self.keys.required("fields").fields(tuple(FIELDS))
         table_keys = self.keys.optional("words")
@@ -343,7 +343,7 @@ class _Reading:
         read_parts(source, collector, parts, names, time=time, framed=framed)
         return collector.samples()
 
-    def timed(self, samples: LogSamples) -> ToldStream:
+    def timed(self, samples: LogSamples) -> ReportedStream:
         """Return the samples as a stream on the clock of the joints."""
         clock, by_ns = self.keys.optional("clock"), 0
         off_ns = round(self.keys.required("known to").quantity(TIME, least=0.0, most=LATEST_S) * NS)
@@ -356,7 +356,7 @@ class _Reading:
             gap = self.keys.required("longest gap")
             if gap.scalar("a time, or: until the next") != UNTIL_THE_NEXT:
                 longest_ns = round(gap.quantity(TIME, above=0.0, most=LATEST_S) * NS)
-        return ToldStream(
+        return ReportedStream(
             samples=samples, time_ns=samples.time_ns - by_ns, off_ns=off_ns, longest_ns=longest_ns
         )
 
@@ -366,6 +366,6 @@ def width_of(name: str) -> int:
     return 3 if name in POSITIONS or name == SPREAD else 1
 
 
-def ahead_s(reports: Told) -> float | None:
+def ahead_s(reports: ControllerReports) -> float | None:
     """Return the horizon [s] of the reported hands' predictions, None without any."""
     return None if reports.ahead is None else reports.ahead.quantity(TIME, least=0.0, most=2.0)
