@@ -69,6 +69,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         disagreement.write(path)
 
 
+@lru_cache  # of a file: there are forty times as many tests
 def room_of(path: Path) -> str:
     """Return the folder of ``WORLDS`` or ``PARTS`` that a test file lies in; empty for any other file."""
     return next((room for room in (*WORLDS, *PARTS) if TESTS / room in path.parents), "")

@@ -12,12 +12,19 @@ from safety_harness.base.exceptions import ScenarioError
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS
 from safety_harness.cli.validate import validate
 from safety_harness.extensions.assurance.campaign.plan import read_packable, read_plan, with_relative_paths
+from safety_harness.extensions.assurance.certification import whose_fault
 from safety_harness.extensions.assurance.commands.certify import certify, verify
 from safety_harness.scenario.nodes import parse_tree, references_in
 from tests.assurance.campaign.plans import PLAN, TEXT
 from tests.cell.avoidance.test_onnx_names import columns
 
 SMALL = re.sub(r"runs: \d+", "runs: 9", PLAN)
+
+
+@pytest.fixture(autouse=True)
+def _no_causes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The causes of violations take longer than all else here, and name no file."""
+    monkeypatch.setattr(whose_fault, "attribute", lambda *_: ())
 
 
 def plan_with_space_at(folder: Path, written: str) -> Path:
