@@ -125,7 +125,7 @@ def markdown_of_faults() -> str:
     rows = ["| fault | further keys | meaning |", "|---|---|---|"]
     for kind in EVERY_FAULT:
         own = OWN_KEYS[kind]
-        further = ", ".join(f"`{key.name}` ({key.description})" for key in own.keys)
+        further = ", ".join(f"`{key.name}` ({key.kind})" for key in own.keys)
         told = " ".join(kind.__doc__.split())
         for key in own.keys:
             told = told.replace(f"``{key.attribute}``", f"`{key.name}`")
