@@ -8,6 +8,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -69,3 +70,37 @@ def test_the_example_of_the_package_docstring_runs(capsys: pytest.CaptureFixture
     code = "\n".join(line.removeprefix("    ") for line in doc.splitlines() if line.startswith("    "))
     exec(compile(code, "docstring", "exec"), {})
     assert "hand distance never below 50 mm holds" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("owner", "old", "new"),
+    [
+        ("base.output:Output", "words", "messages"),
+        ("base.geometry.regions:Box", "about", "centred_at"),
+        ("search.cube:Cube", "of", "from_space"),
+        ("search.findings:Goal", "of", "from_property"),
+        ("search.findings:Findings", "found", "found_any"),
+        ("report.evidence:JudgedRun", "under", "under_claim"),
+        ("search.attribution.attribute:Attribution", "words", "summary"),
+        ("search.attribution.tally:AttributionTally", "of", "from_attributions"),
+        ("search.attribution.tally:AttributionTally", "words", "summary"),
+        ("extensions.field.monitoring.monitor:VerdictLine", "told", "as_dict"),
+    ],
+)
+def test_an_old_name_is_the_new_one_for_one_release(owner: str, old: str, new: str) -> None:
+    module, _, name = owner.partition(":")
+    cls = getattr(import_module(f"safety_harness.{module}"), name)
+    assert vars(cls)[old] is vars(cls)[new]
+
+
+def test_an_old_keyword_works_for_one_release_and_an_unknown_one_does_not() -> None:
+    from safety_harness.testing import always, eventually, s, servoing, stopped
+
+    old: Any = always
+    assert str(old(stopped(), within=s(2))) == str(always(stopped(), window=s(2))) == "always for 2 s stopped"
+    old = eventually
+    assert old(stopped(), within=s(2)) == eventually(stopped(), window=s(2))
+    old = stopped().until
+    assert str(old(servoing(), within=s(2))) == str(stopped().until(servoing(), window=s(2)))
+    with pytest.raises(TypeError, match="whitin"):
+        old(servoing(), whitin=s(2))

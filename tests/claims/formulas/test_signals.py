@@ -22,7 +22,7 @@ from safety_harness.cell.robot.kinematics import forward_kinematics
 from safety_harness.cell.simulation.truth import cell_capsules
 from safety_harness.claims.formulas.measures import Flag, Measure
 from safety_harness.claims.formulas.signals import SIGNALS
-from safety_harness.claims.signals.signal import Interpolation, Sampled, tent
+from safety_harness.claims.signals.signal import Interpolation, Sampled, lipschitz_bounds
 from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
@@ -160,6 +160,6 @@ def test_the_speeds_between_ticks_count_with_their_mean(visit: Trace) -> None:
 def test_a_signal_is_within_the_tent_of_its_way(steps: list[float], before: float, parts: int) -> None:
     """A random walk seen at its ends only; the way is the sum of its steps."""
     walk = before + np.append(0.0, np.cumsum(steps))
-    low, high = tent(walk[0], walk[-1], np.abs(steps).sum(), 0.0)
+    low, high = lipschitz_bounds(walk[0], walk[-1], np.abs(steps).sum(), 0.0)
     assert low - ROUNDING <= walk.min()
     assert walk.max() <= high + ROUNDING

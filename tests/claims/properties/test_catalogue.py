@@ -84,7 +84,7 @@ def test_each_unit_of_words_is_written_and_read_back() -> None:
         late_s: float
         most: float
         times: int
-        words: ClassVar[str] = "{near_m:mm}, {late_s:ms}, {most:%} and {times:} times"
+        wording: ClassVar[str] = "{near_m:mm}, {late_s:ms}, {most:%} and {times:} times"
         unit: Unit = Unit.LENGTH
 
         def evaluate(self, trace: Trace) -> Evaluation:

@@ -31,7 +31,7 @@ def made(
     avoider: Avoider | None = None,
 ) -> QuestionFile:
     avoider = avoider or resolve_avoider(scenario_of_avoider("mc-dropout"))
-    options = {"title": "a question", "about": "for a test", "claims": CLAIMS}
+    options = {"title": "a question", "description": "for a test", "claims": CLAIMS}
     return question_file(folder / "worst.yaml", "mc-dropout", avoider, hand, tcp, seed, **options)  # type: ignore[arg-type]
 
 
