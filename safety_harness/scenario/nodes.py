@@ -67,7 +67,7 @@ class Mapping:
 Node = Scalar | Sequence | Mapping
 
 
-@lru_cache(maxsize=64)  # a trace is read several times, a space with each of its plans
+@lru_cache(maxsize=128)  # a trace is read several times, a space with each of its plans
 def parse_tree(text: str, file: Path | None) -> Node:
     """Return the tree of a YAML text with exactly one document.
 

@@ -16,7 +16,7 @@ from safety_harness.base.settings import DEFAULTS
 from safety_harness.report.decisions import MOST_DECISION_ROWS
 from safety_harness.report.evidence import JudgedRun, notes_of
 from safety_harness.report.html import MOST_IN_FULL, notes, render
-from safety_harness.report.page_parts import asset
+from safety_harness.report.page_parts import asset, templates
 from safety_harness.report.svg import Ink
 from safety_harness.scenario.faults import CameraBlind, Joint, JointStuck
 from safety_harness.scenario.model import Verdict
@@ -59,6 +59,10 @@ def full(full_text: str) -> Node:
 @pytest.fixture(scope="module")
 def hostile_text() -> str:
     return text_for([factory.hostile_run()], title=f"page {factory.HOSTILE}")
+
+
+def test_each_template_is_compiled_once() -> None:
+    assert templates().get_template("report.html.j2") is templates().get_template("report.html.j2")
 
 
 def test_every_scenario_and_claim_has_its_row_with_verdict_expectation_margin_and_moment(full: Node) -> None:

@@ -29,6 +29,12 @@ def plain(node: Node) -> object:
     return {key.text: plain(value) for key, value in node.entries}
 
 
+def test_a_text_is_parsed_once_for_each_file() -> None:
+    tree = parse_tree("a: 1 s", FILE)
+    assert parse_tree("a: 1 s", FILE) is tree
+    assert parse_tree("a: 1 s", None) is not tree
+
+
 def test_every_node_knows_its_line() -> None:
     tree = parse_tree("a: 1 s\nb:\n  - [1 m,\n     2 m]\n  - c: x\n", FILE)
     assert isinstance(tree, Mapping)

@@ -16,7 +16,7 @@ from hypothesis import given, seed
 
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.taking import Incompatible, accept, made_equal
-from safety_harness.base.exceptions import InputError
+from safety_harness.base.exceptions import InputError, SafetyHarnessError
 from safety_harness.claims.properties.against import ClaimDifference
 from safety_harness.claims.properties.answered import AvoiderAnswered, by_default
 from safety_harness.claims.properties.base import Evaluation
@@ -155,6 +155,15 @@ class FileItem(pytest.Item):
     def runtest(self) -> None:
         """Judge the claim; simulate first unless another claim has just done so."""
         self._check(self.stash[TEST])
+
+    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
+        """Return a mistake or a violation in words, without pytest's frames, which take a second."""
+        error = excinfo.value
+        return (
+            explained(error)
+            if isinstance(error, SafetyHarnessError)
+            else super().repr_failure(excinfo, style)
+        )
 
     def reportinfo(self) -> tuple[Path, int, str]:
         """Return the file, the line of the claim (from 0) and the name."""

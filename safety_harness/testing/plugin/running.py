@@ -119,10 +119,7 @@ def complete(
 ) -> None:
     """Add the judgements to the report, and remove the harness's frames from it."""
     error = call.excinfo.value if call.excinfo is not None else None
-    plain = isinstance(error, NotEstablished | InputError | FlakyAvoiderError)
-    if error is not None and (
-        plain or (isinstance(error, SafetyHarnessError) and isinstance(item, FileItem))
-    ):
+    if isinstance(error, NotEstablished | InputError | FlakyAvoiderError):
         report.longrepr = "\n".join([explained(error), *_asked_at(error, item)])
     swallowed = False
     if report.passed and not test.draws:  # it expected the failures that did not fail it, or swallowed them

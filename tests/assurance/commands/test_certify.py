@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sqlite3
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,7 +20,7 @@ from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.session import plan_of
 from safety_harness.extensions.assurance.certification import certify as certify_module
 from safety_harness.extensions.assurance.certification import folder as folder_module
-from safety_harness.extensions.assurance.certification import verify_report
+from safety_harness.extensions.assurance.certification import verify_report, whose_fault
 from safety_harness.extensions.assurance.certification.counterexamples import declared_counterexamples
 from safety_harness.extensions.assurance.certification.evidence import ClaimStatus, read_evidence, schema
 from safety_harness.extensions.assurance.certification.findings import of_examples
@@ -35,6 +36,14 @@ from tests.assurance.campaign.plans import PLAN, plan_in
 from tests.search.short_space import TEXT
 
 SEARCHING = PLAN + "search:\n  runs: 20\n"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_causes() -> Iterator[None]:
+    """The causes of violations take longer than all else: ``test_gathered.py`` and ``test_verify.py``."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(whose_fault, "attribute", lambda *_: ())
+        yield
 
 
 @pytest.fixture(scope="module")

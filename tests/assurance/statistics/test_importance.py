@@ -51,7 +51,9 @@ def test_it_takes_far_fewer_runs_than_splitting() -> None:
     assert np.std(weighed.replicates) < 1.5 * np.std(gone_there.replicates)
 
 
-@pytest.mark.parametrize(("margins", "dimensions", "truth"), KNOWN[1:3])
+@pytest.mark.parametrize(
+    ("margins", "dimensions", "truth"), [KNOWN[1], pytest.param(*KNOWN[2], marks=pytest.mark.long)]
+)
 def test_estimates_are_right_on_average_and_intervals_hold_as_often_as_they_say(
     margins: Margins, dimensions: int, truth: float
 ) -> None:
@@ -115,9 +117,9 @@ def faces(count: int, beyond: float) -> Margins:
 
 MANY_REGIONS = [
     (half_spaces(6, 1e-4), 6, 1e-4),
-    (half_spaces(10, 1e-4), 10, 1e-4),
+    pytest.param(half_spaces(10, 1e-4), 10, 1e-4, marks=pytest.mark.long),
     (faces(6, 4.2), 3, 6.0 * float(scipy.stats.norm.sf(4.2))),
-    (faces(12, 4.3), 6, 12.0 * float(scipy.stats.norm.sf(4.3))),
+    pytest.param(faces(12, 4.3), 6, 12.0 * float(scipy.stats.norm.sf(4.3)), marks=pytest.mark.long),
 ]
 
 

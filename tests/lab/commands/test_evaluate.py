@@ -150,7 +150,8 @@ def test_a_comparison_with_itself_is_refused(
 ) -> None:
     (folder / "copy.py").write_text(MINE)
     scored = named if named == "opposite pose" else "mine.py:Towards"
-    assert evaluate([scored], out=Path("itself"), **FEW | {"against": named}) == BAD_INPUT  # type: ignore[arg-type]
+    few = FEW | {"questions": 20, "against": named}
+    assert evaluate([scored], out=Path("itself"), **few) == BAD_INPUT  # type: ignore[arg-type]
     assert "a comparison with itself has no findings" in capsys.readouterr().err
     assert not (folder / "itself").exists()
 
