@@ -8,9 +8,7 @@ from __future__ import annotations
 import gc
 import io
 import os
-import signal
 import sys
-from types import FrameType
 
 
 def main() -> None:
@@ -18,28 +16,14 @@ def main() -> None:
     gc.set_threshold(20_000)  # imported objects stay, and the search for garbage among them takes long
     try:
         _open_streams()
-        _answer_as_ctrl_c()
+        from safety_harness.base.interrupts import answer_as_ctrl_c
+
+        answer_as_ctrl_c()
         from safety_harness.cli.main import main as run_command
 
         run_command()
     except KeyboardInterrupt:
         raise SystemExit(130) from None
-
-
-def _answer_as_ctrl_c() -> None:
-    """Let SIGTERM and SIGHUP do what Ctrl-C does, unless they are ignored; forked processes end at once."""
-    own = os.getpid()
-
-    def answer(number: int, frame: FrameType | None) -> None:
-        if os.getpid() != own:
-            signal.signal(number, signal.SIG_DFL)
-            signal.raise_signal(number)
-        handler = signal.getsignal(signal.SIGINT)
-        (handler if callable(handler) else signal.default_int_handler)(number, frame)
-
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, answer)
 
 
 def _open_streams() -> None:

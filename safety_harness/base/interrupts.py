@@ -1,12 +1,29 @@
-"""Ctrl-C while some work has to finish first, or while another process answers it."""
+"""Ctrl-C, and signals like it, while some work has to finish first, or while another process answers it."""
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from types import FrameType
+
+
+def answer_as_ctrl_c() -> None:
+    """Let SIGTERM and SIGHUP do what Ctrl-C does, unless they are ignored; forked processes end at once."""
+    own = os.getpid()
+
+    def answer(number: int, frame: FrameType | None) -> None:
+        if os.getpid() != own:
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)
+        handler = signal.getsignal(signal.SIGINT)
+        (handler if callable(handler) else signal.default_int_handler)(number, frame)
+
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, answer)
 
 
 @contextmanager

@@ -9,15 +9,7 @@ from pathlib import Path
 from safety_harness.admission.avoiders import option_of
 from safety_harness.base.input_errors import InputErrors
 from safety_harness.cell.simulation.worlds import PYBULLET
-from safety_harness.cli.console import (
-    AS_EXPECTED,
-    BAD_INPUT,
-    DIFFERS,
-    document,
-    next_step,
-    result,
-    say,
-)
+from safety_harness.cli.console import BAD_INPUT, document, next_step, result, say
 from safety_harness.cli.progress import TERMINAL
 from safety_harness.report.attribution_job import DATA, PICTURE, TRACE, AttributionResult, attribute
 
@@ -38,12 +30,14 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
         say(f"{len(error.errors)} of the inputs cannot be used; nothing was run.")
         return BAD_INPUT
     code = conclude(made, out)
-    first = min(paths[0].glob(f"*{TRACE}"), default=paths[0])
-    if code in (AS_EXPECTED, DIFFERS) and made.attributions and not confirm and PYBULLET.is_installed:
+    first = min(paths[0].rglob(f"*{TRACE}"), default=paths[0])
+    if made.interrupted:
+        return code
+    if made.attributions and not confirm and PYBULLET.is_installed:
         chosen = [] if avoider is None else [option_of(avoider), str(avoider)]
         command = ["safety-harness", "attribute", *map(str, paths), *chosen, "--confirm"]
         next_step(shlex.join(command), f"the same in {PYBULLET.label}")
-    elif code in (AS_EXPECTED, DIFFERS):
+    else:
         next_step(shlex.join(["safety-harness", "view" if first.suffix == TRACE else "run", str(first)]))
     return code
 
@@ -56,5 +50,5 @@ def conclude(attributed: AttributionResult, out: Path | None) -> int:
         attributed.write(out)
         say(f"picture: {out / PICTURE} (for programs: {DATA})")
     if attributed.interrupted:
-        say("interrupted: what was attributed until then is above")
+        say("interrupted: what was attributed until then is above; the same command makes all again")
     return attributed.exit_code

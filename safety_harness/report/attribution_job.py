@@ -73,7 +73,7 @@ def attribute(
             output.explain(error)
         raise InputErrors(all_refused, left=len(admitted))
     attributed = attribute_all([(ready, ()) for ready in admitted], len(admitted), "runs", confirm, output)
-    if not attributed.attributions:
+    if not (attributed.attributions or attributed.failed or attributed.interrupted):
         output.say(f"{len(admitted)} runs without a violation: nothing to attribute")
     return attributed
 

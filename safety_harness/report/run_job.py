@@ -263,7 +263,7 @@ class RunSession:
             self.output.explain(self.unwritable)
         if self.interrupted or self.unwritable is not None:
             kept = f"the results of {len(self.runs)} of {self.asked.planned} scenarios are kept"
-            self.output.say(f"stopped before the end: {kept}")
+            self.output.say(f"stopped before the end: {kept}; the same command makes all again")
         self._ask_again()
         return replace(
             self.asked,

@@ -93,16 +93,22 @@ def every_line(run: JudgedRun) -> Iterator[str]:
 
 
 def block_of(run: JudgedRun) -> Iterator[str]:
-    """Yield the lines on a single run: what was tested, the nearest hand, and the claims, worst first."""
+    """Yield the lines on a single run: what was tested, and the claims, worst first, with the nearest hand.
+
+    The nearest hand is the reason of the first claim that it decides, and else the last line.
+    """
     lines = sorted((line for line in lines_of(run) if line.evaluation.applicable), key=lambda line: line.rank)
     yield f"{tested_line(run)}, in {made_in(run.trace)}, seed {run.trace.scenario.seed}"
-    yield from [text for text in [nearest_hand_words(run.trace)] if text]
+    nearest = nearest_hand_words(run.trace)
     wide = max((len(line.words) for line in lines), default=0)
     longest = min(max((len(line.sentence) for line in lines), default=0), LONGEST)
     for line in lines:
         yield f"{line.words:<{wide}}  {line.sentence:<{longest}}  {line.margin}{line.remark}".rstrip()
         if line.differs or line.evaluation.verdict is not Verdict.HOLDS:
-            yield f"{'':{wide}}  {line.evaluation.reason}"
+            is_nearest = f": {line.evaluation.reason} at " in nearest
+            yield f"{'':{wide}}  {nearest if is_nearest else line.evaluation.reason}"
+            nearest = "" if is_nearest else nearest
+    yield from [nearest] * bool(nearest)
 
 
 def nearest_hand_words(trace: Trace) -> str:

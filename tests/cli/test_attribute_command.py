@@ -12,8 +12,9 @@ from examples import hand, scenario
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_many
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.scenario_commands import attribute, run
+from safety_harness.report import attribution_job
 from safety_harness.scenario.faults import HandSensorBlind
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.moves import MoveTo, Wait
@@ -77,6 +78,21 @@ def test_where_nothing_is_violated_nothing_is_attributed(
     told = capsys.readouterr()
     assert told.out == ""
     assert "nothing to attribute" in told.err
+
+
+def test_an_interruption_before_any_answer_is_not_called_nothing_to_attribute(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(attribution_job, "attribute_run", interrupted)
+    assert attribute([written(blind(), tmp_path / "blind.yaml")]) == INTERRUPTED
+    err = capsys.readouterr().err
+    assert "nothing to attribute" not in err
+    assert err.endswith(
+        "interrupted: what was attributed until then is above; the same command makes all again\n"
+    )
 
 
 def test_a_folder_without_runs_and_a_file_that_is_none_are_bad_input(

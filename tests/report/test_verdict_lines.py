@@ -50,17 +50,20 @@ def reach() -> JudgedRun:
 
 
 def test_a_single_run_shows_claims_worst_first_with_moment_part_and_contact(reach: JudgedRun) -> None:
-    tested, contact, *claims, last = block_of(reach)
+    tested, *claims, last = block_of(reach)
     assert tested.endswith("avoider opposite pose, in the kinematic world, seed 0")
-    assert contact.startswith("contact: right hand: ")
-    assert " mm inside wrist 3 at " in contact
     assert [line.split("  ")[0] for line in claims if not line.startswith(" ")] == [
         "violated, as expected",
         "inconclusive, as expected",
     ]
-    assert " mm inside wrist 3" in claims[1]
+    assert claims[1].strip().startswith("contact: right hand: ")
+    assert " mm inside wrist 3 at " in claims[1]
     assert "never exercised: " in claims[3]
     assert last.startswith("holds  ")
+    other = REACH.partition("claims:")[0] + "claims:\n  joint speeds within limits: holds\n"
+    (judged,) = run_scenarios(parse_scenario(other), world=KINEMATIC).runs
+    *_, last = block_of(judged)
+    assert last.startswith("contact: right hand: ")  # which no claim names
 
 
 def test_a_hand_that_touches_nothing_is_no_contact(reach: JudgedRun) -> None:

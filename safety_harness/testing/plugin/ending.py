@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from safety_harness.base.interrupts import answer_as_ctrl_c
 from safety_harness.testing.session import session as current
 
 if TYPE_CHECKING:
@@ -41,6 +42,12 @@ class Ending:
     def pytest_testnodedown(self, node: Any) -> None:
         """Take the files that a worker of xdist ignored."""
         current().ignored += getattr(node, "workeroutput", {}).get("safety_ignored", [])
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self) -> None:
+        """Let SIGTERM and SIGHUP end the session like Ctrl-C, where they would lose a report."""
+        if current().report is not None:
+            answer_as_ctrl_c()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:

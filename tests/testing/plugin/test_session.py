@@ -446,3 +446,13 @@ def test_a_failure_that_a_hook_makes_a_pass_is_named_and_an_earlier_report_is_no
     (project / "test_it.py").write_text(skipped)
     later = run("test_it.py", "--safety-report", "r.html")
     later.stdout.fnmatch_lines(["nothing was judged: *r.html is of an earlier session"])
+
+
+@pytest.mark.parametrize("asked", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_an_end_from_outside_keeps_the_report_of_what_was_judged(run, project: Path, asked: str) -> None:
+    ends = f"import os, signal\n\ndef test_ends():\n    os.kill(os.getpid(), signal.{asked})\n"
+    (project / "test_ends.py").write_text(ends)
+    ended = run("fine.yaml", "test_ends.py", "--safety-report=out/report.html")
+    assert ended.ret == pytest.ExitCode.INTERRUPTED
+    assert (project / "out" / "report.html").is_file()
+    assert DISTANCE in (project / "out" / "report.json").read_text()

@@ -246,7 +246,7 @@ def _run_episodes(
         unlike = bool(ledger.repeated.problem or ledger.dependent)
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
-        say(f"interrupted; go on: safety-harness campaign resume {path}")
+        say(f"interrupted; go on: safety-harness campaign resume {shlex.quote(str(path))}")
         return INTERRUPTED
     if unshown:
         say("a target of the plan remains open, so --require-shown fails")

@@ -96,7 +96,7 @@ def evaluate(
     )
     interrupted = scores.scored.interrupted
     if not scores.avoiders:
-        say(f"{'interrupted: ' if interrupted else ''}no avoider has a score")
+        say("no avoider has a score" + "; interrupted: the same command makes all again" * interrupted)
         return scores.exit_code
     for avoider in scores.avoiders:
         result(*_lines(avoider, scores.scored.against))
@@ -108,7 +108,7 @@ def evaluate(
         explain(error)
         return BAD_INPUT
     if interrupted:
-        say("interrupted: the finished scores are saved")
+        say("interrupted: the finished scores are saved; the same command makes all again")
     else:
         command_line = ["safety-harness", "fuzz", "shipped:reaching-hands", "--avoider", avoiders[0]]
         next_step(shlex.join(command_line), "runs that violate a claim")
