@@ -90,7 +90,7 @@ def parse_tree(text: str, file: Path | None) -> Node:
             if root is not None:
                 raise _error(file, _line(event), "one document", "a second one")
             root = _Builder(events, file).node(next(events), path="", depth=0)
-    if root is None:
+    if root is None or (isinstance(root, Scalar) and not root.text):
         raise _error(file, 1, "a scenario", "an empty file")
     return root
 

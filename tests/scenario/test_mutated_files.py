@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given
+from hypothesis import HealthCheck, example, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from scenario_strategies import RECORDINGS
@@ -255,6 +255,7 @@ def without_digest(said: object) -> object:
 
 @quick(100)
 @given(spoilt_bytes())
+@example(b"---\n")
 def test_a_spoilt_text_that_is_a_tree_can_be_laid_out_and_means_the_same(data: bytes) -> None:
     try:
         text = decode(data, most=10**6, file=FILE, error=ScenarioError)
