@@ -341,11 +341,16 @@ class KeyTable:
     told_by: str = ""  # the key that tells this mapping from its alternatives; its first one by default
     beside: tuple[tuple[str, KeyTable], ...] = ()
     names: tuple[str, ...] = dataclass_field(init=False)  # in the order of a well laid out file
+    former: Mapping[str, str] = dataclass_field(
+        init=False, compare=False
+    )  # today's names by those of earlier releases
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "where", self.where or self.name)
         object.__setattr__(self, "told_by", self.told_by or self.keys[0].name)
         object.__setattr__(self, "names", tuple(key.name for key in self.keys))
+        former = {key.former: key.name for key in self.keys if key.former}
+        object.__setattr__(self, "former", former)
 
     def below(self) -> Iterator[KeyTable]:
         """Yield the tables that its values lead to."""
@@ -358,8 +363,7 @@ class KeyTable:
 
     def read(self, field: Field) -> Any:
         """Return the object of the mapping ``field``."""
-        former = {key.former: key.name for key in self.keys if key.former}
-        return self.made_of(field.fields(self.names, former=former))
+        return self.made_of(field.fields(self.names, former=self.former))
 
     def made_of(self, given: Fields) -> Any:
         """Return the object of the given keys, with defaults for the rest."""

@@ -13,11 +13,7 @@ from safety_harness.scenario.nodes import parse_tree
 from safety_harness.scenario.reference_tables import TOP
 
 # The present keys by the former keys, for each key that tells a mapping's kind.
-FORMER = {
-    table.told_by: {key.former: key.name for key in table.keys if key.former}
-    for table in (TOP, *TOP.below())
-    if any(key.former for key in table.keys)
-}
+FORMER = {table.told_by: table.former for table in (TOP, *TOP.below()) if table.former}
 
 
 def modernised(text: str, in_words_of_today: Callable[[str], str], file: Path | None = None) -> str:
