@@ -139,10 +139,10 @@ class Gathered:
         def read_list(given: Fields) -> None:
             each(read, given.required("scenarios").items("a list of files, folders and suites", least=1))
 
-        with every_mistake() as found:
+        with every_mistake() as mistakes:
             given = root.fields(SUITE_TABLE.names)
             each(lambda read: read(given), (SUITE_TABLE.values, read_list))
-        self.errors += found
+        self.errors += mistakes
         for path, at in listed:
             self.add(path, at, (*suites, resolved(file)))
 

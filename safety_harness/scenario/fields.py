@@ -250,7 +250,7 @@ class Field(NamedTuple):
         hints: dict[str, str] | None = None,
         former: abc.Mapping[str, str] | None = None,
     ) -> Fields:
-        """Return the values of a mapping with certain keys, its other keys are mistakes in ``wrong``.
+        """Return the values of a mapping with certain keys; mistakes in other keys are in ``wrong``.
 
         Args:
             allowed: The keys that it may have.
@@ -261,13 +261,13 @@ class Field(NamedTuple):
         given = self.entries(_mapping_with(allowed))
         renamed = {old: new for old, new in (former or {}).items() if new not in dict(given)}
         entries = [(renamed.get(key, key), field) for key, field in given]
-        wrong = list[InputError]()
+        mistakes = list[InputError]()
         for key, field in entries:
             if key not in allowed:
                 hint = (hints or {}).get(key) or near_miss(key, allowed)
                 expected = f"one of the keys {', '.join(allowed)}"
-                wrong.append(noted(field.error(expected, got=f'the key "{shown(key)}"', hint=hint)))
-        return Fields(self, {key: field for key, field in entries if key in allowed}, tuple(wrong))
+                mistakes.append(noted(field.error(expected, got=f'the key "{shown(key)}"', hint=hint)))
+        return Fields(self, {key: field for key, field in entries if key in allowed}, tuple(mistakes))
 
 
 def is_meant(key: str, error: InputError) -> bool:

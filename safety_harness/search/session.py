@@ -142,9 +142,9 @@ class Causes:
     @property
     def summary(self) -> str:
         """The number of causes and of examples without one: the only way of counting."""
-        told = f"{_counted(len(self.explained), 'cause')} explained"
+        explained = f"{_counted(len(self.explained), 'cause')} explained"
         rest = f"{_counted(self.not_explained, 'example')} not explained{' yet' * bool(self.unasked)}"
-        return f"{told}, {rest}" if self.not_explained else told
+        return f"{explained}, {rest}" if self.not_explained else explained
 
 
 @dataclass(eq=False)
@@ -187,24 +187,24 @@ class SearchSession:
     @property
     def causes(self) -> Causes:
         """The causes; each file counts once, under the cause that it shares with most."""
-        left = [(cause, one.path.name) for one in self.written for cause in one.one.causes]
+        left = [(cause, written.path.name) for written in self.written for cause in written.one.causes]
         explained: dict[str, list[str]] = {}
         while left:
             ((cause, _),) = Counter(cause for cause, _ in left).most_common(1)
-            explained[cause] = [name for one, name in left if one == cause]
-            left = [(one, name) for one, name in left if name not in explained[cause]]
-        unknown = [one for one in self.written if not one.one.causes]
-        tried = sum(len(one.groups) for one in unknown if one.one.attribution)
-        count = sum(len(one.groups) for one in unknown)
+            explained[cause] = [name for known, name in left if known == cause]
+            left = [(known, name) for known, name in left if name not in explained[cause]]
+        unknown = [written for written in self.written if not written.one.causes]
+        tried = sum(len(written.groups) for written in unknown if written.one.attribution)
+        count = sum(len(written.groups) for written in unknown)
         if not self.explains_all or self.interrupted:  # otherwise the rest is attributed without shrinking
-            count += sum(len(one.left) for one in self.examples)
+            count += sum(len(example.left) for example in self.examples)
         return Causes(explained, count, 0 if self.explains_all else count - tried)
 
     @property
     def summary(self) -> str:
         """The numbers of causes, violations and runs."""
-        found = f"{_counted(int(self.findings.violated.sum()))} in {self.findings.tried:,} runs"
-        return f"{self.causes.summary}; {found}" if self.written else found
+        violations = f"{_counted(int(self.findings.violated.sum()))} in {self.findings.tried:,} runs"
+        return f"{self.causes.summary}; {violations}" if self.written else violations
 
     @property
     def interrupted(self) -> bool:
@@ -373,9 +373,9 @@ class SearchSession:
         """Return the violations of each claim; a claim that only the baseline violates is worth as much."""
         examples = []
         for claim in (*range(len(self.findings.goals)), None):
-            found = next((one for one in self._searches if one.of_claim(claim)), self.findings)
-            if groups := _one_of_each_kind_first(found.of_claim(claim)):
-                examples.append(_Examples(self, claim, found, groups))
+            findings = next((search for search in self._searches if search.of_claim(claim)), self.findings)
+            if groups := _one_of_each_kind_first(findings.of_claim(claim)):
+                examples.append(_Examples(self, claim, findings, groups))
         return examples
 
     def _explain_groups(self) -> None:
@@ -394,11 +394,11 @@ class SearchSession:
                 going += [example] if example.explain_next(report) else []
             self.allowance.share(last=True)
             while going:
-                others = self.allowance.has(AN_EXAMPLE * each_s)
+                affordable = self.allowance.has(AN_EXAMPLE * each_s)
                 going = [
                     example
                     for example in going
-                    if (example.claim is None or others) and example.explain_next(report)
+                    if (example.claim is None or affordable) and example.explain_next(report)
                 ]
         if self.written:
             self.output.result(f"VIOLATED  {self.summary}")

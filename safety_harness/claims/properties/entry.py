@@ -106,8 +106,8 @@ class CatalogueEntry:
         if match is None:
             return None
         values = iter(match.groups())
-        words = FIELD.sub(lambda _: next(values), self.wording)
-        return re.sub(r"(\S+)( \w+)\(s\)", lambda found: found[1] + found[2] + "s" * (found[1] != "1"), words)
+        sentence = FIELD.sub(lambda _: next(values), self.wording)
+        return re.sub(r"(\S+)( \w+)\(s\)", lambda m: m[1] + m[2] + "s" * (m[1] != "1"), sentence)
 
 
 def _pattern(wording: str) -> str:
