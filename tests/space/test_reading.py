@@ -51,7 +51,7 @@ def test_a_region_of_hands_is_where_the_hands_are() -> None:
 def test_parameters_are_named_by_their_path_in_the_file() -> None:
     names = [parameter.name for parameter in everything().parameters]
     assert names[:3] == ["choices.side", "choices.reach speed", "choices.start.right[1]"]
-    assert "hands[0].moves[1].moves[1].one of[1].until, time 2" in names
+    assert "hands[0].moves[1].moves[1].one of[1].stop at distance, time 2" in names
     assert len(set(names)) == len(names)
 
 

@@ -63,8 +63,8 @@ def test_a_space_from_python_is_the_one_from_the_file() -> None:
                         {"wait": Uniform(0.1, 1.0, "s")},
                         {
                             "reach for tcp": Ref("reach speed"),
-                            "until": Uniform(0.05, 0.2, "m"),
-                            "at most": "2 s",
+                            "stop at distance": Uniform(0.05, 0.2, "m"),
+                            "give up after": "2 s",
                         },
                         {"withdraw": Uniform(0.2, 0.4, "m/s")},
                     ),
