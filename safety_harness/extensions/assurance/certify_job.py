@@ -157,8 +157,8 @@ class CertificationResult:
     def exit_code(self) -> int:
         """The command's exit code: as expected, different or interrupted.
 
-        An incomplete report is *interrupted*.  With an earlier report, regressions decide on the code, otherwise
-        the standing of the claims.  A failed part of the report is *different* too.
+        An incomplete report is *interrupted*.  With an earlier report, regressions decide on the code;
+        otherwise the standing of the claims decides.  A failed part of the report is *different* too.
         """
         if not self.complete:
             return INTERRUPTED
