@@ -89,7 +89,7 @@ class Checked:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Admitted(Checked):
-    """A scenario with everything resolved: ready to run and to be judged.
+    """A scenario whose references are resolved, ready to run and to be judged.
 
     Args:
         scenario: The scenario.
@@ -215,14 +215,14 @@ def admit(
     Args:
         scenario: The scenario.
         avoider: An avoider in place of the scenario's own; None: the scenario's.
-        controller: A controller in place of the visual servo; None: the scenario's.  Only the visual servo
-            asks an avoider, so at most one of the two may be given.
+        controller: A controller in place of the visual servo; None: the scenario's.  Give an avoider or a
+            controller, not both, because only the visual servo asks an avoider.
 
     Returns:
         The scenario with its arm, its avoider or controller, and the properties of its claims.
 
     Raises:
-        InadmissibleError: The scenario cannot run; the error has the place in the file.
+        InadmissibleError: The scenario cannot run; the error names the place in the file.
         InputError: A file that the scenario refers to cannot be used.
 
     """

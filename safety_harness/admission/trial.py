@@ -49,13 +49,13 @@ def run_trial(
 ) -> Trace:
     """Run an admitted scenario in a world, tick by tick, and return its trace.
 
-    The world is closed in any case, also after an exception.
+    The function closes the world at the end, also after an exception.
 
     Args:
         admitted: The scenario, from ``admit``.
         world: The world.
         controller: A controller in place of the scenario's; None: a fresh one from ``admitted``.
-        detector: A detector in place of our own, for a hand sensor with rendered images.
+        detector: A hand detector for rendered images, in place of our own.
         recorded: An earlier trace of the scenario; its decision times by the wall clock count again.
         on_tick: Takes the number of finished ticks, after each tick.
 
@@ -187,17 +187,17 @@ def slower_because(avoider: Avoider) -> str:
 def judge(trace: Trace, *, file: Path | None = None) -> Evaluations:
     """Judge a trace by the claims of its scenario.
 
-    The function does not simulate, nor does it make the avoider, since a user's avoider would be executed.
+    The function neither simulates nor loads the avoider, because it must not execute a user's program.
 
     Args:
         trace: The trace.
-        file: The file of the trace, for errors.
+        file: The file of the trace, which errors name.
 
     Returns:
         An evaluation for each claim, in order.
 
     Raises:
-        TraceError: No run can have written the trace.
+        TraceError: The trace contradicts itself, so no run can have written it.
 
     """
     refuse_other_type("judge(trace)", trace, Trace)

@@ -47,15 +47,17 @@ def attribute(
     confirm: bool = False,
     output: Output = QUIET,
 ) -> AttributionResult:
-    """Repeat each violated run with one ingredient changed, then two, and report the changes that mend it.
+    """Find the causes of violations: repeat each run with parts of the system changed, one or two at a time.
 
-    Ctrl-C ends the work; the result keeps the attributions until then.
+    A change after which the run no longer violates the claim is reported.
+
+    Ctrl-C ends the job, and the result keeps the finished attributions.
 
     Args:
-        runs: One or many inputs: the result of ``run``, a trace, its file, a scenario, its file, or a folder.
-        avoider: The program that made a trace.  You name it again, since the harness executes it.
-        controller: The same for a controller.
-        confirm: Whether PyBullet repeats each violation, and each run with the blamed ingredients changed.
+        runs: One or many of: a result of ``run``, a trace or its file, a scenario or its file, a folder.
+        avoider: The avoider of a trace.  Name it again, because the harness executes its program.
+        controller: The controller of a trace, likewise.
+        confirm: Whether to repeat each violation in PyBullet, and each run with the blamed parts changed.
         output: Receives the progress.
 
     Raises:
@@ -80,12 +82,12 @@ def attribute(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AttributionResult:
-    """The ingredients to which the violations of runs are attributed.
+    """The causes of the violations of runs.
 
     Args:
-        attributions: One for each violation.
+        attributions: The causes of each violation.
         failed: Whether a run could not be repeated.
-        interrupted: Whether Ctrl-C ended the work.
+        interrupted: Whether Ctrl-C ended the job.
 
     """
 
@@ -95,7 +97,7 @@ class AttributionResult:
 
     @property
     def tally(self) -> AttributionTally:
-        """Return the attributions in groups."""
+        """Return the attributions, grouped by cause."""
         return AttributionTally.from_attributions(self.attributions)
 
     @property

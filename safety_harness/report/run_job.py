@@ -66,20 +66,20 @@ def run(
 
     Args:
         scenarios: One or many of: a scenario file, a suite, a folder, ``shipped:NAME``, a ``Scenario``.
-        avoider: What proposes retreats in place of what the scenarios name: a name, ``FILE.py:NAME``, ...
-        controller: What drives the arm in place of the visual servo, likewise.
-        against: A reference for either, which is run in the same draws.
+        avoider: The avoider, in place of the scenarios' own: a name, ``FILE.py:NAME`` or a model file.
+        controller: The controller, in place of the visual servo: a name, ``FILE.py:NAME`` or a program.
+        against: A reference, also an avoider or a controller.  It runs every scenario too, for a comparison.
         world: A world or its label, such as ``kinematic``; None: PyBullet, if it is installed.
-        out: A folder that keeps each trace as soon as its run ends.
-        keep_going: Run the others where some inputs cannot be used.
-        jobs: Processes; None: one for each core, if there are many runs.
-        mcap: Write each run as MCAP too, beside its trace.
-        output: What hears of the progress.
+        out: A folder.  Each trace is written there as soon as its run ends.  None: no folder.
+        keep_going: Whether to run the usable inputs if others cannot be used.
+        jobs: The number of processes; None: one for each core, if there are many runs.
+        mcap: Whether to write each run as an MCAP file too, beside its trace.
+        output: Receives the progress.
 
-    Ctrl-C ends the runs, and the result keeps those that were finished.  A run that fails costs no other.
+    Ctrl-C ends the job, and the result keeps the finished runs.  If a run fails, the other runs go on.
 
     Raises:
-        InputErrors: Inputs cannot be used; nothing was run.
+        InputErrors: Inputs cannot be used; no scenario ran.
         InputError: An option cannot be used, the world is not installed, or ``out`` cannot be written.
 
     """

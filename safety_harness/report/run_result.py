@@ -34,20 +34,20 @@ GIVEN = "scenarios"  # of a folder that is written to: scenarios that were no fi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunResult:
-    """The judged runs of one call of ``run``, and the outcome of the other inputs.
+    """The judged runs of a call of ``run``, and the errors of inputs that did not run.
 
     Args:
         runs: The runs that ended, in order.
-        given: The scenarios as the caller gave them.
-        options: The options of the command that makes the same runs.
+        given: The inputs as the caller wrote them.
+        options: The options of the command that repeats the runs.
         planned: The number of scenarios to run.
-        skipped: Scenarios that the avoider cannot take.
-        refused: Errors of inputs; the other inputs still ran.
+        skipped: Scenarios that did not run because they do not suit the avoider.
+        refused: The errors of inputs that could not be used.
         failed: Scenarios that could not be simulated, with the reasons.
-        against: The differences from the runs with the reference; None without a reference.
-        repeated: The answers of a second avoider to the questions of the runs; None without it.
+        against: The differences from the reference's runs; None without a reference.
+        repeated: The answers of a second instance of the avoider to the same questions; None without it.
         interrupted: Whether Ctrl-C ended the runs.
-        unwritable: The error that ended the writing; None without it.
+        unwritable: The error that prevented the writing of a file; None if there was no error.
         mcap: Whether to write each run as MCAP too.
 
     """
@@ -68,7 +68,7 @@ class RunResult:
 
     @property
     def verdict(self) -> Verdict:
-        """Return the worst verdict of all claims; inconclusive without any."""
+        """Return the worst verdict of all claims; inconclusive if there are no claims."""
         return worst_verdict(evaluation.verdict for run in self.runs for _, evaluation in run.judged_claims())
 
     @property
@@ -85,7 +85,7 @@ class RunResult:
 
     @property
     def basis(self) -> str:
-        """Return the grounds of the verdicts: the world, the exercised runs, and the unmonitored parts."""
+        """Return a sentence on the world, the exercised runs, and the parts that no claim monitors."""
         return basis_of(self.runs)
 
     @property
@@ -130,7 +130,7 @@ class RunResult:
         return f"<{self.verdict.value}: {label}, claims: {counts or 'none'}. {self.basis}>"
 
     def data(self) -> dict[str, Any]:
-        """Return the content of report.json; write the traces first, since it holds their hashes."""
+        """Return the content of report.json.  Write the traces first, because it contains their hashes."""
         from safety_harness.report.machine import report_data
 
         return report_data(self.runs, **self._of_all)
@@ -148,8 +148,8 @@ class RunResult:
     def write(self, folder: str | Path, output: Output = QUIET) -> RunResult:
         """Write report.html, report.json, report.sarif, summary.md, and the traces that the folder lacks.
 
-        The method also writes scenarios that were no files, since the report's command needs their files.
-        A first Ctrl-C lets the writing end.
+        The method also writes a file for each scenario without one, because the report's command needs files.
+        After a first Ctrl-C, the method still finishes writing.
 
         Args:
             folder: The folder of the report.

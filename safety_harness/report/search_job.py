@@ -64,23 +64,24 @@ def fuzz(
     out: str | Path | None = None,
     output: Output = QUIET,
 ) -> SearchResult:
-    """Search a scenario space for violations; shrink, confirm and attribute what was found.
+    """Search a scenario space for violations; shrink, confirm and attribute each violation.
 
     Args:
         space: A file, ``shipped:NAME``, or a ``ScenarioSpace``.
-        avoider: What proposes retreats in place of what the space names.
-        controller: What drives the arm in place of the visual servo.
-        against: A reference: search for what it does not violate in the same draws.
-        budget: Runs to search with; shrinking has its own.
-        seed: Root of every random number.
-        searcher: A name that ``searcher_named`` takes.
-        claims: Sentences in place of the space's claims.
-        baseline: Sample the space uniformly as well, with the same budget.
-        explain: "causes": an example for each cause, with no more simulation than the search; or "all".
-        out: A folder that keeps each finding as soon as it is found.
-        output: What hears of the progress.
+        avoider: The avoider, in place of the space's own.
+        controller: The controller, in place of the visual servo.
+        against: A reference.  A violation is a finding only if the reference avoids it in the same draw.
+        budget: The number of runs of the search.  Shrinking uses further runs.
+        seed: The root of every random number.
+        searcher: The name of a search method, as for ``searcher_named``.
+        claims: Sentences, in place of the space's claims.
+        baseline: Whether to sample the space uniformly too, with the same budget, for a comparison.
+        explain: "causes": Explain an example for each cause, with at most as many runs as the search.
+            "all": Explain every violation.
+        out: A folder.  Each finding is written there at once.  None: no folder.
+        output: Receives the progress.
 
-    Ctrl-C ends the search, and the result keeps what was found.
+    Ctrl-C ends the search, and the result keeps the findings until then.
 
     Raises:
         InputError: The space or an option cannot be used.
@@ -130,10 +131,10 @@ class SearchResult:
     """The result of a search.
 
     Args:
-        session: The search, with every finding.
+        session: The search with all its findings.
         evidence: The content of the page; None after a full disk.
         interrupted: Whether Ctrl-C ended the search.
-        unwritable: The error that ended the writing; None without it.
+        unwritable: The error that prevented the writing of a file; None if there was no error.
 
     """
 
@@ -144,7 +145,7 @@ class SearchResult:
 
     @property
     def findings(self) -> Findings:
-        """Return counts, groups of violations and the nearest margins."""
+        """Return the counts of the search, the groups of violations, and the smallest margins."""
         return self.session.findings
 
     @property
@@ -172,9 +173,9 @@ class SearchResult:
         return {} if self.evidence is None else as_json(self.session.trials, self.evidence)
 
     def write(self, folder: str | Path, output: Output = QUIET) -> SearchResult:
-        """Write fuzz.html, findings.json, coverage.svg, and a file for each finding that has none yet.
+        """Write fuzz.html, findings.json, coverage.svg, and a file for each finding without one.
 
-        A first Ctrl-C lets the writing end.
+        After a first Ctrl-C, the method still finishes writing.
 
         Args:
             folder: The folder of the files.
@@ -185,7 +186,7 @@ class SearchResult:
 
         Raises:
             OutputError: The folder cannot be written.
-            ScenarioError: A full disk ended the search, which has nothing to write.
+            ScenarioError: A full disk ended the search, so there is no result to write.
 
         """
         out = Path(folder)

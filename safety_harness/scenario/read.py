@@ -69,17 +69,17 @@ _PROSE = ("scenario", "about", "claims")
 
 
 def read_scenario(path: str | Path | Scenario) -> Scenario:
-    """Return the scenario in a file, with the content of the files that it extends.
+    """Read the scenario in a file, together with the files that it extends.
 
     Args:
-        path: The file, or ``shipped:NAME``; ``parse_scenario`` reads a text.  A Scenario is returned as it
-            is.
+        path: The file, or ``shipped:NAME``.  A Scenario is returned unchanged.  ``parse_scenario`` reads a
+            text.
 
     Raises:
         ScenarioError: The file is malformed, or it is a matrix or a suite (``read_all_scenarios`` reads
             these).
         RecordingError: A recording in it cannot be used.
-        InputError: ``path`` is no path.
+        InputError: ``path`` is neither a path nor a Scenario.
 
     """
     if isinstance(path, Scenario):
@@ -103,11 +103,11 @@ def parse_scenario(
     name: str | None = None,
     claims_required: bool = True,
 ) -> Scenario:
-    """Return the scenario that a text describes; the text must be complete in itself.
+    """Return the scenario that a text describes.  The text must not extend another file.
 
     Args:
         text: The text.
-        file: The folder of this path is where recordings are.  None: the working directory.
+        file: A path whose folder contains the recordings.  None: the working directory.
         recordings: Contents of recordings, and of an arm's files, by their SHA-256.  They replace files
             wherever the text has ``sha256`` beside ``recording``.
         name: The name of the scenario; None: from ``file``, else "unnamed".

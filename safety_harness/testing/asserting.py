@@ -68,8 +68,8 @@ class NotEstablished(SafetyHarnessError, AssertionError):
 def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     """Fail the test unless ``claim`` holds in ``trace``.
 
-    Under Hypothesis, one sound run that decides nothing (the hand never came near) fails no test.
-    Such a test fails at its end if no run decides anything.
+    Under Hypothesis, an inconclusive run (the hand never came near) does not fail the test.
+    At its end, the test fails if every run was inconclusive.
 
     Args:
         claim: a formula, a property, or a sentence as in a scenario file.
@@ -79,8 +79,8 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
         The evaluation of the claim: verdict, margin and reason.
 
     Raises:
-        SafetyViolation: the run violates the claim, or is no evidence either way.  Also if the avoider gave
-            no answer in the run, unless the scenario claims that (``the avoider answered: violated``).
+        SafetyViolation: the run violates the claim, or is no evidence for it.  Also if the avoider gave no
+            answer in the run, unless the scenario expects that (``the avoider answered: violated``).
         InputError: the harness does not know the sentence, or an argument has the wrong type.
 
     """

@@ -131,14 +131,16 @@ def _fault_text(trace: Trace, number: int) -> str:
 
 ANSWERED = CatalogueEntry(
     prop=AvoiderAnswered(),
-    rationale="where the avoider gives no answer the fallback acts in its place, and every verdict is "
-    "about the fallback. Each run is judged by it; a scenario that does not claim it expects it to hold",
+    rationale="if the avoider does not answer, the fallback acts in its place, and every verdict is "
+    "about the fallback. Every run is therefore judged by this claim. A scenario that does not contain it "
+    "expects it to hold",
     source="the seam of the avoider: one proposal of finite numbers for each question, in time",
-    margin="minus the number of questions without a usable answer: an exception, what is no proposal, NaN, "
-    "an answer that came too late, a process that ended; 0 holds",
+    margin="minus the number of questions without a usable answer (the avoider raised an exception, "
+    "returned NaN or something other than a proposal, answered too late, or its process ended); at 0 the "
+    "claim holds",
     parameters="the decision deadline of the settings",
-    exercised="the avoider was asked while no fault of the scenario kept it from answering",
-    broken_by="an avoider that raises at every question",
+    exercised="the controller asked the avoider while no fault of the scenario prevented an answer",
+    broken_by="an avoider that raises an exception at every question",
 )
 DEFAULT_CLAIM = Claim(sentence=ANSWERED.example, expected=Verdict.HOLDS)
 
@@ -213,14 +215,16 @@ DECISION_TIME_CLAIM = CatalogueEntry(
     prop=DecisionTime(within_s=0.1),
     pattern=r"decisions within (.+)",
     make=lambda match, _, place: DecisionTime(within_s=quantity(match[1], TIME, place)),
-    rationale="the hand moves on while the avoider thinks. What a decision costs is declared, or measured in "
-    "a profile: whether the avoider keeps to it on the robot's own computer is not shown by any run here",
+    rationale="the hand moves while the avoider computes. The avoider declares how long a decision "
+    "takes, or a profile contains measured times. No run here shows whether the avoider keeps these times "
+    "on the robot's own computer",
     source="the reaction time T_r, in which all has to fit",
-    margin="the limit less the longest simulated time from a question to the tick at which its answer "
-    "counts; one control period over the limit, at least, for an answer that was given up on",
+    margin="the limit less the longest simulated time from a question to the tick at which the "
+    "controller uses the answer. If the controller gave up on an answer, the time is at least one control "
+    "period longer than the limit",
     parameters="the limit; the decision time and the decision deadline of the settings",
-    exercised="a decision was made that costs simulated time",
-    inconclusive="a decision that costs none: its computing time is not modelled",
+    exercised="the controller made a decision that takes simulated time",
+    inconclusive="a decision that takes no simulated time, because its computing time is not modelled",
     scenario="decisions-take-90-ms",
     broken_by="an avoider that never answers",
 )

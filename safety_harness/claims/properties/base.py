@@ -86,11 +86,11 @@ def shown_margin(margin: float, symbol: str) -> str:
 class Evaluation:
     """The result of evaluating a property on a trace.
 
-    ``margin`` (SI) and ``worst_time_s`` are None if they do not exist; ``reason`` is a sentence on what
-    decided. ``exercised`` counts the occasions on which the property could have been violated; 0 means never
-    exercised.  ``parts`` are the evaluations of its conjuncts, if it has several.  ``close`` is that of
-    ``close_to``.  It is not ``applicable`` if it is about something that the controller under test does not
-    have or report, such as an avoider's answers.
+    ``margin`` is in SI units.  ``margin`` and ``worst_time_s`` are None if they do not exist.  ``reason`` is
+    a sentence about the decisive moment.  ``exercised`` counts the situations in which the run could have
+    violated the property; 0 means never exercised.  ``parts`` are the evaluations of the conjuncts, if the
+    property has several.  ``close`` is the result of ``close_to``.  ``applicable`` is false if the property
+    concerns something that the controller under test does not have or report, such as an avoider's answers.
     """
 
     sentence: str

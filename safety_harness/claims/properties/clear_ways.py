@@ -151,13 +151,13 @@ def least_along(
 
 CLEAR_WAYS = CatalogueEntry(
     prop=ClearWays(),
-    rationale="an arm that gives way to a hand and runs into the table, the workpiece or itself stops there, "
-    "and what is held is crushed",
+    rationale="if an arm that retreats from a hand runs into the table, the workpiece or itself, it "
+    "stops there and crushes what is in between",
     source="the project's own; capsules as for the hand distance",
-    margin="least clearance of any link along the planned and the executed way, a lower bound between "
-    "samples; each obstacle apart",
-    parameters="table height and object of the settings",
-    exercised="a position was chosen",
+    margin="least clearance between any link and each obstacle along the planned and the executed "
+    "way; between samples a lower bound",
+    parameters="the table's height and the object in the settings",
+    exercised="the controller chose a position",
     inconclusive="a chosen position that is not finite",
     broken_by="an avoider that proposes a position below the table, behind a gate that passes everything",
 )

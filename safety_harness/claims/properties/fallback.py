@@ -213,35 +213,38 @@ class CertainIsUsed:
 
 
 MARGINS = (
-    f"what is left of a cone of {np.degrees(OFF_RAD):g} deg to the pose, from 10 mm of way on; how far the "
-    f"TCP keeps up with a point mass of {PACE.speed:.0%} of a repulsion's speed and "
-    f"{PACE.acceleration:.0%} of its acceleration; what is left of the arrival tolerance and "
-    f"{SHORT_M * 1e3:g} mm at the end"
+    f"Direction: how far the TCP stays inside a cone of {np.degrees(OFF_RAD):g} deg around the direction to "
+    "the pose, after the first 10 mm. "
+    f"Speed: how far the TCP is ahead of a point mass with {PACE.speed:.0%} of a repulsion's speed and "
+    f"{PACE.acceleration:.0%} of its acceleration. "
+    f"End: the arrival tolerance plus {SHORT_M * 1e3:g} mm, less the TCP's distance from the pose"
 )
 
 UNCERTAIN = CatalogueEntry(
     prop=UncertainFallsBack(cycles=2),
     pattern=r"uncertain answers fall back within (\S+) cycles?",
-    rationale="the spread is worth something only if it keeps the arm from going where the network guesses",
+    rationale="the spread is useful only if it prevents the arm from going where the network guesses",
     source="the paper, section 3.3: the opposite pose where the network is not sure",
-    margin=f"the least of: cycles left at the onset, as way; {MARGINS}; after a stop what the opposite pose "
-    "lacked, or minus what it had to spare",
-    parameters="the number of control ticks; the threshold of the avoider, the radius of the settings",
-    exercised="a spread above the avoider's threshold, and time for 10 mm of way, or a stop",
+    margin="the least of four margins of a retreat. Onset: the control ticks left, converted to a way. "
+    f"{MARGINS}. After a stop: how much the opposite pose missed a check, or minus its reserve",
+    parameters="the number of control ticks; the avoider's threshold, and the radius in the settings",
+    exercised="a spread is above the avoider's threshold, and then the arm has time for a way of 10 "
+    "mm, or stops",
     scenario="hesitating-reach",
-    broken_by="an avoider in doubt behind a gate that does not ask for its spread",
+    broken_by="an avoider with large spreads behind a gate that does not check the spread",
 )
 
 CERTAIN = CatalogueEntry(
     prop=CertainIsUsed(),
-    rationale="a system that always falls back is not the one whose avoider was tested",
+    rationale="if a system always falls back, the runs do not test its avoider",
     source="the other direction of the same rule",
-    margin=f"the least of: cycles left of two at the onset, as way; {MARGINS}; "
-    "after a stop minus the way there",
-    parameters="the threshold of the avoider; what a position has to spare",
-    exercised="a spread within the avoider's threshold, a usable position, and time for 10 mm of way",
+    margin="the least of four margins of a retreat. Onset: the control ticks left of two, converted to a "
+    f"way. {MARGINS}. After a stop: minus the way to the proposed position",
+    parameters="the avoider's threshold; the reserve that a position needs to be usable",
+    exercised="a spread is within the avoider's threshold, the position is usable, and the arm has "
+    "time for a way of 10 mm",
     scenario="hesitating-reach",
-    broken_by="a gate that lets no proposal pass",
+    broken_by="a gate that refuses every proposal",
 )
 
 
@@ -315,13 +318,14 @@ def _away(trace: Trace, decision: np.void) -> list[Finding]:
 
 FALLBACK_POSES = CatalogueEntry(
     prop=FallbackPoses(),
-    rationale="the fallback is what doubt, faults and lateness end in: it has to be there beforehand",
+    rationale="the arm falls back after an uncertain, faulty or late answer, so the fallback must be "
+    "available at every decision",
     source="the paper, section 3.3; opposite poses out of reach are counted in its table 4",
-    margin="the lesser of how far beyond the pose the straight way goes on (at most 100 mm) and of the way's "
-    "component away from each true hand",
-    parameters="radius and least singular value of the settings",
-    exercised="a decision was made",
-    broken_by="a gate whose fallback heads for the hand",
+    margin="the lesser of two lengths: how far the straight way is reachable beyond the pose (at "
+    "most 100 mm), and the component of the way that leads away from each true hand",
+    parameters="radius and least singular value in the settings",
+    exercised="the controller made a decision",
+    broken_by="a gate whose fallback leads towards the hand",
 )
 
 
@@ -378,12 +382,13 @@ class StopsWhereNothingIsReachable:
 
 STOPS = CatalogueEntry(
     prop=StopsWhereNothingIsReachable(),
-    rationale="an arm that goes on as before has not noticed the hand; one that heads for where it cannot go "
-    "ends at its limits",
+    rationale="an arm that continues as before does not react to the hand, and an arm that moves "
+    "towards an unreachable position ends at its limits",
     source="the last of the three steps: answer, opposite pose, stop",
-    margin="way allowed to a protective stop (v T_r + v T_s/2, one period's and 2 mm) less the TCP's",
-    parameters="reaction and stop time, radius and least singular value of the settings",
-    exercised="a decision of which neither can be reached",
+    margin="the way that the TCP may move until it stands (v T_r + v T_s/2, the way of one control "
+    "period, and 2 mm) less the way that it moved",
+    parameters="reaction time, stop time, radius and least singular value in the settings",
+    exercised="a decision at which neither the answer nor the opposite pose can be reached",
     scenario="nothing-reachable",
     broken_by="an avoider that proposes a position two metres away, behind a gate that passes everything",
 )

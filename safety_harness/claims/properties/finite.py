@@ -120,11 +120,11 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
 
 FINITE_TRACE = CatalogueEntry(
     prop=FiniteTrace(),
-    rationale="whatever else is claimed of a run is claimed of these numbers",
+    rationale="every other claim is computed from these numbers",
     source="arithmetic: a comparison with what is no number is never true",
-    margin="minus the number of ticks and decisions that hold something that is no number, or that are not "
-    "later than the one before; 0 holds",
+    margin="minus the number of ticks and decisions that contain NaN or infinity, or whose time is "
+    "not later than the previous one; at 0 the claim holds",
     parameters="none",
     exercised="always",
-    broken_by="a controller whose features are no numbers",
+    broken_by="a controller whose features are NaN",
 )

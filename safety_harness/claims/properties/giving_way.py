@@ -362,13 +362,14 @@ MOVES_AWAY = CatalogueEntry(
         nearer_m=quantity(match[1], LENGTH, place) if match[1] else np.inf,
         tolerance_m=quantity(match[2], LENGTH, place) if match[2] else 0.0,
     ),
-    rationale="an avoider that moves towards a hand, or not at all, makes the hazard worse",
+    rationale="an avoider that moves the arm towards a hand, or not at all, makes the hazard worse",
     source="the paper, section 4.1",
-    margin="component of the planned displacement away from the hand, least over all hands; negative also if "
-    "the arm does not do it",
-    parameters='"... nearer than 600 mm": only hands so near to the TCP when decided; "... to within 5 mm": '
-    "how much nearer to a hand the planned and the executed way may lead; repulsion speed and acceleration",
-    exercised="a true hand was there, and the repulsion had time for 10 mm of way",
+    margin="component of the planned displacement that leads away from the hand, least over all "
+    "hands. The margin is also negative if the arm does not execute the plan",
+    parameters='"... nearer than 600 mm" restricts the claim to hands that were so near to the TCP at '
+    'the decision. "... to within 5 mm" states how much nearer to a hand the planned and the executed way '
+    "may lead. Also the speed and acceleration of a repulsion",
+    exercised="a true hand was present, and the repulsion lasted long enough for a way of 10 mm",
     inconclusive="a chosen position that is not finite",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )

@@ -115,12 +115,12 @@ def nearest_hand(trace: Trace) -> Evaluation:
 HAND_DISTANCE = CatalogueEntry(
     prop=HandDistance(minimum_m=0.05),
     formula="always hand distance >= {}",
-    rationale="contact with a moving robot is the hazard itself",
+    rationale="contact with a moving robot is itself the hazard",
     source="the protective separation distance as a constant",
-    margin="least distance, surface to surface, of any hand or forearm from any link, less the limit; a "
-    "guaranteed bound between ticks",
-    parameters="the limit; the hands' sizes of the settings",
+    margin="least distance between the surfaces of any hand or forearm and any link, less the "
+    "limit; between ticks a guaranteed bound",
+    parameters="the limit; the sizes of the hands in the settings",
     exercised="a hand comes within 400 mm of the arm's surface, or within twice a limit above 200 mm",
-    inconclusive="a hand that is not where its scenario moves it",
+    inconclusive="a hand is not where its scenario moves it",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )

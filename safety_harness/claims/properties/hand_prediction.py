@@ -81,12 +81,14 @@ def _ends(prop: HandPredictions, trace: Trace) -> tuple[float, float, bool]:
 
 HAND_PREDICTIONS = CatalogueEntry(
     prop=HandPredictions(maximum_m=0.05),
-    rationale="the arm gives way to the predicted hand: an error of the prediction is one of the distance",
+    rationale="the arm retreats from the predicted hand, so an error of the prediction is also an "
+    "error of the distance",
     source="the paper, eqs. 7 and 8: a Kalman filter for the hand's box, extrapolated by the horizon",
-    margin="the limit less the greatest distance of a prediction from the nearest true hand at the time that "
-    "it is for; a track of a hand that is not there is as wrong as the nearest true hand is far",
-    parameters="the limit; the prediction horizon of the settings",
-    exercised="a tracked hand's prediction is for a time within the run",
-    inconclusive="no hand in the scenario, or none tracked",
-    broken_by="a hand sensor that sees a hand where none is",
+    margin="the limit less the greatest error of a prediction, which is its distance from the "
+    "nearest true hand at the predicted time. A track without a real hand also has the distance from the "
+    "nearest true hand as its error",
+    parameters="the limit; the prediction horizon in the settings",
+    exercised="the tracker predicts a hand for a time within the run",
+    inconclusive="the scenario has no hand, or the tracker follows none",
+    broken_by="a hand sensor that sees a hand where there is none",
 )

@@ -128,32 +128,34 @@ class TcpSpeedLimit(Worded):
 
 JOINT_POSITIONS = CatalogueEntry(
     prop=JointLimits(),
-    rationale="an arm at a mechanical or safety-rated stop no longer goes where its controller sends it",
+    rationale="an arm at a mechanical or safety-rated stop no longer moves as its controller commands",
     source="the robot's URDF",
-    margin="angle left to the nearer limit, least over joints and time",
+    margin="angle between a joint and its nearer limit, least over joints and time",
     parameters="the limits of the robot's description",
     exercised="always",
-    broken_by="a controller that turns a joint on and on",
+    broken_by="a controller that keeps turning a joint",
 )
 
 JOINT_SPEEDS = CatalogueEntry(
     prop=JointSpeedLimits(),
-    rationale="beyond them the drives no longer follow",
+    rationale="above these limits the drives no longer follow the commands",
     source="the robot's URDF",
-    margin="speed left to the limit, least over joints and time; the mean speed between ticks counts too",
+    margin="the limit less the speed of a joint, least over joints and time; the mean speed between "
+    "ticks is checked too",
     parameters="the limits of the robot's description",
     exercised="the arm moves",
-    inconclusive="a speed above the limit by no more than a world's motors miss commanded speeds (PyBullet: "
-    f"{np.degrees(PYBULLET.known_to_radps):.2g} deg/s)",
+    inconclusive="a speed exceeds the limit by no more than the error with which the world's motors "
+    f"follow commanded speeds (PyBullet: {np.degrees(PYBULLET.known_to_radps):.2g} deg/s)",
     broken_by="a controller that turns a joint too fast",
 )
 
 TCP_SPEED = CatalogueEntry(
     prop=TcpSpeedLimit(maximum_mps=0.25),
     formula="always TCP speed <= {}",
-    rationale="a person beside the robot can still step back from one that moves at reduced speed",
+    rationale="a person beside the robot can still step back if it moves at reduced speed",
     source="the reduced speed at which a person may be near",
-    margin="speed left to the limit, least over time; the mean speed between ticks counts too",
+    margin="the limit less the speed of the TCP, least over time; the mean speed between ticks is "
+    "checked too",
     parameters="the limit",
     exercised="the arm moves",
     broken_by="a controller that turns a joint too fast",
@@ -215,13 +217,13 @@ class TcpAcceleration(Worded):
 
 JOINT_ACCELERATIONS = CatalogueEntry(
     prop=JointAccelerations(maximum_radps2=np.radians(500.0)),
-    rationale="a jerking joint shakes camera and tool, and wears its gear",
+    rationale="a joint that jerks shakes the camera and the tool, and wears its gear",
     source="a limit of one's own: the robot's description has none",
     margin="the limit less the largest mean acceleration of a joint from tick to tick",
-    parameters="the limit; the control period of the settings",
+    parameters="the limit; the control period in the settings",
     exercised="a joint turns",
-    inconclusive="a run of one tick",
-    broken_by="a controller that turns a joint too fast at once",
+    inconclusive="the run has only one tick",
+    broken_by="a controller that accelerates a joint too fast",
 )
 
 TCP_ACCELERATION = CatalogueEntry(
@@ -229,8 +231,8 @@ TCP_ACCELERATION = CatalogueEntry(
     rationale="a person beside the arm can follow a motion that begins gently",
     source="a limit of one's own; the settings demand at most 1 m/s2 of the arm",
     margin="the limit less the largest mean acceleration of the TCP from tick to tick",
-    parameters="the limit; the control period of the settings",
+    parameters="the limit; the control period in the settings",
     exercised="the TCP moves",
-    inconclusive="a run of one tick",
-    broken_by="a controller that turns a joint too fast at once",
+    inconclusive="the run has only one tick",
+    broken_by="a controller that accelerates a joint too fast",
 )

@@ -51,12 +51,13 @@ class ObstacleDistance(Worded):
 
 OBSTACLE_DISTANCE = CatalogueEntry(
     prop=ObstacleDistance(minimum_m=0.02),
-    rationale="an arm that runs into a fixture stops there or breaks it, and what is between them is crushed",
+    rationale="an arm that runs into a fixture stops there or breaks the fixture, and crushes what is "
+    "in between",
     source="the project's own; capsules as for the hand distance",
-    margin="least distance, surface to surface, of any link but the base from any obstacle, less the limit; "
-    "a lower bound between ticks",
+    margin="least distance between the surfaces of any link except the base and any obstacle, less "
+    "the limit; between ticks a lower bound",
     parameters="the limit; the scenario's obstacles",
     exercised="the scenario has an obstacle",
     scenario="box-beside-the-way",
-    broken_by="the visual servo, which knows no obstacles, with one in its way",
+    broken_by="the visual servo, which ignores obstacles, with an obstacle on its way",
 )

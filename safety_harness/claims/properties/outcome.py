@@ -192,22 +192,24 @@ def _began(change: NDArray[np.float64], soon: int) -> int | None:
 
 KEEPS_ITS_PLACE = CatalogueEntry(
     prop=KeepsItsPlace(within_m=0.005),
-    rationale="people come near an arm that holds its place, and do not reckon with one that drifts",
+    rationale="people approach an arm that stands still, and do not expect it to drift",
     source="the project's own; by motion, whatever mode is reported",
-    margin="the limit less how far the TCP goes from its place or the desired position, with no hand near",
-    parameters="the limit; critical distance, prediction horizon and retreat of the settings",
-    exercised="no hand is near, or was while a retreat lasts, and the TCP stays within the limit for 1 s",
+    margin="the limit less the largest distance by which the TCP moves from its place or away from "
+    "the desired position while no hand is near",
+    parameters="the limit; critical distance, prediction horizon and retreat in the settings",
+    exercised="no hand is near, nor was one near shortly before (the time of a retreat), and the TCP "
+    "stays within the limit for 1 s",
     scenario="servoing-alone",
     broken_by="a controller that drifts",
 )
 REACTS = CatalogueEntry(
     prop=ReactsWithin(within_s=0.12),
-    rationale="a hand is met by an arm that slows or retreats, whatever it says that it does",
+    rationale="an arm must slow down or retreat when a hand comes near, whatever mode its controller reports",
     source="the reaction time T_r, by motion and drives, of each hand apart",
-    margin="the time allowed less the longest until the drives brake, or the TCP slows or retreats",
-    parameters="the time; critical distance and speed of a retreat of the settings",
-    exercised="a true hand comes within the critical distance of a TCP that moves and does not retreat yet",
-    inconclusive="a hand that leaves, or a run that ends, before a reaction could be told; an uncertain log",
+    margin="the time allowed less the longest time until the drives brake, or the TCP slows down or retreats",
+    parameters="the time; the critical distance and the speed of a retreat in the settings",
+    exercised="a true hand comes within the critical distance of a TCP that moves and does not yet retreat",
+    inconclusive="the hand leaves, or the run ends, before a reaction could be recognised; an uncertain log",
     scenario="hand-stays",
     broken_by="a controller that stops too late",
 )

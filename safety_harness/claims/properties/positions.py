@@ -232,19 +232,20 @@ def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], displacement: NDArr
 REPULSIVE_POSES = CatalogueEntry(
     prop=RepulsivePosesReachable(proposed=False),
     pattern=r"(?:repulsive|retreat) poses reachable",
-    rationale="a position out of reach is none to give way to: the arm stops short of it, near the hand",
+    rationale="the arm cannot retreat to a position out of reach, but stops on the way, near the hand",
     source="the paper, table 4",
-    margin="how far beyond the chosen position the straight way goes on being reachable within the joint "
-    "limits and away from singularities (at most 100 mm is looked for), or what is missing to it",
-    parameters="the least singular value of the settings",
-    exercised="a position was chosen",
+    margin="how far beyond the chosen position the straight way remains reachable within the joint "
+    "limits and away from singularities (the search ends at 100 mm). If the position is out of reach, "
+    "minus the missing part of the way",
+    parameters="the least singular value in the settings",
+    exercised="the controller chose a position",
     broken_by="an avoider that proposes a position two metres away, behind a gate that passes everything",
 )
 PROPOSED_POSES = replace(
     REPULSIVE_POSES,
     prop=RepulsivePosesReachable(proposed=True),
     pattern=r"proposed (?:repulsive|retreat) poses reachable",
-    margin="the same for what the avoider proposed, before the gate",
-    exercised="a decision was made",
+    margin="the same for the position that the avoider proposed, before the gate",
+    exercised="the controller made a decision",
     broken_by="an avoider that proposes a position two metres away",
 )

@@ -217,28 +217,32 @@ class FewOverruled(Worded):
 
 
 YARDSTICK = (
-    "The closed form of what the networks learn (eq. 13 with the continuous optimum) is a yardstick and no "
-    "duty: an avoider of another kind may be far from it and good"
+    "The optimum is the closed form of the function that the networks learn (eq. 13 with the continuous "
+    "optimum). It is only a yardstick, because an avoider of another kind may be good although its proposals "
+    "are far from the optimum"
 )
-ANSWERED = "the avoider was asked and gave a usable answer"
-OPTIMUM_OF = "the length; radius, candidate cone, hand pull, nominal hand and desired pose of the settings"
+ANSWERED = "the controller asked the avoider, which gave a usable answer"
+OPTIMUM_OF = "the length; radius, candidate cone, hand pull, nominal hand and desired pose in the settings"
 
 LEAD_AWAY = CatalogueEntry(
     prop=ProposalsLeadAway(tolerance_m=0.01),
-    rationale="a gate that refuses what heads for a hand hides an avoider that proposes it",
+    rationale="a gate that refuses every position towards a hand hides that the avoider proposes such "
+    "positions",
     source='the paper, section 4.1 ("a quarter of a sphere will lead the robot to move away")',
-    margin="component of the way from the TCP to the proposal away from the hand of the question, and the "
-    "tolerance, least over proposals",
+    margin="component of the way from the TCP to the proposal that leads away from the hand of the "
+    "question, plus the tolerance; least over proposals",
     parameters="the tolerance: how much nearer to the hand a proposal may lead",
     exercised=ANSWERED,
-    broken_by="an avoider that heads for the hand, behind the full gate",
+    broken_by="an avoider that proposes positions towards the hand, behind the full gate",
 )
 NEAR_OPTIMUM = CatalogueEntry(
     prop=NearOptimum(within_m=0.06),
     pattern=r"proposals within (\S+(?: \S+)?) of the optimum",
-    rationale=f"a network that is wrong in a region, a frame or a unit shows here first. {YARDSTICK}",
+    rationale="this claim is the first to show a network that is wrong in a region, a frame or a "
+    f"unit. {YARDSTICK}",
     source="eq. 13 of the paper, with the nearest point of the candidates' cap in closed form",
-    margin="the length less the distance from a proposal to its question's optimum, least over proposals",
+    margin="the length less the distance from a proposal to the optimum of its question, least over "
+    "proposals",
     parameters=OPTIMUM_OF,
     exercised=ANSWERED,
     scenario="network-certain",
@@ -246,35 +250,39 @@ NEAR_OPTIMUM = CatalogueEntry(
 )
 WITHIN_SPREAD = CatalogueEntry(
     prop=WithinSpread(spreads=3.0, allowance_m=0.03),
-    rationale="the gate trusts the spread, so an error with a small spread passes. The spread of dropout "
-    f"or of an ensemble leaves out the noise of the labels; the allowance covers it. {YARDSTICK}",
+    rationale="the gate trusts the spread, so it passes an error with a small spread. The spread of "
+    "dropout or of an ensemble does not contain the noise of the labels; the allowance covers this noise. "
+    f"{YARDSTICK}",
     source="the paper, section 3.3, and eqs. 10 and 11: the spread of a network's answers",
-    margin="least over axes of the number times the spread, and the allowance, less the distance to the "
-    "optimum along that axis; least over proposals",
-    parameters="the number of spreads and the allowance; those of the optimum in the settings",
+    margin="for each axis, the number times the spread, plus the allowance, less the distance to "
+    "the optimum along that axis; least over axes and proposals",
+    parameters="the number of spreads; the allowance; the settings that determine the optimum",
     exercised=ANSWERED,
-    inconclusive="an avoider without a threshold whose spreads are all zero: it gives none",
+    inconclusive="an avoider without a threshold whose spreads are all zero, because it states no "
+    "uncertainty",
     scenario="network-certain",
     broken_by="an avoider with a threshold, sure of a position far from the optimum",
 )
 NEVER_SURE_AND_OFF = CatalogueEntry(
     prop=NeverSureAndOff(within_m=0.06),
-    rationale="doubt leads to the fallback, so that the errors which count are those without doubt. "
-    f"{YARDSTICK}",
+    rationale="an uncertain answer leads to the fallback, so errors matter most where the network "
+    f"is certain. {YARDSTICK}",
     source="the paper, section 3.3: the opposite pose where the network is not sure",
-    margin="the length less the distance from a proposal to the optimum of its question, least over those "
-    "whose largest spread is at most the avoider's threshold",
-    parameters=f"{OPTIMUM_OF}; the threshold of the avoider: without one it is always sure",
+    margin="the length less the distance from a proposal to the optimum of its question, least over "
+    "the proposals whose largest spread is at most the avoider's threshold",
+    parameters=f"{OPTIMUM_OF}; the avoider's threshold (an avoider without a threshold is always sure)",
     exercised=f"{ANSWERED} of which it was sure",
     scenario="network-certain",
     broken_by="an avoider with a threshold, sure of a position far from the optimum",
 )
 FEW_OVERRULED = CatalogueEntry(
     prop=FewOverruled(most=0.5),
-    rationale="what is assessed is the avoider; where the gate overrules it, the fallback is what is shown",
+    rationale="the runs are to assess the avoider, but where the gate overrules it, they show only the "
+    "fallback",
     source="the three steps of the gate: answer, opposite pose, stop",
-    margin="the share less that of the proposals in a run that were replaced or stopped",
+    margin="the share less the share of the proposals in a run that the gate replaced or answered "
+    "with a stop",
     parameters="the share, from 0 % to less than 100 %",
     exercised=ANSWERED,
-    broken_by="an avoider in doubt at every question",
+    broken_by="an avoider with a spread above its threshold at every question",
 )

@@ -293,31 +293,31 @@ def described(trace: Trace, separation: Separation) -> str:
 
 
 _TIMES = (
-    "reaction time, stop time and hand sizes of the settings; the stop time is by the speed of the TCP or of "
-    "the arm's fastest point, whichever is larger (by the TCP's where a log's joints are uncertain); C, "
-    "Z_d and Z_r are those of an oracle, and a real sensor's are more"
+    "reaction time, stop time and sizes of the hands in the settings. The stop time follows from the larger "
+    "of two speeds, the TCP's and that of the arm's fastest point. If a log's joints are uncertain, it "
+    "follows from the TCP's speed. C, Z_d and Z_r are for a sensor without errors; a real sensor's are larger"
 )
-_MARGIN = "distance, surface to surface, less S_p, least over hands, links and ticks at which the arm moves"
+_MARGIN = "distance between the surfaces less S_p, least over hands, links and ticks at which the arm moves"
 
 PROTECTIVE_SEPARATION = CatalogueEntry(
     prop=ProtectiveSeparation(),
-    rationale="a constant distance knows nothing of how long the arm takes to stop, nor of how fast "
-    "either comes: this is the distance at which stopping still helps",
+    rationale="a constant distance does not consider how long the arm takes to stop, or how fast arm "
+    "and hand approach. S_p is the distance at which stopping is still in time",
     source="S_p = S_h + S_r + S_s + C + Z_d + Z_r, as NIST's overview has it (PMC5117641)",
     margin=_MARGIN,
-    parameters=f"v_h = {REACHING_MPS:g} m/s; {_TIMES}",
-    exercised="a hand comes as near to the moving arm as S_p can be for an arm at its speed limit",
-    inconclusive="the arm did not move while a hand was there",
+    parameters=f"v_h = {REACHING_MPS:g} m/s, and {_TIMES}",
+    exercised="a hand comes nearer to the moving arm than the largest S_p of an arm at its speed limit",
+    inconclusive="the arm did not move while a hand was present",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )
 PROTECTIVE_SEPARATION_AT = replace(
     PROTECTIVE_SEPARATION,
     prop=ProtectiveSeparation(hand_speed_mps=1.6),
-    parameters=f"v_h as written, in place of {REACHING_MPS:g} m/s; {_TIMES}",
+    parameters=f"v_h as written, in place of {REACHING_MPS:g} m/s, and {_TIMES}",
 )
 PROTECTIVE_SEPARATION_OWN = replace(
     PROTECTIVE_SEPARATION,
     prop=ProtectiveSeparation(own_speeds=True),
-    margin=f"{_MARGIN}; v_h is that of each hand's own nearest point",
-    parameters=f"each hand's own speed towards the link, never below zero; {_TIMES}",
+    margin=f"{_MARGIN}; v_h is the speed of the point of the hand that is nearest to the link",
+    parameters=f"each hand's own speed towards the link, never below zero, and {_TIMES}",
 )

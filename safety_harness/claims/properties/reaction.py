@@ -272,27 +272,27 @@ def _judged(
 GIVES_WAY = CatalogueEntry(
     prop=GivesWay(within_s=0.1),
     former=("gives way within {within_s:ms} of a predicted hand",),
-    rationale="every later step takes it for granted that the arm reacts within the time that its separation "
-    "allows for",
+    rationale="every later step assumes that the arm reacts within the time for which its separation "
+    "is designed",
     source="the paper, section 3.3; the reaction time T_r",
-    margin="the time allowed less the longest for which a predicted hand was near and the arm neither gave "
-    "way nor was stopped",
-    parameters="the time; the critical distance of the settings",
+    margin="the time allowed less the longest time for which a predicted hand was near although the "
+    "arm neither retreated nor stopped",
+    parameters="the time; the critical distance in the settings",
     exercised="a predicted hand comes within the critical distance of the TCP, and within 400 mm",
-    inconclusive="a prediction that is not finite; a run that ends within the time allowed",
+    inconclusive="a prediction is not finite, or the run ends within the time allowed",
     broken_by="a controller whose own critical distance is too short",
 )
 GIVES_WAY_TO_TRUE_HAND = replace(
     GIVES_WAY,
     prop=GivesWayToTrueHand(within_s=0.1),
     former=("gives way within {within_s:ms} of a true hand",),
-    rationale="a hand that is not seen, or seen elsewhere, is as much in danger as one that is: every claim "
-    "about predictions passes it over",
+    rationale="a hand that the sensor does not see, or sees elsewhere, is in the same danger, but "
+    "every claim about predictions overlooks it",
     source="the project's own; the reaction time T_r, from the hand and not from what is known of it",
-    margin="the time allowed less the longest for which a true hand was near and the arm neither gave way "
-    "nor was stopped",
+    margin="the time allowed less the longest time for which a true hand was near although the arm "
+    "neither retreated nor stopped",
     exercised="a true hand comes within the critical distance of the TCP, and within 400 mm",
-    inconclusive="a hand that leaves, or a run that ends, within the time allowed, without an answer",
+    inconclusive="the hand leaves, or the run ends, within the time allowed and before the arm reacts",
     scenario="hidden-by-the-arm",
     broken_by="a hand sensor that is blind",
 )
@@ -330,13 +330,15 @@ def gives_way_at(trace: Trace) -> NDArray[np.int64]:
 GIVES_WAY_AT_MOST = CatalogueEntry(
     prop=GivesWayAtMost(most=3),
     former=("gives way at most {most:} time(s)",),
-    rationale="an arm that goes to and fro before a hand is of no use, and nobody can foresee it",
+    rationale="an arm that moves back and forth in front of a hand is of no use, and its motion is "
+    "hard to foresee",
     source="hysteresis, a common demand on switched controllers",
-    margin="the times allowed less those at which the arm leaves its task to repulse or to stop",
-    parameters="the times allowed",
-    exercised="the arm gives way",
+    margin="the number allowed less the number of times at which the arm leaves its task to retreat "
+    "or to stop",
+    parameters="the number of times allowed",
+    exercised="the arm retreats or stops",
     scenario="hand-returns",
-    broken_by="an avoider that hardly leaves a hand that stays",
+    broken_by="an avoider that moves only slightly away from a hand that stays",
 )
 
 
@@ -440,11 +442,12 @@ def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
 FALSE_ALARMS = CatalogueEntry(
     prop=NoFalseAlarms(),
     former=("never gives way without a hand",),
-    rationale="an arm that gives way to nobody loses time, and people then switch its avoidance off",
+    rationale="an arm that retreats from nobody loses time, and people then switch its avoidance off",
     source="the project's own",
-    margin="the limit less the distance of the nearest true hand from the TCP when giving way begins",
-    parameters="critical distance and prediction horizon of the settings, hands of at most 2 m/s",
-    exercised="no true hand is within the limit, for a tick at least",
+    margin="the limit less the distance of the nearest true hand from the TCP when a retreat or a "
+    "stop begins",
+    parameters="critical distance and prediction horizon in the settings, for hands of at most 2 m/s",
+    exercised="no true hand is within the limit during at least one tick",
     scenario="fault-false-hand",
     broken_by="a controller whose own critical distance is too long",
 )

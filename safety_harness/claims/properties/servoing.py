@@ -222,12 +222,13 @@ def _converged_ends(trace: Trace, margin: float) -> tuple[float, float, bool]:
 
 GAIN_SWITCH = CatalogueEntry(
     prop=GainSwitchReached(),
-    rationale="an avoider that leaves the arm where servoing cannot go on ends the task",
+    rationale="if an avoider leaves the arm where servoing cannot continue, the task ends",
     source="the paper, eq. 15",
-    margin="time left of 1.25 times the closed form plus 1 s, counted from when the last hand has left",
-    parameters="the gains and the switch of the settings",
-    exercised="the error is above the switch after the last hand has left",
-    inconclusive="a hand is near to the end, or the run ends before the time allowed",
+    margin="the time allowed, 1.25 times the closed form plus 1 s, less the time from the last "
+    "hand's departure until the gain switches",
+    parameters="the gains and the gain switch in the settings",
+    exercised="the error is above the gain switch after the last hand has left",
+    inconclusive="a hand is near until the end, or the run ends before the time allowed",
     scenario="servoing-alone",
     broken_by="a controller that does nothing",
 )
@@ -237,18 +238,18 @@ GAIN_SWITCH_WITHIN = replace(
     prop=GainSwitchReached(within_s=5.0),
     pattern=r"gain switch reached within (?!.* iterations$)(.+)",
     rationale="the same, for a cell with a cycle time",
-    margin="time left of the time allowed",
+    margin="the time allowed less the time from the last hand's departure until the gain switches",
     parameters="the time allowed",
 )
 
 CONVERGED = CatalogueEntry(
     prop=Converged(),
-    rationale="small image errors can belong to another pose of the same triangle",
+    rationale="a small image error may belong to another pose of the same triangle",
     source="the P3P ambiguity of a triangle; judged by pose",
-    margin="1 mm less the distance at the end (and 0.1 degree)",
-    parameters="the gains of the settings",
-    exercised="the TCP was farther off than that at some tick",
-    inconclusive="the run is shorter than the closed form needs, and the TCP comes nearer in its last 5 s",
+    margin="1 mm less the distance from the desired pose at the end (and 0.1 degree less the angle)",
+    parameters="the gains in the settings",
+    exercised="at some tick the TCP was farther from the desired pose than the limits",
+    inconclusive="the run is shorter than the closed form needs, but the TCP comes nearer in the last 5 s",
     scenario="servoing-alone",
     broken_by="a controller that does nothing",
 )
@@ -288,9 +289,10 @@ GAIN_SWITCH_ITERATIONS = replace(
     prop=GainSwitchIterations(within=600),
     rationale="the same in the paper's measure, which does not depend on the control period",
     source="the paper, eq. 15 and section 5: iterations until |f - f*|^2 is below the threshold",
-    margin="iterations left of those allowed, counted in control ticks from when the last hand has left",
+    margin="the iterations allowed less the control ticks from the last hand's departure until the "
+    "gain switches",
     parameters="the iterations allowed",
-    inconclusive="a hand is near to the end, or the run ends before the iterations allowed",
+    inconclusive="a hand is near until the end, or the run ends before the iterations allowed",
 )
 
 
@@ -366,12 +368,13 @@ def _lost(
 NEVER_STARVED = CatalogueEntry(
     prop=NeverStarved(longest_s=10.0),
     former=("task never starved longer than {longest_s:s}",),
-    rationale="an arm that stays away for good is of no use, and people will switch its safety off",
+    rationale="an arm that never returns to its task is of no use, and people will switch its safety off",
     source="the paper, section 5: servoing is taken up again and converges after giving way",
-    margin="the limit less the longest time lost, above eq. 15's threshold, without servoing towards the "
-    "desired pose, since the TCP was last nearer to it than before",
-    parameters="the time allowed; the gain switch and the far gain of the settings",
-    exercised="the TCP is farther off than the gain switch, in a run that is longer than the limit",
+    margin="the limit less the longest pause. In a pause, eq. 15's error is above the threshold and "
+    "the arm does not servo towards the desired pose. A pause ends when the TCP is nearer to the pose than "
+    "ever since the task was last done",
+    parameters="the time allowed; the gain switch and the far gain in the settings",
+    exercised="the TCP is farther off than the gain switch, and the run is longer than the limit",
     inconclusive="the run is not longer than the limit, or ends while the task pauses",
     broken_by="a controller that does nothing",
 )
@@ -417,12 +420,13 @@ class ObjectInView(Worded):
 
 OBJECT_IN_VIEW = CatalogueEntry(
     prop=ObjectInView(within_s=2.0),
-    rationale="servoing is blind without the object: giving way must not end the task",
+    rationale="servoing is blind without the object, so a retreat must not end the task",
     source="the paper, section 3: the features are of an object that is seen whole",
-    margin="the limit less the longest time from the image that lost the object to one that shows it whole",
+    margin="the limit less the longest time from an image that no longer shows the whole object to "
+    "the next image that shows it",
     parameters="the time allowed",
     exercised="the TCP moves, or the object is out of view",
-    inconclusive="a loss that lasts to the end of the run and is not yet longer than the limit",
+    inconclusive="the object is out of view at the end of the run, but not yet longer than the limit",
     scenario="fault-camera-hidden-by-a-hand",
-    broken_by="an avoider that goes sideways on and on, behind a gate that passes everything",
+    broken_by="an avoider that keeps moving sideways, behind a gate that passes everything",
 )

@@ -240,12 +240,13 @@ def _known(
 
 NO_MOVING_PART_TOUCHES = CatalogueEntry(
     prop=NoMovingPartTouches(near_m=NEAR_M),
-    rationale="a person may always touch an arm, even run into it; what hurts is an arm that moves",
+    rationale="a person may touch the arm at any time, or even run into it, but an arm that moves can hurt",
     source="speed and separation monitoring: the arm stops before a person is there",
-    margin="least distance, surface to surface, of any hand or forearm from any part of the arm, over the "
-    "ticks in which that part moves; a guaranteed bound between ticks",
-    parameters="the hands' sizes of the settings; a part stands whose joints turn by less than 1 mrad/s",
+    margin="least distance between the surfaces of any hand or forearm and any part of the arm, "
+    "over the ticks in which that part moves; between ticks a guaranteed bound",
+    parameters="the sizes of the hands in the settings; a part stands still if its joints turn by less "
+    "than 1 mrad/s",
     exercised="a hand comes within 400 mm of the arm's surface, and the arm moves in that run",
-    inconclusive="a hand that is not where its scenario moves it; an arm that did not move beside a hand",
+    inconclusive="a hand is not where its scenario moves it, or the arm did not move beside a hand",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )

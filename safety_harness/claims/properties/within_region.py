@@ -49,12 +49,13 @@ class ActedWithinRegion:
 
 WITHIN_REGION = CatalogueEntry(
     prop=ActedWithinRegion(),
-    rationale="a proof about answers is worth nothing in the loop if others are acted on as well",
+    rationale="a proof about the answers in a region is worthless in the loop if the arm also acts on "
+    "other answers",
     source="the project's own: the run-time check of a proven region",
-    margin="least distance by axis of hand and TCP, as the avoider was asked about them, from the surface of "
+    margin="least distance by axis between the hand and the TCP of a question and the surfaces of "
     "their boxes",
     parameters="the scenario's `gate: {questions within: ...}`",
-    exercised="the gate has a region, and an answer was acted on",
+    exercised="the gate has a region, and the arm acted on an answer",
     scenario="proven-region",
-    broken_by="a gate that does not look whether a question is within its region",
+    broken_by="a gate that does not check whether a question is within its region",
 )

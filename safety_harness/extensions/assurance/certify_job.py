@@ -45,16 +45,16 @@ def certify(
 ) -> CertificationResult:
     """Run the missing episodes and searches of a plan, and write the evidence to a folder.
 
-    Ctrl-C keeps every finished run. The same call then goes on.
+    After Ctrl-C, the folder keeps every finished run.  Repeat the same call to continue.
 
     Args:
         plan: A plan or its file.
-        controller: The reference of a controller that drives the arm in place of the plan's avoider.
-        out: The folder of the report; None: reports/NAME of the plan.  It keeps every finished run.
-        pdf: Print the page too, with an installed Chromium.
-        full: Print the whole page on paper, not only the most severe parts of each kind.
+        controller: A controller that drives the arm, in place of the plan's avoider.
+        out: The folder of the report, in which every finished run is kept; None: reports/NAME of the plan.
+        pdf: Whether to write the page as PDF too, by an installed Chromium.
+        full: Whether the PDF contains the whole page, not only the most severe results of each kind.
         workers: The number of processes; None: one for each core.
-        selftest: A selftest.json for the report; None: the report says that it has no self-test.
+        selftest: A file selftest.json for the report; None: the report states that there is no self-test.
         oracles: A file of independent oracles for the report; None: no oracles.
         cells: Files compare-worlds.json for the report.
         declared: The declaration of the plan; None: the file beside the plan, if it exists.
@@ -126,7 +126,7 @@ def compare_reports(old: EarlierReport, new: EarlierReport, made_by: str) -> Evi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CertificationResult:
-    """The evidence of a plan, which is no certificate.
+    """The evidence for the claims of a plan; it is not a certificate.
 
     Args:
         plan: The plan of the runs.
@@ -157,8 +157,8 @@ class CertificationResult:
     def exit_code(self) -> int:
         """The command's exit code: as expected, different or interrupted.
 
-        An incomplete report gives *interrupted*. Regressions decide in place of the standing if there is an
-        earlier report. A part of the report that failed after the runs gives *different* too.
+        An incomplete report is *interrupted*.  With an earlier report, regressions decide on the code;
+        otherwise the standing of the claims decides.  A failed part of the report is *different* too.
         """
         if not self.complete:
             return INTERRUPTED

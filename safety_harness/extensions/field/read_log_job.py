@@ -17,7 +17,7 @@ __all__ = ["LogResult", "read_log"]
 
 
 def read_log(file: str | Path) -> LogResult:
-    """Read the log of a cell as a trace.
+    """Read the log of a real cell, and return it as a trace.
 
     Args:
         file: The description of the log, ``LOG.yaml``.
@@ -32,12 +32,12 @@ def read_log(file: str | Path) -> LogResult:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LogResult:
-    """A log as a trace, of which some columns were not measured.
+    """A log as a trace, in which some columns may be marked as not measured.
 
     Args:
         file: The description of the log.
         log: The recorded data.
-        recorded: The trace, its recordings, and notes on the omitted parts.
+        recorded: The trace, its recordings, and notes on the parts that are not measured.
 
     """
 
@@ -52,7 +52,7 @@ class LogResult:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The omitted columns, tracks and intervals."""
+        """The columns, tracks and intervals that are not measured."""
         return self.recorded.notes
 
     @property
@@ -64,7 +64,7 @@ class LogResult:
         """Judge the log.
 
         Args:
-            claims: Sentences that are expected to hold. Empty: the log's own claims.
+            claims: Sentences that should hold; if empty, the claims of the log's own file.
 
         Raises:
             InputError: There is no claim, or a claim cannot be read.

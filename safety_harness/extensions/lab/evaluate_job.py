@@ -38,23 +38,23 @@ def evaluate(
     out: str | Path | None = None,
     output: Output = QUIET,
 ) -> EvaluationResult:
-    """Ask avoiders questions, before any gate and without a simulation, and score their answers.
+    """Score the answers of avoiders to many questions, without a gate and without a simulation.
 
-    Ctrl-C ends it, and the result keeps the finished avoiders.
+    Ctrl-C ends the job, and the result keeps the finished avoiders.
 
     Args:
         avoiders: One or many: names of shipped avoiders, ``FILE.py:NAME``, model files.
-        regions: Names of regions to draw questions in; all of them if there are neither regions nor spaces.
-        spaces: Scenario spaces whose draws lead to questions.
-        against: A reference: only findings that it does not have count; None: no reference.
-        questions: The number in the first region; None: as many as the avoider's pace allows.
-        search: The number of questions to search for the worst; 0: no search.
+        regions: Names of regions from which questions are drawn.  Without regions and spaces: all regions.
+        spaces: Scenario spaces.  The questions are those that arise in their draws.
+        against: A reference.  Findings that the reference has too are left out; None: no reference.
+        questions: The number of questions in the first region; None: as the avoider's speed allows.
+        search: The number of questions in the search for the worst answers; 0: no search.
         seed: The root of every random number.
-        out: A folder that keeps the worst questions as they come; None: no folder.
+        out: A folder.  The worst questions are written there when they are found; None: no folder.
         output: Receives the progress.
 
     Returns:
-        The result.
+        The scores of each avoider, and the findings.
 
     Raises:
         InputError: An avoider, region or space cannot be used.
@@ -87,10 +87,10 @@ def evaluate(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EvaluationResult:
-    """The scores of avoiders, and the findings on them.
+    """The scores of avoiders, and the findings about them.
 
     Args:
-        scored: Each avoider's card, findings, and worst questions.
+        scored: For each avoider, its score card, its findings, and its worst questions.
         command: The command that repeats the scores, without its folder.
         folder: The folder of the worst questions; None if there is no folder.
 

@@ -41,20 +41,20 @@ def prove(
     resume: str | Path | None = None,
     output: Output = QUIET,
 ) -> ProofResult:
-    """Prove claims about every answer of a small network in a region, within a time.
+    """Prove claims about all answers of a small network to the questions in a region, within a time limit.
 
-    Ctrl-C ends it, and the result keeps the proofs so far.
+    Ctrl-C ends the job, and the result keeps the proofs until then.
 
     Args:
-        plan: A plan of proofs, or its file.
-        minutes: The time for all claims together.
-        halvings: How often a box is halved at most.
+        plan: A plan of proofs or its file.
+        minutes: The time limit for all claims together.
+        halvings: How often the prover may halve a box.
         jobs: The number of processes.
-        resume: A folder with a certificate to continue; None: begin.
+        resume: A folder with a certificate, which the job continues; None: start anew.
         output: Receives the progress.
 
     Returns:
-        The result.
+        The proven, refuted and undecided part of each claim.
 
     Raises:
         InputError: The plan cannot be used, or the certificate belongs to another plan.
@@ -90,10 +90,10 @@ class ProofResult:
     Args:
         plan: The plan.
         proofs: One for each claim and region, with its ``verdict`` and ``least_shares``.
-        interrupted: Whether Ctrl-C ended it.
+        interrupted: Whether Ctrl-C ended the job.
         file: The file of the plan.
-        options: The options of the command that repeats it.
-        claims: The certificate's entry for each claim, once it is written.
+        options: The options of the command that repeats the job.
+        claims: The certificate's entry for each claim, after ``write``.
 
     """
 
@@ -121,7 +121,7 @@ class ProofResult:
         return f"<{self.plan.avoider}, {each}. {BASIS_OF_ANSWERS}>"
 
     def data(self, folder: Path) -> dict[str, object]:
-        """Return the result for programs, with the files in ``folder``."""
+        """Return the result as data for programs, with the files in ``folder``."""
         return {
             "page": folder / PAGE,
             "basis": BASIS_OF_ANSWERS,
