@@ -86,11 +86,11 @@ from safety_harness.admission.avoiders import as_seen_from, with_avoider
 from safety_harness.extensions.assurance.campaign.plan import read_plan
 from safety_harness.extensions.assurance.certification.lodged import declaration_file
 from safety_harness.base.compiled import source_hash
-from safety_harness.scenario.files import told
+from safety_harness.scenario.files import display_path
 
 scenario = read_scenario(Path("shipped:recorded-handover"))
 moved = as_seen_from(Path("out"), with_avoider(scenario, "shipped:upwards.py:Upwards"))
-print(moved.hands[0].recording, moved.avoider, told(scenario.file))
+print(moved.hands[0].recording, moved.avoider, display_path(scenario.file))
 print(*(file.name for file in read_plan(Path("shipped:quick")).files))
 print(*(file.name for file in read_plan(Path("mine.yaml")).files))
 print(read_scenario(Path("recorded.yaml")).hands[0].recording)

@@ -162,6 +162,11 @@ class Worded(ABC):
     After a number or a count, "time(s)" stands for "time" where it is 1, and else for "times".
     """
 
+    def __init_subclass__(cls) -> None:
+        """Accept ``words``, the name of ``wording`` in earlier releases."""
+        if "words" in vars(cls) and "wording" not in vars(cls):
+            cls.wording = vars(cls)["words"]  # type: ignore[method-assign]
+
     @property
     @abstractmethod
     def wording(self) -> str:

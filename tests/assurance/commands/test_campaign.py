@@ -338,7 +338,7 @@ def test_how_often_it_is_violated_is_estimated_or_it_is_said_why_not(
             assert "of all runs violate it" in line
     assert rare_violations(plan, particles=10) == BAD_INPUT
     assert "--by splitting with it" in capsys.readouterr().err
-    assert rare_violations(plan, by=RareWay.SPLITTING, runs=100) == BAD_INPUT
+    assert rare_violations(plan, rare_way=RareWay.SPLITTING, runs=100) == BAD_INPUT
     assert "--by importance with it" in capsys.readouterr().err
 
 

@@ -112,3 +112,11 @@ def test_it_says_what_its_formula_says(entry: CatalogueEntry) -> None:
         found, other = entry.prop.evaluate(trace), formula.evaluate(trace)
         assert (found.verdict, found.exercised) == (other.verdict, other.exercised)
         assert found.margin == pytest.approx(other.margin, abs=1e-4)  # of a distance, its resolution
+
+
+def test_a_property_may_have_its_words_under_their_old_name() -> None:
+    class Earlier(Worded):
+        words = "at most {most:} time(s)"
+        most = 3
+
+    assert Earlier().sentence == "at most 3 times"
