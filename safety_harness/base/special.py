@@ -127,7 +127,10 @@ def upper_gamma(a: Any, x: Any) -> Any:
 
 @compiled
 def _gamma_parts(a: Floats, x: Floats) -> Floats:
-    """Return a series of the lower tail below the mean, above it a continued fraction (Lentz), each (n,)."""
+    """Return (n,) the series of the lower tail below the mean, and a continued fraction (Lentz) above it.
+
+    ``a`` (n,) are the shapes of the gamma distributions, ``x`` (n,) their arguments.
+    """
     parts = np.empty_like(x)
     for i in range(len(x)):
         if x[i] < a[i] + 1.0:
