@@ -1,4 +1,4 @@
-"""The meshes of an arm as few triangles, for pictures only; distances use the arm's capsules."""
+"""Reduce the meshes of an arm to few triangles for pictures; distances use the arm's capsules instead."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ Triangles = NDArray[np.float64]  # (n, 3, 3) corners [m]
 
 @lru_cache(maxsize=16)
 def arm_meshes(arm: ArmModel) -> dict[str, Any] | None:
-    """Return the packed triangles of all links with binary STL or OBJ meshes; None without any.
+    """Return the packed triangles of all links that have binary STL or OBJ meshes; None if no link has.
 
-    The result omits meshes that cannot be read; the viewer draws the capsules of such a link.
+    The result omits meshes that cannot be read; for such a link, the viewer draws the capsules.
     """
     by_link: dict[int, Triangles] = {}
     for link in arm.links:
@@ -42,7 +42,7 @@ def arm_meshes(arm: ArmModel) -> dict[str, Any] | None:
 
 
 def packed_meshes(meshes: dict[int, tuple[NDArray[np.float64], NDArray[np.int64]]]) -> dict[str, Any] | None:
-    """Return corners (v, 3) [m] and faces (n, 3) per link as the viewer takes them; None without any."""
+    """Return each link's corners (v, 3) [m] and faces (n, 3) in the viewer's form; None without meshes."""
     columns: dict[str, NDArray[Any]] = {}
     for link, (corners, faces) in meshes.items():
         columns |= {f"corners {link}": corners, f"faces {link}": faces}
@@ -72,7 +72,7 @@ def clustered(corners: Triangles, cell_m: float) -> tuple[NDArray[np.float64], N
 
 
 def _triangles(shape: Shape) -> Triangles:
-    """Return a mesh's triangles in its link's frame; empty for another kind of file, or a broken one."""
+    """Return a mesh's triangles in its link's frame; empty if the file is broken or of another kind."""
     file = shape.file or Path()
     try:
         read = {".stl": _stl, ".obj": _obj}.get(file.suffix.lower())
