@@ -171,10 +171,7 @@ def tallies(runs: Iterable[JudgedRun]) -> tuple[ClaimTally, ...]:
 
 
 def basis_of(runs: Sequence[JudgedRun], coverage: Sequence[ClaimTally] | None = None) -> str:
-    """Return the sentence that states the basis of the verdicts.
-
-    ``coverage`` is needed if more runs were judged than ``runs`` contains.
-    """
+    """Return a sentence on the basis of the verdicts; ``coverage`` may count more runs than ``runs``."""
     return basis_of_tallies((made_in(run.trace) for run in runs), coverage or tallies(runs))
 
 

@@ -1,4 +1,4 @@
-"""Columns of numbers as short text for a page's script: fixed-point differences, deflated, in base64."""
+"""Pack columns of numbers as short text for a page's script: fixed-point differences, deflated, base64."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ NAN, INF = -(2**31), 2**31 - 1  # what is farther than they are is as good as no
 
 
 def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return arrays (n, ...) as ``unpack`` of replay.js takes them: rows, width, scale, and all bytes.
+    """Return arrays (n, ...) as ``unpack`` of replay.js reads them: rows, width, scale, and all bytes.
 
-    Whole numbers stay exact.  Real numbers are rounded to 10 um, 10 urad or 10 us; NaN and infinity stay.
-    Consecutive values of a component differ little, so their bytes of equal significance compress well.
+    Integers stay exact.  Real numbers are rounded to 10 um, 10 urad or 10 us; NaN and infinity stay as they
+    are.  Consecutive values of a component differ little, so their bytes of equal significance are stored
+    together and compress well.
     """
     shapes, steps = {}, [np.zeros(0, np.int32)]
     for name, values in columns.items():
@@ -35,10 +36,10 @@ def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 
 def deflated(plain: bytes) -> str:
-    """Return bytes as text for ``inflate`` of replay.js."""
+    """Return bytes as text that ``inflate`` of replay.js reads."""
     return base64.b64encode(zlib.compress(plain, 9)).decode()
 
 
 def as_attribute(data: dict[str, Any]) -> str:
-    """Return deflated JSON, which has only letters, digits, +, / and =."""
+    """Return ``data`` as deflated JSON, whose text contains only letters, digits, +, / and =."""
     return deflated(json.dumps(data, separators=(",", ":"), allow_nan=False).encode())

@@ -1,8 +1,8 @@
-"""The hand filter's uncertainty about a predicted hand, computed from its settings for pictures.
+"""Compute for pictures how uncertain the hand filter was about a predicted hand, from its settings.
 
-A trace has the predictions without their covariance.  The covariance of a linear filter depends on the
-times of its measurements only.  It is thus exact if every image since the beginning of a track showed the
-hand.  A missed image makes the true covariance larger than this result.
+A trace contains the predictions without their covariance.  The covariance of a linear filter depends only on
+the times of its measurements.  The result is therefore exact if every image since the beginning of a track
+showed the hand.  If an image missed the hand, the true covariance is larger than the result.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ UPPER = np.triu_indices(3)
 
 
 def prediction_spread_m(trace: Trace) -> Floats:
-    """Return the upper half (n, tracks, 6) [m] of S, where S S is a predicted hand centre's covariance.
+    """Return the upper half (n, tracks, 6) [m] of S; S S is the covariance of a predicted hand's centre.
 
-    The frame is base.  The result is NaN without a track, and if another filter made the predictions.
+    S is expressed in the base frame.  The result is NaN where there is no track, or if another filter made
+    the predictions.
     """
     ticks = trace.ticks
     valid = ticks["track_valid"].astype(bool)
@@ -53,7 +54,7 @@ def prediction_spread_m(trace: Trace) -> Floats:
 
 
 def _variances(trace: Trace, valid: NDArray[np.bool_]) -> Floats:
-    """Return the variances (n, tracks, 3) of u, v [px^2] and z [m^2] at the time of a prediction."""
+    """Return the variances (n, tracks, 3) of u, v [px^2] and z [m^2] at the time of the prediction."""
     settings = trace.scenario.settings
     sensor, horizon_s = settings.hand_sensor, settings.hand_filter.prediction_horizon_s
     parameters = filter_parameters(settings.hand_filter, sensor)[0]
@@ -71,10 +72,10 @@ def _variances(trace: Trace, valid: NDArray[np.bool_]) -> Floats:
 
 
 def _after_frames(parameters: np.void, dt_s: float, most: int) -> Floats:
-    """Return var(value), cov, var(rate) of u, v, z after each number of frames; the last set stays.
+    """Return var(value), cov(value, rate) and var(rate) of u, v, z after each number of frames.
 
-    The shape is (at most ``most`` + 1, 3, 3).  The recursion follows the filter's ``initialise``,
-    ``wait`` and ``update``.
+    The shape is (at most ``most`` + 1, 3, 3); the last entry holds for all later frames.  The recursion
+    follows the filter's ``initialise``, ``wait`` and ``update``.
     """
     noise, push = parameters["measurement_variance"][:3], parameters["acceleration_variance"]
     states = [np.array([noise, np.zeros(3), parameters["initial_rate_variance"]])]
