@@ -129,7 +129,7 @@ class Axis:
 
 
 def round_values(low: float, high: float, steps: int) -> list[float]:
-    """Return the multiples of a round step between ``low`` and ``high``, with at most ``steps`` steps."""
+    """Return the multiples of a round step between ``low`` and ``high``, at most ``steps`` steps apart."""
     least = max((high - low) / steps, 1e-300)
     power = 10.0 ** np.floor(np.log10(least))
     step = next(power * factor for factor in _ROUND if power * factor >= least * (1.0 - 1e-9))

@@ -257,7 +257,7 @@ def computing_times(traces: Iterable[Trace]) -> list[ComputingTime]:
 
 
 def computing_time_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return the cost of each avoider and controller, and a warning if one was slower than that."""
+    """Return the cost of each avoider and controller, and a warning if it was slower than its runs allow."""
     return lines_of(computing_times(traces))
 
 

@@ -52,7 +52,7 @@ def report_data(
     - ``runs``: the runs in the form that ``run_data`` describes;
     - ``coverage``: for each claim, how often the runs tested it;
     - ``skipped``, ``refused`` and ``against``: the facts of the same names in ``AboutRuns``;
-    - ``repeatability``: the answers of a second avoider to the same questions; null without such an avoider.
+    - ``repeatability``: the answers of a second avoider to the same questions, or null.
 
     Margins are in SI units with full precision; a missing margin is null.  A margin that is not finite is the
     text "inf", "-inf" or "nan", because JSON has no such numbers.

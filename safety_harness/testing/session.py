@@ -1,6 +1,6 @@
-"""The options that the tests of a session share, and the test that is running now.
+"""Define the options that the tests of a session share, and the test that is running now.
 
-Nothing heavy is imported here: the pytest plug-in reads this file in every project.
+This module imports nothing heavy, because the pytest plug-in loads it in every project.
 """
 
 from __future__ import annotations
@@ -26,7 +26,11 @@ FAILURES = Path(".safety-harness") / "failures"
 
 @dataclass(frozen=True)
 class Profile:
-    """``examples``: scenarios that each test draws; ``shrinking_runs``: simulations after a failure."""
+    """The effort of a test.
+
+    ``examples`` is the number of scenarios that each test draws, ``shrinking_runs`` the number of simulations
+    after a failure.
+    """
 
     name: str
     examples: int
@@ -39,7 +43,7 @@ PROFILES = (QUICK, Profile("nightly", 500, 400), Profile("certify", 3000, 2000))
 
 @dataclass(frozen=True)
 class Run:
-    """The facts that outlive a run's trace; ``sound``: it was whole, and of finite numbers."""
+    """The facts about a run that are kept after its trace; ``sound``: the run was complete and all finite."""
 
     name: str  # of its scenario
     tested: str  # "avoider" or "controller", and its name
@@ -51,7 +55,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """A claim judged in a run of a test; ``expected`` is the verdict of the test or the file."""
+    """A claim that a test judged in a run; ``expected`` is the verdict that the test or the file expects."""
 
     run: Run
     evaluation: Evaluation
@@ -67,11 +71,11 @@ class Judgement:
 
 @dataclass(eq=False)
 class TestRun:
-    """A running test with its judgements, and whether it has failed already.
+    """A running test, its judgements so far, and its failure if it has failed.
 
-    ``draws``: Hypothesis chooses its scenarios.  An inconclusive run is then no failure, unless all runs are
-    inconclusive.  After the first ``failure`` Hypothesis only makes that example smaller; those runs do not
-    count.
+    ``draws`` states that Hypothesis chooses the scenarios.  In this case an inconclusive run is no failure,
+    unless all runs are inconclusive.  After the first ``failure``, Hypothesis only simplifies the failing
+    example; these runs do not count as evidence.
     """
 
     __test__ = False  # its name is not meant for pytest
@@ -104,23 +108,23 @@ class TestRun:
 
     @property
     def counts(self) -> bool:
-        """Return whether the current run is evidence, and no attempt to make a failure smaller."""
+        """Return whether the current run counts as evidence, and not only simplifies a failing example."""
         return self.failure is None or not self.draws
 
     def fail(self, failure: BaseException) -> None:
-        """Note that the present example failed."""
+        """Record that the present example failed."""
         self.failure = failure
         self.failing |= self.simulated
 
     def note(self, judgement: Judgement, trace: Trace | None) -> None:
-        """Count a judgement, and keep it if it is the worst of its sentence so far."""
+        """Record a judgement; keep it for the summary if it is the worst of its sentence so far."""
         self.judgements.append(judgement)
         earlier = self.worst.get(judgement.evaluation.sentence)
         if earlier is None or judgement.severity < earlier.severity:
             self.show(judgement, trace)
 
     def show(self, judgement: Judgement, trace: Trace | None) -> None:
-        """Show ``judgement`` for its sentence in summaries and in the report."""
+        """Make ``judgement`` the one that summaries and the report show for its sentence."""
         sentence = judgement.evaluation.sentence
         self.worst[sentence] = judgement
         if self.keep_traces and trace is not None:
@@ -129,7 +133,7 @@ class TestRun:
 
 @dataclass(eq=False)
 class Session:
-    """A session of tests; the defaults are for a script or a notebook without pytest."""
+    """A session of tests; its defaults suit a script or a notebook without pytest."""
 
     root: Path = field(default_factory=Path.cwd)
     profile: Profile = QUICK
@@ -157,7 +161,7 @@ def session() -> Session:
 
 
 def begin(new: Session) -> Session:
-    """Make ``new`` the session of this process, and return the session before it."""
+    """Make ``new`` the session of this process; return the session that it replaces."""
     global _current
     previous, _current = _current, new
     return previous
