@@ -1,4 +1,4 @@
-"""``safety-harness list``, ``copy`` and ``docs``: the files and documents of the package."""
+"""Define ``safety-harness list``, ``copy`` and ``docs``, which give access to the package's files."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def copy(
 
 
 def _with_references(source: Path) -> dict[Path, Path]:
-    """Return the files of ``source`` and all files that they refer to, by their relative places."""
+    """Return ``source``, all files that it refers to, and their licences, by their relative paths."""
     import os
 
     waiting = sorted(source.rglob("*")) if source.is_dir() else [source]
@@ -102,7 +102,7 @@ def _with_references(source: Path) -> dict[Path, Path]:
 
 
 def _references(path: Path) -> Iterator[Path]:
-    """Yield the files that the texts of a YAML file name."""
+    """Yield the files that the YAML file ``path`` names in its texts."""
     from safety_harness.scenario.nodes import parse_tree, references_in
     from safety_harness.scenario.references import file_and_name
 
@@ -142,7 +142,7 @@ def docs(
 
 
 def _open(uri: str) -> None:
-    """Open a page in a browser, if there is a browser."""
+    """Open the page ``uri`` in a browser, if there is a browser."""
     import webbrowser
 
     try:

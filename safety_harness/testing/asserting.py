@@ -171,7 +171,7 @@ def _is_measured(trace: Trace) -> bool:
 def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | None) -> bool:
     """Record a judgement in the running test; return False if the test must fail because of it."""
     test = session().test
-    # A sound run may simply be no test of the claim; of one cut short or not finite that is not said.
+    # Only a sound run may be inconclusive without a failure: it simply did not test the claim.
     undecided = evaluation.verdict is Verdict.INCONCLUSIVE and run.sound
     good = evaluation.verdict is expected or (test is not None and test.draws and undecided)
     if test is None:
@@ -180,7 +180,7 @@ def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | N
         test.note(Judgement(run, evaluation, expected), trace)
     if good or not (test.draws and isinstance(test.failure, SafetyViolation)):
         return good
-    # while one failure is made smaller, that of another claim does not take its place
+    # While Hypothesis reduces one failure, a failure of another claim must not replace it.
     return test.failure.evaluation.sentence != evaluation.sentence
 
 
@@ -195,7 +195,7 @@ def aim(evaluation: Evaluation, expected: Verdict) -> None:
     from hypothesis.errors import InvalidArgument
 
     if currently_in_test_context():
-        # A claim may be made of a second run in the same example, which cannot have a second target.
+        # If an example judges the claim in a second run, Hypothesis refuses a second target for it.
         with suppress(InvalidArgument):
             target(-margin if expected is Verdict.HOLDS else margin, label=evaluation.sentence)
 

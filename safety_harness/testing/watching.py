@@ -34,7 +34,7 @@ from safety_harness.testing.session import TestRun, session
 from safety_harness.testing.simulating import digest_of
 
 PHASES = (Phase.explicit, Phase.generate, Phase.target, Phase.shrink)
-# A simulation takes as long as it takes, and which draws can be tried is not up to the test.
+# No deadline: a simulation may take long.  No health check: a test cannot choose its admissible draws.
 SUPPRESSED_CHECKS = (
     HealthCheck.too_slow,
     HealthCheck.filter_too_much,

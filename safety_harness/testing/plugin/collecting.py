@@ -70,7 +70,7 @@ class ScenarioFile(pytest.File):
         if not several:
             yield from items(self)
             return
-        # pytest splits an id at its first bracket, so that a combination has none: "opposite, fast".
+        # pytest splits an id at its first bracket, so the name of a combination has none: "opposite, fast".
         own = name.removeprefix(self.path.stem) if name.startswith(f"{self.path.stem}[") else name
         plain = own.replace("[", " ").replace("]", "").strip()
         yield ScenarioNode.from_parent(self, name=plain, items=items)

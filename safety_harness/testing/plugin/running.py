@@ -98,7 +98,7 @@ def _leave_hypothesis_out(error: SafetyHarnessError, function: Any) -> None:
     files = [Path(frame.tb_frame.f_code.co_filename) for frame in frames]
     positions = [k for k, file in enumerate(files) if "hypothesis" in file.parts]
     if positions and positions[-1] + 1 < len(frames):
-        # The frame before the first is the function that @given made, which looks like the test itself.
+        # Two frames before Hypothesis's first is the test; the wrapper that @given made looks just like it.
         outer = frames[max(positions[0] - 2, 0)]
         outer.tb_next = frames[positions[-1] + 1]
 
