@@ -26,7 +26,7 @@ from safety_harness.base.output import DIFFERS as DIFFERS
 from safety_harness.base.output import INTERRUPTED as INTERRUPTED
 
 JSON_FORMAT = "safety-harness answer 1"
-NARROW = 70  # columns; below, columns of blanks are closed, and help has no boxes
+NARROW = 70  # columns; on narrower terminals, runs of blanks are closed, and help has no boxes
 _NARROWEST = 20
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 
@@ -150,7 +150,7 @@ def _write(text: str, name: str) -> None:
         stream.flush()
     except OSError as error:
         give_up(stream)
-        if error.errno not in (errno.EPIPE, errno.EBADF, errno.EIO):  # EIO: of a terminal that hung up
+        if error.errno not in (errno.EPIPE, errno.EBADF, errno.EIO):  # EIO: the terminal hung up
             place = "standard output" if name == "stdout" else "standard error"
             raise OutputError.of_option(place, "room for what is printed", str(error)) from error
 

@@ -102,12 +102,12 @@ def _installed(name: str, version: str, wanted: str, modules: list[str]) -> Exam
     if not fits(version, wanted):
         return Examined(name, State.PROBLEM, f"{version}, which is not {wanted}")
     module = name if name in modules else next((item for item in modules if not item.startswith("_")), None)
-    module = "safety_harness.cell.simulation.engine" if name == "pybullet" else module  # which is quiet
+    module = "safety_harness.cell.simulation.engine" if name == "pybullet" else module  # a quiet import
     try:
         if module is not None:
             with warnings.catch_warnings(action="ignore"):
                 import_module(module)
-    except Exception as error:  # whatever a broken package raises
+    except Exception as error:  # a broken package may raise anything
         return Examined(name, State.PROBLEM, f"{version} cannot be imported: {type(error).__name__}: {error}")
     return Examined(name, State.OK, version)
 
@@ -129,7 +129,7 @@ def _version(name: str) -> str:
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
-        return "by another package"  # opencv-python, say, in place of the one without windows
+        return "by another package"  # such as opencv-python in place of opencv-python-headless
 
 
 def _clashes() -> Iterator[Examined]:
@@ -147,7 +147,7 @@ def _self_check() -> Examined:
     """Simulate a short kinematic run with a hand, uncompiled, and check a claim that must hold in it."""
     try:
         evaluation = without_compiling(_short_run)
-    except Exception as error:  # whatever is wrong with the installation is what is looked for
+    except Exception as error:  # the check looks for any error of the installation
         return Examined("self-check", State.PROBLEM, f"{type(error).__name__}: {error}")
     good = evaluation.verdict is Verdict.HOLDS
     text = f"a short kinematic run: {evaluation.sentence}: {evaluation.verdict.value}"
@@ -165,7 +165,7 @@ def required() -> dict[str, str]:
     ranges: dict[str, str] = {}
     for text in metadata.requires(DISTRIBUTION) or ():
         match = _REQUIREMENT.match(text)
-        assert match is not None, text  # our own
+        assert match is not None, text  # the package's own requirement, which has this form
         name, wanted, marker = match[1], match[2].strip(), match[3] or ""
         python = re.search(r"python_version\s*([<>=!]+)\s*['\"]([\d.]+)['\"]", marker)
         if "extra" in marker or (python and not fits(platform.python_version(), python[1] + python[2])):

@@ -50,8 +50,8 @@ def explain_claims(typed: Sequence[str]) -> int:
     """Print every sentence of the catalogue, or details of the matching ones; return the exit code.
 
     Args:
-        typed: some words of a sentence, or a whole sentence with the user's own limit.  If empty, all are
-            listed.
+        typed: some words of a sentence, or a whole sentence with the user's own limit.  If empty, all
+            sentences are listed.
 
     Raises:
         ScenarioError: no sentence matches.

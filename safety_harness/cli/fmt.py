@@ -34,7 +34,7 @@ def format_files(paths: Sequence[Path], *, check: bool, modernise: bool = False)
         except InputError as error:
             explain(error)
             failed = True
-    document(changed=changed)  # or, with --check, what would be
+    document(changed=changed)  # with --check, the files that would change
     if failed:
         return BAD_INPUT
     return DIFFERS if check and changed else AS_EXPECTED
@@ -45,7 +45,7 @@ def _format(file: Path, *, check: bool, modernise: bool) -> bool:
     refuse_other_kind(file, *FORMATTED_KINDS)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=ScenarioError)
     old_text = decode(data, most=MAX_BYTES, file=file, error=ScenarioError)
-    tree_of(old_text, file)  # refuses what is not ours
+    tree_of(old_text, file)  # refuses other files
     text = laid_out(modernised(old_text, in_words_of_today, file) if modernise else old_text, file)
     if text.encode() == data:
         return False

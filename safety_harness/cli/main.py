@@ -66,7 +66,7 @@ class _Commands(MutableMapping[str, Any]):
         for name, commands in core.items():
             commands.rich_help_panel = TASK_OF[name]
         self._parts: dict[str, RegisteredPart] = {}
-        self._hidden: list[RegisteredPart] = []  # whose names are taken
+        self._hidden: list[RegisteredPart] = []  # parts whose names are already in use
         for part in parts(ExtensionPoint.COMMANDS):
             if part.name in (*self._made, *self._parts):
                 self._hidden.append(part)
@@ -148,7 +148,7 @@ def _absent(name: str, description: str, hint: str) -> Any:
     return placeholder
 
 
-OLDER_OPTIONS = {"workers": "jobs", "baseline": "compare-with-uniform"}  # the older names serve
+OLDER_OPTIONS = {"workers": "jobs", "baseline": "compare-with-uniform"}  # older names, which still work
 app = typer.Typer(
     cls=_Group,
     no_args_is_help=True,
@@ -189,14 +189,14 @@ def main() -> None:
         say(f"warning: {foreign}")
     columns = columns_of(sys.stdout) or 80
     plain = columns < NARROW or no_escapes()
-    if plain:  # Rich cuts words where a table is too wide, and draws in bold without colour
+    if plain:  # Rich cuts words if a table is too wide, and uses bold even without colour
         app.rich_markup_mode = None
     try:
         app(prog_name=NAME, terminal_width=columns if plain else None, color=False if plain else None)
     except SafetyHarnessError as error:
         explain(error)
         raise SystemExit(BAD_INPUT) from None
-    except OSError as error:  # help that a full disk does not take, completion for a home that is read-only
+    except OSError as error:  # a full disk for the help, or a read-only home folder for the completion
         explain(error)
         give_up(sys.stdout)
         raise SystemExit(BAD_INPUT) from None

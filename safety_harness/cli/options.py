@@ -98,9 +98,9 @@ def command(
 
     A mistake of the user is explained, and the exit code is 2.  Any other error of the harness is explained
     with the exit code ``failed``, or raised if ``failed`` is None.  After Ctrl-C the command prints
-    ``interrupted``, or raises KeyboardInterrupt if that is empty.  Unless ``json``, the command has no option
-    --json.  After exit code 0 or 1, the command prints ``then``, the command that a user most likely wants
-    next.  Names of options in ``then`` are replaced by their values.
+    ``interrupted``, or raises KeyboardInterrupt if ``interrupted`` is empty.  The command has an option
+    --json only if ``json``.  After exit code 0 or 1, the command prints ``then``, the command that a user
+    most likely wants next.  Names of options in ``then`` are replaced by their values.
     """
 
     def registered(work: Callable[_Parameters, int]) -> Callable[_Parameters, int]:
@@ -135,7 +135,7 @@ def command(
             ended.__signature__ = parameters.replace(  # type: ignore[attr-defined]
                 parameters=[*parameters.parameters.values(), option], return_annotation=None
             )
-        short = cleandoc(work.__doc__ or "").partition("\n\n")[0]  # which lists of commands do not cut
+        short = cleandoc(work.__doc__ or "").partition("\n\n")[0]  # lists of commands do not shorten it
         group.command(name, short_help=short)(ended)
         return answer
 

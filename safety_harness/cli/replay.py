@@ -158,7 +158,7 @@ def judge_again(
     for path in paths:
         try:
             run = judged_run(path, sentences, out)
-            if len(run.evaluations) == 0:  # nothing to say is not "as expected"
+            if len(run.evaluations) == 0:  # a run without verdicts is not "as expected"
                 raise TraceError(place=Place(file=path, field="claims"), expected=A_CLAIM, got="none")
         except InputError as error:
             if not keep_going:

@@ -95,7 +95,7 @@ def _with_references(source: Path) -> dict[Path, Path]:
         if path.is_file() and path not in references and "__pycache__" not in path.parts:
             references[path] = None
             waiting += _references(path) if path.suffix == ".yaml" else ()
-    licences = {path.with_name("LICENSE"): None for path in references}  # of recordings
+    licences = {path.with_name("LICENSE"): None for path in references}  # the licences of recordings
     references |= {path: None for path in licences if path.is_file()}
     root = Path(os.path.commonpath([source.parent, *(path.parent for path in references)]))
     return {path.relative_to(root): path for path in references}

@@ -52,7 +52,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         gathered = gather(scenario_paths, spaces=True) if scenario_paths or not added else Gathered()
         added += [file for file in gathered.aside if _is_added(file)]
         say(*aside_lines(file for file in gathered.aside if file not in added))
-        checker = Checker()  # which executes nothing
+        checker = Checker()  # a Checker executes nothing
         checked, errors = usable(
             gathered.scenarios,
             lambda scenario: without_compiling(
@@ -146,7 +146,7 @@ def _tried_space(variant_file: tuple[Variant, Path], checker: Checker, avoider: 
     return space
 
 
-DRAWS = 5  # of a space, for what none of them would try
+DRAWS = 5  # draws of a space in which untried moves and faults are sought
 
 
 def _untried_of(space: ScenarioSpace) -> list[str]:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from safety_harness.cell.robot.description import ArmModel, Shape
 from safety_harness.report.packing import packed
 
-MOST_TRIANGLES = 6_000  # of an arm: some 50 kB on a page
-CELLS_M = (0.0002, 0.002, 0.004, 0.006, 0.01, 0.016, 0.025)  # corners within one cell of a grid become one
+MOST_TRIANGLES = 6_000  # for one arm, which takes some 50 kB on a page
+CELLS_M = (0.0002, 0.002, 0.004, 0.006, 0.01, 0.016, 0.025)  # grid cells; corners in one cell are merged
 STL = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("_", "<u2")])
 
 Triangles = NDArray[np.float64]  # (n, 3, 3) corners [m]
@@ -64,7 +64,7 @@ def clustered(corners: Triangles, cell_m: float) -> tuple[NDArray[np.float64], N
     sums = np.stack([np.bincount(index, weights=axis) for axis in points.T], axis=1)
     faces = index.reshape(-1, 3)
     whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    first = faces[whole].argmin(axis=1)[:, None]  # a face begins at its least corner, to be told from others
+    first = faces[whole].argmin(axis=1)[:, None]  # least corner first, so that equal faces match
     turned = np.take_along_axis(faces[whole], (first + np.arange(3)) % 3, axis=1)
     code = np.unique(turned @ len(count) ** np.arange(3)[::-1])
     faces = np.stack([code // len(count) ** 2, code // len(count) % len(count), code % len(count)], axis=1)
@@ -84,7 +84,7 @@ def _triangles(shape: Shape) -> Triangles:
 
 
 def _stl(file: Path) -> Triangles:
-    records = np.frombuffer(file.read_bytes()[84:], STL)  # a text STL has no such length: ValueError
+    records = np.frombuffer(file.read_bytes()[84:], STL)  # ValueError for a text STL, by its length
     return records["corners"].astype(np.float64)
 
 

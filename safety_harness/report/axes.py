@@ -21,9 +21,9 @@ from safety_harness.report.svg import Floats, Ink, describe
 from safety_harness.report.words import with_minus
 
 FONT_PX = 11.0
-_FAR_PX, _LARGEST = 9e4, 1e300  # what is farther is drawn there
+_FAR_PX, _LARGEST = 9e4, 1e300  # values beyond these limits are drawn at the limits
 _ROUNDED_PX = 0.1
-_MOST_PLACES = 20  # of a path that says each; a longer one says its steps
+_MOST_PLACES = 20  # a path with more places is written as relative steps
 _LEADING_ZERO = re.compile(r"(^|[ -])0(?=\.)")
 _ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)
 _HALF_DIAGONAL = 0.5 * 2.0**0.5
@@ -55,14 +55,14 @@ class Axis:
     """One direction of axes, with given ``ticks`` (value, label) or with at most ``steps`` round ticks."""
 
     start_px: float
-    length_px: float  # negative: upwards
+    length_px: float  # negative if the axis points upwards
     label: str = ""
     grid: bool = False
-    line: bool = True  # with ticks
+    line: bool = True  # whether to draw the axis line with ticks
     labelled: bool = True
     log: bool = False
     steps: int = 5
-    margin: float = 0.05  # beyond what is drawn, as a share of that
+    margin: float = 0.05  # beyond the drawn values, as a share of their range
     ticks: Sequence[tuple[float, str]] | None = None
     minor: Sequence[float] = ()
     _seen: tuple[float, float] = (np.inf, -np.inf)
@@ -129,7 +129,7 @@ class Axis:
 
 
 def round_values(low: float, high: float, steps: int) -> list[float]:
-    """Return the multiples of a round step between ``low`` and ``high``, at most ``steps`` steps apart."""
+    """Return the multiples of a round step between ``low`` and ``high``, which are at most ``steps`` + 1."""
     least = max((high - low) / steps, 1e-300)
     power = 10.0 ** np.floor(np.log10(least))
     step = next(power * factor for factor in _ROUND if power * factor >= least * (1.0 - 1e-9))
@@ -436,10 +436,10 @@ def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
 
 
 def _straightened(places: Floats) -> Floats:
-    """Return ``places`` (n, 2) [px] without those that lie on a straight line between two kept ones.
+    """Return ``places`` (n, 2) [px] without those on a straight line between two kept places.
 
-    The tolerance is the rounding of positions, and the line must not turn back.  After each kept position,
-    the function drops the next ones while they lie within a cone (Reumann and Witkam, 1974).
+    The tolerance is the rounding of positions, and the line must not turn back.  After each kept place,
+    the function drops the next places while they lie within a cone (Reumann and Witkam, 1974).
     """
     if len(places) <= _MOST_PLACES:
         return places
@@ -464,7 +464,7 @@ def _straightened(places: Floats) -> Floats:
 
 
 def _path_words(places: Floats) -> str:
-    """Return the SVG path through ``places`` (n, 2) [px]; a long path consists of relative steps."""
+    """Return the SVG path through ``places`` (n, 2) [px]; a long path as relative steps, to save digits."""
     if len(places) <= _MOST_PLACES:
         return "M" + " ".join([f"{a:g} {b:g}" for a, b in places.tolist()])
     steps = " ".join([f"{step:g}" for step in np.round(np.diff(places, axis=0), 1).ravel() + 0.0])

@@ -1,4 +1,4 @@
-"""Write the verdicts for reviewers of a change: SARIF for the changed lines, Markdown for the summary."""
+"""Write the verdicts for reviewers of a change: SARIF for the lines of its files, Markdown for a summary."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from safety_harness.scenario.model import Claim, Verdict
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 SUMMARY, SARIF = "summary.md", "report.sarif"
-MOST_LINES = 50  # of a summary; a job's has a limit of its own
+MOST_LINES = 50  # in a summary, because the summary of a CI job is limited
 
 
 def write_for_ci(folder: Path, runs: Sequence[JudgedRun]) -> None:

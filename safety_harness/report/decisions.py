@@ -1,6 +1,6 @@
 """Describe the decisions of a run: the question, the outcome, and the computing time.
 
-The computing time is what decisions cost in simulated time, and how long they took on the machine.
+The computing time is the cost of decisions in simulated time, and their duration on the run's machine.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from safety_harness.trace.records import Check, DecisionOutcome, Trigger
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided
 
-MOST_DECISION_ROWS = 100  # a page with more is no longer read; the trace has them all
+MOST_DECISION_ROWS = 100  # nobody reads a page with more; the trace contains all of them
 MOST_FAULT_NOTES = 5
 
 
@@ -57,9 +57,9 @@ class DecisionRow:
 class DecisionTally:
     """The number of decisions, and how often each outcome occurred.
 
-    ``faults`` counts the decisions without a usable answer.  ``unanswered`` counts those of them that no
-    fault of the scenario explains.  The tally leaves out traces that did not measure their decisions (see
-    ``are_counted``).
+    ``faults`` counts the decisions without a usable answer.  ``unanswered`` counts those of these decisions
+    that no fault of the scenario explains.  The tally leaves out traces that did not measure their decisions
+    (see ``are_counted``).
     """
 
     made: int
@@ -214,7 +214,7 @@ def latency_words(trace: Trace) -> str:
 
 @dataclass(frozen=True)
 class ComputingTime:
-    """The computing time of one run: what a decision costs, in ``words``, and how long the answers took."""
+    """The computing time of a run: a decision's cost, in ``words``, and the duration of its answers."""
 
     tested: str
     words: str
@@ -229,7 +229,7 @@ class ComputingTime:
 
 
 def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
-    """Return what a decision costs by the settings, or ``declared_s`` [s] if the avoider declares it."""
+    """Return the cost of a decision by the settings, or ``declared_s`` [s] if the avoider declares it."""
     if cost is DecisionCost.WALL_CLOCK:
         return "what each answer took on the wall's clock: the run repeats from its record only"
     if not isinstance(cost, DecisionTimes):

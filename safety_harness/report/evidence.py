@@ -114,7 +114,7 @@ class JudgedRun:
         return sum(e.verdict is verdict and e.applicable for _, e in self.judged_claims())
 
     def under_claim(self, sentence: str) -> JudgedRun:
-        """Return this run for the heading of the claim ``sentence``.
+        """Return a copy of this run for the place under the heading of the claim ``sentence``.
 
         ``about`` becomes None if the scenario has no claim with that sentence.
         """

@@ -65,10 +65,10 @@ from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided, measured
 
 Row = dict[str, Any]
-MOST_SLOWINGS = 20  # stretches that a table has; the report for programs has all
-MOST_IN_FULL = 20  # runs that are drawn; a page of a thousand has to open at once
-MOST_TOLD = 20  # verdicts that are not as expected, or runs cut short, before all else; the table has all
-MOST_AT_ONCE = 100  # rows of verdicts, or runs that are not drawn, that a browser reads as it opens a page
+MOST_SLOWINGS = 20  # stretches in a table; the report for programs lists all
+MOST_IN_FULL = 20  # runs that are drawn, so that a page of a thousand runs opens at once
+MOST_TOLD = 20  # unexpected verdicts or cut-short runs at the top of the page; the table lists all
+MOST_AT_ONCE = 100  # rows of verdicts, or runs not drawn, that a browser reads while it opens a page
 
 
 def write_report(
@@ -177,7 +177,7 @@ def _worst(sections: Sequence[Row]) -> Row | None:
 
 
 def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
-    """Return the counts over all runs, for the top of the page; ``whole``: no planned run is missing."""
+    """Return the counts over all runs for the top of the page; ``whole`` if no planned run is missing."""
     traces = [run.trace for run in runs]
     summary: Row = {
         "runs": len(runs),
@@ -217,7 +217,7 @@ def _doubt(summary: Row) -> str:
 
 
 def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
-    """Return for each run whether it is drawn: first surprises, each claim's worst run and violations."""
+    """Return for each run whether to draw it; surprises, then worst runs, then violations have priority."""
     margins: dict[str, tuple[float, int]] = {}
     for k, run in enumerate(runs):
         for claim, evaluation in run.judged_claims():
@@ -341,12 +341,12 @@ def claim_rows(run: JudgedRun) -> list[Row]:
 def file_name(run: JudgedRun) -> str:
     """Return the name of the scenario's file and its row of a matrix.
 
-    A scenario without a file has its own name.
+    Without a file, return the name of the scenario.
     """
     scenario = run.trace.scenario
     if scenario.file is None:
         return scenario.name
-    label = scenario.name.removeprefix(scenario.file.stem)  # which one of a matrix
+    label = scenario.name.removeprefix(scenario.file.stem)  # the row of a matrix
     return scenario.file.name + (f" {label}" if label.startswith("[") else "")
 
 

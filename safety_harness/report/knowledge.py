@@ -11,7 +11,7 @@ from safety_harness.report.words import setting_words
 from safety_harness.trace.known import COLUMNS_OF_A_TRACE, OF_DECISIONS, Gap, Measurement, Source
 from safety_harness.trace.trace import Trace
 
-MOST_GAPS = 3  # of one column that are told
+MOST_GAPS = 3  # gaps of one column that are listed
 ALL_OF_DECISIONS = frozenset(name for name in COLUMNS_OF_A_TRACE if name.startswith(OF_DECISIONS))
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-PER_UNIT = 1e5  # a real number is kept to 1e-5 of its SI unit
-NAN, INF = -(2**31), 2**31 - 1  # what is farther than they are is as good as not there
+PER_UNIT = 1e5  # real numbers are rounded to 1e-5 of their SI unit
+NAN, INF = -(2**31), 2**31 - 1  # sentinels; values beyond them count as not finite
 
 
 def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
@@ -30,7 +30,7 @@ def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         whole = np.where(there, rows, np.where(np.isposinf(rows), INF, NAN)).round().astype(np.int64)
         shapes[name] = [len(values), len(whole), scale]
         shifted = np.hstack([np.zeros((len(whole), 1), np.int64), whole[:, :-1]])
-        steps.append((whole - shifted).astype(np.int32).ravel())  # modulo 2^32, as the script adds them up
+        steps.append((whole - shifted).astype(np.int32).ravel())  # modulo 2^32, as the script adds
     planes = np.concatenate(steps).astype("<i4").view(np.uint8).reshape(-1, 4).T
     return {"columns": shapes, "packed": deflated(np.ascontiguousarray(planes).tobytes())}
 

@@ -21,7 +21,7 @@ from safety_harness.report.packing import deflated
 
 PACKAGE = "safety_harness.report"
 THREE = "three.js"
-MOST_OPEN = 5  # parts of a page that need not be unfolded
+MOST_OPEN = 5  # parts of a page that are open at first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,14 +52,14 @@ def added_sections(page: str, shown: object, prefix: str = "") -> list[dict[str,
         if table.page == page:
             try:
                 rows = [tuple(map(str, row)) for row in table.rows(shown)]
-            except Exception as error:  # of somebody else's module, which may raise anything
+            except Exception as error:  # a module of another package may raise anything
                 warn(RegisteredPart(ExtensionPoint.PAGE_SECTIONS, name, ""), described(error))
                 rows = []
             added += [{"id": f"{prefix}added-{len(added)}", "part": table, "rows": rows}] if rows else []
     return added
 
 
-@lru_cache  # which compiles each template once
+@lru_cache  # so that each template is compiled only once
 def templates(package: str = PACKAGE) -> Environment:
     """Return the templates, which escape their values and raise an error for a missing name.
 

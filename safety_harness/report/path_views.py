@@ -28,8 +28,8 @@ from safety_harness.trace.unmeasured import decided
 WIDTH_PX, HEIGHT_PX = 430.0, 390.0
 MARGINS_PX = (46.0, 12.0, 40.0, 26.0)  # left, right, below, above
 COLUMNS = 400
-SMALLEST_CLOSE_UP_MM = 60.0  # half its side; an arm that hardly moves is not blown up further
-MOST_NUMBERS = 12  # decisions that are numbered in a view; more would hide the paths
+SMALLEST_CLOSE_UP_MM = 60.0  # half a side; an arm that hardly moves is not enlarged further
+MOST_NUMBERS = 12  # numbered decisions in a view; more numbers would hide the paths
 MM = 1e3
 
 
@@ -39,14 +39,14 @@ class Moment:
 
     tick: int
     time_s: float
-    claim: int | None  # index of the claim whose worst moment it is
+    claim: int | None  # index of the claim that has its worst moment now; None for the nearest hand
 
 
 def shown_moment(run: JudgedRun) -> Moment | None:
-    """Return the worst moment of the claim ``run.shown_claim()``.
+    """Return the moment that every picture, button and replay of a run shows.
 
-    Without such a claim, return the moment when a hand was nearest; None without a hand.  Every picture,
-    button and replay of a run uses this moment.
+    It is the worst moment of the claim ``run.shown_claim()``.  Without such a claim, it is the moment when a
+    hand was nearest.  The result is None if there was no hand either.
     """
     ticks = run.trace.ticks
     if len(ticks) == 0:

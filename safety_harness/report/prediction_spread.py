@@ -1,4 +1,4 @@
-"""Compute for pictures how uncertain the hand filter was about a predicted hand, from its settings.
+"""Compute the hand filter's uncertainty about a predicted hand from the filter's settings, for pictures.
 
 A trace contains the predictions without their covariance.  The covariance of a linear filter depends only on
 the times of its measurements.  The result is therefore exact if every image since the beginning of a track
@@ -39,7 +39,7 @@ def prediction_spread_m(trace: Trace) -> Floats:
             settings.camera, calibrated=True
         )
     turn, place = sensor_in_base[:, None, :3, :3], sensor_in_base[:, None, :3, 3]
-    seen = np.einsum("...ji,...j->...i", turn, ticks["predicted_hand_in_base_m"] - place)  # in the sensor
+    seen = np.einsum("...ji,...j->...i", turn, ticks["predicted_hand_in_base_m"] - place)  # sensor frame
     focal_px, depth = settings.hand_sensor.focal_px, seen[..., 2]
     to_place = np.zeros((*valid.shape, 3, 3))  # d(x, y, z) / d(u, v, z)
     to_place[..., 0, 0] = to_place[..., 1, 1] = depth / focal_px
@@ -60,10 +60,10 @@ def _variances(trace: Trace, valid: NDArray[np.bool_]) -> Floats:
     parameters = filter_parameters(settings.hand_filter, sensor)[0]
     push = parameters["acceleration_variance"]
     rate_hz = sensor.rate_hz or 1.0 / settings.clock.control_period_s
-    frame = np.floor((trace.time_s - sensor.latency_s) * rate_hz + 1e-6)  # the last that has arrived
+    frame = np.floor((trace.time_s - sensor.latency_s) * rate_hz + 1e-6)  # the last arrived frame's number
     begins = valid & ~np.vstack([np.zeros_like(valid[:1]), valid[:-1]])
     first = np.maximum.accumulate(np.where(begins, frame[:, None], -np.inf), axis=0)
-    age = np.where(valid, frame[:, None] - first, 0.0).astype(np.int64)  # frames since that of its beginning
+    age = np.where(valid, frame[:, None] - first, 0.0).astype(np.int64)  # frames since the track began
     by_age = _after_frames(parameters, 1.0 / rate_hz, int(age.max(initial=0)))
     value, mixed, rate = np.moveaxis(by_age[np.minimum(age, len(by_age) - 1)], 2, 0)
     ahead_s = (trace.time_s + horizon_s - frame / rate_hz)[:, None, None]

@@ -43,9 +43,9 @@ from safety_harness.trace.records import Check, DecisionOutcome, Trigger
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided, measured
 
-MOST_REPLAYS = 20  # on a page
-MOST_TICKS = 750  # more are not seen; a run of ten seconds has 1250
-ANY = 1_000_000  # no capsule: it is not known to which a hand is nearest
+MOST_REPLAYS = 20  # the most replays on a page
+MOST_TICKS = 750  # nobody sees more; a run of ten seconds has 1250
+ANY = 1_000_000  # stands for no capsule, if the capsule nearest to a hand is unknown
 
 
 class Replays:
@@ -53,8 +53,8 @@ class Replays:
 
     def __init__(self, most: int = MOST_REPLAYS) -> None:
         self._left = most
-        self._meshes: dict[ArmModel, str] = {}  # and in which replay they are
-        self._explained = ""  # the replay that says what is drawn
+        self._meshes: dict[ArmModel, str] = {}  # for each arm, the replay that contains its meshes
+        self._explained = ""  # the replay that explains what is drawn
 
     def arguments(self, run: JudgedRun, name: str, **more: object) -> dict[str, object] | None:
         """Return the arguments of the template macro ``replay`` for ``run``.
@@ -206,7 +206,8 @@ def _views(settings: Settings) -> list[dict[str, Any]]:
     """Return the field of view of the servoing camera, and of an overhead hand camera if there is one.
 
     The servoing camera is placed relative to the tool, the overhead camera at its mount in the base frame.
-    The corners of a view lie in a plane: the object's, as seen from the arm's goal, or the table's.
+    The corners of the servoing camera's view lie in the object's plane, as seen from the arm's goal.  The
+    corners of the overhead camera's view lie in the plane of the table.
     """
     camera, sensor, cell = settings.camera, settings.hand_sensor, settings.cell
     mount = transform_camera_to_tcp(camera, calibrated=False)

@@ -225,7 +225,7 @@ class RunsShown:
 
 @contextmanager
 def watching_runs(scenarios: Sequence[Scenario], output: Output) -> Iterator[RunsShown]:
-    """Yield the display that is told the current scenario and its finished ticks."""
+    """Yield the display, which the caller updates with the current scenario and its finished ticks."""
     with output.counting(sum(s.ticks + 1 for s in scenarios), "ticks") as show:
         yield RunsShown(scenarios, show)
 
@@ -250,8 +250,8 @@ class RunSession:
     unwritable: OutputError | None = None
     repeatability: Repeatability = field(default_factory=Repeatability)
     repeated: RepeatabilityResult | None = None
-    begun_s: float = field(default_factory=lambda: time.time() - 0.1)  # clocks of disks are coarse
-    written: set[Path] = field(default_factory=set)  # whatever the disk says of when
+    begun_s: float = field(default_factory=lambda: time.time() - 0.1)  # because disks' clocks are coarse
+    written: set[Path] = field(default_factory=set)  # by this job, whatever times the disk reports
 
     def run(self, admitted: Sequence[Sequence[Admitted]], jobs: int | None = 1) -> RunResult:
         """Simulate all runs, rename the traces of earlier runs, and question a second avoider.

@@ -29,7 +29,7 @@ from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
 REPORT, DATA, TRACES = "report.html", "report.json", "traces"
-GIVEN = "scenarios"  # of a folder that is written to: scenarios that were no files
+GIVEN = "scenarios"  # the subfolder for scenarios that had no file
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,7 +102,7 @@ class RunResult:
             verdicts, rest = as_expected(self.runs)
             untested = untested_lines(self.coverage)
             good = all(verdicts) and bool(verdicts or not rest) and not (untested or self.skipped)
-        else:  # what cannot be compared differs in nothing
+        else:  # runs that cannot be compared show no difference
             good = len(self.against.runs) == self.planned and not self.against.worse
         good &= self.repeated is None or not self.repeated.problem
         return AS_EXPECTED if good and not self.failed else DIFFERS

@@ -23,7 +23,7 @@ from safety_harness.search.counterexample import Explanation, cost_s
 from safety_harness.search.findings import Group
 from safety_harness.search.session import SearchSession, WrittenCounterexample
 
-MOST_ATTRIBUTED = 100  # groups of violations of one search
+MOST_ATTRIBUTED = 100  # groups of violations that are attributed for one search
 
 
 def confirming_line(replay: Replay, attribution: Attribution) -> str:
@@ -67,13 +67,13 @@ class SearchAttribution:
 
     def explain(self, scenario: Scenario, claim: Claim) -> Explanation:
         """Explain one counterexample; changes that remove the violation are also run in PyBullet."""
-        self.found.pop(scenario.name, None)  # of an example that had its name before it was merged
+        self.found.pop(scenario.name, None)  # of an example that had this name before a merge of groups
         try:
             admitted = self._admitter.admit(scenario)
             (attribution,) = attribute(admitted, (claim,))
             in_pybullet = attribution.answer is AttributionAnswer.ATTRIBUTED and PYBULLET.is_installed
             there = confirmed(admitted, attribution) if in_pybullet else ()
-        except Exception as error:  # what was found must not be lost for want of an explanation
+        except Exception as error:  # a failing explanation must not lose the finding
             return Explanation((f"whose fault: cannot be told: {described(error)}",))
         self.found[scenario.name] = attribution
         changed = (replay for replay in there if replay.changes)
@@ -134,7 +134,7 @@ def _by_run(groups: list[Group]) -> Iterator[list[Group]]:
 
 
 WIDTH_PX, LEFT_PX, ROW_PX, HEAD_PX = 640, 230, 24, 26
-LONGEST_PX = WIDTH_PX - LEFT_PX - 90  # room for the count
+LONGEST_PX = WIDTH_PX - LEFT_PX - 90  # leaves room for the count
 INKS = {
     AttributionAnswer.UNAVOIDABLE.value: Ink.MUTED,
     AttributionAnswer.NOTHING_HELPED.value: Ink.LIMIT,

@@ -207,7 +207,7 @@ class SearchResult:
         return replace(made, interrupted=self.interrupted or given_up())
 
     def kept(self, folder: Path, output: Output) -> SearchResult:
-        """Write the files, report any error that prevents it, and name the command that runs them."""
+        """Write the files, report any error, and name the command that runs the counterexamples."""
         made = self
         if self.unwritable is None:
             try:
@@ -229,7 +229,7 @@ def _write_interim(session: SearchSession) -> None:
     """Write a page with the findings now, because explaining them may take long or be interrupted."""
     if session.keeps and session.findings.found_any and session.unwritable is None:
         unfinished = copy(session.findings)
-        unfinished.interrupted = True  # as the page says if nothing replaces it
+        unfinished.interrupted = True  # the page says so unless a later page replaces it
         try:
             write_text(session.out / PAGE, render(replace(evidence_of(session), findings=unfinished)))
         except OutputError as error:

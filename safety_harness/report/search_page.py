@@ -39,7 +39,7 @@ from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 from safety_harness.trace.trace import Provenance, Trace
 
-MOST_GROUPS = 100  # rows of violations that were found
+MOST_GROUPS = 100  # rows in the table of violations
 WIDTH_PX, PANEL_PX, TOP_PX, GAP_PX, LEFT_PX, RIGHT_PX = 960.0, 130.0, 30.0, 62.0, 76.0, 20.0
 INKS = (Ink.TCP, Ink.HAND_2)  # the search, the baseline
 
@@ -58,8 +58,8 @@ class SearchEvidence:
 
     title: str
     space: str
-    tested: str  # by its reference
-    computing_time: str  # what a decision costs in simulated time
+    tested: str  # the name by which commands refer to the tested program
+    computing_time: str  # the cost of a decision in simulated time
     seed: int
     budget: int
     command: str
@@ -80,10 +80,10 @@ class SearchEvidence:
     provenance: Provenance
     system: SystemUnderTest = NOT_NOTED
     unconfirmable: str = ""
-    faults: FaultsOfSearch | None = None  # whose fault all violations are
-    attributed: Mapping[str, Attribution] = field(default_factory=dict)  # of counterexamples, by their files
-    flips: tuple[str, ...] = ()  # differences from the reference that are none
-    overruled: str = ""  # that the gate overrules more than of the reference
+    faults: FaultsOfSearch | None = None  # the causes of all violations
+    attributed: Mapping[str, Attribution] = field(default_factory=dict)  # by the counterexample's file
+    flips: tuple[str, ...] = ()  # differences without a clear result when drawn again
+    overruled: str = ""  # states that the gate overrules this avoider more often than the reference
     causes: Causes = field(default_factory=Causes)
     against: Against | None = None  # how the runs differ from those with a reference
 

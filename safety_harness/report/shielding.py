@@ -38,7 +38,7 @@ class Slowing:
     from_s: float
     to_s: float
     part: str
-    hand: str  # truly nearest to that part at the slowest tick; empty for none
+    hand: str  # the hand truly nearest to ``part`` at the slowest tick; empty if none
     least_scale: float
 
     def __str__(self) -> str:

@@ -1,8 +1,8 @@
 """Draw one run over time: eight panels on one time axis, and a common backdrop behind them.
 
 A labelled horizontal line shows a limit.  It is drawn only in the panel of the quantity that it limits.  The
-length in a claim limits distances between surfaces.  The critical distance limits the distance to the centre
-of the predicted hand.
+length in a claim is drawn with the distance between surfaces.  The critical distance is drawn with the
+distance to the predicted hand's centre.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided, measured
 
 PANEL_PX = 882.0
-COLUMNS = int(PANEL_PX / 2.0)  # as wide as a line: the two extremes of a column lie within it
+COLUMNS = int(PANEL_PX / 2.0)  # a column is as wide as a line, which covers the column's two extremes
 MM, DEGREES = 1e3, 180.0 / np.pi
 
 UR_JOINTS = ("pan", "lift", "elbow", "wrist 1", "wrist 2", "wrist 3")
@@ -56,7 +56,7 @@ LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX, GAP_PX = 104.0, 14.0, 22.0, 42.0, 34.0
 WIDTH_PX = LEFT_PX + PANEL_PX + RIGHT_PX
 TIME_STEPS = 10
 HEIGHTS_PX = (112.0, 116.0, 92.0, 92.0, 92.0, 92.0, 92.0, 116.0)
-COLUMNS_SHOWN = (  # of each panel
+COLUMNS_SHOWN = (  # the columns that each panel shows
     ("mode",),
     ("hand_present", "hand_distance_m"),
     ("predicted_distance_m",),
@@ -171,7 +171,7 @@ def _add_axes(picture: Picture, top: float, height: float, end_s: float) -> Axes
 
 
 def _shade(backdrop: Axes, trace: Trace, end_s: float) -> None:
-    """Tint the times of every mode except servoing behind all panels, and hatch the time that never ran."""
+    """Tint the times of all modes but servoing behind all panels; hatch the time after an early end."""
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
     known = measured(trace, "mode")
     for mode in (Mode.REPULSING, Mode.PROTECTIVE_STOP, Mode.OBJECT_LOST):
@@ -200,7 +200,7 @@ def _mark_moments(backdrop: Axes, run: JudgedRun) -> None:
         label = ",".join(numbers)
         place_px, half_px = backdrop.x.at(time_s), 0.5 * text_px(label)
         if place_px - half_px < end_px:
-            continue  # no room for another number; the table above has every moment
+            continue  # there is no room for another number; the table above lists every moment
         backdrop.text(label, time_s, Share(1.0), shift=(0.0, -6.0), anchor="middle")
         end_px = place_px + half_px
 

@@ -18,8 +18,8 @@ from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace
 
 MOST_LINES = 20  # verdicts of each kind that a summary of many runs prints; -v prints all
-BEFORE_S = 2.0  # before a contact: the time in which hand and arm came together
-LONGEST = 60  # characters to which sentences of claims are filled up
+BEFORE_S = 2.0  # the time before a contact in which hand and arm approached each other
+LONGEST = 60  # characters to which the sentences of claims are padded
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ CHECK_MEANINGS = {
     Check.OUTSIDE_REGION: "the question is outside of the region that the scenario's gate keeps to",
     Check.LATE: "the avoider had not answered when the decision deadline was over",
 }
-_UNITS = (  # suffix of a setting's name, shown unit, how many of it are one SI unit
+_UNITS = (  # suffix of a setting's name, shown unit, number of shown units in one SI unit
     ("_mps2", "mm/s\u00b2", 1e3),
     ("_mps", "mm/s", 1e3),
     ("_radps2", "deg/s\u00b2", 180.0 / np.pi),
@@ -178,9 +178,9 @@ def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
 
 
 def unknown_files(scenario: Scenario) -> str:
-    """Return a warning that the program under test may open unknown files.
+    """Return a warning that a program under test may open unknown files.
 
-    The text is empty unless the program is started by the harness or listens for it.
+    The text is empty if the system under test is neither a started nor a listening program.
     """
     if not names_a_program(scenario.under_test):
         return ""

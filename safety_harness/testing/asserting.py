@@ -41,7 +41,7 @@ TRUTH = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", 
 class SafetyViolation(SafetyHarnessError, AssertionError):
     """The error for a claim with the wrong verdict; its text gives time, reason and a replay command."""
 
-    __module__ = "safety_harness.testing"  # as one imports it, and as test summaries show it
+    __module__ = "safety_harness.testing"  # the module from which users import it, for test summaries
 
     def __init__(self, evaluation: Evaluation, trace: Trace, expected: Verdict) -> None:
         super().__init__(evaluation, trace, expected)
@@ -68,8 +68,8 @@ class NotEstablished(SafetyHarnessError, AssertionError):
 def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     """Fail the test unless the claim ``claim`` holds in ``trace``.
 
-    Under Hypothesis, an inconclusive run does not fail the test; an example is a run whose hand never came
-    near.  After the last run, the test fails if every run was inconclusive.
+    Under Hypothesis, an inconclusive run does not fail the test, for example if the hand never came near.
+    After the last run, the test fails if every run was inconclusive.
 
     Args:
         claim: a formula, a property, or a sentence as in a scenario file.
@@ -80,7 +80,7 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
 
     Raises:
         SafetyViolation: the run violates the claim or is no evidence for it.  The error is also raised if the
-            avoider gave no answer in the run.  A scenario can expect that: ``the avoider answered:
+            avoider gave no answer in the run.  A scenario can allow that by the claim ``the avoider answered:
             violated``.
         InputError: the harness does not know the sentence, or an argument has the wrong type.
 
@@ -255,7 +255,7 @@ def against_reference(
 
 
 def is_shared(difference: ClaimDifference | None) -> bool:
-    """Return whether the reference does no better; the running test is then skipped in place of failed."""
+    """Return whether the reference does no better; the running test then ends as skipped, not as failed."""
     test = session().test
     if difference is None or test is None or difference.change in _WORSE:
         return False

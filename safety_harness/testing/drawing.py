@@ -118,7 +118,7 @@ def _admissible(draw: st.DrawFn, space: ScenarioSpace) -> Scenario:
     scenario = draw(strategy(space))
     try:
         checker.check(as_asked(scenario))
-    except InputError:  # out of reach, out of view: what one draw in so many is
+    except InputError:  # this draw is out of reach or view, as a small share of draws is
         reject()
     name = f"{space.name}#{digest_of(scenario)[:6]}"
     return replace(scenario, name=name, claims=each_to_hold(scenario.claims))

@@ -154,7 +154,7 @@ def nearest_path(file: Path) -> Path:
 
 
 WIDTH, HEIGHT = 60, 10
-_FARTHEST_M = 0.8  # what is farther away is drawn at the upper edge
+_FARTHEST_M = 0.8  # larger distances are drawn at the upper edge
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ class Profile:
     shrinking_runs: int
 
 
-QUICK = Profile("quick", 50, 60)  # while one works, and on every push
+QUICK = Profile("quick", 50, 60)  # for daily work, and for every push
 PROFILES = (QUICK, Profile("nightly", 500, 400), Profile("certify", 3000, 2000))
 
 
@@ -50,7 +50,7 @@ class Run:
     seed: int
     sound: bool
     world: str  # in words
-    beside: str = ""  # as ``tested``, with its shield and what is not the default
+    beside: str = ""  # ``tested`` with its shield and with settings that differ from the defaults
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,26 +84,26 @@ class TestRun:
     draws: bool
     keep_traces: bool = False
     judgements: list[Judgement] = field(default_factory=list)
-    worst: dict[str, Judgement] = field(default_factory=dict)  # of each sentence
-    traces: dict[str, Trace] = field(default_factory=dict)  # of these
-    fallback: Trace | None = None  # of the first run in which the avoider did not answer
+    worst: dict[str, Judgement] = field(default_factory=dict)  # the worst judgement of each sentence
+    traces: dict[str, Trace] = field(default_factory=dict)  # the traces of these judgements, by sentence
+    fallback: Trace | None = None  # the trace of the first run in which the avoider did not answer
     failure: BaseException | None = None
     simulated: set[str] = field(default_factory=set)  # digests of the present example's scenarios
-    failing: set[str] = field(default_factory=set)  # those of the examples that failed
+    failing: set[str] = field(default_factory=set)  # digests of the scenarios of failed examples
     refused: dict[str, SafetyHarnessError] = field(default_factory=dict)  # by digest
-    examples: int = 0  # begun
-    asked: bool = False  # for a run, which may have been refused
+    examples: int = 0  # examples that were begun
+    asked: bool = False  # whether the test called ``simulate``, even if that was refused
     runs_since: int = 0  # simulations since the first failure
     kept: Path | None = None  # where the failing scenario was written
     replayed: list[Path] = field(default_factory=list)  # earlier failures that were tried first
-    as_kept: bool = False  # these with the avoiders of their files
-    computing_times: list[ComputingTime] = field(default_factory=list)  # of its runs
-    overruled: dict[str, Overruling] = field(default_factory=dict)  # of those that count, by their digests
-    tried: dict[str, TriedParts] = field(default_factory=dict)  # by the same
+    as_kept: bool = False  # whether they ran with the avoiders of their files
+    computing_times: list[ComputingTime] = field(default_factory=list)  # one for each of its runs
+    overruled: dict[str, Overruling] = field(default_factory=dict)  # of the runs that count, by digest
+    tried: dict[str, TriedParts] = field(default_factory=dict)  # of the runs that count, by digest
     differences: dict[str, RunDifference] = field(default_factory=dict)  # from a reference, by digest
     shared: list[str] = field(default_factory=list)  # failures that the reference has as well
-    judges_itself: bool = False  # by the marker, without assert_holds
-    of_another: list[str] = field(default_factory=list)  # violated as expected of the file's own avoider
+    judges_itself: bool = False  # a marker states that the test judges runs without assert_holds
+    of_another: list[str] = field(default_factory=list)  # violations that the file expects of its own avoider
     not_taken: str = ""  # the avoider that cannot take its scenario
 
     @property
@@ -141,14 +141,14 @@ class Session:
     seed: int = 0
     avoider: str | None = None
     against: str | None = None
-    world: str = ""  # none is named: PyBullet, or kinematic where that is missing
+    world: str = ""  # empty: PyBullet, or the kinematic world if PyBullet is missing
     failures: Path = FAILURES
     report: Path | None = None
     saved: set[Path] = field(default_factory=set)  # traces that this process wrote for the report
     recordings: dict[str, bytes] = field(default_factory=dict)  # of logs, by their SHA-256
-    simulated: set[str] = field(default_factory=set)  # runs since the last report
-    judged: set[str] = field(default_factory=set)  # of these, or of earlier ones
-    ignored: list[str] = field(default_factory=list)  # files with a title as ours have it, of other programs
+    simulated: set[str] = field(default_factory=set)  # keys of the runs since the last test report
+    judged: set[str] = field(default_factory=set)  # keys of runs judged since then, even if simulated earlier
+    ignored: list[str] = field(default_factory=list)  # other programs' files with a title like ours
     test: TestRun | None = None
 
 

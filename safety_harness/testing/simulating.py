@@ -31,7 +31,7 @@ from safety_harness.testing.session import TestRun, session
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Trace
 
-MOST_TICKS = 100_000  # of all the traces that are remembered: a hundred megabytes or so
+MOST_TICKS = 100_000  # of all remembered traces together: about a hundred megabytes
 
 _asked_for: WeakKeyDictionary[Trace, Scenario] = WeakKeyDictionary()
 _of_objects: WeakSet[Trace] = WeakSet()
@@ -73,8 +73,8 @@ def avoiders_asked() -> list[tuple[str | None, str]]:
     return [(now.avoider, option_of(now.avoider or "")), *reference]
 
 
-checker = Checker()  # what is collected is looked at, and nothing of a user's executed
-admitter = Admitter()  # one for all: an avoider that keeps something of a run is refused as flaky
+checker = Checker()  # checks what is collected without executing any user's code
+admitter = Admitter()  # shared by all runs, so that an avoider that remembers a run is found flaky
 
 
 def sought_from(path: Path, caller: FrameType | None) -> Path:
@@ -170,7 +170,7 @@ class Simulate:
         return trace
 
 
-simulate = Simulate()  # one for all: claims of the same scenario are judged on the same run
+simulate = Simulate()  # shared by all tests, so that claims of one scenario are judged on one run
 
 
 def _run(admitted: Admitted) -> Trace:
@@ -191,10 +191,10 @@ def _refuse_more_shrinking(test: TestRun | None, digest: str) -> None:
     if test is None or test.counts:
         return
     if digest in test.refused:
-        raise test.refused[digest]  # Hypothesis repeats what failed before it tells
+        raise test.refused[digest]  # Hypothesis repeats the failing example before it reports it
     if digest in test.failing:
         return
-    hopeless = isinstance(test.failure, InputError | FlakyAvoiderError)  # another scenario does not mend it
+    hopeless = isinstance(test.failure, InputError | FlakyAvoiderError)  # a smaller scenario would not help
     if hopeless or test.runs_since >= session().profile.shrinking_runs:
         from hypothesis import reject
 

@@ -41,8 +41,8 @@ SUPPRESSED_CHECKS = (
     HealthCheck.data_too_large,
     HealthCheck.large_base_example,
 )
-ANY = Claim(sentence="trace finite and monotone", expected=Verdict.HOLDS)  # a file has to claim something
-_LONGEST = 60  # characters of a part of a path
+ANY = Claim(sentence="trace finite and monotone", expected=Verdict.HOLDS)  # because a file needs a claim
+_LONGEST = 60  # characters of one part of a path
 
 
 def under_profile(own: settings | None = None, *, fixed: bool = False) -> settings:
@@ -107,7 +107,7 @@ def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]
         test.examples += 1
         try:
             inner(*args, **kwargs)
-        except HypothesisException:  # a draw that it gives up
+        except HypothesisException:  # Hypothesis gives up this draw
             raise
         except Exception as error:
             test.fail(error)

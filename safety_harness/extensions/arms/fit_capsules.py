@@ -35,13 +35,13 @@ from safety_harness.cell.robot.urdf import ArmFileError
 PIECE_M = 0.025  # longest edge of a piece in the first rounds
 GRID_M = 0.006  # step of the grid that measures the volume of the union
 STARTS = 20  # random starts of a fit with more than one capsule
-ROUNDS = 15  # of Lloyd's algorithm at most
+ROUNDS = 15  # the most rounds of Lloyd's algorithm
 WORTH = 0.1
 MOST_CAPSULES = 4
-LONGEST_M = 4.0  # of a link: a mesh in millimetres is a thousand times as long
-ROUND = 32  # sides of what stands for a cylinder
+LONGEST_M = 4.0  # of a link; a mesh in millimetres would seem a thousand times as long
+ROUND = 32  # sides of the prism that replaces a cylinder
 POLISH_ROUNDS = 12
-FINE_M = 0.004  # pieces for the last rounds, where capsules hand over to one another
+FINE_M = 0.004  # longest edge of a piece in the last rounds, where capsules meet
 DECIMALS = 4  # 0.1 mm
 
 Capsule = tuple[NDArray[np.float64], NDArray[np.float64], float]  # start, end, radius
@@ -80,12 +80,12 @@ def _faces(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     trimesh = _trimesh()
     if shape.kind == "mesh":
         if str(shape.file).lower().endswith(".dae"):
-            import_module("collada")  # with which trimesh reads it
+            import_module("collada")  # trimesh needs it to read the file
         try:
             mesh = trimesh.load_mesh(shape.file)
             vertices = np.asarray(mesh.vertices) * (shape.size * _metres_a_unit(mesh))
             faces = np.asarray(mesh.faces)
-        except Exception as error:  # whatever its readers of a dozen formats raise
+        except Exception as error:  # trimesh's readers of a dozen formats may raise anything
             raise _of_mesh(shape, "a mesh that can be read", f"{type(error).__name__}: {error}") from error
         if vertices.ndim != 2 or len(faces) == 0 or not np.isfinite(vertices).all():
             raise _of_mesh(shape, "triangles with finite corners", f"{len(faces)} triangles")
@@ -188,7 +188,7 @@ def smallest_capsule(points: ArrayNx3, start: Capsule | None) -> Capsule:
     """
     try:
         hull = points[ConvexHull(points).vertices]
-    except QhullError:  # all in one plane
+    except QhullError:  # all points lie in one plane
         hull = points
 
     def volume(ends: NDArray[np.float64]) -> float:

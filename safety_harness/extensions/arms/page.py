@@ -29,9 +29,9 @@ from safety_harness.report.replay import arm_in_scene
 from safety_harness.report.svg import plain
 from safety_harness.scenario.robots import AnyRobot, OwnRobot, Robot, robot_named
 
-TICK_S, LEG_S = 0.05, 2.0  # a joint's way has three legs: to its lower end, to the upper one, back
+TICK_S, LEG_S = 0.05, 2.0  # each joint moves in three legs: to its lower end, to its upper end, and back
 IN_TABLE = 120  # characters of a name
-ENDLESS_RAD = np.pi  # where a joint without ends turns round
+ENDLESS_RAD = np.pi  # where a joint without limits turns back
 
 
 def write_arm_page(path: Path, robots: Sequence[AnyRobot], *, title: str) -> None:

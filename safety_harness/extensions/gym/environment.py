@@ -96,7 +96,7 @@ class Setting:
         shape = self.action_space.shape
         try:
             given = np.asarray(actions, np.float64)
-        except (TypeError, ValueError):  # no numbers, or rows that are not alike
+        except (TypeError, ValueError):  # no numbers, or rows of different lengths
             given = np.full(0, np.nan)
         if given.size != lanes * shape[0] or given.shape[-1:] != shape or not np.isfinite(given).all():
             raise ControllerError(f"an action is finite numbers of the shape {shape}; got {actions!r}")
@@ -233,7 +233,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         terminated = bool(rewards.ends_episode(margins, 1)[0])
         truncated = self._tick == self._checked.scenario.ticks
         self._over = terminated or truncated
-        if truncated:  # both ends of a run are recorded, and at the last the action stands
+        if truncated:  # a run records both its ends; at the last, the action is repeated
             self._command(wanted, last=True)
         return self._observed(), reward, terminated, truncated, self._info()
 

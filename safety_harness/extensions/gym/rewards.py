@@ -93,7 +93,7 @@ class Rewards:
     """The rewarded claims with their weights, and the claims whose violation ends an episode."""
 
     margins: Mapping[str, OfTicks]
-    weights: Mapping[str, float]  # of those that are rewarded
+    weights: Mapping[str, float]  # only the rewarded claims
     ends: tuple[str, ...]
     progress: float
     period_s: float
@@ -117,7 +117,7 @@ class Rewards:
         for name, weight in rewards.items():
             if not (isinstance(weight, int | float) and np.isfinite(weight)):
                 raise InadmissibleError.of_option("rewards", f"a number for {name!r}", repr(weight))
-            if weight < 0.0:  # of a claim a violation would be rewarded, as its margin is negative already
+            if weight < 0.0:  # it would reward a violation, whose margin is negative already
                 raise InadmissibleError.of_option("rewards", f"no negative number for {name!r}", repr(weight))
             if name != PROGRESS:
                 weights[name] = float(weight)

@@ -185,7 +185,7 @@ class _Acts:
     """
 
     def __init__(self, lanes: int, joints: int, ticks: NDArray[np.void]) -> None:
-        self._ticks, self.lasts = ticks, np.ones(lanes, np.int64)  # the last tick is another one
+        self._ticks, self.lasts = ticks, np.ones(lanes, np.int64)  # 1: tick 0 is never the last one
         self._twists, self._joints = np.zeros((lanes, 6)), np.zeros((lanes, joints))
         self._flags = [np.zeros(lanes, np.bool_) for _ in range(3)]
         self._questions = np.zeros((lanes, 1), QUESTION)

@@ -206,7 +206,7 @@ def _noisy(std_m: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: in
 @_avoider("unseeded randomness", "no run of it can be repeated, so that no finding can be looked into")
 @seeded(answering, (0.1, 1e-3, 1e-9), "mm", 1e3)
 def _unseeded(std_m: float) -> Answers:
-    own = np.random.Generator(np.random.PCG64())  # the fault itself: entropy of the machine
+    own = np.random.Generator(np.random.PCG64())  # the fault: it is seeded from the machine's entropy
 
     def answers(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
         proposal = sound_answer(avoider, hand, tcp, seed)

@@ -56,7 +56,7 @@ class SeverityLevels:
         return f"{number} {self.unit}" if self.unit else number
 
 
-ONLY = SeverityLevels((1.0,), names=("there",))  # a fault that is there or not
+ONLY = SeverityLevels((1.0,), names=("there",))  # for a fault that is either present or absent
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from safety_harness.extensions.selftest.system import ChangedSystem
 from safety_harness.trace.records import Check, DecisionOutcome, Mode
 
 SURE_BELOW_M = 0.02  # spread threshold of the avoiders below
-Rule = Callable[[Answer, Query], GateDecision]  # the sound gate's
+Rule = Callable[[Answer, Query], GateDecision]  # the sound gate's rule
 
 
 @dataclass(frozen=True, eq=False)

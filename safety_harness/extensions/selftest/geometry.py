@@ -22,8 +22,8 @@ from safety_harness.trace.trace import Trace
 
 SPAN_M = 2.0  # no point of a shipped arm is farther from one of its joints
 ROUNDING_M = 1e-4  # PyBullet returns link frames in single precision
-CLEAR_M = 1e-3  # reserve of a proof: the claim's bound may be lower than the distance by less
-FAR_M = 20.0  # the distance of bodies that are no nearer, and without a hand
+CLEAR_M = 1e-3  # reserve of a proof, because the claim's bound may lie below the distance by less
+FAR_M = 20.0  # the reported distance if bodies are farther apart, or if there is no hand
 BODIES = ("hand_position_in_base_m", "elbow_position_in_base_m")
 
 

@@ -195,7 +195,7 @@ class FaultTrials:
         faulty = fault.seed_into(system, magnitude)
         try:
             trace = faulty.run(world)
-        except Exception as error:  # an exception of a faulty system is a catch; an error in judging is not
+        except Exception as error:  # a faulty system's exception is a catch, unlike an error in judging
             return self._sound[key], {RUN_FAILED: check(RUN_FAILED, described(error))}, None
         return self._sound[key], evaluations_of(faulty.admitted, trace), trace
 

@@ -240,8 +240,8 @@ def _judge_log(trace: Trace, claim: Claim, _: TestRun) -> None:
 class _Judged:
     run: Run
     evaluations: tuple[Evaluation, ...]  # in the order of the claims
-    fallback: Evaluation | None  # that the avoider did not answer, where nobody expects it
-    differences: tuple[ClaimDifference | None, ...]  # of the claims, then of the fallback, from a reference
+    fallback: Evaluation | None  # the violation that the avoider did not answer, unless it is expected
+    differences: tuple[ClaimDifference | None, ...]  # from a reference: for each claim, then for the fallback
 
 
 class SpaceRuns:

@@ -35,7 +35,7 @@ class Ending:
         message = of_text(sent)
         run = message.run
         if run.judgements or message.simulated or message.swallowed or run.replayed or run.not_taken:
-            hidden = message.failed and report.passed  # by a hook of somebody else's
+            hidden = message.failed and report.passed  # another plug-in's hook turned the failure into a pass
             self._sent.append(replace(message, swallowed=message.swallowed or hidden))
 
     @pytest.hookimpl(optionalhook=True)

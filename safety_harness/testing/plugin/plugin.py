@@ -87,7 +87,7 @@ def pytest_configure(config: pytest.Config) -> None:
     profiles = {profile.name: profile for profile in PROFILES}
     if name not in profiles:
         raise pytest.UsageError(f"safety_profile: expected one of {', '.join(profiles)}; got {name!r}")
-    report = config.getoption("safety_report")  # as seen from where pytest was started
+    report = config.getoption("safety_report")  # relative to the folder in which pytest was started
     new = Session(
         root=config.rootpath,
         profile=profiles[name],
@@ -129,7 +129,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | 
     """
     patterns = parent.config.getini("safety_scenarios")
     if patterns is None and file_path.suffix.lower() not in SUFFIXES:
-        return None  # before anything is imported: most files are of other projects
+        return None  # before any import, because most files belong to other projects
     from safety_harness.scenario.ours import is_ours, is_titled
 
     if patterns is not None:
@@ -155,7 +155,7 @@ def pytest_runtestloop(session: pytest.Session) -> None:
     This happens here because collection must not execute an avoider.
     """
     config = session.config
-    elsewhere = config.pluginmanager.hasplugin("dsession")  # the workers of xdist have the tests
+    elsewhere = config.pluginmanager.hasplugin("dsession")  # xdist's workers run the tests
     if config.option.collectonly or _is_worker(config) or not (session.testscollected or elsewhere):
         return
     _refuse_unusable_avoiders(make=True)
@@ -172,7 +172,7 @@ def simulate() -> Simulate:
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
     """Watch a test while it runs, if it may judge runs."""
-    if "safety_harness.testing.asserting" not in sys.modules:  # nobody can have judged anything
+    if "safety_harness.testing.asserting" not in sys.modules:  # in this case no test has judged a run
         return (yield)
     from safety_harness.testing.plugin.running import watch
 
@@ -217,7 +217,7 @@ class _PastCapture(io.StringIO):
         """Write ``text`` as a whole line."""
         capture, reporter = map(self._plugins.getplugin, ("capturemanager", "terminalreporter"))
         if capture and reporter:
-            streams = sys.stdin, sys.stdout, sys.stderr  # of the test, perhaps
+            streams = sys.stdin, sys.stdout, sys.stderr  # the test may have replaced them
             with capture.global_and_fixture_disabled():
                 reporter.write_line(text.rstrip("\n"))
             sys.stdin, sys.stdout, sys.stderr = streams

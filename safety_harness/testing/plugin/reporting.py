@@ -42,10 +42,10 @@ def save_runs(test: TestRun, report: Path) -> tuple[tuple[Path, Verdict, Evaluat
     for sentence, trace in test.traces.items():
         scenario, worst = trace.scenario, test.worst[sentence]
         digest = digest_of(scenario)[:12]
-        if not trace.known.simulated:  # a log of the scenario is another trace than a run of it
+        if not trace.known.simulated:  # a log and a run of the same scenario are different traces
             digest += f"-{hashlib.sha256(trace.ticks.tobytes()).hexdigest()[:12]}"
         file = folder / f"{scenario.name.partition('#')[0]}-{digest}.trace"
-        if file not in session().saved:  # what an earlier session wrote may be of other code
+        if file not in session().saved:  # an earlier session may have written the file with other code
             folder.mkdir(parents=True, exist_ok=True)
             save_trace(trace, file, recordings=session().recordings)
             session().saved.add(file)
@@ -93,7 +93,7 @@ def _runs(sent: Sequence[EndedTest]) -> Iterator[JudgedRun]:
             by_file.setdefault(file, []).append((ended.run.id, expected, evaluation))
     for file, judgements in by_file.items():
         trace = load_trace(file)
-        first: dict[str, tuple[Claim, Evaluation]] = {}  # of what several tests said of one claim
+        first: dict[str, tuple[Claim, Evaluation]] = {}  # the first test's judgement of each claim
         for _, expected, evaluation in judgements:
             claim = Claim(sentence=evaluation.sentence, expected=expected)
             first.setdefault(evaluation.sentence, (claim, evaluation))

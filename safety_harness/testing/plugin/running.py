@@ -31,7 +31,7 @@ from safety_harness.testing.plugin.payloads import EndedTest, junit_properties
 from safety_harness.testing.session import Judgement, TestRun, session
 from safety_harness.testing.watching import keep, watched
 
-_OF_TARGETS = re.compile(r"Highest target|\s*\S+\s+\(label=|\s*$")  # of Hypothesis, a note a line
+_OF_TARGETS = re.compile(r"Highest target|\s*\S+\s+\(label=|\s*$")  # lines of Hypothesis's notes on targets
 
 
 @contextmanager
@@ -98,7 +98,7 @@ def _leave_hypothesis_out(error: SafetyHarnessError, function: Any) -> None:
     files = [Path(frame.tb_frame.f_code.co_filename) for frame in frames]
     positions = [k for k, file in enumerate(files) if "hypothesis" in file.parts]
     if positions and positions[-1] + 1 < len(frames):
-        # Two frames before Hypothesis's first is the test; the wrapper that @given made looks just like it.
+        # The frame before Hypothesis's first is the function that @given made; it looks like the test itself.
         outer = frames[max(positions[0] - 2, 0)]
         outer.tb_next = frames[positions[-1] + 1]
 
@@ -125,7 +125,7 @@ def complete(
     if isinstance(error, NotEstablished | InputError | FlakyAvoiderError):
         report.longrepr = "\n".join([explained(error), *_asked_at(error, item)])
     swallowed = False
-    if report.passed and not test.draws:  # it expected the failures that did not fail it, or swallowed them
+    if report.passed and not test.draws:  # the test expected the failures, or swallowed them
         swallowed = any(j.evaluation.verdict is not j.expected for j in test.judgements)
         test.judgements = [j for j in test.judgements if j.evaluation.verdict is j.expected]
     now = session()
@@ -143,7 +143,7 @@ def complete(
 
         ended = replace(ended, traces=save_runs(test, now.report))
     vars(report)["safety_harness"] = ended.text
-    vars(item).pop("_hypothesis_failing_examples", None)  # a patch with a scenario's repr is of no use
+    vars(item).pop("_hypothesis_failing_examples", None)  # a patch with a scenario's repr is useless
 
 
 def _asked_at(error: BaseException, item: pytest.Item) -> list[str]:
