@@ -29,8 +29,8 @@ AVOIDER, SUITE, RECORDING = "{}_avoider.py", "test_{}.py", "{}_recording.csv"
 class Template:
     """A template: its subject, and the files that it writes beside its scenario.
 
-    Each of these files is a pair: its name in ``FOLDER``, and a pattern that makes its new name from the stem
-    of FILE.
+    Each of these files is a pair: its name in ``FOLDER``, and a pattern for its new name.  The pattern
+    contains the stem of FILE.
     """
 
     about: str

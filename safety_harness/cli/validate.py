@@ -155,7 +155,7 @@ def _untried_of(space: ScenarioSpace) -> list[str]:
 
 
 def _untried(checked: Sequence[Checked], *spaces: ScenarioSpace) -> list[str]:
-    """Return lines on moves and faults that no scenario would try beside an arm that stays at its start."""
+    """Return lines on the moves and faults that no scenario tries while the arm stands still at its start."""
     tried = TriedParts()
     for draw in checked:
         tried.suppose(draw.scenario, links_in_base(draw.arm, draw.joint_position_rad)[-1, :3, 3].copy())

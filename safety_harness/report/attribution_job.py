@@ -1,4 +1,4 @@
-"""Attribute violations to ingredients: ``safety_harness.attribute``, its result, and the result's picture."""
+"""Provide ``safety_harness.attribute``, which attributes violations to ingredients, and draw its result."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def attribute(
         avoider: The avoider of a trace, which you name again because the harness executes its program.
         controller: The controller of a trace, which you name again for the same reason.
         confirm: Whether to repeat in PyBullet each violation, and each run with the blamed parts changed.
-        output: Receives the progress.
+        output: The ``Output`` that shows the progress.
 
     Raises:
         InputErrors: Inputs cannot be used; in this case no run was repeated.
@@ -135,7 +135,7 @@ def attribute_all(
         count: The number of runs, which the progress display shows.
         unit: The word for one run in the progress display.
         confirm: Whether each attribution is repeated in PyBullet.
-        output: Receives the printed lines.
+        output: The ``Output`` that prints the lines.
 
     """
     done: list[Attribution] = []

@@ -60,7 +60,8 @@ def report_data(
     Args:
         runs: The judged runs.
         interrupted: Whether planned runs are missing.
-        facts: ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated``, as for ``write_report``.
+        facts: The optional facts that ``AboutRuns`` defines: ``coverage``, ``skipped``, ``refused``,
+            ``against`` and ``repeated``.
 
     Raises:
         OSError: A trace file cannot be read.

@@ -1,7 +1,7 @@
 """Draw the paths of one run from above (x-y) and from the side (x-z): each whole, and close to the TCP.
 
-All drawings are in millimetres.  The functions that draw the cell, the arm, hands, the TCP or decisions draw
-base x to the right, and base ``axis`` (1: y, 2: z) upwards.
+All drawings are in millimetres.  Every ``draw_`` function draws base x to the right, and base ``axis`` (1: y,
+2: z) upwards.
 """
 
 from __future__ import annotations

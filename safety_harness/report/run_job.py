@@ -1,4 +1,4 @@
-"""Run scenarios and judge them: ``safety_harness.run``."""
+"""Provide ``safety_harness.run``, which runs scenarios and judges their claims."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def run(
         keep_going: Whether to run the usable inputs even if other inputs cannot be used.
         jobs: The number of processes; None: one for each core, if there are many runs.
         mcap: Whether to write each run as an MCAP file too, beside its trace.
-        output: Receives the progress.
+        output: The ``Output`` that shows the progress.
 
     Ctrl-C ends the job; the result then keeps the finished runs.  A run that fails does not stop the other
     runs.
@@ -167,7 +167,7 @@ def read_all(
         against: The reference; None without a comparison.
         world: The world of the runs.
         objects: Scenarios that were passed as objects, not as files.
-        output: Receives the progress.
+        output: The ``Output`` that shows the progress.
 
     Returns:
         Three lists: the admitted scenarios, each with its reference; the scenarios that a given avoider

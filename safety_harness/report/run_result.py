@@ -157,7 +157,7 @@ class RunResult:
 
         Args:
             folder: The folder to write into.
-            output: Receives the progress.
+            output: The ``Output`` that shows the progress.
 
         Returns:
             This result, whose runs now refer to the traces in ``folder``.

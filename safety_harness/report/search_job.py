@@ -1,4 +1,4 @@
-"""Search a space for violations: ``safety_harness.fuzz``, its result, fuzz.html and findings.json."""
+"""Provide ``safety_harness.fuzz``, which searches a space for violations, and write its result."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def fuzz(
         explain: "causes": Explain one example of each cause; the explanations use at most as many runs as the
             search. "all": Explain every violation.
         out: The folder into which each finding is written at once.  None: No files are written.
-        output: Receives the progress.
+        output: The ``Output`` that shows the progress.
 
     Ctrl-C ends the search; the result then keeps the findings made until then.
 
@@ -181,7 +181,7 @@ class SearchResult:
 
         Args:
             folder: The folder to write into.
-            output: Receives the progress.
+            output: The ``Output`` that shows the progress.
 
         Returns:
             This result, which now refers to the files in ``folder``.

@@ -72,7 +72,7 @@ def _slowing(trace: Trace, begin: int, end: int) -> Slowing:
 
 
 def shield_data(trace: Trace) -> dict[str, Any] | None:
-    """Return ``ticks``, ``slowed``, ``by_part`` and ``least_scale``; None for a run without a shield.
+    """Return the ``ticks``, ``slowed``, ``by_part`` and ``least_scale`` of a run with a shield, else None.
 
     The data also contain the slowed stretches and the assumptions that the run broke.
     """

@@ -114,8 +114,8 @@ def keep_extremes(time_s: Floats, values: Floats, columns: int) -> tuple[Floats,
 def spans(time_s: Floats, mask: NDArray[np.bool_], end_s: float, columns: int) -> list[tuple[float, float]]:
     """Return the stretches (start, length) [s] in which ``mask`` is true; a tick lasts until the next one.
 
-    The function closes gaps that are shorter than a column, so that a flickering mode adds only lines that
-    the eye can resolve.  It never omits a tick at which ``mask`` is true.
+    The function closes gaps that are shorter than a column, because the eye cannot resolve them in a
+    flickering mode.  It never omits a tick at which ``mask`` is true.
 
     Args:
         time_s: The times (n,) [s] of the ticks.

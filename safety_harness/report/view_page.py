@@ -1,4 +1,4 @@
-"""One self-contained page that replays one stored run in 3-D, or two side by side in step."""
+"""Write one self-contained page that replays one stored run in 3-D, or two runs side by side in step."""
 
 from __future__ import annotations
 

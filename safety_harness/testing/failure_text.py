@@ -174,8 +174,9 @@ class _Signal:
 def picture(trace: Trace, evaluation: Evaluation) -> list[str]:
     """Return the picture as lines of at most 70 characters; empty if the trace has nothing to draw.
 
-    The picture shows the TCP speed for a claim about it, and otherwise the distance from the nearest hand to
-    the arm's surface.  Each column shows the least distance, or the largest speed, of its stretch of time.
+    For a claim about the TCP speed, the picture shows this speed.  Otherwise it shows the distance from the
+    nearest hand to the arm's surface.  Each column shows the least distance, or the largest speed, of its
+    stretch of time.
     """
     if len(trace.ticks) < 2:
         return []

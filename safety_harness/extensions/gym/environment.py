@@ -154,7 +154,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         sees: Words of a controller's contract, which name the observed quantities.
         action: "tcp velocity" (3,) [m/s] or "tcp twist" (6,) [m/s, rad/s] in the base frame, or "joint
             velocity" (n,) [rad/s].
-        rewards: Weights of claims and of "progress" (``extensions.gym.rewards``).
+        rewards: The weights of claims and of "progress", which ``extensions.gym.rewards`` explains.
         ends: Claims whose violation at a tick terminates an episode. The end of the scenario truncates an
             episode.
 

@@ -1,7 +1,7 @@
 """Compute rewards from claims: the shortfall at each tick, and the progress to the desired pose.
 
-A claim is usable if its margin is the least value, over the ticks of a run, of a number that depends on a
-single tick. Let m_k [SI] be this number at tick k, and T the control period. A claim of weight w then
+A claim is usable if its margin is the least value of a number over the ticks of a run. The number must depend
+on a single tick. Let m_k [SI] be this number at tick k, and T the control period. A claim of weight w then
 contributes the reward
 
     r_k = w T min(m_k, 0),

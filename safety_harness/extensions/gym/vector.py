@@ -37,7 +37,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
 
     Args:
         num_envs: The number of lanes.
-        scenario: As for ``HarnessEnv``, like all further arguments.
+        scenario: As for ``HarnessEnv``.
         space: As for ``HarnessEnv``.
         world: The kinematic world, or its name.
         sees: As for ``HarnessEnv``.

@@ -7,9 +7,9 @@ A file of faults declares each fault beside the function that makes it, by two d
     def _faster(factor: float, command: Records) -> None:
         command[0]["joint_velocity_radps"] *= factor
 
-``seeded`` states the place of the change (here the commands to the arm), the magnitudes from the worst, and
-their unit for people. A fault without magnitudes is either present or absent. The decorator of the faulty
-part makes a SeededFault, which ``faults_in`` finds in the file.
+``seeded`` states the place of the change, here the commands to the arm. It also states the magnitudes, the
+worst first, and their unit for people. A fault without magnitudes is either present or absent. The decorator
+of the faulty part makes a SeededFault, which ``faults_in`` finds in the file.
 """
 
 from __future__ import annotations

@@ -36,11 +36,11 @@ class Kept(Enum):
 
 
 def hand_distance_kept(trace: Trace, limit_m: float) -> Kept:
-    """Return whether all hands and forearms stay ``limit_m`` from the arm's capsules, surface to surface.
+    """Return whether all hands and forearms stay at least ``limit_m`` away from the arm's capsules.
 
-    From a known distance, the function skips the ticks in which neither the joints nor the hands can move far
-    enough to use it up. The joints' motion is multiplied by ``span_m_of``. A hand appears and disappears only
-    at a tick.
+    The distance is measured from surface to surface.  The function skips the ticks in which joints and hands
+    cannot move far enough to use up the last distance. It bounds the arm's motion by the joints' motion times
+    ``span_m_of``. The function assumes that a hand appears or disappears only at a tick.
     """
     ticks = trace.ticks
     present = ticks["hand_present"]

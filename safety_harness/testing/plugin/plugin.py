@@ -125,7 +125,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | 
     """Collect the scenario files, spaces, suites and logs that match ``safety_scenarios``.
 
     Without that setting, the plug-in collects the files that the harness recognises.  It also collects a file
-    that the user names and that has a title of the harness, so that the file's mistakes are shown.
+    that the user names if its title is the harness's, so that its mistakes are shown.
     """
     patterns = parent.config.getini("safety_scenarios")
     if patterns is None and file_path.suffix.lower() not in SUFFIXES:
