@@ -82,7 +82,7 @@ def block() -> Iterator[Callable[[list[str]], None]]:
 
 
 def _shown() -> dict[str, Any]:
-    """Return settings that draw on standard error, below the results unless these go to a file."""
+    """Return settings of a display on standard error, which stays below results on the same terminal."""
     results = sys.stdout is not None and sys.stdout.isatty()
     return {"console": Console(stderr=True), "transient": True, "redirect_stdout": results}
 

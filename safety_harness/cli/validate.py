@@ -137,7 +137,7 @@ def _whole(read: Callable[[], _Made]) -> _Made:
 
 
 def _tried_space(variant_file: tuple[Variant, Path], checker: Checker, avoider: str | None) -> ScenarioSpace:
-    """Return the space after an admissible draw of it was checked, with ``avoider`` if that is given."""
+    """Return the space after checking one admissible draw of it, for which ``avoider`` may be used."""
     variant, file = variant_file
     space = space_of(variant.tree, file, name=variant.name)
     (drawn,) = draw_admissible(space, seed=0, count=1).scenarios

@@ -22,7 +22,7 @@ Triangles = NDArray[np.float64]  # (n, 3, 3) corners [m]
 
 @lru_cache(maxsize=16)
 def arm_meshes(arm: ArmModel) -> dict[str, Any] | None:
-    """Return the packed triangles of all links that have binary STL or OBJ meshes; None if no link has.
+    """Return the packed triangles of all links that have binary STL or OBJ meshes; None without meshes.
 
     The result omits meshes that cannot be read; for such a link, the viewer draws the capsules.
     """

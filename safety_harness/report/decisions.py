@@ -57,9 +57,9 @@ class DecisionRow:
 class DecisionTally:
     """The number of decisions, and how often each outcome occurred.
 
-    ``faults`` counts the decisions without a usable answer.  ``unanswered`` counts those of these decisions
-    that no fault of the scenario explains.  The tally leaves out traces that did not measure their decisions
-    (see ``are_counted``).
+    ``faults`` counts the decisions without a usable answer.  ``unanswered`` counts those ``faults`` that no
+    fault of the scenario explains.  The tally leaves out traces that did not measure their decisions (see
+    ``are_counted``).
     """
 
     made: int
@@ -257,7 +257,7 @@ def computing_times(traces: Iterable[Trace]) -> list[ComputingTime]:
 
 
 def computing_time_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return the cost of each avoider and controller, and a warning if it was slower than its runs allow."""
+    """Return lines on the cost of each avoider and controller, and on those slower than their runs allow."""
     return lines_of(computing_times(traces))
 
 
@@ -293,7 +293,7 @@ def asks_of_hands(trace: Trace) -> bool:
 
 
 def possible_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return one line on all runs whose gate has a rule about possible hands; empty if no run has one."""
+    """Return one line on all runs whose gate has a rule about possible hands; empty without such a gate."""
     ruled = [trace for trace in traces if asks_of_hands(trace)]
     if not ruled:
         return []

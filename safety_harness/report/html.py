@@ -247,7 +247,7 @@ def _tabled(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
 
 
 def _parted(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
-    """Return the sections in order, as pairs (whether the browser reads them later, sections).
+    """Return the sections in order, in parts: pairs (whether the browser reads the part later, part).
 
     The browser reads drawn runs at once.
     """

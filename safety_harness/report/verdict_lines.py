@@ -116,8 +116,8 @@ def block_of(run: JudgedRun) -> Iterator[str]:
 def nearest_hand_words(trace: Trace) -> str:
     """Say which hand came how near to which part of the arm, and when; "contact" if it touched the arm.
 
-    For a simulated contact, the text adds the highest speeds of hand and tool just before it.  It is empty
-    for a run without hands, or if the distance was not measured.
+    For a simulated contact, the text adds the highest speeds of hand and tool just before it.  The text is
+    empty for a run without hands, or if the distance was not measured.
     """
     nearest = nearest_hand(trace)
     if nearest.margin is None or nearest.worst_time_s is None:

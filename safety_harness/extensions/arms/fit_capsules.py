@@ -220,7 +220,7 @@ def _axis_guesses(hull: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def fit_link(surface: Surface, rng: np.random.Generator) -> list[Capsule]:
-    """Return the capsules of a link, as many as each reduce the volume by the share ``WORTH``."""
+    """Return a link's capsules; each further capsule must reduce the volume by the share ``WORTH``."""
     best, volume = fit_capsules(surface, 1, rng)
     for count in range(2, MOST_CAPSULES + 1):
         more, less = fit_capsules(surface, count, rng)

@@ -46,7 +46,10 @@ STATE_CLASS = {
 
 @dataclass(frozen=True, kw_only=True)
 class SelfTestRun:
-    """The circumstances of a self-test; if ``interrupted``, some of the ``planned`` faults were not tried."""
+    """The circumstances of a self-test.
+
+    If it was ``interrupted``, some of the ``planned`` faults were not tried.
+    """
 
     profile: str
     avoider: str | None

@@ -54,7 +54,7 @@ class FaultOutcome:
 
     @property
     def smallest(self) -> Rung | None:
-        """The rung of the smallest caught magnitude; all larger magnitudes are caught too."""
+        """The rung of the smallest caught magnitude; all worse magnitudes are caught too."""
         caught = [rung for rung in self.rungs if rung.caught]
         return caught[-1] if caught else None
 

@@ -126,7 +126,7 @@ def _rank(scenario: Scenario) -> tuple[int, float, str]:
 
 
 def _admitted(scenarios: Iterable[Scenario], avoider: str | None) -> Iterator[Admitted]:
-    """Yield, admitted, the scenarios that the kinematic world can run."""
+    """Admit and yield the scenarios that the kinematic world can run."""
     for scenario in scenarios:
         try:
             KINEMATIC.refuse(scenario)
