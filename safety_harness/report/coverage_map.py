@@ -1,8 +1,8 @@
 """Draw the coverage of a set of runs: a square for each cell, which is larger for more runs.
 
-The map has 1,536 cells.  A row combines a direction and a speed.  A column combines a distance, the coverage
-by the data, and an outcome.  A cell with violations has another colour and also a frame, so that colour is
-never the only sign.  The picture depends only on the counts.
+The map has 1,536 cells.  A row combines a direction and a speed.  A column combines a distance, an outcome,
+and whether the avoider's training data cover hand and TCP.  A cell with violations has another colour and
+also a frame, so that colour is never the only sign.  The picture depends only on the counts.
 """
 
 from __future__ import annotations
