@@ -1,4 +1,4 @@
-"""``safety-harness attribute``: the output of an attribution in a terminal."""
+"""Define ``safety-harness attribute``, which prints an attribution in a terminal."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from safety_harness.report.attribution_job import DATA, PICTURE, TRACE, Attribut
 
 
 def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None, confirm: bool) -> int:
-    """Attribute the violations of runs, print and write the result; return the exit code.
+    """Attribute the violations of runs, print and write the result, and return the exit code.
 
     Args:
         paths: scenario files, traces or folders.
-        avoider: the program of the traces; None if they need no program.
-        out: the folder to write; None writes no files.
-        confirm: whether PyBullet repeats each attribution.
+        avoider: the program that made the traces; None if they need no program.
+        out: the folder to write into; None writes no files.
+        confirm: whether each attribution is repeated in PyBullet.
 
     """
     try:
@@ -43,7 +43,7 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
 
 
 def conclude(attributed: AttributionResult, out: Path | None) -> int:
-    """Print the groups of an attribution and write the files; return the exit code."""
+    """Print the causes of an attribution, write its files, and return the exit code."""
     result(*attributed.tally.lines())
     document(**attributed.data())
     if out is not None:

@@ -1,6 +1,6 @@
 """Print results on standard output, and everything else on standard error.
 
-With ``--json`` the results are one document in place of lines.
+With ``--json``, the results are one JSON document in place of lines.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from safety_harness.base.output import DIFFERS as DIFFERS
 from safety_harness.base.output import INTERRUPTED as INTERRUPTED
 
 JSON_FORMAT = "safety-harness answer 1"
-NARROW = 70  # columns; below, columns of blanks are closed, and help has no boxes
+NARROW = 70  # columns; on narrower terminals, runs of blanks are closed, and help has no boxes
 _NARROWEST = 20
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 @dataclass
 class _Answer:
-    """The answer of a command with ``--json``, until it is printed."""
+    """The answer of a command with ``--json``, which is collected until the command ends."""
 
     result: dict[str, object] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
@@ -44,7 +44,7 @@ _as_json: ContextVar[_Answer | None] = ContextVar("as_json", default=None)
 
 
 def strip_control_chars(text: str) -> str:
-    """Replace the characters that command a terminal; a stranger may have chosen names of files."""
+    """Replace characters that control a terminal, because a stranger may have chosen the names of files."""
     return text if text.isprintable() else "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
 
 
@@ -54,7 +54,7 @@ def say(*lines: str) -> None:
 
 
 def result(*lines: str) -> None:
-    """Print lines of results on standard output; ``--json`` keeps them for its document."""
+    """Print lines of results on standard output; with ``--json``, keep them for the document."""
     if (answer := _as_json.get()) is None:
         _print(lines, "stdout")
     else:
@@ -62,7 +62,7 @@ def result(*lines: str) -> None:
 
 
 def next_step(command: str, purpose: str = "") -> None:
-    """Print the command that a user most likely wants next, and its purpose, on standard error."""
+    """Print on standard error the command that a user most likely wants next, and its purpose."""
     say(f"next: {command}" + (f"    ({purpose})" if purpose else ""))
 
 
@@ -72,19 +72,19 @@ def asked_for_json() -> bool:
 
 
 def document(**fields: object) -> None:
-    """Add results for programs to the document of ``--json``; names have their units."""
+    """Add results to the document of ``--json``; the names of ``fields`` include their units."""
     if (answer := _as_json.get()) is not None:
         answer.result |= fields
 
 
 def verbatim(text: str) -> None:
-    """Print a text for programs on standard output without folding its lines."""
+    """Print ``text``, which programs read, on standard output without folding its lines."""
     if _as_json.get() is None:
         _write(strip_control_chars(text) + "\n", "stdout")
 
 
 def answered_as_json(command: Callable[[], int]) -> int:
-    """Run ``command``, print its answer as one document however it ends, and return its exit code."""
+    """Run ``command``, print its answer as one document however it ends, and return the exit code."""
     answer = _Answer()
     token = _as_json.set(answer)
     try:
@@ -108,7 +108,7 @@ def answered_as_json(command: Callable[[], int]) -> int:
 
 
 def _plain(value: object) -> Any:
-    """Return a value as JSON has it; a number that is not finite is null."""
+    """Return ``value`` in types that JSON knows; a number that is not finite becomes null."""
     from msgspec import to_builtins
 
     own = to_builtins(value, enc_hook=_of_another_type, str_keys=True)
@@ -116,7 +116,7 @@ def _plain(value: object) -> Any:
 
 
 def _of_another_type(value: Any) -> object:
-    """Return arrays and numbers of NumPy as Python's, and any other value as its text."""
+    """Return arrays and numbers of NumPy as Python objects, and any other value as its text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
@@ -134,9 +134,9 @@ def _print(lines: Sequence[str], name: str) -> None:
 
 
 def _write(text: str, name: str) -> None:
-    """Write to a stream of ``sys``.  A closed stream, or a pipe without a reader, silently takes no more.
+    """Write ``text`` to the stream ``name`` of ``sys``; stop writing if the stream or its pipe is closed.
 
-    The command goes on, because its files matter more.
+    The command continues in this case, because its files matter more than its output.
 
     Raises:
         OutputError: The disk is full.
@@ -150,23 +150,23 @@ def _write(text: str, name: str) -> None:
         stream.flush()
     except OSError as error:
         give_up(stream)
-        if error.errno not in (errno.EPIPE, errno.EBADF, errno.EIO):  # EIO: of a terminal that hung up
+        if error.errno not in (errno.EPIPE, errno.EBADF, errno.EIO):  # EIO: the terminal hung up
             place = "standard output" if name == "stdout" else "standard error"
             raise OutputError.of_option(place, "room for what is printed", str(error)) from error
 
 
 def give_up(stream: TextIO) -> None:
-    """Drop the buffered text of a stream and all that follows."""
+    """Discard the buffered text of a stream, and all text written to it later."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def no_escapes() -> bool:
-    """Return whether the terminal gets no commands: NO_COLOR is set, or it knows none."""
+    """Return whether the terminal must not receive escape codes: NO_COLOR is set, or TERM knows none."""
     return bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM", "").lower() in ("dumb", "unknown")
 
 
 def columns_of(stream: TextIO | None) -> int | None:
-    """Return the width at which lines fold: COLUMNS or the terminal's; None for pipes and files."""
+    """Return the width at which lines are folded: COLUMNS or the terminal's; None for pipes and files."""
     columns_text = os.environ.get("COLUMNS", "")
     if columns_text.isdecimal() and 0 < int(columns_text) < 100_000:
         return max(int(columns_text), _NARROWEST)
@@ -177,7 +177,7 @@ def columns_of(stream: TextIO | None) -> int | None:
 
 
 def folded(text: str, columns: int | None) -> str:
-    """Fold lines to so many columns; longer words, such as names of files, stay whole."""
+    """Fold the lines of ``text`` to ``columns`` columns; longer words, such as file names, stay whole."""
     if columns is None or all(len(line) <= columns for line in text.split("\n")):
         return text
     return "\n".join(part for line in text.split("\n") for part in _parts(line, columns))
@@ -203,14 +203,14 @@ def _parts(line: str, columns: int) -> list[str]:
 
 
 def explain(error: Exception) -> None:
-    """Print a user's mistake: its place, what was expected, what came, and the hint on its own line."""
+    """Print a user's mistake: its place, what was expected, what was found, and the hint on its own line."""
     if (answer := _as_json.get()) is not None:
         answer.errors.append(_error_fields(error))
     say(f"error: {explanation(error)}")
 
 
 def _error_fields(error: Exception) -> dict[str, object]:
-    """Return an error as data."""
+    """Return the fields of ``error`` for the document of ``--json``."""
     fields: dict[str, object] = {"kind": type(error).__name__, "message": str(error)}
     if isinstance(error, InputError):
         place = {name: getattr(error.place, name) for name in ("file", "line", "field")}
@@ -219,7 +219,10 @@ def _error_fields(error: Exception) -> dict[str, object]:
 
 
 def explain_each(errors: Sequence[InputError]) -> list[InputError]:
-    """Explain each distinct error once and return them; files that extend a faulty file share its error."""
+    """Explain each distinct error once, and return the distinct errors.
+
+    Several files that extend the same faulty file share its error.
+    """
     once = each_once(errors)
     for error in once:
         explain(error)
@@ -227,7 +230,7 @@ def explain_each(errors: Sequence[InputError]) -> list[InputError]:
 
 
 def say_shared_modules() -> None:
-    """Warn of packages that own the same module; their versions do not tell whose code runs."""
+    """Warn if several packages own the same module, because their versions do not tell whose code runs."""
     from safety_harness.trace.provenance import shared_modules
 
     for module, packages in shared_modules().items():

@@ -1,4 +1,4 @@
-"""``safety-harness doctor``: the working, missing and wrong parts of the installation."""
+"""Define ``safety-harness doctor``, which reports what works, is missing or is wrong in the installation."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _REQUIREMENT = re.compile(r"([\w.-]+)(?:\[.*?\])?\s*\(?([^;)]*)\)?\s*(?:;\s*(.*)
 
 
 class State(StrEnum):
-    """The outcome of a check."""
+    """The result of one check of the installation."""
 
     OK = "ok"
     MISSING = "missing"
@@ -49,7 +49,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Examined:
-    """One check: its subject ``what``, its result in ``words``, and whether every run needs the part."""
+    """One check: its subject ``what``, its finding in ``words``, and whether every run needs the part."""
 
     what: str
     state: State
@@ -58,7 +58,7 @@ class Examined:
 
 
 def examine() -> int:
-    """Check the installation and print the results; return the exit code."""
+    """Check the installation, print the results, and return the exit code."""
     checks = [*_machine(), *_required(), *_optional(), *_clashes(), _self_check()]
     problems = [check for check in checks if check.state is State.PROBLEM and check.needed]
     document(checks=[asdict(check) for check in checks], good=not problems)
@@ -68,7 +68,7 @@ def examine() -> int:
 
 
 def _machine() -> Iterator[Examined]:
-    """Yield the checks of the machine, of Python, and of the folder for machine code."""
+    """Yield the checks of the machine, of Python, and of the folder that caches machine code."""
     yield Examined("machine", State.OK, f"{platform.platform()}, {os.cpu_count()} processors")
     python, wanted = platform.python_version(), metadata.metadata(DISTRIBUTION)["Requires-Python"] or ""
     good = fits(python, wanted)
@@ -84,7 +84,7 @@ def _machine() -> Iterator[Examined]:
 
 
 def _required() -> Iterator[Examined]:
-    """Yield a check per required package: it exists, lies in its range, and can be imported."""
+    """Yield a check for each required package: it is installed, in its version range, and importable."""
     modules: dict[str, list[str]] = {}
     for module, names in metadata.packages_distributions().items():
         for name in names:
@@ -102,12 +102,12 @@ def _installed(name: str, version: str, wanted: str, modules: list[str]) -> Exam
     if not fits(version, wanted):
         return Examined(name, State.PROBLEM, f"{version}, which is not {wanted}")
     module = name if name in modules else next((item for item in modules if not item.startswith("_")), None)
-    module = "safety_harness.cell.simulation.engine" if name == "pybullet" else module  # which is quiet
+    module = "safety_harness.cell.simulation.engine" if name == "pybullet" else module  # a quiet import
     try:
         if module is not None:
             with warnings.catch_warnings(action="ignore"):
                 import_module(module)
-    except Exception as error:  # whatever a broken package raises
+    except Exception as error:  # a broken package may raise anything
         return Examined(name, State.PROBLEM, f"{version} cannot be imported: {type(error).__name__}: {error}")
     return Examined(name, State.OK, version)
 
@@ -129,11 +129,11 @@ def _version(name: str) -> str:
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
-        return "by another package"  # opencv-python, say, in place of the one without windows
+        return "by another package"  # such as opencv-python in place of opencv-python-headless
 
 
 def _clashes() -> Iterator[Examined]:
-    """Yield the packages that share one module: their versions then do not tell whose code runs."""
+    """Yield the packages that share a module, because their versions do not tell whose code runs."""
     if foreign := foreign_files():
         yield Examined("package safety_harness", State.PROBLEM, foreign)
     needed = required()
@@ -144,10 +144,10 @@ def _clashes() -> Iterator[Examined]:
 
 
 def _self_check() -> Examined:
-    """Run a short kinematic run with a hand, without compiling, and check a claim that must hold there."""
+    """Simulate a short kinematic run with a hand, uncompiled, and check a claim that must hold in it."""
     try:
         evaluation = without_compiling(_short_run)
-    except Exception as error:  # whatever is wrong with the installation is what is looked for
+    except Exception as error:  # the check looks for any error of the installation
         return Examined("self-check", State.PROBLEM, f"{type(error).__name__}: {error}")
     good = evaluation.verdict is Verdict.HOLDS
     text = f"a short kinematic run: {evaluation.sentence}: {evaluation.verdict.value}"
@@ -161,11 +161,11 @@ def _short_run() -> Evaluation:
 
 
 def required() -> dict[str, str]:
-    """Return the packages that every installation needs with this Python, and their version ranges."""
+    """Return the packages that every installation needs under this Python, with their version ranges."""
     ranges: dict[str, str] = {}
     for text in metadata.requires(DISTRIBUTION) or ():
         match = _REQUIREMENT.match(text)
-        assert match is not None, text  # our own
+        assert match is not None, text  # the package's own requirement, which has this form
         name, wanted, marker = match[1], match[2].strip(), match[3] or ""
         python = re.search(r"python_version\s*([<>=!]+)\s*['\"]([\d.]+)['\"]", marker)
         if "extra" in marker or (python and not fits(platform.python_version(), python[1] + python[2])):
@@ -175,9 +175,9 @@ def required() -> dict[str, str]:
 
 
 def fits(version: str, wanted: str) -> bool:
-    """Return whether a version lies in a range such as ``>=2.0,<3``, with numbers only.
+    """Return whether ``version`` lies in a range such as ``>=2.0,<3``, which contains only numbers.
 
-    A shorter limit covers all versions that begin with it: 2.4.6 is ``==2.4`` and not ``>2.4``.
+    A shorter limit covers all versions that begin with it: 2.4.6 satisfies ``==2.4`` but not ``>2.4``.
     """
     for part in filter(None, (limit_text.strip() for limit_text in wanted.split(","))):
         match = re.fullmatch(r"(==|!=|>=|<=|>|<)\s*([\d.]+)(?:\.\*)?", part)

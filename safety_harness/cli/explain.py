@@ -1,4 +1,4 @@
-"""``explain`` and ``claims``: the meaning of keys and claims, as the documentation shows it."""
+"""Define ``explain`` and ``claims``, which print the documentation of keys and claims."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def explain_key(typed: Sequence[str]) -> int:
     """Print the meaning of a key in every mapping that has it, or list all keys; return the exit code.
 
     Args:
-        typed: the words of the key; empty lists all keys.
+        typed: the words of the key; if empty, all keys are listed.
 
     Raises:
         ScenarioError: no mapping has the key.
@@ -47,10 +47,11 @@ def explain_key(typed: Sequence[str]) -> int:
 
 
 def explain_claims(typed: Sequence[str]) -> int:
-    """Print every sentence of the catalogue, or details of the matching sentences; return the exit code.
+    """Print every sentence of the catalogue, or details of the matching ones; return the exit code.
 
     Args:
-        typed: some words of a sentence, or a whole sentence with the user's own limit.  Empty lists all.
+        typed: some words of a sentence, or a whole sentence with the user's own limit.  If empty, all
+            sentences are listed.
 
     Raises:
         ScenarioError: no sentence matches.
@@ -78,7 +79,10 @@ def explain_claims(typed: Sequence[str]) -> int:
 def _explain(
     field: str, query: str, expected: str, known: Iterable[str], matches: Sequence[Iterator[str]]
 ) -> int:
-    """Print the lines of each match, separated by an empty line; ScenarioError with near names if empty."""
+    """Print the lines of each match, with empty lines between.
+
+    Raise ScenarioError with similar names if there is no match.
+    """
     if not matches:
         hint = near_miss(query, known, most=3)
         raise ScenarioError(place=Place(field=field), expected=expected, got=query, hint=hint)
@@ -88,7 +92,7 @@ def _explain(
 
 
 def _described(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
-    """Yield (name, text) of everything that an entry or an added package states for people."""
+    """Yield (name, text) of everything that a catalogue entry or an added package tells people about it."""
     from safety_harness.claims.properties.entry import entry_fields
 
     yield from entry_fields(entry)
@@ -109,7 +113,7 @@ def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
 
 
 def _names(table: KeyTable, key: Key) -> tuple[str, ...]:
-    """Return the names by which a user may call a key: alone, or below the name of its mapping."""
+    """Return the names that a user may type for a key: its own, and its own below its mapping's name."""
     above = {table.name, table.path, table.path.rpartition(".")[2]} - {""}
     return (key.name, *(f"{name}.{key.name}" for name in sorted(above)))
 
@@ -136,7 +140,7 @@ def _key_lines(table: KeyTable, key: Key) -> Iterator[str]:
 
 
 def _takes(key: Key) -> str:
-    """Return the text of a key's value with bounds and units, or of the keys below it."""
+    """Return the text on a key's value with its bounds and units, or on the keys below it."""
     if isinstance(key.value, Below):
         names = [name for table in key.value.tables for name in table.names]
         return f"a mapping with the keys {', '.join(dict.fromkeys(names))}"
@@ -158,6 +162,6 @@ def _dimension(value: Value) -> Dimension | None:
 
 
 def _plain(text: str) -> str:
-    """Return a cell of the page's table without its markup."""
+    """Return the text of a table cell of the documentation without its markup."""
     text = re.sub(r" \(\[[^]]*\]\(#[^)]*\)\)", "", text.replace("`", ""))
     return re.sub(r"\[[^]]*\]\(([a-z/-]+)\.md([^)]*)\)", r"safety-harness docs \1\2", text)

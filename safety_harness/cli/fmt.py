@@ -1,4 +1,4 @@
-"""``safety-harness fmt``: write scenario files in the standard layout."""
+"""Define ``safety-harness fmt``, which writes scenario files in the standard layout."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ FORMATTED_KINDS = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.P
 
 
 def format_files(paths: Sequence[Path], *, check: bool, modernise: bool = False) -> int:
-    """Lay out every file, or with ``check`` print the files that would change; return the exit code.
+    """Lay out every file, or with ``check`` only print the files that would change; return the exit code.
 
-    With ``modernise``, words of earlier releases become today's.
+    With ``modernise``, the function also replaces words of earlier releases by the present ones.
     """
     changed, failed = list[Path](), False
     for path in paths:
@@ -34,18 +34,18 @@ def format_files(paths: Sequence[Path], *, check: bool, modernise: bool = False)
         except InputError as error:
             explain(error)
             failed = True
-    document(changed=changed)  # or, with --check, what would be
+    document(changed=changed)  # with --check, the files that would change
     if failed:
         return BAD_INPUT
     return DIFFERS if check and changed else AS_EXPECTED
 
 
 def _format(file: Path, *, check: bool, modernise: bool) -> bool:
-    """Lay out one file, and return whether its layout was, or would be, another."""
+    """Lay out one file; return whether its layout changed, or with ``check`` would change."""
     refuse_other_kind(file, *FORMATTED_KINDS)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=ScenarioError)
     old_text = decode(data, most=MAX_BYTES, file=file, error=ScenarioError)
-    tree_of(old_text, file)  # refuses what is not ours
+    tree_of(old_text, file)  # refuses other files
     text = laid_out(modernised(old_text, in_words_of_today, file) if modernise else old_text, file)
     if text.encode() == data:
         return False

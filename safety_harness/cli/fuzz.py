@@ -1,4 +1,4 @@
-"""``safety-harness fuzz``: search a space for violations."""
+"""Define ``safety-harness fuzz``, which searches a space for violations."""
 
 from __future__ import annotations
 

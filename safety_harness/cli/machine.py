@@ -1,4 +1,4 @@
-"""Commands about this machine: compile ahead, and check the installation."""
+"""Define the commands about this machine: compile in advance, and check the installation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands of ``safety-harness`` together; each command imports its parts when it is called."""
+"""Define all commands of ``safety-harness``; each command imports what it needs when it is called."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from safety_harness.cli.shipped import commands as of_shipped
 
 NAME = "safety-harness"
 CORE = (of_new, of_scenarios, of_search, of_shipped, of_machine)
-# Commands of this distribution by task, in the order of the help; those of other packages follow.
+# Commands of this distribution by task, in the order of the help; commands of other packages follow.
 TASKS = {
     "The three jobs": ("run", "fuzz", "certify"),
     "Write and run": ("new", "validate", "show", "sample", "explain", "claims", "fmt", "list", "copy"),
@@ -45,7 +45,7 @@ TASKS = {
 }
 TASK_OF = {name: task for task, names in TASKS.items() for name in names}
 REINSTALL = f"pip install --force-reinstall {DISTRIBUTION}"
-# Commands of other packages: what somebody is told who has not got them.
+# Commands of other packages, with the text for a user who has not installed the package.
 ELSEWHERE = {
     "reproduce": (
         "Measure the paper's tables and figures again (needs the package safety_harness_paper).",
@@ -55,10 +55,10 @@ ELSEWHERE = {
 
 
 class _Commands(MutableMapping[str, Any]):
-    """The commands of the core and of packages by their names.
+    """The commands of the core and of other packages, by their names.
 
-    The mapping loads a package's command at its first use.  It lists a name that fails to load, without a
-    value.
+    The mapping loads a package's command when it is first used.  It lists the name of a command that fails to
+    load, but has no value for it.
     """
 
     def __init__(self, core: MutableMapping[str, Any]) -> None:
@@ -66,7 +66,7 @@ class _Commands(MutableMapping[str, Any]):
         for name, commands in core.items():
             commands.rich_help_panel = TASK_OF[name]
         self._parts: dict[str, RegisteredPart] = {}
-        self._hidden: list[RegisteredPart] = []  # whose names are taken
+        self._hidden: list[RegisteredPart] = []  # parts whose names are already in use
         for part in parts(ExtensionPoint.COMMANDS):
             if part.name in (*self._made, *self._parts):
                 self._hidden.append(part)
@@ -97,12 +97,12 @@ class _Commands(MutableMapping[str, Any]):
         del self._made[name]
 
     def warn_of_hidden(self) -> None:
-        """Warn of the parts that are left out because their names are in use."""
+        """Warn of the commands that are left out because their names are already in use."""
         for part in self._hidden:
             warn(part, f"the command {part.name} is there already")
 
     def _load(self, part: RegisteredPart) -> Any:
-        """Return the command of a part's name in its Typer; None, with a warning, where there is none."""
+        """Return the command of ``part``; if its Typer has none of that name, warn and return None."""
         if (group := load(part, typer.Typer)) is None:
             return None if part.package else _absent(part.name, "Not installed.", REINSTALL)
         if (loaded := commands_of(group).get(part.name)) is None:
@@ -115,27 +115,27 @@ class _Commands(MutableMapping[str, Any]):
 
 
 class _Group(TyperGroup):
-    """The group of all commands."""
+    """The Typer group that contains all commands."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
         self.commands = self._lazy = _Commands(self.commands)
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of all commands, and warn of parts whose names are in use."""
+        """Return the names of all commands, and warn of commands whose names are already in use."""
         self._lazy.warn_of_hidden()
         return [*self.commands]
 
 
 def commands_of(group: typer.Typer) -> MutableMapping[str, Any]:
-    """Return the commands and groups that a Typer adds, by their names."""
+    """Return the commands and groups that the Typer ``group`` adds, by their names."""
     holder = typer.Typer(rich_markup_mode=app.rich_markup_mode)
     holder.add_typer(group)
     return typer.main.get_group(holder).commands
 
 
 def _absent(name: str, description: str, hint: str) -> Any:
-    """Return a command for a package that is not installed; it explains how to install it."""
+    """Return a stand-in for a command whose package is not installed; it explains how to install it."""
     commands = typer.Typer()
     settings = {"ignore_unknown_options": True, "allow_extra_args": True}
 
@@ -148,7 +148,7 @@ def _absent(name: str, description: str, hint: str) -> Any:
     return placeholder
 
 
-OLDER_OPTIONS = {"workers": "jobs", "baseline": "compare-with-uniform"}  # the older names serve
+OLDER_OPTIONS = {"workers": "jobs", "baseline": "compare-with-uniform"}  # older names, which still work
 app = typer.Typer(
     cls=_Group,
     no_args_is_help=True,
@@ -179,24 +179,24 @@ def of_all(
         ),
     ] = False,
 ) -> None:
-    """Nothing is common to all commands."""
+    """Do nothing, because no option but ``--version`` is common to all commands."""
 
 
 def main() -> None:
-    """Run the command line; an error of the harness gets an explanation, never a traceback."""
+    """Run the command line; explain an error of the harness without a traceback."""
     watchers.append(CompilationLine(sys.stderr))
     if foreign := foreign_files():
         say(f"warning: {foreign}")
     columns = columns_of(sys.stdout) or 80
     plain = columns < NARROW or no_escapes()
-    if plain:  # Rich cuts words where a table is too wide, and draws in bold without colour
+    if plain:  # Rich cuts words if a table is too wide, and uses bold even without colour
         app.rich_markup_mode = None
     try:
         app(prog_name=NAME, terminal_width=columns if plain else None, color=False if plain else None)
     except SafetyHarnessError as error:
         explain(error)
         raise SystemExit(BAD_INPUT) from None
-    except OSError as error:  # help that a full disk does not take, completion for a home that is read-only
+    except OSError as error:  # a full disk for the help, or a read-only home folder for the completion
         explain(error)
         give_up(sys.stdout)
         raise SystemExit(BAD_INPUT) from None

@@ -1,4 +1,4 @@
-"""``safety-harness new``: a small runnable file to start from, and the next commands."""
+"""Define ``safety-harness new``, which writes a small runnable file and prints the next commands."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ AVOIDER, SUITE, RECORDING = "{}_avoider.py", "test_{}.py", "{}_recording.csv"
 
 @dataclass(frozen=True)
 class Template:
-    """A template: its subject, and the files beside its scenario.
+    """A template: its subject, and the files that it writes beside its scenario.
 
-    Each file is a pair: its name in ``FOLDER``, and a pattern for the name with FILE's stem.
+    Each of these files is a pair: its name in ``FOLDER``, and a pattern for its new name.  The pattern
+    contains the stem of FILE.
     """
 
     about: str
@@ -97,7 +98,10 @@ def _listed() -> list[str]:
 
 
 def _ask_at_terminal() -> tuple[str, Path]:
-    """Ask at the terminal for the template and the file; without a terminal raise an error with a list."""
+    """Ask at the terminal for the template and the file.
+
+    Without a terminal, raise an error that lists the templates.
+    """
     if not sys.stdin.isatty():
         raise _unknown("none, and no terminal to ask at")
     say(*_listed())
@@ -122,7 +126,7 @@ def _unknown(got: str, hint: str = "") -> InputError:
 
 
 def _scenario_file(template: str, file: Path | None) -> Path:
-    """Return the path of the scenario: a printable name that ends in .yaml."""
+    """Return the path of the scenario, whose name must be printable and end in .yaml."""
     if file is None:
         return Path(f"{template}.yaml")
     if file.suffix not in SUFFIXES:
@@ -135,7 +139,7 @@ def _scenario_file(template: str, file: Path | None) -> Path:
 
 
 def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
-    """Return the text of each file by its path; names beside the scenario are importable in Python."""
+    """Return the text of each file by its path; the files beside the scenario can be imported in Python."""
     stem = re.sub(r"\W+", "_", scenario.stem)
     files = {f"{name}.yaml": scenario}
     files |= {source: scenario.with_name(named.format(stem)) for source, named in template.beside}
@@ -154,7 +158,7 @@ def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
 
 
 def _write(texts: dict[Path, str]) -> None:
-    """Write all files, or no file if any of them exists."""
+    """Write all files; write none of them if any of them exists."""
     for path in texts:
         if path.exists() or path.is_symlink():
             raise OutputError.of_file(path, "a file that is not there yet", "one that is")
@@ -164,7 +168,7 @@ def _write(texts: dict[Path, str]) -> None:
 
 
 def _next(template: str, scenario: Path) -> list[str]:
-    """Return the commands to type next."""
+    """Return the commands that the user should type next."""
     file, stem = shlex.quote(str(scenario)), re.sub(r"\W+", "_", scenario.stem)
     here = find_spec("pybullet") is not None
     run = f"safety-harness run {file}{'' if here else ' --world kinematic'}"

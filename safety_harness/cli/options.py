@@ -1,4 +1,4 @@
-"""Options and arguments of several commands, and the way in which a command is called and ends."""
+"""Define options and arguments that several commands share, and how a command is called and ends."""
 
 from __future__ import annotations
 
@@ -94,12 +94,13 @@ def command(
     then: str = "",
     json: bool = True,
 ) -> Callable[[Callable[_Parameters, int]], Callable[_Parameters, int]]:
-    """A command of ``group``, of a function that returns an exit code, which it ends with.
+    """Return a decorator that makes a command of ``group`` from a function that returns an exit code.
 
-    The user's mistakes are explained, and are exit code 2.  Any other error of ours is ``failed`` (None: it
-    is raised), and Ctrl-C is answered with the words ``interrupted`` (none: it is raised).  Without ``json``
-    it has no option --json.  After exit code 0 or 1 it prints the command that a user most likely wants
-    ``then``, with the values of its options in the places of their names.
+    A mistake of the user is explained, and the exit code is 2.  Any other error of the harness is explained
+    with the exit code ``failed``, or raised if ``failed`` is None.  After Ctrl-C the command prints
+    ``interrupted``, or raises KeyboardInterrupt if ``interrupted`` is empty.  The command has an option
+    --json only if ``json``.  After exit code 0 or 1, the command prints ``then``, the command that a user
+    most likely wants next.  Names of options in ``then`` are replaced by their values.
     """
 
     def registered(work: Callable[_Parameters, int]) -> Callable[_Parameters, int]:
@@ -134,7 +135,7 @@ def command(
             ended.__signature__ = parameters.replace(  # type: ignore[attr-defined]
                 parameters=[*parameters.parameters.values(), option], return_annotation=None
             )
-        short = cleandoc(work.__doc__ or "").partition("\n\n")[0]  # which lists of commands do not cut
+        short = cleandoc(work.__doc__ or "").partition("\n\n")[0]  # lists of commands do not shorten it
         group.command(name, short_help=short)(ended)
         return answer
 

@@ -1,8 +1,8 @@
 """Show the progress of long commands: changing lines on a terminal, elsewhere a line every ten seconds.
 
-Elsewhere is a pipe, a file, or a terminal that gets no escape codes.  It gets a line at the start, at most
-every ten seconds, and at the end.  Each line has the share that is done, and the time that is left
-unless machine code was compiled since the line before.
+"Elsewhere" is a pipe, a file, or a terminal that does not support escape codes.  There, a command prints a
+line at the start, at most every ten seconds, and at the end.  Each line states the finished share, and the
+remaining time unless code was compiled since the previous line.
 """
 
 from __future__ import annotations
@@ -28,26 +28,29 @@ EVERY_S = 10.0
 
 
 def is_live() -> bool:
-    """Return whether lines may change on standard error."""
+    """Return whether lines on standard error may be redrawn."""
     return sys.stderr is not None and sys.stderr.isatty() and not no_escapes()
 
 
 @dataclass
 class PacedLines:
-    """Prints a line when it is due.  A newer line replaces a waiting one; the last is printed at the end."""
+    """A printer that prints a line when it is due.
+
+    A newer line replaces a line that still waits; the last line is printed at the end.
+    """
 
     now_s: Callable[[], float] = time.monotonic
     _said_s: float = -math.inf
     _waiting: str = ""
 
     def take(self, line: str) -> None:
-        """Take a line on the progress of a command."""
+        """Take ``line``, a line on the progress of a command, and print it if it is due."""
         self._waiting = line
         if self.now_s() - self._said_s >= EVERY_S:
             self.end()
 
     def end(self) -> None:
-        """Print the waiting line."""
+        """Print the line that still waits."""
         if self._waiting:
             say(self._waiting)
         self._waiting, self._said_s = "", self.now_s()
@@ -55,7 +58,7 @@ class PacedLines:
 
 @contextmanager
 def paced_lines() -> Iterator[Callable[[str], None]]:
-    """Yield a function for lines on progress: a log gets few of them, a terminal all."""
+    """Yield a function that prints lines on progress: all of them on a terminal, few of them in a log."""
     if is_live():
         yield say
         return
@@ -68,7 +71,7 @@ def paced_lines() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def block() -> Iterator[Callable[[list[str]], None]]:
-    """Yield a function that shows lines on a terminal; elsewhere it prints the first line when due."""
+    """Yield a function that redraws its lines on a terminal; elsewhere it prints the first line when due."""
     if is_live():
         live = Live(**_shown(), refresh_per_second=4)
         with live, at_compilation(lambda: live.update(Text())):
@@ -79,14 +82,14 @@ def block() -> Iterator[Callable[[list[str]], None]]:
 
 
 def _shown() -> dict[str, Any]:
-    """Return settings that draw on standard error below the results, unless these go to a file."""
+    """Return settings of a display on standard error, which stays below results on the same terminal."""
     results = sys.stdout is not None and sys.stdout.isatty()
     return {"console": Console(stderr=True), "transient": True, "redirect_stdout": results}
 
 
 @contextmanager
 def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
-    """Yield a function that takes how many of ``total`` are done, and words on the next step."""
+    """Yield a function that is called with the number of finished items and a message on the next step."""
     pace = Pace()
     if is_live():
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
@@ -110,7 +113,7 @@ def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
 
 @contextmanager
 def at_compilation(clear: Callable[[], None]) -> Iterator[None]:
-    """Call ``clear`` after each compiled function, since a time left that is still shown is wrong then."""
+    """Call ``clear`` after each compilation, because a remaining time that is still shown is then wrong."""
     watchers.append(watcher := lambda now: clear())
     try:
         yield
@@ -123,5 +126,5 @@ VERBOSE = replace(TERMINAL, detail=result)
 
 
 def terminal(verbose: bool) -> Output:
-    """Return where a command's words go; with ``verbose`` lines on each part of the work as well."""
+    """Return the output of a command in a terminal; with ``verbose``, it also prints details of the work."""
     return VERBOSE if verbose else TERMINAL

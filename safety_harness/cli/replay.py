@@ -1,4 +1,4 @@
-"""``safety-harness replay`` repeats a stored trace; ``judge`` judges it again."""
+"""Define ``safety-harness replay``, which repeats a stored trace, and ``judge``, which judges it again."""
 
 from __future__ import annotations
 
@@ -41,10 +41,11 @@ from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
 def replay(path: Path, avoider: str | None = None) -> int:
-    """Repeat a recorded run and print "identical" or the first step that differs; return the exit code.
+    """Repeat a recorded run; print "identical" or the first step that differs; return the exit code.
 
-    It also asks a second avoider, which finds an avoider with a memory.  ``avoider`` names the program of a
-    user's own avoider again: a stranger may have made the trace, and it must not choose what is executed.
+    The function also asks a second avoider the same questions, which reveals an avoider with a memory.
+    ``avoider`` names the program of the user's own avoider again.  A stranger may have made the trace, so the
+    trace itself must not choose what is executed.
     """
     stored = load_trace(path)
     refuse_not_simulated(stored, path)
@@ -92,7 +93,7 @@ def _of_earlier_arithmetic(then: Provenance, now: Provenance) -> bool:
 
 
 def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
-    """Raise TraceError if another controller would drive than then, or the same one from an edited file."""
+    """Raise TraceError if the controller differs from the trace's, by its name or by its file's hash."""
     then = stored.system.controller
     now = admitted.driver.component if admitted.driver else Component(name=VISUAL_SERVO)
     known = then.sha256 if admitted.driver else ""
@@ -107,12 +108,12 @@ def _named(now: Component, admitted: Admitted) -> str:
 
 
 def changes(first: Trace, repeated: Trace, difference: TraceDifference | None) -> list[str]:
-    """Return lines on software, machines and systems that differ from those of the trace, and what follows.
+    """Return lines on software, machines and systems that changed since the trace, and what that implies.
 
     Args:
-        first: The stored trace.
-        repeated: Its repetition.
-        difference: Their first difference beyond the tolerance for last bits, if there is one.
+        first: The trace that was stored.
+        repeated: The trace of the repeated run.
+        difference: The first difference between the two beyond the tolerance for last bits, if there is any.
 
     """
     stored, now = first.provenance, repeated.provenance
@@ -147,17 +148,17 @@ def judge_again(
     out: Path | None = None,
     verbose: bool = False,
 ) -> int:
-    """Judge stored traces and logs of cells with the present code, without simulating; return the exit code.
+    """Judge stored traces and logs of cells by the present code, without simulating; return the exit code.
 
-    ``sentences`` replace their own claims, and are expected to hold.  With ``keep_going`` the others are
-    judged where one cannot be.  ``out`` is a folder for a report and for the traces of logs.
+    ``sentences`` replace the claims of the files, and are expected to hold.  With ``keep_going``, files that
+    cannot be judged do not stop the others.  ``out`` is the folder for a report and for the traces of logs.
     """
     runs: list[JudgedRun] = []
     refused: list[InputError] = []
     for path in paths:
         try:
             run = judged_run(path, sentences, out)
-            if len(run.evaluations) == 0:  # nothing to say is not "as expected"
+            if len(run.evaluations) == 0:  # a run without verdicts is not "as expected"
                 raise TraceError(place=Place(file=path, field="claims"), expected=A_CLAIM, got="none")
         except InputError as error:
             if not keep_going:

@@ -1,4 +1,4 @@
-"""``safety-harness run``: run scenario files and print their verdicts."""
+"""Define ``safety-harness run``, which runs scenario files and prints their verdicts."""
 
 from __future__ import annotations
 
@@ -51,7 +51,10 @@ def run(
     verbose: bool = False,
     **options: Any,
 ) -> int:
-    """Run, print and write the report; return the exit code.  ``options`` as of ``safety_harness.run``."""
+    """Run scenarios, print the verdicts, write the report, and return the exit code.
+
+    ``options`` are further arguments of ``safety_harness.run``.
+    """
     say_shared_modules()
     output = terminal(verbose)
     try:
@@ -81,13 +84,16 @@ def run(
 
 
 def print_verdicts(runs: Sequence[JudgedRun], verbose: bool) -> None:
-    """Print a single run in full, of many runs the surprises; with ``verbose`` all were printed before."""
+    """Print a single run in full, and only the surprises of many runs.
+
+    With ``verbose``, print nothing, because every verdict was printed when its run ended.
+    """
     if not verbose:
         result(*(block_of(runs[0]) if len(runs) == 1 else surprise_lines(runs)))
 
 
 def _print_summary(finished: RunResult, verbose: bool) -> None:
-    """Print verdicts, what was never exercised, and in one line the totals; the rest with ``verbose``."""
+    """Print the verdicts, the untested claims, and a line of totals; with ``verbose``, print more details."""
     coverage, traces = finished.coverage, [run.trace for run in finished.runs]
     if finished.against is None:
         print_verdicts(finished.runs, verbose)
@@ -119,7 +125,7 @@ def _print_summary(finished: RunResult, verbose: bool) -> None:
 
 
 def _say_next(runs: Sequence[JudgedRun], out: Path) -> None:
-    """Name the next command: for each avoider the one that attributes its violations, else one that shows."""
+    """Print what to run next: an attribution of each avoider's violations, or else a view of the runs."""
     unexpected: dict[str, list[JudgedRun]] = {}
     for run in runs:
         if any(

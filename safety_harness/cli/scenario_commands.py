@@ -1,4 +1,4 @@
-"""Commands about scenario files, spaces and traces."""
+"""Define the commands about scenario files, spaces and traces."""
 
 from __future__ import annotations
 

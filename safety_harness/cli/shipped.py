@@ -1,4 +1,4 @@
-"""``safety-harness list``, ``copy`` and ``docs``: the files and documents of the package."""
+"""Define ``safety-harness list``, ``copy`` and ``docs``, which give access to the package's files."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def copy(
 
 
 def _with_references(source: Path) -> dict[Path, Path]:
-    """Return the files of ``source`` and all files that they refer to, by their relative places."""
+    """Return ``source``, all files that it refers to, and their licences, by their relative paths."""
     import os
 
     waiting = sorted(source.rglob("*")) if source.is_dir() else [source]
@@ -95,14 +95,14 @@ def _with_references(source: Path) -> dict[Path, Path]:
         if path.is_file() and path not in references and "__pycache__" not in path.parts:
             references[path] = None
             waiting += _references(path) if path.suffix == ".yaml" else ()
-    licences = {path.with_name("LICENSE"): None for path in references}  # of recordings
+    licences = {path.with_name("LICENSE"): None for path in references}  # the licences of recordings
     references |= {path: None for path in licences if path.is_file()}
     root = Path(os.path.commonpath([source.parent, *(path.parent for path in references)]))
     return {path.relative_to(root): path for path in references}
 
 
 def _references(path: Path) -> Iterator[Path]:
-    """Yield the files that the texts of a YAML file name."""
+    """Yield the files that the YAML file ``path`` names in its texts."""
     from safety_harness.scenario.nodes import parse_tree, references_in
     from safety_harness.scenario.references import file_and_name
 
@@ -142,7 +142,7 @@ def docs(
 
 
 def _open(uri: str) -> None:
-    """Open a page in a browser, if there is a browser."""
+    """Open the page ``uri`` in a browser, if there is a browser."""
     import webbrowser
 
     try:

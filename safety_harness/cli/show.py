@@ -1,4 +1,4 @@
-"""``show`` and ``sample``: a picture of the scenarios of a file, and draws of a space as files."""
+"""Define ``show``, which draws the scenarios of a file, and ``sample``, which writes draws of a space."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ PICTURE = ".svg"
 
 
 def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
-    """Draw one picture per scenario, and one per space with several draws; return the exit code.
+    """Draw one picture for each scenario and one for each space with several draws; return the exit code.
 
     Args:
         files: scenario files, spaces, suites or folders.
-        out: a folder, or an SVG file for a single picture.
-        draws: the number of admissible draws per space.
+        out: the folder to write into, or an SVG file for a single picture.
+        draws: the number of admissible draws of each space.
         seed: the seed of the draws.
 
     Raises:
@@ -64,7 +64,7 @@ def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
 
 
 def sample(file: Path, *, out: Path, count: int, seed: int) -> int:
-    """Write admissible draws of a space as scenario files; return the exit code.
+    """Write admissible draws of a space as scenario files, and return the exit code.
 
     Args:
         file: the space.

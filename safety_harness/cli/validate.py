@@ -1,4 +1,4 @@
-"""``safety-harness validate``: read and check files without executing any, and report all mistakes."""
+"""Define ``safety-harness validate``, which reads and checks files without executing any of them."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 
 _Made = TypeVar("_Made")
-# Top keys beside whose examples nothing is said of an avoider or controller.
+# Top-level keys whose examples need no remark about an avoider or controller.
 _CHANGE_WHAT_IS_TESTED = frozenset({"avoider", "controller", "robot", "settings", "camera"})
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
-    """Print a line for each usable file and all mistakes of the other files; return the exit code."""
+    """Print a line for each usable file and all mistakes of the other files, and return the exit code."""
     added = [path for path in paths if _is_added(located(path))]
     scenario_paths = [path for path in paths if path not in added]
     try:
         gathered = gather(scenario_paths, spaces=True) if scenario_paths or not added else Gathered()
         added += [file for file in gathered.aside if _is_added(file)]
         say(*aside_lines(file for file in gathered.aside if file not in added))
-        checker = Checker()  # which executes nothing
+        checker = Checker()  # a Checker executes nothing
         checked, errors = usable(
             gathered.scenarios,
             lambda scenario: without_compiling(
@@ -72,7 +72,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
-    # Admission stops at a scenario's first mistake; these are looked at whatever else is wrong.
+    # Admission stops at a scenario's first mistake; these checks run whatever else is wrong.
     read_in_part = (*gathered.scenarios, *(mended.scenario for mended in gathered.mended))
     claims = [(claim, scenario) for scenario in read_in_part for claim in scenario.claims]
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
@@ -115,7 +115,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
 
 
 def _is_added(path: Path) -> bool:
-    """Return whether a file is of a kind that a package adds and checks."""
+    """Return whether an installed package defines and checks this kind of file."""
     kind = added_input(path)
     return kind is not None and kind.check is not None
 
@@ -128,7 +128,7 @@ def _checked(path: Path, checker: Checker) -> tuple[InputFile, CheckedFile]:
 
 
 def _whole(read: Callable[[], _Made]) -> _Made:
-    """Return what ``read`` returns; InputErrors has every mistake that it finds on the way."""
+    """Return what ``read`` returns; raise InputErrors with every mistake that ``read`` finds."""
     with every_mistake() as mistakes:
         made = read()
     if mistakes:
@@ -137,7 +137,7 @@ def _whole(read: Callable[[], _Made]) -> _Made:
 
 
 def _tried_space(variant_file: tuple[Variant, Path], checker: Checker, avoider: str | None) -> ScenarioSpace:
-    """Return a space after one admissible draw, which another avoider could be asked in."""
+    """Return the space after checking one admissible draw of it, for which ``avoider`` may be used."""
     variant, file = variant_file
     space = space_of(variant.tree, file, name=variant.name)
     (drawn,) = draw_admissible(space, seed=0, count=1).scenarios
@@ -146,7 +146,7 @@ def _tried_space(variant_file: tuple[Variant, Path], checker: Checker, avoider: 
     return space
 
 
-DRAWS = 5  # of a space, for what none of them would try
+DRAWS = 5  # draws of a space in which untried moves and faults are sought
 
 
 def _untried_of(space: ScenarioSpace) -> list[str]:
@@ -155,7 +155,7 @@ def _untried_of(space: ScenarioSpace) -> list[str]:
 
 
 def _untried(checked: Sequence[Checked], *spaces: ScenarioSpace) -> list[str]:
-    """Return lines on moves and faults that no scenario would try beside an arm that stays at its start."""
+    """Return lines on the moves and faults that no scenario tries while the arm stands still at its start."""
     tried = TriedParts()
     for draw in checked:
         tried.suppose(draw.scenario, links_in_base(draw.arm, draw.joint_position_rad)[-1, :3, 3].copy())
@@ -173,7 +173,10 @@ def _data(scenario: Scenario) -> dict[str, object]:
 
 
 def _content_text(scenarios: Sequence[Scenario]) -> str:
-    """Return the content of a file: ``2 hands, 3 claims, 8 s``; for a matrix also its number of scenarios."""
+    """Return the content of a file, such as ``2 hands, 3 claims, 8 s``.
+
+    For a matrix, the text also states the number of scenarios.
+    """
     scenario = scenarios[0]
     parts = [_count(len(scenario.hands), "hand"), _count(len(scenario.claims), "claim")]
     parts += [f"{scenario.duration_s:g} s", scenario.under_test]

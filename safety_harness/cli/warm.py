@@ -1,4 +1,4 @@
-"""``safety-harness warm``: compile the machine code of runs and judgements before its first use."""
+"""Define ``safety-harness warm``, which compiles the machine code of runs and judgements in advance."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, result, say
 from safety_harness.scenario.read import parse_scenario
 
-# A hand comes so near that the tool gives way; of the claims of the catalogue the first is known to hold.
+# A hand comes so near that the tool gives way; the first claim of the catalogue is known to hold.
 SHORT_RUN = """
 scenario: one short run of each part
 duration: 2 s
@@ -43,7 +43,7 @@ hand sensor:
 
 
 def warm_up() -> int:
-    """Run and judge short scenarios in every installed world, and report the cache; return the exit code."""
+    """Run and judge short scenarios in every installed world, report the cache, and return the exit code."""
     worlds = list(_installed_worlds())
     for text in (SHORT_RUN, SHORT_RUN + WITH_A_SENSOR):
         admitted = admit(parse_scenario(text))
@@ -58,7 +58,7 @@ def warm_up() -> int:
 
 
 def _installed_worlds() -> Iterator[WorldEntry]:
-    """Yield the worlds with an installed engine, and report the missing engines."""
+    """Yield the worlds whose engine is installed, and report the engines that are missing."""
     for world in WORLDS:
         try:
             world.opener()
@@ -69,7 +69,7 @@ def _installed_worlds() -> Iterator[WorldEntry]:
 
 
 def forget_old() -> int:
-    """Remove old machine code and report its size; return the exit code."""
+    """Remove the machine code that is no longer used, report its size, and return the exit code."""
     size = machine_code_bytes()
     count = forget_old_machine_code()
     freed = size - machine_code_bytes()
@@ -96,7 +96,7 @@ def _report_cache() -> int:
 
 
 def machine_code_bytes() -> int:
-    """Return the size [byte] of the machine code, including the code of other versions."""
+    """Return the size [byte] of all machine code, including the code of other versions."""
     return sum(file.stat().st_size for folder in machine_code() for file in folder.rglob("*.nb?"))
 
 

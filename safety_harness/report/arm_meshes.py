@@ -1,4 +1,4 @@
-"""The meshes of an arm as few triangles, for pictures only; distances use the arm's capsules."""
+"""Reduce the meshes of an arm to few triangles for pictures; distances use the arm's capsules instead."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from safety_harness.cell.robot.description import ArmModel, Shape
 from safety_harness.report.packing import packed
 
-MOST_TRIANGLES = 6_000  # of an arm: some 50 kB on a page
-CELLS_M = (0.0002, 0.002, 0.004, 0.006, 0.01, 0.016, 0.025)  # corners within one cell of a grid become one
+MOST_TRIANGLES = 6_000  # for one arm, which takes some 50 kB on a page
+CELLS_M = (0.0002, 0.002, 0.004, 0.006, 0.01, 0.016, 0.025)  # grid cells; corners in one cell are merged
 STL = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("_", "<u2")])
 
 Triangles = NDArray[np.float64]  # (n, 3, 3) corners [m]
@@ -22,9 +22,9 @@ Triangles = NDArray[np.float64]  # (n, 3, 3) corners [m]
 
 @lru_cache(maxsize=16)
 def arm_meshes(arm: ArmModel) -> dict[str, Any] | None:
-    """Return the packed triangles of all links with binary STL or OBJ meshes; None without any.
+    """Return the packed triangles of all links that have binary STL or OBJ meshes; None without meshes.
 
-    The result omits meshes that cannot be read; the viewer draws the capsules of such a link.
+    The result omits meshes that cannot be read; for such a link, the viewer draws the capsules.
     """
     by_link: dict[int, Triangles] = {}
     for link in arm.links:
@@ -42,7 +42,7 @@ def arm_meshes(arm: ArmModel) -> dict[str, Any] | None:
 
 
 def packed_meshes(meshes: dict[int, tuple[NDArray[np.float64], NDArray[np.int64]]]) -> dict[str, Any] | None:
-    """Return corners (v, 3) [m] and faces (n, 3) per link as the viewer takes them; None without any."""
+    """Return each link's corners (v, 3) [m] and faces (n, 3) in the viewer's form; None without meshes."""
     columns: dict[str, NDArray[Any]] = {}
     for link, (corners, faces) in meshes.items():
         columns |= {f"corners {link}": corners, f"faces {link}": faces}
@@ -64,7 +64,7 @@ def clustered(corners: Triangles, cell_m: float) -> tuple[NDArray[np.float64], N
     sums = np.stack([np.bincount(index, weights=axis) for axis in points.T], axis=1)
     faces = index.reshape(-1, 3)
     whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    first = faces[whole].argmin(axis=1)[:, None]  # a face begins at its least corner, to be told from others
+    first = faces[whole].argmin(axis=1)[:, None]  # least corner first, so that equal faces match
     turned = np.take_along_axis(faces[whole], (first + np.arange(3)) % 3, axis=1)
     code = np.unique(turned @ len(count) ** np.arange(3)[::-1])
     faces = np.stack([code // len(count) ** 2, code // len(count) % len(count), code % len(count)], axis=1)
@@ -72,7 +72,7 @@ def clustered(corners: Triangles, cell_m: float) -> tuple[NDArray[np.float64], N
 
 
 def _triangles(shape: Shape) -> Triangles:
-    """Return a mesh's triangles in its link's frame; empty for another kind of file, or a broken one."""
+    """Return a mesh's triangles in its link's frame; empty if the file is broken or of another kind."""
     file = shape.file or Path()
     try:
         read = {".stl": _stl, ".obj": _obj}.get(file.suffix.lower())
@@ -84,7 +84,7 @@ def _triangles(shape: Shape) -> Triangles:
 
 
 def _stl(file: Path) -> Triangles:
-    records = np.frombuffer(file.read_bytes()[84:], STL)  # a text STL has no such length: ValueError
+    records = np.frombuffer(file.read_bytes()[84:], STL)  # ValueError for a text STL, by its length
     return records["corners"].astype(np.float64)
 
 

@@ -1,4 +1,4 @@
-"""Attribute violations to ingredients: ``safety_harness.attribute``, its result, and the result's picture."""
+"""Provide ``safety_harness.attribute``, which attributes violations to ingredients, and draw its result."""
 
 from __future__ import annotations
 
@@ -47,21 +47,22 @@ def attribute(
     confirm: bool = False,
     output: Output = QUIET,
 ) -> AttributionResult:
-    """Find the causes of violations: repeat each run with parts of the system changed, one or two at a time.
+    """Find the causes of violations by repeating each run with one or two parts of the system changed.
 
-    A change after which the run no longer violates the claim is reported.
+    The result reports each change after which the run no longer violates the claim.
 
-    Ctrl-C ends the job, and the result keeps the finished attributions.
+    Ctrl-C ends the job; the result then keeps the finished attributions.
 
     Args:
-        runs: One or many of: a result of ``run``, a trace or its file, a scenario or its file, a folder.
-        avoider: The avoider of a trace.  Name it again, because the harness executes its program.
-        controller: The controller of a trace, likewise.
-        confirm: Whether to repeat each violation in PyBullet, and each run with the blamed parts changed.
-        output: Receives the progress.
+        runs: One or several inputs: a result of ``run``, a trace or its file, a scenario or its file, or a
+            folder.
+        avoider: The avoider of a trace, which you name again because the harness executes its program.
+        controller: The controller of a trace, which you name again for the same reason.
+        confirm: Whether to repeat in PyBullet each violation, and each run with the blamed parts changed.
+        output: The ``Output`` that shows the progress.
 
     Raises:
-        InputErrors: Inputs cannot be used; nothing ran.
+        InputErrors: Inputs cannot be used; in this case no run was repeated.
         InputError: An option cannot be used, or the world is not installed.
 
     """
@@ -97,7 +98,7 @@ class AttributionResult:
 
     @property
     def tally(self) -> AttributionTally:
-        """Return the attributions, grouped by cause."""
+        """Return the attributions, counted by cause."""
         return AttributionTally.from_attributions(self.attributions)
 
     @property
@@ -117,7 +118,7 @@ class AttributionResult:
         return self.tally.as_json()
 
     def write(self, folder: str | Path) -> AttributionResult:
-        """Write attribution.json and attribution.svg; OutputError if the folder cannot be written."""
+        """Write attribution.json and attribution.svg; raise OutputError if the folder cannot be written."""
         write_text(Path(folder) / DATA, json.dumps(self.data(), indent=1) + "\n")
         drawn = standalone(draw_attributions(self.tally.groups), style=asset("report.css"))
         write_text(Path(folder) / PICTURE, drawn)
@@ -127,14 +128,14 @@ class AttributionResult:
 def attribute_all(
     runs: Iterable[tuple[Admitted, Sequence[Claim]]], count: int, unit: str, confirm: bool, output: Output
 ) -> AttributionResult:
-    """Attribute and print the violations of runs until Ctrl-C.
+    """Attribute the violations of runs and print the result, until all are done or Ctrl-C is pressed.
 
     Args:
-        runs: Each run with the claims to attribute; no claims mean all of the run's own.
-        count: The number of runs, for the progress.
-        unit: The name of a run in the progress.
-        confirm: Whether PyBullet repeats each attribution.
-        output: Receives the lines.
+        runs: Each run with the claims to attribute; an empty list stands for all claims of the run.
+        count: The number of runs, which the progress display shows.
+        unit: The word for one run in the progress display.
+        confirm: Whether each attribution is repeated in PyBullet.
+        output: The ``Output`` that prints the lines.
 
     """
     done: list[Attribution] = []
@@ -163,7 +164,7 @@ def attribute_all(
 
 
 def _lines(cause: Attribution, confirming: Admitted | None) -> Iterator[str]:
-    """Yield the line of one violation, and the lines of PyBullet's runs if ``confirming`` has the run."""
+    """Yield the line on one violation; if ``confirming`` is given, also the lines on PyBullet's runs."""
     yield f"{cause.scenario}: {cause.claim.sentence}: {cause.unit.margin_text(cause.margin)}: {cause.summary}"
     if confirming is not None and cause.answer is not AttributionAnswer.NOT_ATTRIBUTED:
         yield from (f"    {confirming_line(again, cause)}" for again in confirmed(confirming, cause))
@@ -172,7 +173,10 @@ def _lines(cause: Attribution, confirming: Admitted | None) -> Iterator[str]:
 def _scenarios(
     runs: Attributable | Iterable[Attributable], avoider: str | None
 ) -> tuple[list[Scenario], list[InputError]]:
-    """Return the scenarios to repeat, with the errors; a trace's scenario claims only its violations."""
+    """Return the scenarios to repeat, and the errors.
+
+    The scenario of a trace keeps only the claims that the trace violates.
+    """
     given = list(runs) if isinstance(runs, Iterable) and not isinstance(runs, str) else [runs]
     kept: list[tuple[Trace, Path | None]] = []
     scenarios: list[Scenario] = []

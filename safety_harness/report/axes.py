@@ -1,8 +1,8 @@
-"""Plots as SVG in the page's colours: axes with round ticks, curves, bars, marks, text and a key.
+"""Draw plots as SVG in the page's colours: axes with round ticks, curves, bars, marks, text and a key.
 
-Axes may grow until the picture is written, because the module places everything only then.  Places are
-pixels of the picture, y downwards, with one decimal.  A value that is not finite leaves a gap.  Curves end
-at the edges of their axes; marks and words outside the axes are omitted.
+Axes may grow until the picture is written, because the module computes all positions only then.  Positions
+are pixels of the picture with one decimal, and y points downwards.  A value that is not finite leaves a gap.
+Curves end at the edges of their axes; marks and texts outside the axes are omitted.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from safety_harness.report.svg import Floats, Ink, describe
 from safety_harness.report.words import with_minus
 
 FONT_PX = 11.0
-_FAR_PX, _LARGEST = 9e4, 1e300  # what is farther is drawn there
+_FAR_PX, _LARGEST = 9e4, 1e300  # values beyond these limits are drawn at the limits
 _ROUNDED_PX = 0.1
-_MOST_PLACES = 20  # of a path that says each; a longer one says its steps
+_MOST_PLACES = 20  # a path with more places is written as relative steps
 _LEADING_ZERO = re.compile(r"(^|[ -])0(?=\.)")
 _ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)
 _HALF_DIAGONAL = 0.5 * 2.0**0.5
@@ -47,29 +47,29 @@ Key = Callable[[Element, float, float], None]  # draws a sample about a place (x
 
 
 class Share(float):
-    """A place along an axis as a share of its length, not a value on it."""
+    """A position along an axis, as a share of its length in place of a value."""
 
 
 @dataclass
 class Axis:
-    """One direction of axes, with given ``ticks`` (value, label) or at most ``steps`` round ticks."""
+    """One direction of axes, with given ``ticks`` (value, label) or with at most ``steps`` round ticks."""
 
     start_px: float
-    length_px: float  # negative: upwards
+    length_px: float  # negative if the axis points upwards
     label: str = ""
     grid: bool = False
-    line: bool = True  # with ticks
+    line: bool = True  # whether to draw the axis line with ticks
     labelled: bool = True
     log: bool = False
     steps: int = 5
-    margin: float = 0.05  # beyond what is drawn, as a share of that
+    margin: float = 0.05  # beyond the drawn values, as a share of their range
     ticks: Sequence[tuple[float, str]] | None = None
     minor: Sequence[float] = ()
     _seen: tuple[float, float] = (np.inf, -np.inf)
     _shown: tuple[float, float] | None = None
 
     def see(self, values: ArrayLike) -> Floats:
-        """Return ``values`` (n,), and extend the view to them unless ``show`` sets the view."""
+        """Return ``values`` (n,), and extend the view to them unless ``show`` has fixed the view."""
         array = np.asarray(values, dtype=np.float64)
         finite = np.clip(array[np.isfinite(array)], -_LARGEST, _LARGEST)
         low, high = self._seen
@@ -77,16 +77,16 @@ class Axis:
         return array
 
     def show(self, low: float, high: float) -> None:
-        """Set the view to the values from ``low`` to ``high``."""
+        """Fix the view to the values from ``low`` to ``high``."""
         self._shown = low, high
 
     def hold(self, value: float) -> None:
-        """Extend the view to ``value``, without a margin."""
+        """Extend the view to include ``value``, without a margin."""
         low, high = self.view()
         self.show(min(low, value), max(high, value))
 
     def view(self) -> tuple[float, float]:
-        """Return the lowest and the highest value in the current view."""
+        """Return the lowest and the highest value of the current view."""
         if self._shown is not None:
             return self._shown
         low, high = self._seen
@@ -97,7 +97,7 @@ class Axis:
         return low - pad, high + pad
 
     def place(self, values: ArrayLike) -> Floats:
-        """Return the places [px] of values (n,)."""
+        """Return the positions [px] of ``values`` (n,)."""
         array, ends = np.asarray(values, dtype=np.float64), np.array(self.view())
         if self.log:
             array, ends = np.log10(np.where(array > 0.0, array, np.nan)), np.log10(ends)
@@ -105,22 +105,22 @@ class Axis:
         return places
 
     def at(self, value: float) -> float:
-        """Return the place [px] of one value, or of a share of the axis."""
+        """Return the position [px] of one value, or of a ``Share`` of the axis."""
         if isinstance(value, Share):
             return self.start_px + self.length_px * value
         return float(self.place([value])[0])
 
     def ends_px(self) -> Floats:
-        """Return the places [px] of the axis's start and end, shape (2,)."""
+        """Return the positions [px] of the axis's start and end, shape (2,)."""
         return np.array([self.start_px, self.start_px + self.length_px])
 
     def has(self, place_px: float) -> bool:
-        """Return whether a place lies on the axis, to a pixel."""
+        """Return whether the position ``place_px`` lies on the axis, with a tolerance of one pixel."""
         low, high = sorted(self.ends_px())
         return bool(low - 1.0 <= place_px <= high + 1.0)
 
     def labels(self) -> list[tuple[float, str]]:
-        """Return (place [px], words) of each tick in view."""
+        """Return (position [px], text) of each tick in view."""
         ticks = self.ticks
         if ticks is None:
             rounded = round_values(min(self.view()), max(self.view()), self.steps)
@@ -129,7 +129,7 @@ class Axis:
 
 
 def round_values(low: float, high: float, steps: int) -> list[float]:
-    """Return the multiples of a round step from ``low`` to ``high``, with at most ``steps`` steps between."""
+    """Return the multiples of a round step between ``low`` and ``high``, which are at most ``steps`` + 1."""
     least = max((high - low) / steps, 1e-300)
     power = 10.0 ** np.floor(np.log10(least))
     step = next(power * factor for factor in _ROUND if power * factor >= least * (1.0 - 1e-9))
@@ -138,13 +138,13 @@ def round_values(low: float, high: float, steps: int) -> list[float]:
 
 
 def stairs(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
-    """Return the curve that keeps each of ``y`` (n,) until the next of ``x`` (n,)."""
+    """Return the step curve that keeps each of ``y`` (n,) until the next of ``x`` (n,)."""
     return np.repeat(np.asarray(x, np.float64), 2)[1:], np.repeat(np.asarray(y, np.float64), 2)[:-1]
 
 
 @dataclass
 class Axes:
-    """A rectangle in which ``x`` goes to the right and ``y`` upwards."""
+    """A rectangular plot in which ``x`` increases to the right and ``y`` upwards."""
 
     x: Axis
     y: Axis
@@ -168,12 +168,12 @@ class Axes:
         self._stroke(lambda: (self.x.place(across), self.y.place(heights)), ink, width, dashes, opacity, name)
 
     def hline(self, y: float, ink: Ink, *, width: float = 0.8, dashes: Sequence[float] = ()) -> None:
-        """Draw a line across the whole width."""
+        """Draw a horizontal line across the whole width."""
         self.y.see([y])
         self._stroke(lambda: (self.x.ends_px(), self.y.place([y, y])), ink, width, dashes)
 
     def vline(self, x: float, ink: Ink, *, width: float = 0.8, dashes: Sequence[float] = ()) -> None:
-        """Draw a line over the whole height."""
+        """Draw a vertical line over the whole height."""
         self.x.see([x])
         self._stroke(lambda: (self.x.place([x, x]), self.y.ends_px()), ink, width, dashes)
 
@@ -225,7 +225,7 @@ class Axes:
         opacity: float = 1.0,
         hatched: bool = False,
     ) -> None:
-        """Draw rectangles from x to x + length between two heights."""
+        """Draw rectangles that extend from x to x + length, between the two heights ``y``."""
         corners = [([x, x + length, x + length, x], [y[0], y[0], y[1], y[1]]) for x, length in spans]
         self.y.see(y)
         style = _style(ink, None, 0.0, opacity)
@@ -255,7 +255,7 @@ class Axes:
         opacity: float = 1.0,
         name: str | None = None,  # in the key
     ) -> None:
-        """Draw a mark at each place."""
+        """Draw a mark at each point (x, y)."""
         across, heights = self.x.see(x), self.y.see(y)
         style = _style(fill, edge, width, opacity)
 
@@ -269,7 +269,7 @@ class Axes:
             self._keys.append((name, lambda root, x, y: _path(root, _mark(shape, size, x, y), style)))
 
     def key(self, name: str, ink: Ink) -> None:
-        """Add a line to the key: a coloured box for items without a name of their own."""
+        """Add an item to the key: a coloured box, for drawn items that have no name of their own."""
         self._keys.append(
             (name, lambda root, x, y: _path(root, f"M{x - 9:g} {y - 4:g}h18v8h-18z", _style(ink)))
         )
@@ -285,7 +285,7 @@ class Axes:
         ink: Ink = Ink.TEXT,
         size: float = FONT_PX,
     ) -> None:
-        """Write words at a place; each coordinate is a value or a ``Share``."""
+        """Write ``label`` at (x, y); each coordinate is a value or a ``Share``."""
 
         def draw(root: Element, _: str) -> None:
             place = self.x.at(x), self.y.at(y)
@@ -298,7 +298,7 @@ class Axes:
     def title(
         self, label: str, *, anchor: str = "start", lift: float = 8.0, bold: bool = True, ink: Ink = Ink.TEXT
     ) -> None:
-        """Write words ``lift`` pixels above the axes, aligned with their start or their end."""
+        """Write ``label`` in a line ``lift`` pixels above the axes, aligned with their start or end."""
 
         def draw(root: Element, _: str) -> None:
             x, y = self.x.ends_px()[int(anchor == "end")], self.y.ends_px()[1] - lift
@@ -307,7 +307,7 @@ class Axes:
         self._above.append(draw)
 
     def legend(self, *, anchor: str = "end", inside: bool = False) -> None:
-        """Draw the key: a row above the axes at their start or end, or a list in a corner."""
+        """Draw the key as a row above the axes, at their start or end, or as a list in a corner."""
 
         def draw(root: Element, _: str) -> None:
             widths = [44.0 + text_px(name) for name, _ in self._keys]
@@ -332,7 +332,7 @@ class Axes:
             axis.show(centre - size, centre + size)
 
     def draw(self, root: Element, clip: str) -> None:
-        """Draw everything; ``clip`` is the id of the area within the edges."""
+        """Draw the axes and their content; ``clip`` is the id of the area within the edges."""
         (left, right), (bottom, top) = self.x.ends_px(), self.y.ends_px()
         edges = np.array([left - 1.0, right + 1.0, right + 1.0, left - 1.0])
         heights = np.array([bottom + 1.0, bottom + 1.0, top - 1.0, top - 1.0])
@@ -358,21 +358,21 @@ class Axes:
             item(root, f"url(#{clip})")
 
     def _along(self, axis: Axis, at_px: float, down_px: float, right_px: float) -> str:
-        """Return a short line from the edge of the axes at a tick of ``axis``."""
+        """Return the path of a short line from the edge of the axes at a tick of ``axis``."""
         if axis is self.x:
             return f"M{_short(at_px)} {_short(self.y.start_px)}v{_short(down_px)}"
         return f"M{_short(self.x.start_px)} {_short(at_px)}h{_short(right_px)}"
 
 
 class Picture:
-    """Axes on a page of some size [px]."""
+    """A drawing of a given size [px] that contains axes."""
 
     def __init__(self, width: float, height: float) -> None:
         self.size = width, height
         self._axes: list[Axes] = []
 
     def axes(self, left: float, top: float, width: float, height: float) -> Axes:
-        """Add axes, drawn on top of earlier axes."""
+        """Add axes, which are drawn on top of all earlier axes."""
         self._axes.append(Axes(Axis(left, width), Axis(top + height, -height)))
         return self._axes[-1]
 
@@ -380,7 +380,7 @@ class Picture:
         """Return an ``<svg>`` element for a page, or for ``standalone``.
 
         Args:
-            prefix: The start of every id.
+            prefix: The text with which every id starts.
             title: The title for a screen reader.
             description: The description for a screen reader.
 
@@ -395,7 +395,7 @@ class Picture:
 
 
 def text_px(text: str) -> float:
-    """Return the approximate width [px] of words at ``FONT_PX``, rather too wide than too narrow."""
+    """Return the approximate width [px] of a text at ``FONT_PX``, rather too large than too small."""
     return FONT_PX * sum(
         1.0
         if unicodedata.east_asian_width(letter) in "WF"
@@ -409,14 +409,14 @@ def text_px(text: str) -> float:
 
 
 def _short(number: float) -> str:
-    """Return a place [px] with one decimal at most."""
+    """Return a position [px] as text with at most one decimal."""
     return f"{round(min(max(number, -_FAR_PX), _FAR_PX), 1) + 0.0:g}"
 
 
 def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
-    """Return the path through places (n,) [px], without inner points of a level line.
+    """Return the SVG path through positions (n,) [px], without the inner points of a horizontal line.
 
-    The path breaks where a place is not finite.
+    The path is interrupted where a position is not finite.
     """
     places = np.round(np.column_stack([x, y]), 1)
     places = np.where(np.isfinite(places), np.clip(places, -_FAR_PX, _FAR_PX) + 0.0, np.nan)
@@ -436,10 +436,10 @@ def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
 
 
 def _straightened(places: Floats) -> Floats:
-    """Return ``places`` (n, 2) [px] without those on a straight way between two kept places.
+    """Return ``places`` (n, 2) [px] without those on a straight line between two kept places.
 
-    The tolerance is the rounding of places, and the way must not turn back.  From a kept place the
-    function drops later places while they lie within a cone (Reumann and Witkam, 1974).
+    The tolerance is the rounding of positions, and the line must not turn back.  After each kept place,
+    the function drops the next places while they lie within a cone (Reumann and Witkam, 1974).
     """
     if len(places) <= _MOST_PLACES:
         return places
@@ -464,7 +464,7 @@ def _straightened(places: Floats) -> Floats:
 
 
 def _path_words(places: Floats) -> str:
-    """Return the path through ``places`` (n, 2) [px]; a long path as steps, which have fewer digits."""
+    """Return the SVG path through ``places`` (n, 2) [px]; a long path as relative steps, to save digits."""
     if len(places) <= _MOST_PLACES:
         return "M" + " ".join([f"{a:g} {b:g}" for a, b in places.tolist()])
     steps = " ".join([f"{step:g}" for step in np.round(np.diff(places, axis=0), 1).ravel() + 0.0])

@@ -1,4 +1,4 @@
-"""The verdicts for readers of a change: SARIF for the lines of its files, Markdown for its summary."""
+"""Write the verdicts for reviewers of a change: SARIF for the lines of its files, Markdown for a summary."""
 
 from __future__ import annotations
 
@@ -19,17 +19,20 @@ from safety_harness.scenario.model import Claim, Verdict
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 SUMMARY, SARIF = "summary.md", "report.sarif"
-MOST_LINES = 50  # of a summary; a job's has a limit of its own
+MOST_LINES = 50  # in a summary, because the summary of a CI job is limited
 
 
 def write_for_ci(folder: Path, runs: Sequence[JudgedRun]) -> None:
-    """Write ``summary.md`` and ``report.sarif`` into the folder; OSError if it cannot."""
+    """Write ``summary.md`` and ``report.sarif`` into ``folder``; raise OSError if that fails."""
     write_whole(folder / SUMMARY, markdown(runs))
     write_whole(folder / SARIF, json.dumps(sarif(runs), indent=1) + "\n")
 
 
 def _reported(runs: Sequence[JudgedRun]) -> Iterator[tuple[JudgedRun, Claim, Evaluation, bool]]:
-    """Yield the unexpected verdicts, then the expected violations, each with whether it is as expected."""
+    """Yield all unexpected verdicts, then the expected violations.
+
+    The last item of each tuple tells whether the verdict is as expected.
+    """
     for wanted in (False, True):
         for run in runs:
             for (claim, evaluation), expected in zip(run.judged_claims(), run.as_expected, strict=True):
@@ -38,7 +41,7 @@ def _reported(runs: Sequence[JudgedRun]) -> Iterator[tuple[JudgedRun, Claim, Eva
 
 
 def markdown(runs: Sequence[JudgedRun]) -> str:
-    """Return the summary of a job: the answer, and a table of unexpected verdicts and violations."""
+    """Return a job's summary in Markdown: the answer, and a table of unexpected verdicts and violations."""
     rows = list(_reported(runs))
     lines = [f"### {answer(runs)}", ""]
     if rows:
@@ -62,15 +65,16 @@ def markdown(runs: Sequence[JudgedRun]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return text that stays in its table cell and has no markup of its own."""
+    """Return ``text`` escaped so that it stays within its table cell and contains no markup."""
     plain = text.replace("&", "&amp;").replace("<", "&lt;")
     return " ".join(re.sub(r"[\\|`\[\]*!]", r"\\\g<0>", plain).split())
 
 
 def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
-    """Return SARIF 2.1.0: a result at the line of each claim with an unexpected verdict or a violation.
+    """Return SARIF 2.1.0 with a result for each unexpected verdict and for each violation.
 
-    An unexpected verdict is an error, an expected violation a note.
+    Each result points to the line of its claim.  An unexpected verdict has the level "error", an expected
+    violation the level "note".
     """
     rows = list(_reported(runs))
     rules = dict.fromkeys(claim.sentence for _, claim, _, _ in rows)

@@ -1,8 +1,8 @@
-"""The coverage of a set of runs as a picture: one square per cell, larger for more runs.
+"""Draw the coverage of a set of runs: a square for each cell, which is larger for more runs.
 
-The map has 1,536 cells.  Rows are directions by speeds; columns are distances by the data's coverage by
-outcomes.  A cell with violations has another colour and a frame, so that colour is never the only sign.
-The picture depends on the counts alone.
+The map has 1,536 cells.  A row combines a direction and a speed.  A column combines a distance, an outcome,
+and whether the avoider's training data cover hand and TCP.  A cell with violations has another colour and
+also a frame, so that colour is never the only sign.  The picture depends only on the counts.
 """
 
 from __future__ import annotations
@@ -62,19 +62,19 @@ WIDTH_PX, BOTTOM_PX = max(X_PX.values()) + CELL_PX + RIGHT_PX, max(Y_PX.values()
 
 
 def size_class(count: int) -> int:
-    """Return the index into CLASSES for a number of runs (at least 1)."""
+    """Return the index into CLASSES for ``count`` runs, where ``count`` is at least 1."""
     return 0 if count == 1 else min(len(str(count)), len(CLASSES) - 1)
 
 
 def coverage_map(
     coverage: Coverage, violations: Mapping[CoverageCell, int] = NOTHING, *, prefix: str, title: str
 ) -> str:
-    """Return an ``<svg>`` element.
+    """Return the coverage map as an ``<svg>`` element.
 
     Args:
-        coverage: The number of runs per cell.
-        violations: The number of runs with a violation per cell, included in ``coverage``.
-        prefix: The start of every id.
+        coverage: The number of runs in each cell.
+        violations: The number of runs with a violation in each cell; ``coverage`` includes these runs.
+        prefix: The text with which every id starts.
         title: The title for a screen reader.
 
     """
@@ -95,12 +95,12 @@ def coverage_map(
 
 
 def _place(cell: CoverageCell) -> tuple[int, int]:
-    """Return the upper left corner [px] of a cell."""
+    """Return the position [px] of the upper left corner of a cell."""
     return X_PX[cell.distance, cell.seen, cell.outcome], Y_PX[cell.direction, cell.speed]
 
 
 def _draw_empty(root: Element, coverage: Coverage) -> None:
-    """Draw a dot for every cell without a run, all in one path."""
+    """Draw a dot in every cell without a run; one path contains all dots."""
     middle = CELL_PX // 2
     dots = [f"M{x + middle} {y + middle}h0" for x, y in map(_place, coverage.holes)]
     attributes = {"stroke": _colour(Ink.MISSING), "stroke-width": "2", "stroke-linecap": "round"}
@@ -115,7 +115,7 @@ def _draw_cell(parent: Element, cell: CoverageCell, count: int, violated: int) -
 
 
 def _draw_square(parent: Element, size_px: int, where: tuple[int, int], *, violated: bool) -> None:
-    """Draw a square in the middle of a cell, with the cell's frame if a run violated a claim there."""
+    """Draw a square in the middle of a cell; add a frame to the cell if a run violated a claim there."""
     ink = _colour(Ink.LIMIT if violated else Ink.TCP)
     size_px = min(size_px, CELL_PX - 5) if violated else size_px
     inset = (CELL_PX - size_px) / 2
@@ -128,7 +128,7 @@ def _draw_square(parent: Element, size_px: int, where: tuple[int, int], *, viola
 
 
 def _name_axes(root: Element) -> None:
-    """Write the names of the axes before the first column and above the first row."""
+    """Write the names of the axes to the left of the first column and above the first row."""
     for y, label in ((14, "Least distance"), (34, "In the training data"), (TOP_PX - 60, "Gravest decision")):
         _label(root, LEFT_PX - 8, y, label, text_anchor="end")
     _label(root, 0, TOP_PX - 8, "Hand comes from")
@@ -181,7 +181,10 @@ def _draw_key(root: Element, top: int) -> None:
 def _text(
     parent: Element, x: float, y: float, label: str, ink: Ink = Ink.TEXT, size: float = 11, **named: str
 ) -> None:
-    """Write words; ``named`` are attributes by their names, with ``_`` in place of a hyphen."""
+    """Write ``label`` at (x, y) [px].
+
+    ``named`` are SVG attributes; a ``_`` in a name stands for a hyphen.
+    """
     attributes = {"x": f"{x:g}", "y": f"{y:g}", "fill": _colour(ink), "font-size": f"{size:g}"}
     attributes |= {name.replace("_", "-"): value for name, value in named.items()}
     SubElement(parent, "text", attributes).text = label
@@ -192,7 +195,7 @@ def _label(parent: Element, x: float, y: float, label: str, **attributes: str) -
 
 
 def _upright(parent: Element, left: float, y: float, label: str, **attributes: str) -> None:
-    """Write words in a column, to read from below."""
+    """Write ``label`` upright in a column, to be read from bottom to top."""
     _label(parent, left + 10, y, label, transform=f"rotate(-90 {left + 10:g} {y:g})", **attributes)
 
 
@@ -205,7 +208,7 @@ def _colour(ink: Ink) -> str:
 
 
 def _description(coverage: Coverage, violations: Mapping[CoverageCell, int]) -> str:
-    """Return the totals by axis, for readers who cannot see the picture."""
+    """Return the totals along each axis, for readers who cannot see the picture."""
     parts = [str(coverage).split("\n")[0]]
     for axis in AXES:
         parts.append(f"{axis}: " + ", ".join(f"{name} {runs}" for name, runs in coverage.along(axis).items()))

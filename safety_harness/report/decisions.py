@@ -1,6 +1,6 @@
-"""The decisions of a run in words: the question, the outcome, and the computing time.
+"""Describe the decisions of a run: the question, the outcome, and the computing time.
 
-The computing time is the cost of decisions in simulated time and their duration on the run's machine.
+The computing time is the cost of decisions in simulated time, and their duration on the run's machine.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from safety_harness.trace.records import Check, DecisionOutcome, Trigger
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided
 
-MOST_DECISION_ROWS = 100  # a page with more is no longer read; the trace has them all
+MOST_DECISION_ROWS = 100  # nobody reads a page with more; the trace contains all of them
 MOST_FAULT_NOTES = 5
 
 
@@ -55,10 +55,11 @@ class DecisionRow:
 
 @dataclass(frozen=True, kw_only=True)
 class DecisionTally:
-    """The number of decisions and their outcomes.
+    """The number of decisions, and how often each outcome occurred.
 
-    ``faults`` counts the decisions without a usable answer.  ``unanswered`` counts the faults that no fault
-    of the scenario explains.  Traces without measured decisions do not count (see ``are_counted``).
+    ``faults`` counts the decisions without a usable answer.  ``unanswered`` counts those ``faults`` that no
+    fault of the scenario explains.  The tally leaves out traces that did not measure their decisions (see
+    ``are_counted``).
     """
 
     made: int
@@ -93,36 +94,36 @@ class DecisionTally:
 
     @property
     def fault_words(self) -> str:
-        """Return how often the avoider had no usable answer; empty if it always had an answer."""
+        """Return how often the avoider gave no usable answer; empty if it always gave one."""
         return count_words(self.faults, "fault", "faults") if self.faults else ""
 
     @property
     def departures(self) -> list[str]:
-        """Return brief texts on the outcomes that differ from the avoider's proposals."""
+        """Return brief texts on the outcomes that differ from what the avoider proposed."""
         of_all = f"of {count_words(self.made, 'decision', 'decisions')}"
         events = (("fell back to the opposite pose", self.opposite), ("stopped the arm", self.stops))
         return [f"{count} {of_all} {event}" for event, count in events if count]
 
 
 def are_counted(trace: Trace) -> bool:
-    """Return whether the trace has measured the outcomes of its decisions."""
+    """Return whether the trace measured the outcomes of its decisions."""
     return is_measured(trace) and decided(trace, "tick") and not trace.known.column("faults").limited
 
 
 def avoiders(traces: Iterable[Trace]) -> list[tuple[str, int]]:
-    """Return (name, runs) of every avoider or controller, in the order of their first runs."""
+    """Return (name, runs) for every avoider or controller, in the order of their first runs."""
     return list(Counter(trace.system.tested.name for trace in traces).items())
 
 
 def tested_words(traces: Iterable[Trace]) -> str:
-    """Return the heading for the names of ``avoiders``: ``Avoider``, ``Controllers``, or both."""
+    """Return the heading above the names of ``avoiders``: ``Avoider``, ``Controllers``, or both."""
     names = {trace.system.tested.name: trace.system.avoider is not None for trace in traces}
     kinds = [w for w, asks in (("Avoider", True), ("Controller", False)) if asks in names.values()]
     return " and ".join(kinds).capitalize() + "s" * (len(names) > 1)
 
 
 def overruling_of_each(traces: Iterable[Trace]) -> dict[str, Overruling]:
-    """Return the overruling of every avoider with proposals, in the order of their first runs."""
+    """Return the overruling of every avoider that made proposals, in the order of their first runs."""
     sums: dict[str, Overruling] = {}
     for trace in traces:
         name = trace.system.tested.name
@@ -131,7 +132,7 @@ def overruling_of_each(traces: Iterable[Trace]) -> dict[str, Overruling]:
 
 
 def overruling_lines(each: Mapping[str, Overruling]) -> list[str]:
-    """Return a line for all avoiders together, then a line per avoider if there are several."""
+    """Return a line on all avoiders together, then one line for each avoider if there are several."""
     whole = sum(each.values(), Overruling()).summary
     rows = [f"{name}: {row.summary}" for name, row in each.items() if len(each) > 1]
     return [whole, *rows] if whole else []
@@ -140,7 +141,8 @@ def overruling_lines(each: Mapping[str, Overruling]) -> list[str]:
 def decision_rows(trace: Trace) -> list[DecisionRow]:
     """Return a row for each of the first ``MOST_DECISION_ROWS`` decisions, with positions in mm.
 
-    A dash stands for a value that was not measured.  There are no rows without measured decision times.
+    A dash stands for a value that was not measured.  The list is empty if the decision times were not
+    measured.
     """
     if not decided(trace, "tick", "time_s"):
         return []
@@ -176,14 +178,14 @@ def decision_rows(trace: Trace) -> list[DecisionRow]:
 
 
 def failed_checks(trace: Trace) -> list[tuple[str, str]]:
-    """Return (name, meaning) of every check that a candidate of this run failed."""
+    """Return (name, meaning) of every check that some candidate of this run failed."""
     flags = trace.decisions["proposed_failed"] | trace.decisions["opposite_failed"]
     failed = int(np.bitwise_or.reduce(flags)) if len(flags) else 0
     return [(flag_words(check), CHECK_MEANINGS[check]) for check in Check if check and check & failed]
 
 
 def fault_notes(trace: Trace) -> list[str]:
-    """Return a sentence for each kind of unusable answer, earliest first."""
+    """Return a sentence on each kind of unusable answer, in the order of their first occurrence."""
     decisions = trace.decisions
     counts = Counter(str(fault) for fault in decisions["fault"] if fault)
     sentences = []
@@ -197,9 +199,9 @@ def fault_notes(trace: Trace) -> list[str]:
 
 
 def latency_words(trace: Trace) -> str:
-    """Return the median and the slowest decision on the wall clock; empty without measurements.
+    """Return the median and the slowest decision by the wall clock; empty if no times were measured.
 
-    A replay does not repeat a question whose answer was late, and records no time for it.
+    A replay neither repeats a question whose answer came too late, nor records a time for it.
     """
     measured_s = trace.decision_latency_s[trace.decision_latency_s > 0.0]
     if len(measured_s) == 0:
@@ -212,7 +214,7 @@ def latency_words(trace: Trace) -> str:
 
 @dataclass(frozen=True)
 class ComputingTime:
-    """The computing time of one run: the cost of a decision in ``words``, and the duration of its answers."""
+    """The computing time of a run: a decision's cost, in ``words``, and the duration of its answers."""
 
     tested: str
     words: str
@@ -220,7 +222,7 @@ class ComputingTime:
 
     @classmethod
     def from_trace(cls, trace: Trace) -> ComputingTime:
-        """Return the computing time in the record of ``trace``."""
+        """Return the computing time that ``trace`` records."""
         cost = trace.scenario.settings.avoidance.decision_time
         cost_text = NOT_MODELLED if trace.scenario.driven else cost_words(cost, most_cost_s(trace))
         return cls(trace.system.tested.name, cost_text, AnswersTook.from_trace(trace))
@@ -245,7 +247,7 @@ def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
 
 
 def computing_times(traces: Iterable[Trace]) -> list[ComputingTime]:
-    """Return the computing times of runs with decisions, or with a timed controller."""
+    """Return the computing times of all runs that have decisions or a timed controller."""
     return [
         ComputingTime.from_trace(trace)
         for trace in traces
@@ -255,12 +257,12 @@ def computing_times(traces: Iterable[Trace]) -> list[ComputingTime]:
 
 
 def computing_time_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return a line per avoider and controller, and another where it was slower than its runs allow."""
+    """Return lines on the cost of each avoider and controller, and on those slower than their runs allow."""
     return lines_of(computing_times(traces))
 
 
 def lines_of(runs: Iterable[ComputingTime]) -> list[str]:
-    """Return the lines of ``computing_time_lines`` for computing times."""
+    """Return the lines of ``computing_time_lines`` for computing times that are known already."""
     groups: dict[tuple[str, str], AnswersTook] = {}
     for run in runs:
         key = run.tested, run.words
@@ -291,7 +293,7 @@ def asks_of_hands(trace: Trace) -> bool:
 
 
 def possible_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return one line on all runs whose gate has a rule about possible hands; empty without such a run."""
+    """Return one line on all runs whose gate has a rule about possible hands; empty without such a gate."""
     ruled = [trace for trace in traces if asks_of_hands(trace)]
     if not ruled:
         return []

@@ -1,4 +1,4 @@
-"""One judged run: a trace, the evaluation of each claim, and the command that repeats it."""
+"""Define one judged run: a trace, the evaluation of each claim, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from safety_harness.trace.trace import Trace
 
 
 class AboutRuns(TypedDict, total=False):
-    """The facts of a report about all its runs together.
+    """The facts of a report that concern all its runs together.
 
-    ``coverage`` counts how often each claim was exercised, if more runs were judged than the report shows.
-    ``skipped`` are scenarios that an avoider cannot take, ``refused`` errors of unusable inputs.  ``against``
-    has the differences from a reference, ``repeated`` the answers of a second avoider.
+    ``coverage`` counts how often each claim was exercised; it is given if more runs were judged than the
+    report shows.  ``skipped`` lists scenarios that an avoider cannot take, and ``refused`` the errors of
+    unusable inputs.  ``against`` holds the differences from a reference, and ``repeated`` the answers of a
+    second avoider.
     """
 
     coverage: Sequence[ClaimTally] | None
@@ -40,7 +41,7 @@ _NOTHING: AboutRuns = {"coverage": None, "skipped": (), "refused": (), "against"
 
 
 def with_defaults(facts: AboutRuns) -> AboutRuns:
-    """Return the facts with defaults for missing ones; TypeError for any other keyword."""
+    """Return ``facts`` with defaults for missing entries; raise TypeError for any other keyword."""
     if unknown := facts.keys() - _NOTHING.keys():
         raise TypeError(f"unknown keywords: {', '.join(sorted(unknown))}")
     return _NOTHING | facts
@@ -51,15 +52,15 @@ SEVERITY = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
 
 @dataclass(frozen=True)
 class JudgedRun:
-    """A trace with one evaluation for each claim of its scenario, in their order.
+    """A trace with one evaluation for each claim of its scenario, in the order of the claims.
 
-    A run in which the avoider did not answer has one claim more: that it answered.  ``replay_command`` is the
-    command line that repeats this run.  ``notes`` are sentences for the reader, such as bridged gaps of a
-    recording.  ``trace_file`` holds the trace.  ``about`` is the index of the claim under whose heading the
-    run stands; None below another heading.
+    If the avoider did not answer in the run, the run gets the further claim "the avoider answered".
+    ``replay_command`` is the command line that repeats this run.  ``notes`` are sentences for the reader, for
+    example about bridged gaps of a recording.  ``trace_file`` holds the trace.  ``about`` is the index of the
+    claim under whose heading the report shows the run; None under any other heading.
 
     Raises:
-        ValueError: The numbers of evaluations and claims differ.
+        ValueError: The number of evaluations differs from the number of claims.
 
     """
 
@@ -77,19 +78,22 @@ class JudgedRun:
             raise ValueError(f"scenario {name!r} has {claims} claims, got {judged} evaluations")
 
     def judged_claims(self) -> Iterator[tuple[Claim, Evaluation]]:
-        """Yield each claim with its evaluation; at the end "the avoider answered", if it did not."""
+        """Yield each claim with its evaluation.
+
+        If the avoider did not answer, the last claim is "the avoider answered".
+        """
         yield from zip(self.trace.scenario.claims, self.evaluations, strict=True)
         if self._fallback is not None:
             yield DEFAULT_CLAIM, self._fallback
 
     @cached_property
     def _fallback(self) -> Evaluation | None:
-        """The evaluation of an avoider that did not answer, unless the scenario has that claim itself."""
+        """The evaluation of "the avoider answered"; None if it did, or if the scenario has this claim."""
         return None if is_claimed(self.trace.scenario.claims) else by_default(self.trace)
 
     @property
     def as_expected(self) -> tuple[bool, ...]:
-        """For each claim, whether its author expects the verdict; true for claims about other systems."""
+        """For each claim, whether its author expects the verdict; true if the claim does not apply."""
         return tuple(
             evaluation.verdict is claim.given(evaluation.margin) or not evaluation.applicable
             for claim, evaluation in self.judged_claims()
@@ -97,20 +101,23 @@ class JudgedRun:
 
     @property
     def applicable(self) -> tuple[bool, ...]:
-        """For each claim, whether it is about the system under test."""
+        """For each claim, whether it applies to the system under test."""
         return tuple(evaluation.applicable for _, evaluation in self.judged_claims())
 
     @property
     def all_as_expected(self) -> bool:
-        """Whether each claim has its expected verdict, and any is about the system; true without claims."""
+        """Whether each claim has its expected verdict and any claim applies; true without claims."""
         return all(self.as_expected) and (any(self.applicable) or not self.applicable)
 
     def count(self, verdict: Verdict) -> int:
-        """Count the claims with this verdict."""
+        """Return the number of applicable claims that have the verdict ``verdict``."""
         return sum(e.verdict is verdict and e.applicable for _, e in self.judged_claims())
 
     def under_claim(self, sentence: str) -> JudgedRun:
-        """Return the same run below the heading of a claim; below no claim's if it lacks that sentence."""
+        """Return a copy of this run for the place under the heading of the claim ``sentence``.
+
+        ``about`` becomes None if the scenario has no claim with that sentence.
+        """
         sentences = [claim.sentence for claim in self.trace.scenario.claims]
         return replace(self, about=sentences.index(sentence) if sentence in sentences else None)
 
@@ -119,8 +126,9 @@ class JudgedRun:
     def shown_claim(self) -> int | None:
         """Return the index of the claim whose worst moment each picture and replay shows, or None.
 
-        It is the heading's claim.  Below another heading it is the worst claim: violated before inconclusive
-        before holds, lengths before other units, then the smallest margin.
+        Only claims with a worst moment qualify.  If ``about`` names a claim, only that claim qualifies.
+        Otherwise the worst claim is chosen: violated before inconclusive before holds, lengths before other
+        units, then the smallest margin.
         """
         ranked = [
             (
@@ -138,12 +146,12 @@ class JudgedRun:
 
 
 def worst_verdict(verdicts: Iterable[Verdict]) -> Verdict:
-    """Return the worst of some verdicts; inconclusive for none."""
+    """Return the worst of ``verdicts``; inconclusive if there are none."""
     return min(verdicts, key=SEVERITY.index, default=Verdict.INCONCLUSIVE)
 
 
 def notes_of(scenario: Scenario) -> tuple[str, ...]:
-    """Return notes on recordings (bridged gaps, removed jumps) and on a program under test."""
+    """Return notes about bridged gaps and removed jumps of recordings, and about a program under test."""
     unknown = unknown_files(scenario).removeprefix("; ")
     return (unknown,) * bool(unknown) + tuple(
         f"{hand.name}, {hand.recording}: {note}"
@@ -163,19 +171,19 @@ def tallies(runs: Iterable[JudgedRun]) -> tuple[ClaimTally, ...]:
 
 
 def basis_of(runs: Sequence[JudgedRun], coverage: Sequence[ClaimTally] | None = None) -> str:
-    """Return the sentence on what the verdicts rest on; ``coverage`` if more were judged than given."""
+    """Return a sentence on the basis of the verdicts; ``coverage`` may count more runs than ``runs``."""
     return basis_of_tallies((made_in(run.trace) for run in runs), coverage or tallies(runs))
 
 
 def as_expected(runs: Iterable[JudgedRun]) -> tuple[list[bool], int]:
-    """Return whether each verdict is the expected one, and the number of claims about other systems."""
+    """Return whether each applicable verdict is as expected, and the number of claims that do not apply."""
     pairs = [same for run in runs for same in zip(run.as_expected, run.applicable, strict=True)]
     own = [expected for expected, applicable in pairs if applicable]
     return own, len(pairs) - len(own)
 
 
 def answer(runs: Sequence[JudgedRun]) -> str:
-    """Return in one line how many verdicts are as expected, and how many of each kind there are."""
+    """Return one line that states how many verdicts are as expected, and how many there are of each kind."""
     expected, unexpected = as_expected(runs)
     counts = [sum(run.count(kind) for run in runs) for kind in Verdict]
     kinds = ("hold", "violated", "inconclusive", "claims not applicable to the controller")

@@ -1,4 +1,4 @@
-"""Write one self-contained HTML file about one or many runs; the template only places plain values."""
+"""Write one self-contained HTML file about one or several runs; the template only inserts plain values."""
 
 from __future__ import annotations
 
@@ -65,10 +65,10 @@ from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided, measured
 
 Row = dict[str, Any]
-MOST_SLOWINGS = 20  # stretches that a table has; the report for programs has all
-MOST_IN_FULL = 20  # runs that are drawn; a page of a thousand has to open at once
-MOST_TOLD = 20  # verdicts that are not as expected, or runs cut short, before all else; the table has all
-MOST_AT_ONCE = 100  # rows of verdicts, or runs that are not drawn, that a browser reads as it opens a page
+MOST_SLOWINGS = 20  # stretches in a table; the report for programs lists all
+MOST_IN_FULL = 20  # runs that are drawn, so that a page of a thousand runs opens at once
+MOST_TOLD = 20  # unexpected verdicts or cut-short runs at the top of the page; the table lists all
+MOST_AT_ONCE = 100  # rows of verdicts, or runs not drawn, that a browser reads while it opens a page
 
 
 def write_report(
@@ -81,17 +81,17 @@ def write_report(
     generated_at: datetime,
     **facts: Unpack[AboutRuns],
 ) -> None:
-    """Write the report on ``runs`` to ``path``, whole or not at all; the page needs no network.
+    """Write the report on ``runs`` to ``path`` in full or not at all; the page needs no network.
 
     Args:
-        path: The file; missing folders are made.
+        path: The file to write; missing folders are created.
         runs: The judged runs.
         title: The heading of the page.
-        command: The command line that made the report.
+        command: The command line that wrote the report.
         interrupted: Whether planned runs are missing.
-        generated_at: The time on the page.
-        facts: ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated`` as in ``AboutRuns``; you
-            may omit each of them.
+        generated_at: The time that the page shows.
+        facts: The optional facts ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated``, as
+            ``AboutRuns`` defines them.
 
     Raises:
         InputError: The path or a run has the wrong type.
@@ -116,7 +116,7 @@ def render(
     generated_at: datetime,
     **given_facts: Unpack[AboutRuns],
 ) -> str:
-    """Return the page as text; the same arguments give the same bytes."""
+    """Return the page as text; the same arguments always result in the same bytes."""
     facts = with_defaults(given_facts)
     summary = _summary(runs, whole=not (interrupted or facts["skipped"] or facts["refused"]))
     summary["interrupted"] = interrupted
@@ -158,7 +158,10 @@ def render(
 
 
 def _worst(sections: Sequence[Row]) -> Row | None:
-    """Return the worst violation of the drawn runs, an unexpected one first, and a picture of its moment."""
+    """Return the worst violation among the drawn runs, with a picture of its moment.
+
+    An unexpected violation ranks before an expected one.
+    """
     violated = [
         ((row["as_expected"], section["run"].shown_claim() != row["number"] - 1), section, row)
         for section in sections
@@ -174,7 +177,7 @@ def _worst(sections: Sequence[Row]) -> Row | None:
 
 
 def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
-    """Return counts over all runs, which the reader sees first; ``whole``: no planned run is missing."""
+    """Return the counts over all runs for the top of the page; ``whole`` if no planned run is missing."""
     traces = [run.trace for run in runs]
     summary: Row = {
         "runs": len(runs),
@@ -203,7 +206,7 @@ def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
 
 
 def _doubt(summary: Row) -> str:
-    """Return a remark on the worth of inconclusive claims."""
+    """Return a remark that inconclusive claims are no evidence; empty if there are none."""
     if not summary["inconclusive"]:
         return ""
     unmeasured = summary["unmeasured"]
@@ -214,7 +217,7 @@ def _doubt(summary: Row) -> str:
 
 
 def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
-    """Return for each run whether it is drawn: surprises, each claim's worst and violations first."""
+    """Return for each run whether to draw it; surprises, then worst runs, then violations have priority."""
     margins: dict[str, tuple[float, int]] = {}
     for k, run in enumerate(runs):
         for claim, evaluation in run.judged_claims():
@@ -237,14 +240,17 @@ def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
 
 
 def _tabled(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
-    """Return (whether the browser reads them later, sections): the first rows of the table, then the rest."""
+    """Return the first rows of the verdict table, then the rest, as pairs (whether read later, sections)."""
     rows = np.cumsum([len(section["claims"]) for section in sections])
     first = int(np.searchsorted(rows, MOST_AT_ONCE)) + 1
     return [(later, part) for later, part in ((False, sections[:first]), (True, sections[first:])) if part]
 
 
 def _parted(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
-    """Return (whether the browser reads them later, sections), in order; drawn runs are read at once."""
+    """Return the sections in order, in parts: pairs (whether the browser reads the part later, part).
+
+    The browser reads drawn runs at once.
+    """
 
     def part(section: Row) -> tuple[int, bool]:
         hundred = section["number"] // MOST_AT_ONCE
@@ -254,7 +260,7 @@ def _parted(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
 
 
 def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
-    """Return the values of a run's section; those of a drawn run need the page's ``replays``."""
+    """Return the values of a run's section; the section of a drawn run needs the page's ``replays``."""
     run = replace(run, trace=as_measured(run.trace))
     counts = [f"{run.count(verdict)} {verdict.value}" for verdict in Verdict if run.count(verdict)]
     section = {
@@ -275,7 +281,7 @@ def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
 
 
 def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
-    """Return the further values of a run that is drawn."""
+    """Return the additional values of a run that is drawn."""
     trace = run.trace
     drawn = len(trace.ticks) > 0
     moment = shown_moment(run)
@@ -315,7 +321,7 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
 
 
 def claim_rows(run: JudgedRun) -> list[Row]:
-    """Return a row of the table of verdicts for each claim of ``run``."""
+    """Return one row of the table of verdicts for each claim of ``run``."""
     judged = zip(run.judged_claims(), run.as_expected, strict=True)
     return [
         {
@@ -333,16 +339,19 @@ def claim_rows(run: JudgedRun) -> list[Row]:
 
 
 def file_name(run: JudgedRun) -> str:
-    """Return the name of the scenario's file and its row of a matrix; without a file the scenario's name."""
+    """Return the name of the scenario's file and its row of a matrix.
+
+    Without a file, return the name of the scenario.
+    """
     scenario = run.trace.scenario
     if scenario.file is None:
         return scenario.name
-    label = scenario.name.removeprefix(scenario.file.stem)  # which one of a matrix
+    label = scenario.name.removeprefix(scenario.file.stem)  # the row of a matrix
     return scenario.file.name + (f" {label}" if label.startswith("[") else "")
 
 
 def _ticks_rows(trace: Trace, name: str, masks: dict[str, NDArray[np.bool_]]) -> list[Row]:
-    """Return rows for each mask that is true on a measured tick of ``name``: count, share, first time."""
+    """Return a row for each mask that is true at a measured tick of ``name``: count, share, first time."""
     there = measured(trace, name)
     return [
         {
@@ -357,13 +366,13 @@ def _ticks_rows(trace: Trace, name: str, masks: dict[str, NDArray[np.bool_]]) ->
 
 
 def notes(run: JudgedRun) -> list[str]:
-    """Return notes for the reader: the caller's, on recordings, and on faults that acted."""
+    """Return the notes for the reader: the caller's, those on recordings, and those on faults."""
     all_notes = dict.fromkeys((*run.notes, *notes_of(run.trace.scenario)))  # commands note the recordings too
     return [*all_notes, *acted_faults(run.trace)]
 
 
 def acted_faults(trace: Trace) -> list[str]:
-    """Return a sentence on each fault of the scenario, with the number of ticks on which it acted."""
+    """Return a sentence on each fault of the scenario, with the number of ticks at which it acted."""
     faults = []
     for k, fault in enumerate(trace.scenario.faults):
         mask = (trace.ticks["faults"] >> k & 1) != 0

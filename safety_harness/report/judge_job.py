@@ -23,7 +23,10 @@ A_CLAIM = "a claim at least, there or as --claim SENTENCE: nothing is judged wit
 
 
 def claims_of(sentences: Sequence[str]) -> tuple[Claim, ...]:
-    """Return claims for sentences, each with the expectation "holds"; InadmissibleError for other text."""
+    """Return the claims for ``sentences``, each expected to hold.
+
+    Raise InadmissibleError for a sentence that is no claim.
+    """
     place = Place(field="--claim")
     for sentence in sentences:
         if not is_sentence(sentence):
@@ -32,12 +35,12 @@ def claims_of(sentences: Sequence[str]) -> tuple[Claim, ...]:
 
 
 def judged_run(path: Path, sentences: Sequence[str] = (), out: Path | None = None) -> JudgedRun:
-    """Judge a stored trace or the log of a cell.
+    """Judge a stored trace or the log of a real cell.
 
     Args:
-        path: The trace or the log.
-        sentences: The claims to judge; empty for the file's own claims.
-        out: The folder for a log's trace; None writes no trace.
+        path: The file of the trace or the log.
+        sentences: The claims to judge; empty to judge the file's own claims.
+        out: The folder into which a log's trace is written; None: No trace is written.
 
     Raises:
         InputError: The file or a claim cannot be used.
@@ -69,7 +72,7 @@ def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
 def write_judged(
     runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]
 ) -> None:
-    """Write the report of runs that the harness judged without simulating; OutputError if it cannot."""
+    """Write the report of runs that were judged without simulating; raise OutputError if that fails."""
     arguments = [
         "safety-harness",
         "judge",

@@ -1,4 +1,4 @@
-"""The measured quantities of a trace, with their sources and uncertainties, as words and as data."""
+"""State the measured quantities of a trace with their sources and uncertainties, as words and as data."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from safety_harness.report.words import setting_words
 from safety_harness.trace.known import COLUMNS_OF_A_TRACE, OF_DECISIONS, Gap, Measurement, Source
 from safety_harness.trace.trace import Trace
 
-MOST_GAPS = 3  # of one column that are told
+MOST_GAPS = 3  # gaps of one column that are listed
 ALL_OF_DECISIONS = frozenset(name for name in COLUMNS_OF_A_TRACE if name.startswith(OF_DECISIONS))
 
 
 @dataclass(frozen=True)
 class MeasuredRow:
-    """Columns with the same knowledge: source, uncertainty and gaps."""
+    """Columns of a trace that share their source, uncertainty and gaps."""
 
     columns: tuple[str, ...]
     source: str
@@ -33,7 +33,10 @@ class MeasuredRow:
 
 
 def measured_rows(trace: Trace) -> list[MeasuredRow]:
-    """Return a row per source of measurement, unmeasured columns last; empty if all is simulated truth."""
+    """Return a row for each source of measurement; empty if the whole trace is simulated truth.
+
+    The row of the unmeasured columns comes last.
+    """
     if trace.known.simulated:
         return []
     groups: dict[tuple[bool, str, str, str], list[str]] = {}
@@ -49,14 +52,14 @@ def measured_rows(trace: Trace) -> list[MeasuredRow]:
 
 
 def measured_lines(trace: Trace) -> list[str]:
-    """Return the rows below the run's name; empty if all is simulated truth."""
+    """Return the rows under the name of the run; empty if the whole trace is simulated truth."""
     rows = measured_rows(trace)
     head = [f"what was measured of {trace.scenario.name}:"] if rows else []
     return head + [f"  {row.summary}" for row in rows]
 
 
 def known_data(trace: Trace) -> dict[str, Any]:
-    """Return JSON for each column that is not simulated truth: source, uncertainty [SI], gaps in ticks."""
+    """Return source, uncertainty [SI] and gaps [ticks] of each column that is not simulated, as JSON."""
     return {
         name: {
             "source": fact.source.value,
@@ -83,7 +86,7 @@ def unmeasured_words(evaluations: Iterable[Evaluation]) -> str:
 
 
 def _short(names: list[str]) -> tuple[str, ...]:
-    """Return the column names, with all columns of decisions as one name."""
+    """Return the column names, with one common name for all columns of decisions."""
     if not ALL_OF_DECISIONS.issubset(names):
         return tuple(names)
     return (*(name for name in names if name not in ALL_OF_DECISIONS), "all of decisions")
@@ -96,7 +99,7 @@ def _accuracy(name: str, fact: Measurement) -> str:
 
 
 def _gaps(trace: Trace, gaps: tuple[Gap, ...]) -> str:
-    """Return the times of the gaps, with the hand where a gap concerns one hand."""
+    """Return the times of the gaps, and the name of the hand if a gap concerns only one hand."""
     hands, period_s = trace.scenario.hands, trace.scenario.settings.clock.control_period_s
     times = []
     for gap in gaps[:MOST_GAPS]:

@@ -1,4 +1,4 @@
-"""The evidence of the page for programs: one JSON file about one or many runs."""
+"""Write the evidence of the page for programs: one JSON file about one or several runs."""
 
 from __future__ import annotations
 
@@ -35,32 +35,33 @@ COUNTED = ("runs", "exercised", "occasions", "holds", "violated", "inconclusive"
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write the result of ``report_data`` to ``path``, whole or not at all; OSError if it cannot."""
+    """Write the result of ``report_data`` to ``path`` in full or not at all; OSError if that fails."""
     write_whole(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
 def report_data(
     runs: Sequence[JudgedRun], *, interrupted: bool, **facts: Unpack[AboutRuns]
 ) -> dict[str, Any]:
-    """Return the results of ``runs`` in types that JSON has.
+    """Return the results of ``runs``, built only from types that JSON knows.
 
     The object has these fields:
 
     - ``format``, ``made_at`` (ISO 8601), and ``interrupted`` (whether planned runs are missing);
-    - ``basis``: a sentence on the grounds of the verdicts;
-    - ``overruling``: the number of overruled proposals per avoider, the reasons and the replacements;
-    - ``runs``, as ``run_data`` describes them;
+    - ``basis``: a sentence that states what the verdicts are based on;
+    - ``overruling``: for each avoider, the number of overruled proposals, the reasons and the replacements;
+    - ``runs``: the runs in the form that ``run_data`` describes;
     - ``coverage``: for each claim, how often the runs tested it;
-    - ``skipped``, ``refused`` and ``against``, as for ``write_report``;
-    - ``repeatability``: the answers of a second avoider to the questions of the runs; null without one.
+    - ``skipped``, ``refused`` and ``against``: the facts of the same names in ``AboutRuns``;
+    - ``repeatability``: the answers of a second avoider to the same questions, or null.
 
-    Margins are in SI units, in full precision, and null where there is no margin.  A margin that is not
-    finite is the text "inf", "-inf" or "nan", since JSON has no such number.
+    Margins are in SI units with full precision; a missing margin is null.  A margin that is not finite is the
+    text "inf", "-inf" or "nan", because JSON has no such numbers.
 
     Args:
         runs: The judged runs.
         interrupted: Whether planned runs are missing.
-        facts: ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated``, as for ``write_report``.
+        facts: The optional facts that ``AboutRuns`` defines: ``coverage``, ``skipped``, ``refused``,
+            ``against`` and ``repeated``.
 
     Raises:
         OSError: A trace file cannot be read.
@@ -89,7 +90,7 @@ def report_data(
 
 
 def refused_data(refused: Sequence[InputError]) -> list[dict[str, Any]]:
-    """Return place and reason for each input that cannot be used."""
+    """Return the place and the reason for each input that cannot be used."""
     return [
         {
             "file": None if error.place.file is None else str(display_path(error.place.file)),
@@ -105,11 +106,11 @@ def refused_data(refused: Sequence[InputError]) -> list[dict[str, Any]]:
 def run_data(run: JudgedRun) -> dict[str, Any]:
     """Return one run as JSON.
 
-    ``system`` states the parts of the tested system, with null for an absent part.  ``avoider_answered``
-    is null without an avoider.  Each claim has ``parts`` if its formula joins them by "and".
-    ``unmeasured`` names the columns whose lack makes a claim inconclusive.  ``known`` has the columns that
-    are not simulated truth.  ``decisions`` and ``overruling`` are null without their measurements.
-    ``trace_sha256`` is the hash of the trace file as it is now.
+    ``system`` lists the parts of the tested system; an absent part is null.  ``avoider_answered`` is null
+    without an avoider.  A claim has ``parts`` if its formula is a conjunction ("and").  ``unmeasured`` names
+    the columns whose absence makes a claim inconclusive.  ``known`` lists the columns that are not simulated
+    truth.  ``decisions`` and ``overruling`` are null if they were not measured.  ``trace_sha256`` is the
+    present hash of the trace file.
     """
     trace, scenario, file = run.trace, run.trace.scenario, run.trace_file
     return {

@@ -1,4 +1,4 @@
-"""Columns of numbers as short text for a page's script: fixed-point differences, deflated, in base64."""
+"""Pack columns of numbers as short text for a page's script: fixed-point differences, deflated, base64."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-PER_UNIT = 1e5  # a real number is kept to 1e-5 of its SI unit
-NAN, INF = -(2**31), 2**31 - 1  # what is farther than they are is as good as not there
+PER_UNIT = 1e5  # real numbers are rounded to 1e-5 of their SI unit
+NAN, INF = -(2**31), 2**31 - 1  # sentinels; values beyond them count as not finite
 
 
 def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return arrays (n, ...) as ``unpack`` of replay.js takes them: rows, width, scale, and all bytes.
+    """Return arrays (n, ...) as ``unpack`` of replay.js reads them: rows, width, scale, and all bytes.
 
-    Whole numbers stay exact.  Real numbers are rounded to 10 um, 10 urad or 10 us; NaN and infinity stay.
-    Consecutive values of a component differ little, so their bytes of equal significance compress well.
+    Integers stay exact.  Real numbers are rounded to 10 um, 10 urad or 10 us; NaN and infinity stay as they
+    are.  Consecutive values of a component differ little, so their bytes of equal significance are stored
+    together and compress well.
     """
     shapes, steps = {}, [np.zeros(0, np.int32)]
     for name, values in columns.items():
@@ -29,16 +30,16 @@ def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         whole = np.where(there, rows, np.where(np.isposinf(rows), INF, NAN)).round().astype(np.int64)
         shapes[name] = [len(values), len(whole), scale]
         shifted = np.hstack([np.zeros((len(whole), 1), np.int64), whole[:, :-1]])
-        steps.append((whole - shifted).astype(np.int32).ravel())  # modulo 2^32, as the script adds them up
+        steps.append((whole - shifted).astype(np.int32).ravel())  # modulo 2^32, as the script adds
     planes = np.concatenate(steps).astype("<i4").view(np.uint8).reshape(-1, 4).T
     return {"columns": shapes, "packed": deflated(np.ascontiguousarray(planes).tobytes())}
 
 
 def deflated(plain: bytes) -> str:
-    """Return bytes as text for ``inflate`` of replay.js."""
+    """Return bytes as text that ``inflate`` of replay.js reads."""
     return base64.b64encode(zlib.compress(plain, 9)).decode()
 
 
 def as_attribute(data: dict[str, Any]) -> str:
-    """Return deflated JSON, which has only letters, digits, +, / and =."""
+    """Return ``data`` as deflated JSON, whose text contains only letters, digits, +, / and =."""
     return deflated(json.dumps(data, separators=(",", ":"), allow_nan=False).encode())

@@ -1,4 +1,4 @@
-"""The shared parts of every page: the templates, and the text of style and script."""
+"""Provide the parts that all pages share: the templates, and the text of style sheets and scripts."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from safety_harness.report.packing import deflated
 
 PACKAGE = "safety_harness.report"
 THREE = "three.js"
-MOST_OPEN = 5  # parts of a page that need not be unfolded
+MOST_OPEN = 5  # parts of a page that are open at first
 
 
 @dataclass(frozen=True, kw_only=True)
 class PageSection:
-    """A table that a package adds to a page; the page escapes its texts.
+    """A table that a package adds to a page; the page escapes the table's texts.
 
     Args:
-        page: ``run`` adds the table to each drawn run, ``evidence`` to the page of the evidence.
-        heading: The heading of the section, plain text.
+        page: ``run`` to add the table to each drawn run, ``evidence`` to add it to the evidence page.
+        heading: The heading of the section, in plain text.
         caption: The caption of the table.
-        heads: The heads of its columns.
-        rows: Return the rows of texts for a run's ``JudgedRun``, or for the ``Evidence``.  An empty result
-            omits the section.
+        heads: The headings of the columns.
+        rows: The function that returns the rows of texts, given the ``JudgedRun`` or the ``Evidence``.  If it
+            returns no rows, the page omits the section.
 
     """
 
@@ -46,24 +46,24 @@ class PageSection:
 
 
 def added_sections(page: str, shown: object, prefix: str = "") -> list[dict[str, Any]]:
-    """Return the sections that packages add to a page about ``shown``; a failure only gives a warning."""
+    """Return the sections that packages add to a page about ``shown``; warn of a section that fails."""
     added: list[dict[str, Any]] = []
     for name, table in loaded(ExtensionPoint.PAGE_SECTIONS, PageSection):
         if table.page == page:
             try:
                 rows = [tuple(map(str, row)) for row in table.rows(shown)]
-            except Exception as error:  # of somebody else's module, which may raise anything
+            except Exception as error:  # a module of another package may raise anything
                 warn(RegisteredPart(ExtensionPoint.PAGE_SECTIONS, name, ""), described(error))
                 rows = []
             added += [{"id": f"{prefix}added-{len(added)}", "part": table, "rows": rows}] if rows else []
     return added
 
 
-@lru_cache  # which compiles each template once
+@lru_cache  # so that each template is compiled only once
 def templates(package: str = PACKAGE) -> Environment:
-    """Return the templates; they escape their values, and a missing name is an error.
+    """Return the templates, which escape their values and raise an error for a missing name.
 
-    ``package`` is a package with templates of its own beside the shared ones.
+    ``package`` may have its own templates, which are found beside the shared ones.
     """
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((package, PACKAGE))]),
@@ -78,13 +78,13 @@ def templates(package: str = PACKAGE) -> Environment:
 
 
 def _headings(page: str) -> list[tuple[str, Markup]]:
-    """Return id and words of each part of a page for its table of contents, without articles."""
+    """Return the id and title of each part of ``page`` for its table of contents, without articles."""
     parts = re.findall(r'<h2 id="([^"]+)"(?: tabindex="-1")?>(.*?)</h2>', page)
     return [(name, Markup(text)) for name, text in parts if not name.endswith("-heading")]
 
 
 def asset(name: str, package: str = PACKAGE) -> str:
-    """Return the text of a style sheet or script beside the templates, if possible from ``package``."""
+    """Return the text of a style sheet or script, from ``package`` if it has one of that name."""
     own = files(package) / "templates" / name
     return (own if own.is_file() else files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")
 
@@ -99,17 +99,17 @@ def render_page(
     replays: bool = False,
     **values: object,
 ) -> str:
-    """Return a page that needs no network: the template with the shared style sheet and script.
+    """Return a page that needs no network: ``template`` with the shared style sheet and script.
 
     Args:
         template: The name of the template.
-        basis: The grounds of the page's verdicts; empty for a page without verdicts.
-        package: The package of the template.
-        style: A style sheet that follows the shared one.
-        scripts: Scripts that follow the shared one.
-        replays: Whether the page has the 3-D viewer of replays.  The page then carries three.js as text,
-            which becomes a script at the first replay; the page's policy allows that script.
-        values: The values of the template.
+        basis: What the verdicts of the page are based on; empty for a page without verdicts.
+        package: The package that contains the template.
+        style: A style sheet to add after the shared one.
+        scripts: Scripts to add after the shared one.
+        replays: Whether the page contains the 3-D viewer of replays.  The page then carries three.js as text.
+            The first replay turns this text into a script, which the page's security policy allows.
+        values: The values that the template refers to.
 
     """
     script = "".join(asset(name, package) for name in ("report.js", *scripts))
@@ -140,6 +140,6 @@ def _hash(script: str) -> str:
 
 
 def in_words(moment: datetime) -> str:
-    """Return a date and time for people."""
+    """Return the date and time ``moment`` for people to read."""
     zone = f" {moment.tzname()}" if moment.tzinfo else ""
     return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"

@@ -1,7 +1,7 @@
-"""The paths of one run from above (x-y) and from the side (x-z), each whole and close to the TCP.
+"""Draw the paths of one run from above (x-y) and from the side (x-z): each whole, and close to the TCP.
 
-The functions that draw the cell, the arm, hands, the TCP or decisions put base x to the right.  They put
-base ``axis`` (1: y, 2: z) upwards, in millimetres.
+All drawings are in millimetres.  Every ``draw_`` function draws base x to the right, and base ``axis`` (1: y,
+2: z) upwards.
 """
 
 from __future__ import annotations
@@ -28,24 +28,25 @@ from safety_harness.trace.unmeasured import decided
 WIDTH_PX, HEIGHT_PX = 430.0, 390.0
 MARGINS_PX = (46.0, 12.0, 40.0, 26.0)  # left, right, below, above
 COLUMNS = 400
-SMALLEST_CLOSE_UP_MM = 60.0  # half its side; an arm that hardly moves is not blown up further
-MOST_NUMBERS = 12  # decisions that are numbered in a view; more would hide the paths
+SMALLEST_CLOSE_UP_MM = 60.0  # half a side; an arm that hardly moves is not enlarged further
+MOST_NUMBERS = 12  # numbered decisions in a view; more numbers would hide the paths
 MM = 1e3
 
 
 @dataclass(frozen=True)
 class Moment:
-    """The instant at which a view draws hands, forearms and the arm in full."""
+    """The instant at which a view draws hands, forearms and the whole arm."""
 
     tick: int
     time_s: float
-    claim: int | None  # index of the claim whose worst moment it is
+    claim: int | None  # index of the claim that has its worst moment now; None for the nearest hand
 
 
 def shown_moment(run: JudgedRun) -> Moment | None:
-    """Return the worst moment of ``run.shown_claim()``, else the nearest hand; None without either.
+    """Return the moment that every picture, button and replay of a run shows.
 
-    Every picture, button and replay of a run uses this moment.
+    It is the worst moment of the claim ``run.shown_claim()``.  Without such a claim, it is the moment when a
+    hand was nearest.  The result is None if there was no hand either.
     """
     ticks = run.trace.ticks
     if len(ticks) == 0:
@@ -64,11 +65,11 @@ def shown_moment(run: JudgedRun) -> Moment | None:
 
 
 def path_views(run: JudgedRun, *, prefix: str) -> tuple[Markup, ...]:
-    """Return the paths as SVG: from above, from the side, and both close to the TCP.
+    """Return the paths as four SVG drawings: from above, from the side, and both close to the TCP.
 
     Args:
         run: A run with at least one tick.
-        prefix: The start of every id.
+        prefix: The text with which every id starts.
 
     """
     moment = shown_moment(run)
@@ -80,7 +81,7 @@ def path_views(run: JudgedRun, *, prefix: str) -> tuple[Markup, ...]:
 
 
 def _view(run: JudgedRun, moment: Moment | None, axis: int, *, close_up: bool, prefix: str) -> str:
-    """Return one view: base x to the right, base ``axis`` (1: y, 2: z) upwards, in millimetres."""
+    """Return one view in millimetres: base x to the right, base ``axis`` (1: y, 2: z) upwards."""
     trace = run.trace
     picture = Picture(WIDTH_PX, HEIGHT_PX)
     left, right, below, above = MARGINS_PX
@@ -132,7 +133,7 @@ def _description(run: JudgedRun, moment: Moment | None, axis: int) -> str:
 
 
 def close_up_mm(trace: Trace) -> tuple[Floats, Floats]:
-    """Return two corners (3,) [mm] of the box that holds all of the TCP's path and every decision."""
+    """Return two corners (3,) [mm] of the box that contains the TCP's whole path and every decision."""
     points = np.vstack(
         [
             trace.ticks["transform_tcp_to_base"][:, :3, 3],
@@ -154,19 +155,19 @@ def name_table(axes: Axes, cell: Cell) -> None:
 
 
 def draw_close_up_frame(axes: Axes, trace: Trace, axis: int) -> None:
-    """Draw the part of the whole view that the close-up shows."""
+    """Draw a frame around the part of the whole view that the close-up shows."""
     x, y = rectangle(*close_up_mm(trace), axis)
     axes.line(x, y, Ink.MUTED, width=0.8)
 
 
 def rectangle(low: Array3, high: Array3, axis: int) -> Floats:
-    """Return the closed outline (2, 5) of the box between two corners (3,): base x, and base ``axis``."""
+    """Return the closed outline (2, 5) of the box between two corners (3,), in base x and base ``axis``."""
     across = np.array([low[0], high[0], high[0], low[0], low[0]])
     return np.stack([across, np.array([low[axis], low[axis], high[axis], high[axis], low[axis]])])
 
 
 def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
-    """Draw the object, the desired TCP and, from the side, the table's edge."""
+    """Draw the object, the desired TCP position and, from the side, the table's edge."""
     cell, corners = settings.cell, object_polygon_in_base(settings) * MM
     if axis == 2:
         axes.hline(cell.table_height_m * MM, Ink.TEXT, width=1.6)
@@ -177,7 +178,7 @@ def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
 
 
 def draw_obstacles(axes: Axes, obstacles: Sequence[Obstacle], axis: int) -> None:
-    """Draw the boxes of the cell."""
+    """Draw the boxes that stand in the cell."""
     for box in obstacles:
         corners = box.corners_in_base_m * MM
         outline = (
@@ -213,7 +214,10 @@ def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
 
 
 def capsule_outline(start: Array3, end: Array3, radius: float) -> Floats:
-    """Return the outline (k, 2) of all points within ``radius`` of a segment; a disc for zero length."""
+    """Return the outline (k, 2) of all points within ``radius`` of a segment.
+
+    For a segment of zero length, this is a circle.
+    """
     along = end - start
     heading = float(np.arctan2(along[1], along[0]))
     turn = np.linspace(0.5 * np.pi, 1.5 * np.pi, 33) + heading
@@ -223,7 +227,7 @@ def capsule_outline(start: Array3, end: Array3, radius: float) -> Floats:
 
 
 def draw_hands(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None:
-    """Draw the path of each hand's centre, and its sphere at the moment."""
+    """Draw the path of each hand's centre, and the hand's sphere at ``moment``."""
     radius_mm = trace.scenario.settings.hand.radius_m * MM
     for hand, ink in enumerate(HANDS[: trace.scenario.hand_slots]):
         present = trace.ticks["hand_present"][:, hand]
@@ -240,7 +244,7 @@ def draw_hands(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> No
 
 
 def draw_tcp(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None:
-    """Draw the path of the TCP, and its place at the moment."""
+    """Draw the path of the TCP, and its position at ``moment``."""
     path = trace.ticks["transform_tcp_to_base"][:, :3, 3] * MM
     _draw_path(axes, path, axis, Ink.TCP, dashed=False)
     _draw_ends(axes, path, axis, Ink.TCP)
@@ -250,7 +254,7 @@ def draw_tcp(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None
 
 
 def _draw_path(axes: Axes, path_mm: Floats, axis: int, ink: Ink, *, dashed: bool) -> None:
-    """Draw a path (n, 3), thinned so that the extremes of both coordinates survive."""
+    """Draw a path (n, 3), thinned so that the extremes of both coordinates remain."""
     order = np.arange(len(path_mm), dtype=np.float64)
     kept = np.union1d(*(keep_extremes(order, path_mm[:, k], COLUMNS)[0] for k in (0, axis)))
     points = path_mm[kept.astype(np.int64)]
@@ -264,7 +268,7 @@ def _draw_ends(axes: Axes, path_mm: Floats, axis: int, ink: Ink) -> None:
 
 
 def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
-    """Draw a line from the TCP at each decision to the chosen repulsive position."""
+    """Draw a line from the TCP at each decision to the repulsive position that was chosen."""
     decisions = trace.decisions
     starts = decisions["tcp_position_in_base_m"] * MM
     chosen = decisions["chosen_position_in_base_m"] * MM

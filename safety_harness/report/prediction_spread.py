@@ -1,8 +1,8 @@
-"""The hand filter's uncertainty about a predicted hand, computed from its settings for pictures.
+"""Compute the hand filter's uncertainty about a predicted hand from the filter's settings, for pictures.
 
-A trace has the predictions without their covariance.  The covariance of a linear filter depends on the
-times of its measurements only.  It is thus exact if every image since the beginning of a track showed the
-hand.  A missed image makes the true covariance larger than this result.
+A trace contains the predictions without their covariance.  The covariance of a linear filter depends only on
+the times of its measurements.  The result is therefore exact if every image since the beginning of a track
+showed the hand.  If an image missed the hand, the true covariance is larger than the result.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ UPPER = np.triu_indices(3)
 
 
 def prediction_spread_m(trace: Trace) -> Floats:
-    """Return the upper half (n, tracks, 6) [m] of S, where S S is a predicted hand centre's covariance.
+    """Return the upper half (n, tracks, 6) [m] of S; S S is the covariance of a predicted hand's centre.
 
-    The frame is base.  The result is NaN without a track, and if another filter made the predictions.
+    S is expressed in the base frame.  The result is NaN where there is no track, or if another filter made
+    the predictions.
     """
     ticks = trace.ticks
     valid = ticks["track_valid"].astype(bool)
@@ -38,7 +39,7 @@ def prediction_spread_m(trace: Trace) -> Floats:
             settings.camera, calibrated=True
         )
     turn, place = sensor_in_base[:, None, :3, :3], sensor_in_base[:, None, :3, 3]
-    seen = np.einsum("...ji,...j->...i", turn, ticks["predicted_hand_in_base_m"] - place)  # in the sensor
+    seen = np.einsum("...ji,...j->...i", turn, ticks["predicted_hand_in_base_m"] - place)  # sensor frame
     focal_px, depth = settings.hand_sensor.focal_px, seen[..., 2]
     to_place = np.zeros((*valid.shape, 3, 3))  # d(x, y, z) / d(u, v, z)
     to_place[..., 0, 0] = to_place[..., 1, 1] = depth / focal_px
@@ -53,16 +54,16 @@ def prediction_spread_m(trace: Trace) -> Floats:
 
 
 def _variances(trace: Trace, valid: NDArray[np.bool_]) -> Floats:
-    """Return the variances (n, tracks, 3) of u, v [px^2] and z [m^2] at the time of a prediction."""
+    """Return the variances (n, tracks, 3) of u, v [px^2] and z [m^2] at the time of the prediction."""
     settings = trace.scenario.settings
     sensor, horizon_s = settings.hand_sensor, settings.hand_filter.prediction_horizon_s
     parameters = filter_parameters(settings.hand_filter, sensor)[0]
     push = parameters["acceleration_variance"]
     rate_hz = sensor.rate_hz or 1.0 / settings.clock.control_period_s
-    frame = np.floor((trace.time_s - sensor.latency_s) * rate_hz + 1e-6)  # the last that has arrived
+    frame = np.floor((trace.time_s - sensor.latency_s) * rate_hz + 1e-6)  # the last arrived frame's number
     begins = valid & ~np.vstack([np.zeros_like(valid[:1]), valid[:-1]])
     first = np.maximum.accumulate(np.where(begins, frame[:, None], -np.inf), axis=0)
-    age = np.where(valid, frame[:, None] - first, 0.0).astype(np.int64)  # frames since that of its beginning
+    age = np.where(valid, frame[:, None] - first, 0.0).astype(np.int64)  # frames since the track began
     by_age = _after_frames(parameters, 1.0 / rate_hz, int(age.max(initial=0)))
     value, mixed, rate = np.moveaxis(by_age[np.minimum(age, len(by_age) - 1)], 2, 0)
     ahead_s = (trace.time_s + horizon_s - frame / rate_hz)[:, None, None]
@@ -71,10 +72,10 @@ def _variances(trace: Trace, valid: NDArray[np.bool_]) -> Floats:
 
 
 def _after_frames(parameters: np.void, dt_s: float, most: int) -> Floats:
-    """Return var(value), cov, var(rate) of u, v, z after each number of frames; the last set stays.
+    """Return var(value), cov(value, rate) and var(rate) of u, v, z after each number of frames.
 
-    The shape is (at most ``most`` + 1, 3, 3).  The recursion follows the filter's ``initialise``,
-    ``wait`` and ``update``.
+    The shape is (at most ``most`` + 1, 3, 3); the last entry holds for all later frames.  The recursion
+    follows the filter's ``initialise``, ``wait`` and ``update``.
     """
     noise, push = parameters["measurement_variance"][:3], parameters["acceleration_variance"]
     states = [np.array([noise, np.zeros(3), parameters["initial_rate_variance"]])]

@@ -1,8 +1,8 @@
-"""The data of a run's 3-D replay as JSON: the arm's frames, capsules, meshes, and columns of the trace.
+"""Prepare a run's 3-D replay as JSON: the arm's frames, capsules and meshes, and columns of the trace.
 
-The viewer turns the joints itself, so that arm, hands and distances agree with the trace.  The data thin
-long runs evenly, but keep every worst moment and every decision.  The viewer moves straight from each kept
-tick to the next.
+The viewer computes the arm's motion from the joint angles, so that arm, hands and distances agree with the
+trace.  Of a long run, the data keep evenly spaced ticks, every worst moment and every decision.  Between two
+kept ticks, the viewer interpolates linearly.
 """
 
 from __future__ import annotations
@@ -43,25 +43,27 @@ from safety_harness.trace.records import Check, DecisionOutcome, Trigger
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided, measured
 
-MOST_REPLAYS = 20  # on a page
-MOST_TICKS = 750  # more are not seen; a run of ten seconds has 1250
-ANY = 1_000_000  # no capsule: it is not known to which a hand is nearest
+MOST_REPLAYS = 20  # the most replays on a page
+MOST_TICKS = 750  # nobody sees more; a run of ten seconds has 1250
+ANY = 1_000_000  # stands for no capsule, if the capsule nearest to a hand is unknown
 
 
 class Replays:
-    """The replays of one page: at most ``most``, with the meshes of an arm only in its first replay."""
+    """The replays of one page: at most ``most``; only an arm's first replay contains its meshes."""
 
     def __init__(self, most: int = MOST_REPLAYS) -> None:
         self._left = most
-        self._meshes: dict[ArmModel, str] = {}  # and in which replay they are
-        self._explained = ""  # the replay that says what is drawn
+        self._meshes: dict[ArmModel, str] = {}  # for each arm, the replay that contains its meshes
+        self._explained = ""  # the replay that explains what is drawn
 
     def arguments(self, run: JudgedRun, name: str, **more: object) -> dict[str, object] | None:
-        """Return the arguments of the macro ``replay``; None for a run without ticks, or on a full page.
+        """Return the arguments of the template macro ``replay`` for ``run``.
+
+        The result is None if the run has no ticks, or if the page already has ``most`` replays.
 
         Args:
             run: The run to replay.
-            name: An id of the page; the drawing over time has ids that begin with ``name-time-``.
+            name: The id of the replay on the page.  The ids of its timeline begin with ``name-time-``.
             more: Further arguments of the macro.
 
         """
@@ -91,7 +93,7 @@ class Replays:
 
 
 def replay_data(run: JudgedRun) -> dict[str, Any]:
-    """Return the replay of a run with at least one tick, except the arm's meshes."""
+    """Return the replay of ``run`` without the arm's meshes; the run must have at least one tick."""
     trace = as_measured(run.trace)
     settings = trace.scenario.settings
     arm = arm_model(trace.scenario.robot)
@@ -148,7 +150,7 @@ def replay_data(run: JudgedRun) -> dict[str, Any]:
 
 
 def arm_in_scene(arm: ArmModel, capsules: CapsuleSet) -> dict[str, Any]:
-    """Return frames and capsules as the viewer takes them."""
+    """Return the arm's frames and capsules in the form that the viewer reads."""
     return {
         "joint_origins": [rounded(origin, 9) for origin in arm.joint_origins],
         "joint_axes": arm.joint_axes.tolist(),
@@ -183,16 +185,16 @@ def kept_ticks(run: JudgedRun) -> NDArray[np.int64]:
 
 
 def start_s(run: JudgedRun) -> float:
-    """Return the first time [s] of the replay: the moment that the drawings show."""
+    """Return the time [s] at which the replay starts: the moment that the drawings show."""
     moment = shown_moment(run)
     return float(run.trace.time_s[0]) if moment is None else moment.time_s
 
 
 def _separation_m(trace: Trace) -> NDArray[np.float64]:
-    """Return the distance (n,) [m] that a reaching human needs by the trace's reaction and stop times.
+    """Return the separation distance (n,) [m] that the arm needs from a human who reaches for it.
 
-    The result is NaN where the times are unknown.  It assumes that the arm approaches at the TCP's speed;
-    claims use the speed of each link.
+    The distance follows from the reaction and stop times of ``trace``; it is NaN where these are unknown.  It
+    assumes that the arm approaches at the TCP's speed, whereas claims use the speed of each link.
     """
     speed_mps = trace.ticks["tcp_speed_mps"]
     ticks = zip(speed_mps.tolist(), *(column.tolist() for column in times_left_s(trace)), strict=True)
@@ -201,9 +203,11 @@ def _separation_m(trace: Trace) -> NDArray[np.float64]:
 
 
 def _views(settings: Settings) -> list[dict[str, Any]]:
-    """Return the view of the servoing camera from the flange, and of an own hand camera from its mount.
+    """Return the field of view of the servoing camera, and of an overhead hand camera if there is one.
 
-    The corners of a view lie in a plane: of the object as the arm sees it at its goal, or of the table.
+    The servoing camera is placed relative to the tool, the overhead camera at its mount in the base frame.
+    The corners of the servoing camera's view lie in the object's plane, as seen from the arm's goal.  The
+    corners of the overhead camera's view lie in the plane of the table.
     """
     camera, sensor, cell = settings.camera, settings.hand_sensor, settings.cell
     mount = transform_camera_to_tcp(camera, calibrated=False)
@@ -224,13 +228,13 @@ def _corners(optics: Any, depth_m: float) -> list[list[float]]:  # a Camera or a
 
 
 def _faces(box: Obstacle) -> list[list[list[float]]]:
-    """Return the corners of a box's floor, top and two walls, which together have all edges."""
+    """Return the corners of a box's floor, top and two walls; these four faces contain all its edges."""
     corners = [rounded(corner) for corner in box.corners_in_base_m]
     return [[corners[k] for k in face] for face in ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (2, 3, 7, 6))]
 
 
 def _worst(run: JudgedRun) -> list[dict[str, Any]]:
-    """Return the worst moment of each claim that has one."""
+    """Return the worst moment of each claim that has a worst moment."""
     return [
         {"time_s": judged.worst_time_s, "violated": judged.verdict is Verdict.VIOLATED}
         for judged in run.evaluations
@@ -239,7 +243,7 @@ def _worst(run: JudgedRun) -> list[dict[str, Any]]:
 
 
 def _decisions(trace: Trace) -> list[dict[str, Any]]:
-    """Return time, start, chosen and refused positions of each decision, as far as measured."""
+    """Return the time, start, chosen and refused positions of each decision, as far as they were measured."""
     if not decided(trace, "time_s"):
         return []
     return [_decision(trace, decision) for decision in trace.decisions]

@@ -1,4 +1,4 @@
-"""Run scenarios and judge them: ``safety_harness.run``."""
+"""Provide ``safety_harness.run``, which runs scenarios and judges their claims."""
 
 from __future__ import annotations
 
@@ -65,21 +65,24 @@ def run(
     """Run scenarios in a world and judge their claims.
 
     Args:
-        scenarios: One or many of: a scenario file, a suite, a folder, ``shipped:NAME``, a ``Scenario``.
-        avoider: The avoider, in place of the scenarios' own: a name, ``FILE.py:NAME`` or a model file.
-        controller: The controller, in place of the visual servo: a name, ``FILE.py:NAME`` or a program.
-        against: A reference, also an avoider or a controller.  It runs every scenario too, for a comparison.
-        world: A world or its label, such as ``kinematic``; None: PyBullet, if it is installed.
-        out: A folder.  Each trace is written there as soon as its run ends.  None: no folder.
-        keep_going: Whether to run the usable inputs if others cannot be used.
+        scenarios: One or several inputs: a scenario file, a suite, a folder, ``shipped:NAME`` or a
+            ``Scenario``.
+        avoider: The avoider that replaces the scenarios' own: a name, ``FILE.py:NAME`` or a model file.
+        controller: The controller that replaces the visual servo: a name, ``FILE.py:NAME`` or a program.
+        against: A reference avoider or controller.  It also runs every scenario, and the result compares the
+            two.
+        world: A world or its label, such as ``kinematic``; None: PyBullet if it is installed.
+        out: The folder into which each trace is written as soon as its run ends.  None: No files are written.
+        keep_going: Whether to run the usable inputs even if other inputs cannot be used.
         jobs: The number of processes; None: one for each core, if there are many runs.
         mcap: Whether to write each run as an MCAP file too, beside its trace.
-        output: Receives the progress.
+        output: The ``Output`` that shows the progress.
 
-    Ctrl-C ends the job, and the result keeps the finished runs.  If a run fails, the other runs go on.
+    Ctrl-C ends the job; the result then keeps the finished runs.  A run that fails does not stop the other
+    runs.
 
     Raises:
-        InputErrors: Inputs cannot be used; no scenario ran.
+        InputErrors: Inputs cannot be used; in this case no scenario ran.
         InputError: An option cannot be used, the world is not installed, or ``out`` cannot be written.
 
     """
@@ -129,7 +132,7 @@ def run(
 
 
 def _reference(given: str | Path | None) -> str | None:
-    """Return the tested program as text; a ``Driver`` stays an object."""
+    """Return the tested program as text; return a ``Driver`` object unchanged."""
     return str(given) if isinstance(given, Path) else given
 
 
@@ -156,19 +159,19 @@ def read_all(
     objects: Sequence[Scenario] = (),
     output: Output = QUIET,
 ) -> tuple[list[list[Admitted]], list[Incompatible], list[InputError]]:
-    """Read and admit all scenarios, with the given avoider and with the reference as well.
+    """Read and admit all scenarios, both with the given avoider and with the reference.
 
     Args:
         paths: Scenario files, suites or folders.
-        avoider: Replaces the avoider of every scenario; None keeps their own.
+        avoider: The avoider that replaces the avoider of every scenario; None keeps their own.
         against: The reference; None without a comparison.
         world: The world of the runs.
-        objects: Scenarios that are no files.
-        output: Receives the progress.
+        objects: Scenarios that were passed as objects, not as files.
+        output: The ``Output`` that shows the progress.
 
     Returns:
-        The admitted scenarios (each with its reference), the scenarios that an avoider given here cannot
-        take, and all mistakes.
+        Three lists: the admitted scenarios, each with its reference; the scenarios that a given avoider
+        cannot take; and all mistakes.
 
     Raises:
         InstallationError: There is a scenario to run, and the world is not installed.
@@ -197,7 +200,7 @@ def read_all(
 
 @dataclass
 class RunsShown:
-    """The progress display of several scenarios: the current scenario and its ticks."""
+    """The progress display of several scenarios, which shows the current scenario and its ticks."""
 
     scenarios: Sequence[Scenario]
     show: Callable[..., None]
@@ -210,7 +213,7 @@ class RunsShown:
         self._show(0)
 
     def tick(self, done: int) -> None:
-        """Show that ``done`` ticks of the scenario are over, every 50 ticks and at its end."""
+        """Show that ``done`` ticks are finished; the display changes every 50 ticks and at the end."""
         if done - self._shown >= 50 or done > self.scenarios[self._number].ticks:
             self._show(done)
 
@@ -222,17 +225,18 @@ class RunsShown:
 
 @contextmanager
 def watching_runs(scenarios: Sequence[Scenario], output: Output) -> Iterator[RunsShown]:
-    """Yield the display that receives the current scenario and its finished ticks."""
+    """Yield the display, which the caller updates with the current scenario and its finished ticks."""
     with output.counting(sum(s.ticks + 1 for s in scenarios), "ticks") as show:
         yield RunsShown(scenarios, show)
 
 
 @dataclass
 class RunSession:
-    """The runs of one call during their execution.
+    """The runs of one call of ``run`` while they are executed.
 
-    ``asked`` is the result with its initial contents.  ``out`` keeps each trace at once; None keeps traces in
-    memory only.  ``differences`` compares the runs with those of a reference, if there is one.
+    ``asked`` is the result as it is before the first run.  ``out`` is the folder into which each trace is
+    written at once; None keeps the traces in memory only.  ``differences`` compares the runs with those of a
+    reference, if there is one.
     """
 
     asked: RunResult
@@ -246,14 +250,14 @@ class RunSession:
     unwritable: OutputError | None = None
     repeatability: Repeatability = field(default_factory=Repeatability)
     repeated: RepeatabilityResult | None = None
-    begun_s: float = field(default_factory=lambda: time.time() - 0.1)  # clocks of disks are coarse
-    written: set[Path] = field(default_factory=set)  # whatever the disk says of when
+    begun_s: float = field(default_factory=lambda: time.time() - 0.1)  # because disks' clocks are coarse
+    written: set[Path] = field(default_factory=set)  # by this job, whatever times the disk reports
 
     def run(self, admitted: Sequence[Sequence[Admitted]], jobs: int | None = 1) -> RunResult:
-        """Make all runs, rename the traces of earlier runs, and question a second avoider.
+        """Simulate all runs, rename the traces of earlier runs, and question a second avoider.
 
         Args:
-            admitted: Each scenario, with its reference if there is one.
+            admitted: For each scenario, its run and the run of its reference, if there is one.
             jobs: The number of processes; None: one for each core, if there are many runs.
 
         """
@@ -275,7 +279,7 @@ class RunSession:
         )
 
     def _run_all(self, admitted: Sequence[Sequence[Admitted]], jobs: int | None) -> None:
-        """Run all in order, each with its reference, until Ctrl-C or a full disk."""
+        """Run all scenarios in order, each with its reference, until Ctrl-C or a full disk ends the job."""
         flat = [run for each in admitted for run in each]
         with (
             watching_runs([run.scenario for run in flat], self.output) as progress,
@@ -303,7 +307,7 @@ class RunSession:
     def _run_one(
         self, admitted: Admitted, processes: RunProcesses, folder: str, progress: RunsShown
     ) -> JudgedRun:
-        """Simulate a run here or in another process, save and judge it."""
+        """Simulate a run in this process or in another one, then save and judge it."""
         trace = processes.trace(admitted) or run_trial(admitted, world=processes.world, on_tick=progress.tick)
         file = None if self.out is None else saved(trace, self.out / folder)
         judged = JudgedRun(
@@ -322,7 +326,7 @@ class RunSession:
     def _take_finished(
         self, left: Sequence[Sequence[Admitted]], processes: RunProcesses, progress: RunsShown
     ) -> None:
-        """Take the runs that other processes finished before Ctrl-C."""
+        """Take over the runs that other processes finished before Ctrl-C."""
         for admitted, *_ in left if self.asked.against is None else ():
             if processes.is_done(admitted):
                 with suppress(Exception):
@@ -339,7 +343,7 @@ class RunSession:
         self.interrupted = not judged.trace.complete
 
     def _compare(self, reference: JudgedRun) -> None:
-        """Compare the last run with that of the reference; only differences count as a result."""
+        """Compare the last run with the reference's run; the result keeps only the differences."""
         assert self.asked.against is not None
         mine, self.interrupted = self.runs[-1], not reference.trace.complete
         if not self.interrupted:
@@ -356,7 +360,7 @@ class RunSession:
             say("This is a defect of safety-harness, not of your file; the other scenarios are not affected.")
 
     def _rename_earlier(self) -> None:
-        """Rename traces of earlier runs, so that no folder or pattern takes them for evidence of this run."""
+        """Rename traces of earlier runs, so that nobody takes them for evidence of this run."""
         if self.out is None:
             return
         kinds = [f"{at}/{kind}" for at in (TRACES, OF_REFERENCE) for kind in KINDS]
@@ -374,7 +378,7 @@ class RunSession:
                 self.unwritable = self.unwritable or error
 
     def _ask_again(self) -> None:
-        """Check whether the avoider repeats its answers, except after an interruption."""
+        """Check whether the avoider repeats its answers, unless the job was interrupted."""
         if self.runs and not self.interrupted and self.unwritable is None:
             self.repeated = self.repeatability.reported(self.output)
             self.interrupted = self.repeated is None

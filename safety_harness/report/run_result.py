@@ -1,4 +1,4 @@
-"""The result of ``safety_harness.run``, and the files that it writes."""
+"""Define the result of ``safety_harness.run``, and write its files."""
 
 from __future__ import annotations
 
@@ -29,23 +29,24 @@ from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
 REPORT, DATA, TRACES = "report.html", "report.json", "traces"
-GIVEN = "scenarios"  # of a folder that is written to: scenarios that were no files
+GIVEN = "scenarios"  # the subfolder for scenarios that had no file
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunResult:
-    """The judged runs of a call of ``run``, and the errors of inputs that did not run.
+    """The judged runs of one call of ``run``, and the errors of inputs that did not run.
 
     Args:
-        runs: The runs that ended, in order.
-        given: The inputs as the caller wrote them.
-        options: The options of the command that repeats the runs.
-        planned: The number of scenarios to run.
+        runs: The finished runs, in order.
+        given: The inputs as the caller passed them.
+        options: The command-line options that repeat the runs.
+        planned: The number of scenarios that were to run.
         skipped: Scenarios that did not run because they do not suit the avoider.
         refused: The errors of inputs that could not be used.
-        failed: Scenarios that could not be simulated, with the reasons.
+        failed: Scenarios that could not be simulated to their end, with the reasons.
         against: The differences from the reference's runs; None without a reference.
-        repeated: The answers of a second instance of the avoider to the same questions; None without it.
+        repeated: The answers of a second instance of the avoider to the same questions; None if it was not
+            asked.
         interrupted: Whether Ctrl-C ended the runs.
         unwritable: The error that prevented the writing of a file; None if there was no error.
         mcap: Whether to write each run as MCAP too.
@@ -73,7 +74,7 @@ class RunResult:
 
     @property
     def trace(self) -> Trace:
-        """Return the trace of the only run; InputError for any other number of runs."""
+        """Return the trace of the only run; raise InputError unless there is exactly one run."""
         if len(self.runs) != 1:
             raise InputError.of_option("RunResult.trace", "the result of one run", f"{len(self.runs)} runs")
         return self.runs[0].trace
@@ -101,13 +102,13 @@ class RunResult:
             verdicts, rest = as_expected(self.runs)
             untested = untested_lines(self.coverage)
             good = all(verdicts) and bool(verdicts or not rest) and not (untested or self.skipped)
-        else:  # what cannot be compared differs in nothing
+        else:  # runs that cannot be compared show no difference
             good = len(self.against.runs) == self.planned and not self.against.worse
         good &= self.repeated is None or not self.repeated.problem
         return AS_EXPECTED if good and not self.failed else DIFFERS
 
     def __getitem__(self, sentence: str) -> Evaluation:
-        """Return the evaluation of a claim by its sentence, the worst of several runs.
+        """Return the evaluation of the claim ``sentence``; of several runs, return the worst.
 
         Raises:
             InputError: No run has the claim.
@@ -130,7 +131,10 @@ class RunResult:
         return f"<{self.verdict.value}: {label}, claims: {counts or 'none'}. {self.basis}>"
 
     def data(self) -> dict[str, Any]:
-        """Return the content of report.json.  Write the traces first, because it contains their hashes."""
+        """Return the content of report.json.
+
+        Write the traces first, because the content includes their hashes.
+        """
         from safety_harness.report.machine import report_data
 
         return report_data(self.runs, **self._of_all)
@@ -148,15 +152,15 @@ class RunResult:
     def write(self, folder: str | Path, output: Output = QUIET) -> RunResult:
         """Write report.html, report.json, report.sarif, summary.md, and the traces that the folder lacks.
 
-        The method also writes a file for each scenario without one, because the report's command needs files.
-        After a first Ctrl-C, the method still finishes writing.
+        The method also writes a file for each scenario that has none, because the report's command needs
+        files.  It finishes writing even if the user has pressed Ctrl-C once.
 
         Args:
-            folder: The folder of the report.
-            output: Receives the progress.
+            folder: The folder to write into.
+            output: The ``Output`` that shows the progress.
 
         Returns:
-            This result with the traces of the folder.
+            This result, whose runs now refer to the traces in ``folder``.
 
         Raises:
             OutputError: The folder cannot be written.
@@ -171,7 +175,7 @@ class RunResult:
         return replace(self, runs=runs, interrupted=self.interrupted or stopped())
 
     def _kept(self, run: JudgedRun, out: Path) -> JudgedRun:
-        """Return the run with its trace in the folder."""
+        """Return the run, whose trace file is now in the folder ``out``."""
         if run.trace_file is not None and run.trace_file.parent == out / TRACES:
             return run
         file = saved(run.trace, out / TRACES)
@@ -180,7 +184,7 @@ class RunResult:
         return replace(run, trace_file=file, replay_command=replay_command(run.trace.scenario, file))
 
     def _command(self, out: Path) -> str:
-        """Return the command line that makes these runs again, and write scenarios that were no files."""
+        """Return the command line that repeats these runs; write the scenarios that have no file."""
         parts = ["safety-harness", "run"]
         for item in self.given:
             file = item if isinstance(item, Path) else out / GIVEN / f"{item.name}.yaml"
@@ -191,13 +195,13 @@ class RunResult:
 
 
 def write_files(out: Path, runs: Sequence[JudgedRun], *, title: str, command: str, **of_all: Any) -> None:
-    """Write the report of runs for a browser, for programs and for CI.
+    """Write the report of runs in three forms: for a browser, for programs and for CI.
 
     Args:
         out: The folder.
         runs: The judged runs.
         title: The title of the page.
-        command: The command that the page shows.
+        command: The command line that the page shows.
         of_all: Further arguments of ``write_report`` and ``report_data``.
 
     Raises:
@@ -216,7 +220,7 @@ def write_files(out: Path, runs: Sequence[JudgedRun], *, title: str, command: st
 
 
 def saved(trace: Trace, folder: Path, recordings: Mapping[str, bytes] | None = None) -> Path:
-    """Write a trace to a folder and return the file; OutputError if it cannot be written."""
+    """Write ``trace`` to ``folder`` and return the file; raise OutputError if it cannot be written."""
     file = folder / f"{trace.scenario.name}.trace"
     with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -225,7 +229,7 @@ def saved(trace: Trace, folder: Path, recordings: Mapping[str, bytes] | None = N
 
 
 def save_mcap(run: JudgedRun, file: Path) -> Path:
-    """Write a run as MCAP to a folder beside its trace's file, and return the folder."""
+    """Write a run as MCAP into a folder beside its trace file, and return that folder."""
     write_mcap = part_named(ExtensionPoint.RUN_FORMATS, "mcap", FunctionType)
     folder = file.with_suffix("")
     write_mcap(run.trace, run.evaluations, folder / "run.mcap")

@@ -1,4 +1,4 @@
-"""A picture of a scenario, or of many draws of a space: above, side and camera views."""
+"""Draw a scenario, or many draws of a space, from above, from the side and as the camera sees it."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def draw_scene(path: Path, previews: Sequence[Preview], *, title: str, regions: 
     """Write the picture as SVG.
 
     Args:
-        path: The file.
-        previews: At least one preview.
+        path: The file to write.
+        previews: The previews to draw, at least one.
         title: The title above the views.
         regions: Boxes to outline in the views.
 
@@ -50,7 +50,7 @@ def draw_scene(path: Path, previews: Sequence[Preview], *, title: str, regions: 
 
 
 def _draw_side(axes: Axes, previews: Sequence[Preview], axis: int, regions: Boxes) -> None:
-    """Draw base x to the right and base ``axis`` (1: y, 2: z) upwards, in millimetres."""
+    """Draw one view in millimetres: base x to the right and base ``axis`` (1: y, 2: z) upwards."""
     first = previews[0]
     faint = _opacity(previews)
     arm = first.links_in_base_m * MM
@@ -78,12 +78,12 @@ def _draw_side(axes: Axes, previews: Sequence[Preview], axis: int, regions: Boxe
 
 
 def _opacity(previews: Sequence[Preview]) -> float:
-    """Return the opacity of the drawing of each preview."""
+    """Return the opacity with which each preview is drawn."""
     return 1.0 if len(previews) == 1 else max(0.06, min(0.5, 8.0 / len(previews)))
 
 
 def _draw_last_hands(axes: Axes, preview: Preview, axis: int) -> None:
-    """Draw the hands at their true size at their nearest places to the TCP."""
+    """Draw each hand at its true size, where its path is nearest to the TCP."""
     radius = preview.scenario.settings.hand.radius_m * MM
     for ink, path in zip(HANDS, preview.hand_paths_in_base_m, strict=False):
         nearest = path[int(np.argmin(np.linalg.norm(path - preview.tcp_in_base_m, axis=1)))] * MM
@@ -92,7 +92,7 @@ def _draw_last_hands(axes: Axes, preview: Preview, axis: int) -> None:
 
 
 def _draw_image(axes: Axes, previews: Sequence[Preview]) -> None:
-    """Draw the camera's view of the object at each start, and at the desired pose."""
+    """Draw the object in the camera's image at the start of each preview, and at the desired pose."""
     camera = previews[0].scenario.settings.camera
     for preview in previews:
         u, v = preview.start_image_px.T
@@ -107,7 +107,7 @@ def _draw_image(axes: Axes, previews: Sequence[Preview]) -> None:
 
 
 def _write_key(axes: Axes, previews: Sequence[Preview], regions: Boxes) -> None:
-    """Write the meaning of the marks, and the hands by name."""
+    """Write the key, which explains the marks and names the hands."""
     axes.x.line = axes.y.line = axes.x.labelled = axes.y.labelled = False
     many = len(previews) > 1
     axes.marks([], [], "o", 5, fill=Ink.TCP, name="TCP starts" if many else "TCP start")

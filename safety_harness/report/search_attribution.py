@@ -1,4 +1,4 @@
-"""Attribute the violations of a search: each counterexample, all groups together, and as a picture."""
+"""Attribute the violations of a search: one counterexample, or all groups together, and draw the causes."""
 
 from __future__ import annotations
 
@@ -23,20 +23,21 @@ from safety_harness.search.counterexample import Explanation, cost_s
 from safety_harness.search.findings import Group
 from safety_harness.search.session import SearchSession, WrittenCounterexample
 
-MOST_ATTRIBUTED = 100  # groups of violations of one search
+MOST_ATTRIBUTED = 100  # groups of violations that are attributed for one search
 
 
 def confirming_line(replay: Replay, attribution: Attribution) -> str:
-    """Return the reference world's verdict on a violation, unchanged or with something changed."""
+    """Return a line with PyBullet's verdict on a violation, for the unchanged or a changed system."""
     margin = attribution.unit.margin_text(replay.margin)
     return f"in {PYBULLET.label}, {replay.summary or 'as it is'}: {replay.outcome.value}, {margin}"
 
 
 @dataclass(frozen=True, eq=False)
 class FaultsOfSearch:
-    """The attribution of the worst run of each of ``attributed`` groups of violations, out of ``groups``.
+    """The attribution of the worst run of each of ``attributed`` groups, out of ``groups`` groups in all.
 
-    The groups are in the order of their discovery.  ``interrupted``: Ctrl-C came before the rest.
+    The groups are in the order in which the search found them.  ``interrupted`` states whether Ctrl-C
+    prevented the attribution of the remaining groups.
     """
 
     tally: AttributionTally
@@ -46,33 +47,33 @@ class FaultsOfSearch:
 
     @property
     def summary(self) -> str:
-        """The groups of violations by their cause, in one line."""
+        """The number of violation groups of each cause, in one line."""
         _, _, groups = self.tally.summary.partition(": ")
         some = "" if self.attributed == self.groups else f"{self.attributed} of "
         return f"whose fault, of {some}{self.groups} groups of violations: {groups or 'not asked'}"
 
     def as_json(self) -> dict[str, object]:
-        """Return the tally as JSON, with the numbers of groups and of attributed groups."""
+        """Return the tally as JSON, with the number of all groups and of attributed groups."""
         counts = {"groups_of_violations": self.groups, "attributed": self.attributed}
         return {"words": self.summary} | counts | self.tally.as_json()
 
 
 @dataclass(eq=False)
 class SearchAttribution:
-    """The attribution of a search's violations; it keeps the texts about counterexamples by their names."""
+    """The attribution of a search's violations, with the result for each counterexample by its name."""
 
     found: dict[str, Attribution] = field(default_factory=dict)
     _admitter: Admitter = field(default_factory=Admitter)
 
     def explain(self, scenario: Scenario, claim: Claim) -> Explanation:
-        """Explain one counterexample; changes that help are run in PyBullet too."""
-        self.found.pop(scenario.name, None)  # of an example that had its name before it was merged
+        """Explain one counterexample; changes that remove the violation are also run in PyBullet."""
+        self.found.pop(scenario.name, None)  # of an example that had this name before a merge of groups
         try:
             admitted = self._admitter.admit(scenario)
             (attribution,) = attribute(admitted, (claim,))
             in_pybullet = attribution.answer is AttributionAnswer.ATTRIBUTED and PYBULLET.is_installed
             there = confirmed(admitted, attribution) if in_pybullet else ()
-        except Exception as error:  # what was found must not be lost for want of an explanation
+        except Exception as error:  # a failing explanation must not lose the finding
             return Explanation((f"whose fault: cannot be told: {described(error)}",))
         self.found[scenario.name] = attribution
         changed = (replay for replay in there if replay.changes)
@@ -88,11 +89,14 @@ class SearchAttribution:
         )
 
     def explains(self, shown: WrittenCounterexample) -> bool:
-        """Return whether ``found`` has the attribution of this counterexample."""
+        """Return whether ``found`` contains the attribution of the counterexample ``shown``."""
         return bool(shown.one.attribution) and shown.path.stem in self.found
 
     def of_search(self, session: SearchSession) -> FaultsOfSearch | None:
-        """Attribute all groups; None without any, if not all are explained, or after an interruption."""
+        """Attribute all groups of violations.
+
+        The result is None if there are no groups, if not all are to be explained, or after an interruption.
+        """
         searches = [session.findings] + ([] if session.baseline is None else [session.baseline])
         groups = [group for findings in searches for group in findings.groups if group.claim is not None]
         if not groups or session.interrupted or not session.explains_all:
@@ -116,7 +120,7 @@ class SearchAttribution:
         return FaultsOfSearch(tally, done, len(groups), session.interrupted)
 
     def _of_run(self, session: SearchSession, groups: list[Group]) -> tuple[Attribution, ...]:
-        """Attribute groups with the same worst run, which is repeated once."""
+        """Attribute groups that share the same worst run, which is admitted only once."""
         trials, worst = session.trials, groups[0].worst
         claims = tuple(trials.claims[group.claim] for group in groups if group.claim is not None)
         return attribute(self._admitter.admit(trials.scenario(worst.point, worst.number)), claims)
@@ -130,7 +134,7 @@ def _by_run(groups: list[Group]) -> Iterator[list[Group]]:
 
 
 WIDTH_PX, LEFT_PX, ROW_PX, HEAD_PX = 640, 230, 24, 26
-LONGEST_PX = WIDTH_PX - LEFT_PX - 90  # room for the count
+LONGEST_PX = WIDTH_PX - LEFT_PX - 90  # leaves room for the count
 INKS = {
     AttributionAnswer.UNAVOIDABLE.value: Ink.MUTED,
     AttributionAnswer.NOTHING_HELPED.value: Ink.LIMIT,
@@ -139,7 +143,7 @@ INKS = {
 
 
 def draw_attributions(groups: Mapping[str, int]) -> str:
-    """Return an ``<svg>`` element for a page, or ``standalone``: the number of violations of each cause."""
+    """Draw how many violations each cause has, as an ``<svg>`` element for a page or for ``standalone``."""
     total = sum(groups.values())
     height = HEAD_PX + ROW_PX * max(len(groups), 1)
     size = {"width": str(WIDTH_PX), "height": str(height), "viewBox": f"0 0 {WIDTH_PX} {height}"}

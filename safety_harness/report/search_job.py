@@ -1,4 +1,4 @@
-"""Search a space for violations: ``safety_harness.fuzz``, its result, fuzz.html and findings.json."""
+"""Provide ``safety_harness.fuzz``, which searches a space for violations, and write its result."""
 
 from __future__ import annotations
 
@@ -64,24 +64,26 @@ def fuzz(
     out: str | Path | None = None,
     output: Output = QUIET,
 ) -> SearchResult:
-    """Search a scenario space for violations; shrink, confirm and attribute each violation.
+    """Search a scenario space for violations; shrink, confirm and attribute each violation that is found.
 
     Args:
         space: A file, ``shipped:NAME``, or a ``ScenarioSpace``.
-        avoider: The avoider, in place of the space's own.
-        controller: The controller, in place of the visual servo.
-        against: A reference.  A violation is a finding only if the reference avoids it in the same draw.
+        avoider: The avoider that replaces the space's own.
+        controller: The controller that replaces the visual servo.
+        against: A reference.  A violation then counts as a finding only if the reference avoids it in the
+            same draw.
         budget: The number of runs of the search.  Shrinking uses further runs.
-        seed: The root of every random number.
-        searcher: The name of a search method, as for ``searcher_named``.
-        claims: Sentences, in place of the space's claims.
-        baseline: Whether to sample the space uniformly too, with the same budget, for a comparison.
-        explain: "causes": Explain an example for each cause, with at most as many runs as the search.
-            "all": Explain every violation.
-        out: A folder.  Each finding is written there at once.  None: no folder.
-        output: Receives the progress.
+        seed: The seed from which every random number derives.
+        searcher: The name of a search method that ``searcher_named`` knows.
+        claims: Sentences of claims that replace the space's claims.
+        baseline: Whether to compare the search with uniform sampling of the space, which gets the same
+            budget.
+        explain: "causes": Explain one example of each cause; the explanations use at most as many runs as the
+            search. "all": Explain every violation.
+        out: The folder into which each finding is written at once.  None: No files are written.
+        output: The ``Output`` that shows the progress.
 
-    Ctrl-C ends the search, and the result keeps the findings until then.
+    Ctrl-C ends the search; the result then keeps the findings made until then.
 
     Raises:
         InputError: The space or an option cannot be used.
@@ -132,7 +134,7 @@ class SearchResult:
 
     Args:
         session: The search with all its findings.
-        evidence: The content of the page; None after a full disk.
+        evidence: The content of the page; None if a full disk ended the search.
         interrupted: Whether Ctrl-C ended the search.
         unwritable: The error that prevented the writing of a file; None if there was no error.
 
@@ -150,7 +152,7 @@ class SearchResult:
 
     @property
     def counterexamples(self) -> tuple[WrittenCounterexample, ...]:
-        """Return the counterexamples, each with its scenario and the reason of its violation."""
+        """Return the counterexamples, each with its scenario and the reason why it violates a claim."""
         return tuple(self.session.written)
 
     @property
@@ -169,20 +171,20 @@ class SearchResult:
         return f"<{self.session.trials.space.name}: {self.session.summary}. {basis}>"
 
     def data(self) -> dict[str, object]:
-        """Return the content of findings.json; empty after a full disk."""
+        """Return the content of findings.json; empty if a full disk ended the search."""
         return {} if self.evidence is None else as_json(self.session.trials, self.evidence)
 
     def write(self, folder: str | Path, output: Output = QUIET) -> SearchResult:
-        """Write fuzz.html, findings.json, coverage.svg, and a file for each finding without one.
+        """Write fuzz.html, findings.json, coverage.svg, and a file for each finding that has no file yet.
 
-        After a first Ctrl-C, the method still finishes writing.
+        The method finishes writing even if the user has pressed Ctrl-C once.
 
         Args:
-            folder: The folder of the files.
-            output: Receives the progress.
+            folder: The folder to write into.
+            output: The ``Output`` that shows the progress.
 
         Returns:
-            This result with the files of the folder.
+            This result, which now refers to the files in ``folder``.
 
         Raises:
             OutputError: The folder cannot be written.
@@ -205,7 +207,7 @@ class SearchResult:
         return replace(made, interrupted=self.interrupted or given_up())
 
     def kept(self, folder: Path, output: Output) -> SearchResult:
-        """Write the files, report what prevents that, and name the command that runs the counterexamples."""
+        """Write the files, report any error, and name the command that runs the counterexamples."""
         made = self
         if self.unwritable is None:
             try:
@@ -224,10 +226,10 @@ class SearchResult:
 
 
 def _write_interim(session: SearchSession) -> None:
-    """Write a page with the findings before explanations, which may take long or be ended."""
+    """Write a page with the findings now, because explaining them may take long or be interrupted."""
     if session.keeps and session.findings.found_any and session.unwritable is None:
         unfinished = copy(session.findings)
-        unfinished.interrupted = True  # as the page says if nothing replaces it
+        unfinished.interrupted = True  # the page says so unless a later page replaces it
         try:
             write_text(session.out / PAGE, render(replace(evidence_of(session), findings=unfinished)))
         except OutputError as error:
@@ -235,7 +237,7 @@ def _write_interim(session: SearchSession) -> None:
 
 
 def evidence_of(session: SearchSession, attribution: SearchAttribution | None = None) -> SearchEvidence:
-    """Return everything that the page shows."""
+    """Return everything that the search's page shows."""
     trials = session.trials
     tested = trials.avoider or trials.space.simplest.under_test
     cost = cost_words(trials.space.simplest.settings.avoidance.decision_time, trials.declared_s)
@@ -282,7 +284,7 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
 
 
 def fuzz_command(session: SearchSession) -> str:
-    """Return the command line that makes all of this again."""
+    """Return the command line that repeats the search with all its options."""
     trials = session.trials
     file = trials.space.file or Path(f"{trials.space.name}.yaml")
     command = ["safety-harness", "fuzz", str(display_path(file))]
@@ -296,7 +298,10 @@ def fuzz_command(session: SearchSession) -> str:
 
 
 def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
-    """Return counts, least margins, groups of violations with their points, and the coverage, in SI units."""
+    """Return the search as JSON: counts, least margins, groups of violations with their points, and coverage.
+
+    All values are in SI units.
+    """
     findings, baseline = evidence.findings, evidence.baseline
     return {
         "space": evidence.space,
@@ -344,12 +349,12 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
 
 
 def _held(against: Against) -> dict[str, object]:
-    """Return the summary without the many runs."""
+    """Return the comparison with the reference as JSON, without its list of runs."""
     return {key: value for key, value in against.as_json().items() if key != "runs"}
 
 
 def _leads(goal: Goal, margin: float) -> bool:
-    """Return whether a margin is only a search's score of a difference that was not found."""
+    """Return whether ``margin`` is only a score of the search, because the search found no difference."""
     return bool(goal.against) and margin >= 0.0
 
 
@@ -372,7 +377,7 @@ def _of_claims(findings: Findings) -> list[dict[str, object]]:
 
 
 def _file_of(group: Group, evidence: SearchEvidence) -> str | None:
-    """Return the file of the counterexample to which a group shrank; None without one."""
+    """Return the name of the counterexample file to which ``group`` was shrunk; None if it has no file."""
     return next((shown.path.name for shown in evidence.shown if group in shown.groups), None)
 
 

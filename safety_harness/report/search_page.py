@@ -1,4 +1,4 @@
-"""One self-contained HTML page about a search for violations, in the style of the reports."""
+"""Write one self-contained HTML page about a search for violations, in the style of the reports."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 from safety_harness.trace.trace import Provenance, Trace
 
-MOST_GROUPS = 100  # rows of violations that were found
+MOST_GROUPS = 100  # rows in the table of violations
 WIDTH_PX, PANEL_PX, TOP_PX, GAP_PX, LEFT_PX, RIGHT_PX = 960.0, 130.0, 30.0, 62.0, 76.0, 20.0
 INKS = (Ink.TCP, Ink.HAND_2)  # the search, the baseline
 
@@ -48,18 +48,18 @@ INKS = (Ink.TCP, Ink.HAND_2)  # the search, the baseline
 class SearchEvidence:
     """The content of the page.
 
-    ``fallback`` states how often the fallback replaced the avoider, if it did.  ``repeated`` has the answers
-    of a second avoider; None without it.  ``baseline`` is uniform sampling with the same budget, if the user
-    requested it.  ``unconfirmed`` are findings that PyBullet does not show; ``confirmed`` counts the findings
-    that it shows.  ``not_found`` are the claims that the space expects to be violated, without a
-    counterexample that violates them.  ``unconfirmable`` states why PyBullet confirmed nothing, if it was not
-    there.
+    ``fallback`` states how often the fallback replaced the avoider, if it did.  ``repeated`` holds the
+    answers of a second avoider; None if it was not asked.  ``baseline`` is the uniform sampling with the same
+    budget, if the user requested it.  ``unconfirmed`` are the findings that PyBullet does not reproduce;
+    ``confirmed`` counts those that it does.  ``not_found`` are claims that the space expects to be violated,
+    but that no counterexample violates.  ``unconfirmable`` states why PyBullet confirmed nothing, if it was
+    not available.
     """
 
     title: str
     space: str
-    tested: str  # by its reference
-    computing_time: str  # what a decision costs in simulated time
+    tested: str  # the name by which commands refer to the tested program
+    computing_time: str  # the cost of a decision in simulated time
     seed: int
     budget: int
     command: str
@@ -80,16 +80,16 @@ class SearchEvidence:
     provenance: Provenance
     system: SystemUnderTest = NOT_NOTED
     unconfirmable: str = ""
-    faults: FaultsOfSearch | None = None  # whose fault all violations are
-    attributed: Mapping[str, Attribution] = field(default_factory=dict)  # of counterexamples, by their files
-    flips: tuple[str, ...] = ()  # differences from the reference that are none
-    overruled: str = ""  # that the gate overrules more than of the reference
+    faults: FaultsOfSearch | None = None  # the causes of all violations
+    attributed: Mapping[str, Attribution] = field(default_factory=dict)  # by the counterexample's file
+    flips: tuple[str, ...] = ()  # differences without a clear result when drawn again
+    overruled: str = ""  # states that the gate overrules this avoider more often than the reference
     causes: Causes = field(default_factory=Causes)
     against: Against | None = None  # how the runs differ from those with a reference
 
     @property
     def rest_command(self) -> str:
-        """The command that explains the other examples; empty if it would explain no more."""
+        """The command that explains the remaining examples; empty if no example remains."""
         more = self.causes.unasked and not self.findings.interrupted
         return f"{self.command} --explain all" if more else ""
 
@@ -100,7 +100,7 @@ class SearchEvidence:
 
 
 def render(evidence: SearchEvidence) -> str:
-    """Return the page as text; the same evidence gives the same bytes."""
+    """Return the page as text; the same evidence always results in the same bytes."""
     findings, baseline = evidence.findings, evidence.baseline
     searches = [findings] if baseline is None else [findings, baseline]
     replays = Replays()
@@ -155,13 +155,13 @@ def render(evidence: SearchEvidence) -> str:
 
 
 def map_of(evidence: SearchEvidence) -> str:
-    """Return the coverage as an ``<svg>``, for the page and for a file of its own."""
+    """Return the coverage as an ``<svg>`` element, for the page and for a separate file."""
     counts, title = evidence.violations.counts, f"Coverage of {evidence.space}"
     return coverage_map(evidence.coverage, counts, prefix="coverage-", title=title)
 
 
 def _claim_line(findings: Findings, claim: int) -> dict[str, str]:
-    """Return a claim's row in one search: how often and how soon it was violated, and the least margin."""
+    """Return a claim's row for one search: how often and how early it was violated, and the least margin."""
     first, nearest = int(findings.first_violation[claim]), findings.nearest[claim]
     goal = findings.goals[claim]
     least = "\u2013" if nearest is None else with_minus(goal.margin_text(float(nearest.margins[claim])))
@@ -173,7 +173,7 @@ def _claim_line(findings: Findings, claim: int) -> dict[str, str]:
 
 
 def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, int]:
-    """Return a group's row: sentence, kind, worst margin, number of runs, number of the worst point."""
+    """Return a group's row: sentence, kind, worst margin, number of runs, number of the worst run."""
     margin = "\u2013"
     if group.claim is not None:
         margin = with_minus(findings.goals[group.claim].margin_text(group.worst_margin()))
@@ -182,7 +182,7 @@ def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, in
 
 
 def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dict[str, Any]:
-    """Return the values of a counterexample's section, with the commands that repeat it."""
+    """Return the values of a counterexample's section, which include the commands that repeat it."""
     example, evaluation, trace = shown.one, shown.one.evaluation, shown.trace_file
     found_margin = "\u2013"
     if evaluation is not None and example.found_margin is not None:
@@ -213,7 +213,7 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
 
 
 def _view_of(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dict[str, object]:
-    """Return one world's view of a finding: in words, and drawn from above and from the side."""
+    """Return how a finding looks in one world: in words, and drawn from above and from the side."""
     run = None if world is None else world.run
     evaluations: tuple[Evaluation, ...] = ()
     verdict, drawn = "inconclusive", None
@@ -230,7 +230,7 @@ def _view_of(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dic
 def _pictures(
     run: Trace | None, evaluations: tuple[Evaluation, ...], complaint: Complaint, prefix: str, most: int = 4
 ) -> dict[str, Any]:
-    """Return the first ``most`` drawings of a run and their moment; empty without a run."""
+    """Return the first ``most`` drawings of a run, and the moment that they show; empty without a run."""
     if run is None or len(run.ticks) == 0:
         return {"views": (), "moment_time": "", "moment_of": ""}
     judged = JudgedRun(run, evaluations, "").under_claim(complaint.sentence)
@@ -244,7 +244,7 @@ def _pictures(
 
 
 def _part_lines(evaluation: Evaluation, depth: int) -> list[dict[str, object]]:
-    """Return rows for an evaluation and its conjuncts, ``depth`` steps below the claim."""
+    """Return rows for an evaluation at ``depth`` steps below the claim, and for its conjuncts below it."""
     own: dict[str, object] = {
         "depth": depth,
         "verdict": evaluation.verdict.value,
@@ -256,10 +256,11 @@ def _part_lines(evaluation: Evaluation, depth: int) -> list[dict[str, object]]:
 
 
 def progress_figure(searches: list[Findings], *, prefix: str) -> str:
-    """Return the least margins so far as an ``<svg>`` with a panel for each claim.
+    """Return the least margins found so far as an ``<svg>`` element with a panel for each claim.
 
-    The second search, if any, is the baseline.  Runs are on a logarithmic axis; a cross is the first
-    violation.  Empty if no claim has a margin yet, and with a reference, whose scores are no margins.
+    The second search, if any, is the baseline.  The axis of runs is logarithmic; a cross marks the first
+    violation.  The text is empty if no claim has a margin yet.  It is also empty with a reference, because a
+    search against a reference has scores in place of margins.
     """
     goals = searches[0].goals
     claims = [k for k in range(len(goals)) if any(findings.improvements[k] for findings in searches)]

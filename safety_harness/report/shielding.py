@@ -1,4 +1,4 @@
-"""The actions of the shields of runs, in words and as data: time, amount, part of the arm, and hand."""
+"""Report what the shields of runs did: when, by how much, for which part of the arm, and for which hand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NOTHING_SEEN = "before the first frame"
 
 
 def slowed_by_part(trace: Trace) -> Counter[str]:
-    """Return the number of slowed ticks per part of the arm, by its name; empty without a shield."""
+    """Return the number of slowed ticks for each part of the arm, by name; empty without a shield."""
     done, names = trace.interventions, capsules_of(trace).names
     slowed = done["capsule"][done["scale"] < 1.0].tolist()
     return Counter(names[k].replace("_", " ") if k >= 0 else NOTHING_SEEN for k in slowed)
@@ -30,12 +30,15 @@ def slowed_by_part(trace: Trace) -> Counter[str]:
 
 @dataclass(frozen=True)
 class Slowing:
-    """A stretch of ticks that a shield slowed, down to ``least_scale``, and its cause at that tick."""
+    """A stretch of ticks in which a shield slowed the arm.
+
+    ``least_scale`` is the lowest speed scale, and ``part`` and ``hand`` are its cause at that tick.
+    """
 
     from_s: float
     to_s: float
     part: str
-    hand: str  # truly nearest to that part at the slowest tick; empty for none
+    hand: str  # the hand truly nearest to ``part`` at the slowest tick; empty if none
     least_scale: float
 
     def __str__(self) -> str:
@@ -47,7 +50,7 @@ class Slowing:
 
 
 def slowings(trace: Trace) -> list[Slowing]:
-    """Return each stretch, in order of time; empty without a shield."""
+    """Return each slowed stretch in order of time; empty without a shield."""
     slowed = np.concatenate([[False], trace.interventions["scale"] < 1.0, [False]])
     edges = np.flatnonzero(slowed[1:] != slowed[:-1]).reshape(-1, 2)
     return [_slowing(trace, int(begin), int(end)) for begin, end in edges]
@@ -69,9 +72,9 @@ def _slowing(trace: Trace, begin: int, end: int) -> Slowing:
 
 
 def shield_data(trace: Trace) -> dict[str, Any] | None:
-    """Return ``ticks``, ``slowed``, ``by_part`` and ``least_scale``; None for a run without a shield.
+    """Return the ``ticks``, ``slowed``, ``by_part`` and ``least_scale`` of a run with a shield, else None.
 
-    The data also hold the stretches and the broken assumptions.
+    The data also contain the slowed stretches and the assumptions that the run broke.
     """
     if len(trace.interventions) == 0:
         return None
@@ -87,7 +90,7 @@ def shield_data(trace: Trace) -> dict[str, Any] | None:
 
 
 def shield_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return lines on all runs with a shield; empty without such runs."""
+    """Return the lines on all runs with a shield; empty if no run has a shield."""
     shielded = [trace for trace in traces if len(trace.interventions)]
     if not shielded:
         return []

@@ -1,8 +1,8 @@
-"""The shared parts of every drawing: colours, thinned curves, plain text, and the drawing as a file.
+"""Provide the parts that all drawings share: colours, thinned curves, plain text, standalone files.
 
-A page follows the reader's light or dark scheme, so colours are variables, ``var(--fig-...)``.  The style
-sheet gives them their values: Okabe and Ito's colours, safe for colour-blind readers, darkened or
-lightened for contrast with the page.
+A page follows the reader's light or dark scheme, so colours are CSS variables, ``var(--fig-...)``.  The style
+sheet sets them to the colours of Okabe and Ito, which colour-blind readers can distinguish.  It darkens or
+lightens them for contrast with the page.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _UNPRINTABLE = re.compile(r"[^\S ]|[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]
 
 
 class Ink(Enum):
-    """The colour roles."""
+    """The roles of the colours in a drawing."""
 
     PAPER = 1
     TEXT = 2
@@ -53,7 +53,7 @@ class Ink(Enum):
 
     @property
     def variable(self) -> str:
-        """Return the name of the CSS variable."""
+        """Return the name of the colour's CSS variable."""
         return "--fig-" + self.name.lower().replace("_", "-")
 
 
@@ -69,22 +69,22 @@ DASHES: tuple[tuple[float, ...], ...] = (  # in widths of the line
 
 
 def plain(text: str, *, longest: int = 28) -> str:
-    """Return ``text`` for a figure: printable, on one line, at most ``longest`` characters."""
+    """Return ``text`` for a figure: printable, on one line, with at most ``longest`` characters."""
     text = _UNPRINTABLE.sub("\ufffd", text)
     return text if len(text) <= longest else text[: longest - 1] + "\u2026"
 
 
 def ticks_per_column(count: int, columns: int) -> int:
-    """Return how many consecutive ticks share one of ``columns`` columns (1: every tick is drawn)."""
+    """Return how many consecutive ticks share one of ``columns`` columns (1: a column for each tick)."""
     return 1 if count <= 2 * columns else -(-count // columns)
 
 
 def keep_extremes(time_s: Floats, values: Floats, columns: int) -> tuple[Floats, Floats]:
-    """Return the smallest and the largest value of every column, at their own times and in order.
+    """Return the smallest and the largest value of every column, at their own times and in order of time.
 
-    The result has at most 2 ``columns`` points, and the first and last finite samples.  It has every tick
-    if there are no more than 2 ``columns``.  A column without a finite value becomes one NaN, so that the
-    line breaks there.
+    The result has at most 2 ``columns`` points, and includes the first and last finite samples.  If there are
+    no more than 2 ``columns`` ticks, it contains all of them.  A column without a finite value becomes one
+    NaN, so that the line breaks there.
 
     Args:
         time_s: The times (n,) [s].
@@ -112,10 +112,10 @@ def keep_extremes(time_s: Floats, values: Floats, columns: int) -> tuple[Floats,
 
 
 def spans(time_s: Floats, mask: NDArray[np.bool_], end_s: float, columns: int) -> list[tuple[float, float]]:
-    """Return stretches (start, length) [s] in which ``mask`` is true, each tick lasting to the next.
+    """Return the stretches (start, length) [s] in which ``mask`` is true; a tick lasts until the next one.
 
-    The function closes gaps shorter than a column, so that a flickering mode costs no more ink than
-    the eye resolves.  It omits no true tick.
+    The function closes gaps that are shorter than a column, because the eye cannot resolve them in a
+    flickering mode.  It never omits a tick at which ``mask`` is true.
 
     Args:
         time_s: The times (n,) [s] of the ticks.
@@ -139,7 +139,7 @@ def spans(time_s: Floats, mask: NDArray[np.bool_], end_s: float, columns: int) -
 
 
 def describe(root: ElementTree.Element, *, prefix: str, title: str, description: str) -> None:
-    """Add the texts for a screen reader to an ``<svg>`` element; the ids start with ``prefix``."""
+    """Add a title and a description for screen readers to an ``<svg>``; their ids start with ``prefix``."""
     root.set("role", "img")
     root.set("aria-labelledby", f"{prefix}title {prefix}desc")
     for name, text, place in (("title", title, 0), ("desc", description, 1)):
@@ -149,9 +149,9 @@ def describe(root: ElementTree.Element, *, prefix: str, title: str, description:
 
 
 def standalone(svg: str, *, style: str) -> str:
-    """Return an ``<svg>`` element of a page as a file of its own, light or dark like the page.
+    """Return an ``<svg>`` element of a page as a separate file, which is light or dark like the page.
 
-    ``style`` is the page's style sheet, which has the figures' colours.
+    ``style`` is the page's style sheet, which defines the colours of the figures.
     """
     root = ElementTree.fromstring(svg)
     root.set("xmlns", "http://www.w3.org/2000/svg")
@@ -167,6 +167,6 @@ def standalone(svg: str, *, style: str) -> str:
 
 
 def _schemes(style: str) -> tuple[str, str]:
-    """Return the parts of a style sheet for light paper and for dark paper."""
+    """Return the two parts of a style sheet: the rules for light paper and those for dark paper."""
     light, _, rest = style.partition("@media screen and (prefers-color-scheme: dark)")
     return light, rest.partition("body {")[0]

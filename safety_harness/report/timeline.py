@@ -1,8 +1,8 @@
-"""One run over time: eight panels on one time axis, and the backdrop behind them all.
+"""Draw one run over time: eight panels on one time axis, and a common backdrop behind them.
 
-Lines with names show limits across the curves.  A limit crosses only the quantity that it limits.  A
-claim's length crosses distances between surfaces.  The critical distance crosses the distance of the
-predicted hand's centre.
+A labelled horizontal line shows a limit.  It is drawn only in the panel of the quantity that it limits.  The
+length in a claim is drawn with the distance between surfaces.  The critical distance is drawn with the
+distance to the predicted hand's centre.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided, measured
 
 PANEL_PX = 882.0
-COLUMNS = int(PANEL_PX / 2.0)  # as wide as a line: the two extremes of a column lie within it
+COLUMNS = int(PANEL_PX / 2.0)  # a column is as wide as a line, which covers the column's two extremes
 MM, DEGREES = 1e3, 180.0 / np.pi
 
 UR_JOINTS = ("pan", "lift", "elbow", "wrist 1", "wrist 2", "wrist 3")
@@ -56,7 +56,7 @@ LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX, GAP_PX = 104.0, 14.0, 22.0, 42.0, 34.0
 WIDTH_PX = LEFT_PX + PANEL_PX + RIGHT_PX
 TIME_STEPS = 10
 HEIGHTS_PX = (112.0, 116.0, 92.0, 92.0, 92.0, 92.0, 92.0, 116.0)
-COLUMNS_SHOWN = (  # of each panel
+COLUMNS_SHOWN = (  # the columns that each panel shows
     ("mode",),
     ("hand_present", "hand_distance_m"),
     ("predicted_distance_m",),
@@ -84,7 +84,7 @@ Line = tuple[str, Floats, Ink, tuple[float, ...]]  # name, (n,) values, colour, 
 
 
 def thinning(trace: Trace) -> int:
-    """Return how many consecutive ticks one drawn column stands for."""
+    """Return how many consecutive ticks one drawn column represents."""
     return ticks_per_column(len(trace.ticks), COLUMNS)
 
 
@@ -93,7 +93,7 @@ def timeline(run: JudgedRun, *, prefix: str) -> str:
 
     Args:
         run: A run with at least one tick.
-        prefix: The start of every id.
+        prefix: The text with which every id starts.
 
     """
     trace = run.trace
@@ -171,7 +171,7 @@ def _add_axes(picture: Picture, top: float, height: float, end_s: float) -> Axes
 
 
 def _shade(backdrop: Axes, trace: Trace, end_s: float) -> None:
-    """Tint every mode except servoing behind all panels, and hatch the part that never ran."""
+    """Tint the times of all modes but servoing behind all panels; hatch the time after an early end."""
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
     known = measured(trace, "mode")
     for mode in (Mode.REPULSING, Mode.PROTECTIVE_STOP, Mode.OBJECT_LOST):
@@ -183,7 +183,7 @@ def _shade(backdrop: Axes, trace: Trace, end_s: float) -> None:
 
 
 def _mark_moments(backdrop: Axes, run: JudgedRun) -> None:
-    """Draw decisions as thin lines, and each claim's worst moment, solid for a violation."""
+    """Draw decisions as thin lines, and each claim's worst moment as a line that is solid for a violation."""
     asked_s = run.trace.decisions["time_s"]
     ups = np.tile([0.0, 1.0, np.nan], len(asked_s))
     backdrop.line(np.repeat(asked_s, 3), ups, Ink.TEXT, width=0.6, opacity=0.45)
@@ -200,13 +200,13 @@ def _mark_moments(backdrop: Axes, run: JudgedRun) -> None:
         label = ",".join(numbers)
         place_px, half_px = backdrop.x.at(time_s), 0.5 * text_px(label)
         if place_px - half_px < end_px:
-            continue  # no room for another number; the table above has every moment
+            continue  # there is no room for another number; the table above lists every moment
         backdrop.text(label, time_s, Share(1.0), shift=(0.0, -6.0), anchor="middle")
         end_px = place_px + half_px
 
 
 def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
-    """Draw a lane for each mode, above them a mark for each decision, and the times of faults."""
+    """Draw a lane for each mode, a mark above them for each decision, and the times of faults."""
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
     known = measured(trace, "mode")
     for lane, mode in enumerate(Mode):
@@ -226,7 +226,7 @@ def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
 
 
 def _mark_decisions(axes: Axes, trace: Trace) -> None:
-    """Draw a mark per decision, shaped by its outcome, with a ring where the avoider had no usable answer."""
+    """Draw a mark for each decision, whose shape shows the outcome; a ring marks an unusable answer."""
     decisions = trace.decisions
     if not decided(trace, "time_s", "outcome", "fault"):
         return
@@ -238,7 +238,7 @@ def _mark_decisions(axes: Axes, trace: Trace) -> None:
 
 
 def distance_panel(axes: Axes, run: JudgedRun) -> None:
-    """Draw the distance between true hands and robot, surface to surface, with the limits of claims."""
+    """Draw the distance between the surfaces of true hands and robot, with the limits of claims."""
     trace = run.trace
     lines: list[Line] = []
     for hand, ink in enumerate(HANDS[: trace.scenario.hand_slots]):
@@ -254,7 +254,7 @@ def distance_panel(axes: Axes, run: JudgedRun) -> None:
 
 
 def predicted_panel(axes: Axes, trace: Trace) -> None:
-    """Draw the nearest predicted hand's centre to the TCP, with the distance at which the arm gives way."""
+    """Draw the distance from the TCP to the nearest predicted hand's centre, with the critical distance."""
     values = trace.ticks["predicted_distance_m"] * MM
     _panel(axes, trace, "Predicted hand to TCP, centre to centre, mm", [("", values, Ink.PREDICTED, ())])
     axes.y.hold(0.0)
@@ -270,7 +270,7 @@ OF_SHAPES = "Feature errors, \u03b3 and \u03b4 (no unit), \u03b1 (rad)"
 def error_panel(
     axes: Axes, trace: Trace, title: str, errors: Floats, names: Iterable[tuple[str, Ink]]
 ) -> None:
-    """Draw the errors (n, 3) of features with these names, where the object was in view."""
+    """Draw the feature errors (n, 3), named by ``names``, where the object was in view."""
     lines = [(name, errors[:, i], ink, DASHES[i]) for i, (name, ink) in enumerate(names)]
     _panel(axes, trace, title, lines, zero=True)
 
@@ -288,7 +288,7 @@ def sse_panel(axes: Axes, trace: Trace) -> None:
 
 
 def _whole_decades(axes: Axes, least: float, most: float) -> None:
-    """Set a logarithmic axis from decade to decade, with labels at least at its two ends."""
+    """Extend a logarithmic axis to whole decades, with labels at least at its two ends."""
     low = int(np.floor(np.log10(least)))
     high = max(int(np.ceil(np.log10(most))), low + 1)
     step = -(-(high - low) // MOST_DECADES)
@@ -310,13 +310,13 @@ def speed_panel(axes: Axes, run: JudgedRun) -> None:
 
 
 def _claimed(run: JudgedRun, limit_of: Callable[[Evaluation], float | None]) -> list[tuple[str, float]]:
-    """Return the limit (name, value [mm or mm/s]) of each claim that names one."""
+    """Return (name, value [mm or mm/s]) for each claim that names a limit of this quantity."""
     limits = [(number, limit_of(judged)) for number, judged in enumerate(run.evaluations, start=1)]
     return [(f"claim {number}", limit * MM) for number, limit in limits if limit is not None]
 
 
 def joint_panel(axes: Axes, trace: Trace) -> None:
-    """Draw the joint angles; a user's own arm has joint numbers for names."""
+    """Draw the joint angles; the joints of a user's own arm are named by their numbers."""
     angles = (trace.ticks["joint_position_rad"] * DEGREES).T
     ours = not isinstance(trace.scenario.robot, OwnRobot)
     names = UR_JOINTS if ours else [f"joint {number}" for number in range(1, len(angles) + 1)]
@@ -326,14 +326,14 @@ def joint_panel(axes: Axes, trace: Trace) -> None:
 
 
 def _seen(trace: Trace, name: str) -> Floats:
-    """Return a field of the image where the object was in view, and NaN for the other ticks."""
+    """Return a field of the image where the object was in view, and NaN at the other ticks."""
     visible = trace.ticks["object_visible"]
     values: Floats = trace.ticks[name]
     return np.where(visible.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
 
 
 def _panel(axes: Axes, trace: Trace, title: str, lines: list[Line], *, zero: bool = False) -> None:
-    """Draw the title to the left, a key to the right, and the curves below."""
+    """Draw a panel: the title at the left, a key at the right, and the curves ``lines``."""
     axes.x.grid = axes.y.grid = True
     if zero:
         axes.hline(0.0, Ink.MUTED)
@@ -345,9 +345,10 @@ def _panel(axes: Axes, trace: Trace, title: str, lines: list[Line], *, zero: boo
 
 
 def _limit_lines(axes: Axes, limits: list[tuple[str, float]]) -> None:
-    """Draw horizontal limits (name, value) with names at their right ends; the view grows to hold them.
+    """Draw horizontal limits (name, value) with names at their right ends, and extend the view to them.
 
-    Limits of one value share a line and a label.  A label that would cover another moves to the left.
+    Limits of the same value share a line and a label.  A label that would cover another label moves to the
+    left.
     """
     named: dict[float, list[str]] = {}
     for name, value in limits:

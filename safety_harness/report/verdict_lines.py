@@ -1,4 +1,4 @@
-"""Verdicts as lines of a terminal: one run in full, and the surprises of many runs."""
+"""Print verdicts as lines of a terminal: one run in full, or only the surprises of many runs."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace
 
 MOST_LINES = 20  # verdicts of each kind that a summary of many runs prints; -v prints all
-BEFORE_S = 2.0  # before a contact: the time in which hand and arm came together
-LONGEST = 60  # characters to which sentences of claims are filled up
+BEFORE_S = 2.0  # the time before a contact in which hand and arm approached each other
+LONGEST = 60  # characters to which the sentences of claims are padded
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,11 @@ class ClaimLine:
 
     Args:
         run: The scenario's name.
-        sentence: The claim.
-        evaluation: Its evaluation.
-        words: The verdict: "holds"; "violated, as expected"; in capitals if its file expects another.
-        remark: What the file expects instead, or of which avoider; empty without a difference.
+        sentence: The sentence of the claim.
+        evaluation: The evaluation of the claim.
+        words: The verdict, such as "holds" or "violated, as expected"; in capitals if the file expects
+            another.
+        remark: What the file expects instead, or of which avoider it expects this; empty if nothing differs.
         differs: Whether the file expects another verdict.
 
     """
@@ -45,13 +46,13 @@ class ClaimLine:
 
     @property
     def moment(self) -> str:
-        """The time of the margin; a dash without one."""
+        """The time of the margin; a dash if there is no margin."""
         time_s = self.evaluation.worst_time_s
         return "-" if time_s is None or self.evaluation.margin is None else f"{time_s:.3f} s"
 
     @property
     def margin(self) -> str:
-        """The margin and its moment; empty without a margin."""
+        """The margin and its moment; empty if there is no margin."""
         if self.evaluation.margin is None:
             return ""
         when = "" if self.moment == "-" else f" at {self.moment}"
@@ -59,7 +60,7 @@ class ClaimLine:
 
     @property
     def rank(self) -> tuple[bool, int, float]:
-        """Sort key, worst first: surprises, then the gravest verdict, then the margin in its unit's scale."""
+        """The sort key, worst first: surprises, then the gravest verdict, then the scaled margin."""
         evaluation = self.evaluation
         margin = inf if evaluation.margin is None else evaluation.margin / SCALES[evaluation.unit]
         return not self.differs, SEVERITY.index(evaluation.verdict), margin
@@ -83,7 +84,7 @@ def lines_of(run: JudgedRun) -> Iterator[ClaimLine]:
 
 
 def every_line(run: JudgedRun) -> Iterator[str]:
-    """Yield one line for each claim of a run, one more for what was not measured, and what was tested."""
+    """Yield a line for each claim of a run, a line on missing measurements, and what was tested."""
     for line in lines_of(run):
         columns = f"{line.words:<25} {line.evaluation.margin_text():>13} at {line.moment:>9}"
         yield f"{columns}  {line.run}: {line.sentence}{line.remark}"
@@ -93,9 +94,10 @@ def every_line(run: JudgedRun) -> Iterator[str]:
 
 
 def block_of(run: JudgedRun) -> Iterator[str]:
-    """Yield the lines on a single run: what was tested, and the claims, worst first, with the nearest hand.
+    """Yield the lines on a single run: what was tested, the claims (worst first), and the nearest hand.
 
-    The nearest hand is the reason of the first claim that it decides, and else the last line.
+    The nearest hand appears as the reason of the first claim that it decides.  If it decides none, it is the
+    last line.
     """
     lines = sorted((line for line in lines_of(run) if line.evaluation.applicable), key=lambda line: line.rank)
     yield f"{tested_line(run)}, in {made_in(run.trace)}, seed {run.trace.scenario.seed}"
@@ -112,10 +114,10 @@ def block_of(run: JudgedRun) -> Iterator[str]:
 
 
 def nearest_hand_words(trace: Trace) -> str:
-    """Say which hand came how near to which part of the arm, and when; "contact" where it touched the arm.
+    """Say which hand came how near to which part of the arm, and when; "contact" if it touched the arm.
 
-    A simulated contact has the highest speeds of hand and TCP just before.  Empty for a run without hands,
-    and where the distance was not measured.
+    For a simulated contact, the text adds the highest speeds of hand and tool just before it.  The text is
+    empty for a run without hands, or if the distance was not measured.
     """
     nearest = nearest_hand(trace)
     if nearest.margin is None or nearest.worst_time_s is None:
@@ -135,7 +137,7 @@ def nearest_hand_words(trace: Trace) -> str:
 
 
 def surprise_lines(runs: Sequence[JudgedRun]) -> Iterator[str]:
-    """Yield of many runs each verdict that differs from the expected one, then those that decide nothing."""
+    """Yield each verdict of ``runs`` that differs from the expected one, then the inconclusive verdicts."""
     lines = [line for run in runs for line in lines_of(run) if line.evaluation.applicable]
     differing = sorted((line for line in lines if line.differs), key=lambda line: line.rank)
     undecided = [
@@ -150,5 +152,5 @@ def surprise_lines(runs: Sequence[JudgedRun]) -> Iterator[str]:
 
 
 def tested_line(run: JudgedRun) -> str:
-    """Return what was tested in a run."""
+    """Return what was tested in ``run``."""
     return f"tested in {run.trace.scenario.name}: {tested_words(run.trace.scenario, run.trace.system)}"

@@ -1,4 +1,4 @@
-"""One self-contained page that replays one stored run in 3-D, or two side by side in step."""
+"""Write one self-contained page that replays one stored run in 3-D, or two runs side by side in step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ LANES = ("one", "two")
 
 
 def write_view(path: Path, runs: Sequence[tuple[str, JudgedRun]]) -> None:
-    """Write the page of one or two runs (name, run), each with at least one tick; OSError if it cannot."""
+    """Write the page of one or two runs (name, run), each with at least one tick.
+
+    Raise OSError if the page cannot be written.
+    """
     replays = Replays()
     lanes = LANES if len(runs) == len(LANES) else ("",)
     sections = [

@@ -1,4 +1,4 @@
-"""Numbers, settings and codes of a trace as words for people: millimetres, degrees, plain names."""
+"""Write numbers, settings and codes of a trace for people: in millimetres, degrees and plain names."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ CHECK_MEANINGS = {
     Check.OUTSIDE_REGION: "the question is outside of the region that the scenario's gate keeps to",
     Check.LATE: "the avoider had not answered when the decision deadline was over",
 }
-_UNITS = (  # suffix of a setting's name, shown unit, how many of it are one SI unit
+_UNITS = (  # suffix of a setting's name, shown unit, number of shown units in one SI unit
     ("_mps2", "mm/s\u00b2", 1e3),
     ("_mps", "mm/s", 1e3),
     ("_radps2", "deg/s\u00b2", 180.0 / np.pi),
@@ -59,19 +59,19 @@ _PER_METRE = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
 def with_minus(text: str) -> str:
-    """Return ``text`` with minus signs for hyphens that begin a number, except within a name."""
+    """Return ``text`` with a minus sign for each hyphen before a number, except for hyphens within names."""
     return re.sub(r"(?<!\w)-(?=[\d.])|(?<=\de)-(?=\d)", "\u2212", text)
 
 
 def count_words(count: int, singular: str, plural: str) -> str:
-    """Return a number with its noun in the singular or the plural."""
+    """Return ``count`` with its noun in the singular or the plural."""
     return f"{count} {singular if count == 1 else plural}"
 
 
 def margin_words(evaluation: Evaluation) -> str:
-    """Return the margin with sign and unit; a dash without a margin.
+    """Return the margin with its sign and unit; a dash if there is no margin.
 
-    "at least" marks a margin beyond which the harness did not search.
+    The words "at least" mark a margin beyond which the harness did not search.
     """
     margin_m = evaluation.margin
     if evaluation.sentence in _REACHABLE and margin_m is not None and margin_m >= BEYOND_M - 1e-9:
@@ -81,20 +81,20 @@ def margin_words(evaluation: Evaluation) -> str:
 
 
 def milliseconds_words(time_s: float) -> str:
-    """Return a duration in ms with two significant digits, more only before the decimal point."""
+    """Return a duration in ms with two significant digits, or all digits before the decimal point."""
     shown = time_s * 1e3
     return f"{shown:.0f} ms" if shown >= 10.0 else f"{shown:.2g} ms"
 
 
 def spread_words(spread_m: Array3, threshold_m: float) -> str:
-    """Return the largest axis of a predictive spread [mm] and its limit.
+    """Return the largest axis of a predictive spread [mm] with the limit of the avoider.
 
-    The text is empty for an avoider without spread and threshold.  It has as many digits as show the
-    larger number.
+    The text is empty for an avoider without spread and threshold.  It has enough digits to show which of the
+    two numbers is larger.
 
     Args:
         spread_m: The spread (3,) [m].
-        threshold_m: The avoider's threshold [m]; not finite without one.
+        threshold_m: The avoider's threshold [m]; not finite if the avoider has none.
 
     """
     limited = bool(np.isfinite(threshold_m))
@@ -127,7 +127,7 @@ def flag_words(flags: IntFlag) -> str:
 
 
 def failed_words(proposed: Check, opposite: Check, fault: str = "") -> str:
-    """Return the failed checks of a decision's two candidates, and the reason for an unusable answer."""
+    """Return the checks that a decision's two candidates failed, and why an answer was unusable."""
     parts = []
     for name, check in (("proposed", proposed), ("opposite", opposite)):
         if check:
@@ -138,7 +138,7 @@ def failed_words(proposed: Check, opposite: Check, fault: str = "") -> str:
 
 
 def setting_words(name: str, value: object) -> str:
-    """Return a setting's value in a common unit; the suffix of its name gives the unit."""
+    """Return the value of a setting in a common unit, which the suffix of ``name`` determines."""
     if isinstance(value, Enum):
         return str(value.value)
     if isinstance(value, bool) or not isinstance(value, int | float | tuple):
@@ -158,19 +158,19 @@ def _numbers(value: Any, factor: float) -> str:
 
 
 def changed_settings(settings: Settings) -> list[tuple[str, str, str]]:
-    """Return (name, default, this run) of every setting that differs from ``DEFAULTS``."""
+    """Return (name, default, this run) for every setting that differs from ``DEFAULTS``."""
     return list(_changes("", DEFAULTS, settings))
 
 
 def changes(scenario: Scenario) -> list[tuple[str, str, str]]:
-    """Return (setting, default, this run) for each difference, with the robot and its drives first."""
+    """Return (setting, default, this run) for each difference; the robot and its drives come first."""
     robot = [("robot", Robot.UR10.value, scenario.robot.label)] if scenario.robot is not Robot.UR10 else []
     drives = drives_as_modelled(scenario.robot, scenario.settings.clock.control_period_s)
     return robot + drives + changed_settings(scenario.settings)
 
 
 def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
-    """Return the subject of a verdict: avoider or controller, shield, gate, and each changed setting."""
+    """Return what a verdict is about: avoider or controller, shield, gate, and each changed setting."""
     shield = [] if scenario.shield is None else [f"shield {scenario.shield.kind.value}"]
     gate = [] if scenario.gate is None else [f"gate {', '.join(scenario.gate.demands)}"]
     changed = (f"{name} {value}" for name, _, value in changes(scenario))
@@ -178,7 +178,10 @@ def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
 
 
 def unknown_files(scenario: Scenario) -> str:
-    """Return a warning that a started or listening program may open unknown files; empty for others."""
+    """Return a warning that a program under test may open unknown files.
+
+    The text is empty if the system under test is neither a started nor a listening program.
+    """
     if not names_a_program(scenario.under_test):
         return ""
     declared = ", but for those that it declares in HARNESS_FILES" * scenario.under_test.startswith(EXEC)
@@ -196,7 +199,10 @@ def _changes(prefix: str, default: Any, own: Any) -> Iterator[tuple[str, str, st
 
 
 def drives_as_modelled(robot: AnyRobot, period_s: float) -> list[tuple[str, str, str]]:
-    """Return (name, default, this run) for an own arm's drives, as rounded and limited; empty by default."""
+    """Return (name, default, this run) for the drives of an own arm, rounded and limited as in the model.
+
+    The list is empty for an arm that states no drives.
+    """
     drives = robot.drives if isinstance(robot, OwnRobot) else None
     if drives is None:
         return []
@@ -216,7 +222,7 @@ def drives_as_modelled(robot: AnyRobot, period_s: float) -> list[tuple[str, str,
 
 
 def claimed_hand_distance_m(evaluation: Evaluation) -> float | None:
-    """Return the only length [m] in a sentence about the hand distance; None if there is not just one."""
+    """Return the length [m] in a sentence about the hand distance; None unless it has exactly one."""
     sentence = evaluation.sentence.lower().replace("predicted hand distance", "")
     if evaluation.unit is not Unit.LENGTH or "hand distance" not in sentence:
         return None
@@ -224,7 +230,7 @@ def claimed_hand_distance_m(evaluation: Evaluation) -> float | None:
 
 
 def claimed_tcp_speed_mps(evaluation: Evaluation) -> float | None:
-    """Return the only speed [m/s] in a sentence about the TCP speed; None for any other number of speeds."""
+    """Return the speed [m/s] in a sentence about the TCP speed; None unless it has exactly one."""
     if evaluation.unit is not Unit.SPEED or "tcp speed" not in evaluation.sentence.lower():
         return None
     return _only_number(_SPEED_IN_SENTENCE, evaluation.sentence)

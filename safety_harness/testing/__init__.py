@@ -1,4 +1,4 @@
-"""The interface for tests: scenarios to draw from, and claims that fail a test with a picture and a command.
+"""Provide the interface for tests: scenarios to draw, and claims whose failure shows a picture and a command.
 
     from hypothesis import given
     from safety_harness.testing import assert_holds, hand_distance, mm, scenarios
@@ -7,9 +7,9 @@
     def test_keeps_its_distance(scenario, simulate):
         assert_holds(hand_distance() > mm(50), simulate(scenario))
 
-A claim is a formula, a property of the catalogue or a sentence as in a scenario file.  ``simulate`` is a
-fixture of the pytest plug-in, which comes with the package.  The names below and all names of
-``claims.formulas.language`` are public.  The module imports each name at its first use, so that a test
+A claim is a formula, a property of the catalogue, or a sentence as in a scenario file.  ``simulate`` is a
+fixture of the pytest plug-in, which is part of the package.  The names below and all names of
+``claims.formulas.language`` are public.  The module imports each name when it is first used, so that a test
 without a simulation loads no physics engine.
 """
 

@@ -1,4 +1,4 @@
-"""``assert_holds``: fail a test with a full explanation unless a claim holds in a run."""
+"""Provide ``assert_holds``, which fails a test with a full explanation unless a claim holds in a run."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ TRUTH = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", 
 
 
 class SafetyViolation(SafetyHarnessError, AssertionError):
-    """The error of a claim with the wrong verdict; its text shows time, reason and a replay command."""
+    """The error for a claim with the wrong verdict; its text gives time, reason and a replay command."""
 
-    __module__ = "safety_harness.testing"  # as one imports it, and as test summaries show it
+    __module__ = "safety_harness.testing"  # the module from which users import it, for test summaries
 
     def __init__(self, evaluation: Evaluation, trace: Trace, expected: Verdict) -> None:
         super().__init__(evaluation, trace, expected)
@@ -62,25 +62,26 @@ class SafetyViolation(SafetyHarnessError, AssertionError):
 
 
 class NotEstablished(SafetyHarnessError, AssertionError):
-    """The error of a test that drew scenarios, and in which no run tested its claims."""
+    """The error for a test that drew scenarios, if no run tested the test's claims."""
 
 
 def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
-    """Fail the test unless ``claim`` holds in ``trace``.
+    """Fail the test unless the claim ``claim`` holds in ``trace``.
 
-    Under Hypothesis, an inconclusive run (the hand never came near) does not fail the test.
-    At its end, the test fails if every run was inconclusive.
+    Under Hypothesis, an inconclusive run does not fail the test, for example if the hand never came near.
+    After the last run, the test fails if every run was inconclusive.
 
     Args:
         claim: a formula, a property, or a sentence as in a scenario file.
         trace: the run to judge, as ``simulate(scenario)`` returns it.
 
     Returns:
-        The evaluation of the claim: verdict, margin and reason.
+        The evaluation of the claim, with verdict, margin and reason.
 
     Raises:
-        SafetyViolation: the run violates the claim, or is no evidence for it.  Also if the avoider gave no
-            answer in the run, unless the scenario expects that (``the avoider answered: violated``).
+        SafetyViolation: the run violates the claim or is no evidence for it.  The error is also raised if the
+            avoider gave no answer in the run.  A scenario can allow that by the claim ``the avoider answered:
+            violated``.
         InputError: the harness does not know the sentence, or an argument has the wrong type.
 
     """
@@ -98,9 +99,9 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
 
 
 def judged_of(prop: Property, trace: Trace) -> Evaluation:
-    """Return the property's evaluation of ``trace``.
+    """Return the evaluation of ``trace`` by the property ``prop``.
 
-    The verdict is inconclusive if measurements are missing and the property does not declare its columns.
+    The verdict is inconclusive if the trace lacks measurements and the property does not declare its columns.
     """
     if trace.known.whole or columns_read_by(prop) is not None:
         return prop.evaluate(trace)
@@ -111,7 +112,7 @@ def judged_of(prop: Property, trace: Trace) -> Evaluation:
 
 
 def refuse_fallback(trace: Trace) -> None:
-    """Raise SafetyViolation if the avoider gave no answer, and the scenario does not expect that."""
+    """Raise SafetyViolation if the avoider gave no answer, unless the scenario expects that."""
     __tracebackhide__ = True
     evaluation = by_default(trace)
     if evaluation is not None:
@@ -121,16 +122,16 @@ def refuse_fallback(trace: Trace) -> None:
 def require(
     evaluation: Evaluation, expected: Verdict, trace: Trace, judge: Callable[[Trace], Evaluation]
 ) -> None:
-    """Raise SafetyViolation if the running test has to fail for ``evaluation``.
+    """Raise SafetyViolation if ``evaluation`` must fail the running test.
 
-    A session with a reference (``--against``) judges the reference's run too.  A log has no such
-    comparison, because the reference cannot run in its place.
+    With a reference (``--against``), the function also judges the reference's run.  A log has no such
+    comparison, because the reference cannot run in the recorded cell.
 
     Args:
         evaluation: the judgement of ``trace``.
-        expected: the verdict with which the test passes.
+        expected: the verdict that lets the test pass.
         trace: the run.
-        judge: evaluates the same claim in the run of the reference.
+        judge: the function that evaluates the same claim in the reference's run.
 
     """
     __tracebackhide__ = True
@@ -144,7 +145,7 @@ def require(
 def violation_of(
     evaluation: Evaluation, trace: Trace, expected: Verdict, difference: ClaimDifference | None
 ) -> SafetyViolation:
-    """Return the violation to raise, with a note on the reference's run if there is one."""
+    """Return the violation to raise; if there is a reference's run, add a note on it."""
     violation = SafetyViolation(evaluation, trace, expected)
     if difference is not None:
         violation.add_note(note_of(difference))
@@ -152,7 +153,7 @@ def violation_of(
 
 
 def run_of(trace: Trace) -> Run:
-    """Return the record that a session keeps of a run: names, seed, world and soundness."""
+    """Return the record that a session keeps of a run: names, seed, world, and whether the run is sound."""
     return Run(
         name=trace.scenario.name,
         tested=trace.system.label,
@@ -168,9 +169,9 @@ def _is_measured(trace: Trace) -> bool:
 
 
 def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | None) -> bool:
-    """Count a judgement in the running test, and return False if the test has to fail for it."""
+    """Record a judgement in the running test; return False if the test must fail because of it."""
     test = session().test
-    # A sound run may simply be no test of the claim; of one cut short or not finite that is not said.
+    # Only a sound run may be inconclusive without a failure: it simply did not test the claim.
     undecided = evaluation.verdict is Verdict.INCONCLUSIVE and run.sound
     good = evaluation.verdict is expected or (test is not None and test.draws and undecided)
     if test is None:
@@ -179,12 +180,12 @@ def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | N
         test.note(Judgement(run, evaluation, expected), trace)
     if good or not (test.draws and isinstance(test.failure, SafetyViolation)):
         return good
-    # while one failure is made smaller, that of another claim does not take its place
+    # While Hypothesis reduces one failure, a failure of another claim must not replace it.
     return test.failure.evaluation.sentence != evaluation.sentence
 
 
 def aim(evaluation: Evaluation, expected: Verdict) -> None:
-    """Tell Hypothesis how near the run was to a failure, so that it searches for nearer ones."""
+    """Tell Hypothesis how near the run was to a failure, so that it searches for nearer runs."""
     margin = evaluation.margin
     if margin is None or not isfinite(margin) or expected is Verdict.INCONCLUSIVE:
         return
@@ -194,7 +195,7 @@ def aim(evaluation: Evaluation, expected: Verdict) -> None:
     from hypothesis.errors import InvalidArgument
 
     if currently_in_test_context():
-        # A claim may be made of a second run in the same example, which cannot have a second target.
+        # If an example judges the claim in a second run, Hypothesis refuses a second target for it.
         with suppress(InvalidArgument):
             target(-margin if expected is Verdict.HOLDS else margin, label=evaluation.sentence)
 
@@ -213,7 +214,7 @@ def _property(claim: Formula | Property | str, scenario: Scenario) -> Property:
 
 
 def _caller() -> Place:
-    """Return the nearest line of the call stack outside this file."""
+    """Return the innermost line of the call stack that is outside this file."""
     frame = inspect.currentframe()
     while frame is not None and frame.f_code.co_filename == __file__:
         frame = frame.f_back
@@ -225,14 +226,14 @@ def _caller() -> Place:
 def against_reference(
     trace: Trace, mine: Evaluation, judge: Callable[[Trace], Evaluation]
 ) -> ClaimDifference | None:
-    """Judge the same claim in the reference's run of the scenario; None without a reference.
+    """Judge the same claim in the reference's run of this scenario; None without a reference.
 
-    The running test keeps the difference for the summary.
+    The running test keeps the difference for the session's summary.
 
     Args:
-        trace: the run of the avoider under test.
+        trace: the run by the avoider under test.
         mine: the evaluation of that run.
-        judge: evaluates the claim in the reference's run.
+        judge: the function that evaluates the claim in the reference's run.
 
     """
     if session().against is None:
@@ -263,7 +264,7 @@ def is_shared(difference: ClaimDifference | None) -> bool:
 
 
 def note_of(difference: ClaimDifference) -> str:
-    """Return the line of a failure that compares it with the reference's run of the scenario."""
+    """Return the line of a failure text that compares the failure with the reference's run."""
     return f"{difference.change.value}: {difference.summary(_name())}"
 
 

@@ -1,4 +1,4 @@
-"""``scenarios``: the scenarios of a file, a folder or a space as a Hypothesis strategy."""
+"""Provide ``scenarios``: the scenarios of a file, a folder or a space as a Hypothesis strategy."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ _MARK = "_safety_harness_scenarios"
 def scenarios(source: str | Path | ScenarioSpace) -> st.SearchStrategy[Scenario]:
     """Return a Hypothesis strategy for the scenarios of ``source``.
 
-    This call reads and checks the whole source.
+    The call reads and checks the whole source at once.
 
     Args:
-        source: a scenario space (a file or an object), whose admissible draws the strategy returns.  A
-            scenario file, a matrix, a suite or a folder yields one of its scenarios.  The harness seeks a
-            relative path from the folder of the calling file, then from pytest's root.
-            ``shipped:NAME`` names a scenario of the package.
+        source: a scenario space, as a file or an object, or a file or folder with scenarios.  From a space,
+            the strategy draws admissible scenarios.  From a scenario file, a matrix, a suite or a folder, it
+            draws one of the scenarios.  A relative path starts at the folder of the calling file or else at
+            pytest's root. ``shipped:NAME`` names a scenario of the package.
 
     Raises:
-        InputError: the source is not valid.  The error states the place, and a note names the calling line.
+        InputError: the source is not valid.  The error names the place of the mistake, and a note names the
+            calling line.
 
     """
     frame = inspect.currentframe()
@@ -68,7 +69,7 @@ def _of_files(path: Path) -> st.SearchStrategy[Scenario]:
 
 
 def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
-    """Return a strategy for the admissible draws of a space, each with its own name.
+    """Return a strategy for the admissible draws of ``space``; each draw has its own name.
 
     Raises:
         InputError: admission refuses nearly every draw of the space.
@@ -79,23 +80,29 @@ def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
 
 
 def first_of(space: ScenarioSpace) -> Scenario:
-    """Return an admissible draw (a check without the avoider); InputError if admission refuses nearly all."""
+    """Return an admissible draw, checked without the avoider.
+
+    Raise InputError if admission refuses nearly all draws.
+    """
     return draw_admissible(space, seed=0, count=1).scenarios[0]
 
 
 def gives_scenarios(strategy: object) -> bool:
-    """Return whether this module made the strategy."""
+    """Return whether this module created ``strategy``."""
     return hasattr(strategy, _MARK)
 
 
 def one_system(space: ScenarioSpace) -> Scenario | None:
-    """Return a scenario with the avoider or controller of all draws; None for a space that varies it."""
+    """Return a scenario that has the avoider or controller of all draws.
+
+    The result is None if the space varies the avoider or controller.
+    """
     tested = [value for key, value in space.template.entries if key.text in ("avoider", "controller")]
     return space.simplest if all(isinstance(value, Scalar) for value in tested) else None
 
 
 def one_system_of(strategy: object) -> Scenario | None:
-    """Return the scenario of ``one_system`` for a strategy; None if its scenarios come from several files."""
+    """Return the result of ``one_system`` for a strategy; None if it draws from several files."""
     return getattr(strategy, _MARK, None)
 
 
@@ -111,7 +118,7 @@ def _admissible(draw: st.DrawFn, space: ScenarioSpace) -> Scenario:
     scenario = draw(strategy(space))
     try:
         checker.check(as_asked(scenario))
-    except InputError:  # out of reach, out of view: what one draw in so many is
+    except InputError:  # this draw is out of reach or view, as a small share of draws is
         reject()
     name = f"{space.name}#{digest_of(scenario)[:6]}"
     return replace(scenario, name=name, claims=each_to_hold(scenario.claims))

@@ -1,4 +1,4 @@
-"""The text of a failed claim: margin, moment, the decision before it, a picture, and the command."""
+"""Write the text of a failed claim: margin, moment, the decision before it, a picture, and the command."""
 
 from __future__ import annotations
 
@@ -31,7 +31,10 @@ from safety_harness.trace.unmeasured import as_measured, decided
 def failure_text(
     evaluation: Evaluation, trace: Trace, *, expected: Verdict, scenario: Scenario, test: TestRun | None
 ) -> str:
-    """Return the whole text; ``scenario`` is the test's own, ``test`` the failed test."""
+    """Return the whole text of a failure.
+
+    ``scenario`` is the scenario that the test passed, and ``test`` the failed test.
+    """
     runs = not is_of_an_object(trace)
     trace = as_measured(trace)
     parts = [
@@ -75,7 +78,7 @@ def _facts(evaluation: Evaluation, trace: Trace) -> list[str]:
 
 
 def _decision(evaluation: Evaluation, trace: Trace) -> list[str]:
-    """Return lines on the decision in force at the worst moment."""
+    """Return the lines on the last decision before the worst moment."""
     rows = decision_rows(trace)
     if not decided(trace, "tick", "time_s"):
         return ["  what was decided was not measured"]
@@ -101,7 +104,7 @@ def _row(row: DecisionRow, count: int) -> list[str]:
 
 
 def _scenario(scenario: Scenario, test: TestRun | None) -> list[str]:
-    """Return the scenario's text, or its file if the reader has that."""
+    """Return the name of the scenario's file, or the text of a scenario that no file contains."""
     if (test is None or not test.draws) and _is_what_its_file_holds(scenario):
         assert scenario.file is not None
         return [f"  scenario  {nearest_path(scenario.file)}"]
@@ -110,7 +113,7 @@ def _scenario(scenario: Scenario, test: TestRun | None) -> list[str]:
 
 
 def again(scenario: Scenario, test: TestRun | None, *, runs: bool) -> list[str]:
-    """Return the commands that repeat a failure; with ``runs`` also one that runs the scenario's file."""
+    """Return the commands that repeat a failure; with ``runs``, include one that runs the scenario's file."""
     avoider = session().avoider
     own = [] if avoider is None else ["--avoider", avoider]
     chosen = [session().world] if session().world not in ("", "PyBullet") else []
@@ -130,20 +133,20 @@ def _with(option: str, values: list[str]) -> list[str]:
 
 
 def _is_what_its_file_holds(scenario: Scenario) -> bool:
-    """Return whether a scenario is as its file has it, and no draw or change of it."""
+    """Return whether the scenario equals the one in its file, so that it is neither drawn nor changed."""
     if scenario.file is None:
         return False
     return digest_of(scenario) in map(digest_of, gather([scenario.file], spaces=True).scenarios)
 
 
 def in_store(scenario: Scenario) -> bool:
-    """Return whether a scenario comes from the folder of kept failures."""
+    """Return whether the scenario comes from the folder of kept failures."""
     file = scenario.file
     return file is not None and session().failures.resolve() in file.resolve().parents
 
 
 def nearest_path(file: Path) -> Path:
-    """Return a path relative to the working directory if it is below it, and a shipped file's name."""
+    """Return the path relative to the working directory, or a shipped file's name, or the path itself."""
     try:
         return file.resolve().relative_to(Path.cwd())
     except ValueError:
@@ -151,12 +154,15 @@ def nearest_path(file: Path) -> Path:
 
 
 WIDTH, HEIGHT = 60, 10
-_FARTHEST_M = 0.8  # what is farther away is drawn at the upper edge
+_FARTHEST_M = 0.8  # larger distances are drawn at the upper edge
 
 
 @dataclass(frozen=True, eq=False)
 class _Signal:
-    """The drawn ``values`` (n,) at the ticks: the ``worst`` in each column, ``most`` at the upper edge."""
+    """The drawn ``values`` (n,) at the ticks.
+
+    ``worst`` chooses the value of each column; the value ``most`` lies at the upper edge.
+    """
 
     title: str
     values: NDArray[np.float64]
@@ -166,10 +172,11 @@ class _Signal:
 
 
 def picture(trace: Trace, evaluation: Evaluation) -> list[str]:
-    """Return lines of at most 70 characters; an empty list if the trace has nothing to draw.
+    """Return the picture as lines of at most 70 characters; empty if the trace has nothing to draw.
 
-    They draw the TCP speed for a claim about it, else the nearest hand's distance from the arm's surface.
-    Each column shows the least distance, or the largest speed, of its time.
+    For a claim about the TCP speed, the picture shows this speed.  Otherwise it shows the distance from the
+    nearest hand to the arm's surface.  Each column shows the least distance, or the largest speed, of its
+    stretch of time.
     """
     if len(trace.ticks) < 2:
         return []
@@ -208,13 +215,13 @@ def _drawn(trace: Trace, evaluation: Evaluation, signal: _Signal) -> list[str]:
 
 
 def _line_of(value: float, bottom: float, top: float) -> int:
-    """Return the line of a value, counted from the top."""
+    """Return the line, counted from the top, on which a value is drawn."""
     share = (min(value, top) - bottom) / (top - bottom)
     return round((1.0 - share) * (HEIGHT - 1))
 
 
 def _axis(trace: Trace, evaluation: Evaluation, width: int) -> list[str]:
-    """Return the time axis with D for decisions and ! for the worst moment."""
+    """Return the time axis, which marks decisions with D and the worst moment with !."""
     end_s = float(trace.time_s[-1])
 
     def column(time_s: float) -> int:

@@ -1,6 +1,6 @@
-"""The options that the tests of a session share, and the test that is running now.
+"""Define the options that the tests of a session share, and the test that is running now.
 
-Nothing heavy is imported here: the pytest plug-in reads this file in every project.
+This module imports nothing heavy, because the pytest plug-in loads it in every project.
 """
 
 from __future__ import annotations
@@ -26,32 +26,36 @@ FAILURES = Path(".safety-harness") / "failures"
 
 @dataclass(frozen=True)
 class Profile:
-    """``examples``: scenarios that each test draws; ``shrinking_runs``: simulations after a failure."""
+    """The effort of a test.
+
+    ``examples`` is the number of scenarios that each test draws, ``shrinking_runs`` the number of simulations
+    after a failure.
+    """
 
     name: str
     examples: int
     shrinking_runs: int
 
 
-QUICK = Profile("quick", 50, 60)  # while one works, and on every push
+QUICK = Profile("quick", 50, 60)  # for daily work, and for every push
 PROFILES = (QUICK, Profile("nightly", 500, 400), Profile("certify", 3000, 2000))
 
 
 @dataclass(frozen=True)
 class Run:
-    """The facts that outlive a run's trace; ``sound``: it was whole, and of finite numbers."""
+    """The facts about a run that are kept after its trace; ``sound``: the run was complete and all finite."""
 
     name: str  # of its scenario
     tested: str  # "avoider" or "controller", and its name
     seed: int
     sound: bool
     world: str  # in words
-    beside: str = ""  # as ``tested``, with its shield and what is not the default
+    beside: str = ""  # ``tested`` with its shield and with settings that differ from the defaults
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """A claim judged in a run of a test; ``expected`` is the verdict of the test or the file."""
+    """A claim that a test judged in a run; ``expected`` is the verdict that the test or the file expects."""
 
     run: Run
     evaluation: Evaluation
@@ -67,11 +71,11 @@ class Judgement:
 
 @dataclass(eq=False)
 class TestRun:
-    """A running test with its judgements, and whether it has failed already.
+    """A running test, its judgements so far, and its failure if it has failed.
 
-    ``draws``: Hypothesis chooses its scenarios.  An inconclusive run is then no failure, unless all runs are
-    inconclusive.  After the first ``failure`` Hypothesis only makes that example smaller; those runs do not
-    count.
+    ``draws`` states that Hypothesis chooses the scenarios.  In this case an inconclusive run is no failure,
+    unless all runs are inconclusive.  After the first ``failure``, Hypothesis only simplifies the failing
+    example; these runs do not count as evidence.
     """
 
     __test__ = False  # its name is not meant for pytest
@@ -80,47 +84,47 @@ class TestRun:
     draws: bool
     keep_traces: bool = False
     judgements: list[Judgement] = field(default_factory=list)
-    worst: dict[str, Judgement] = field(default_factory=dict)  # of each sentence
-    traces: dict[str, Trace] = field(default_factory=dict)  # of these
-    fallback: Trace | None = None  # of the first run in which the avoider did not answer
+    worst: dict[str, Judgement] = field(default_factory=dict)  # the worst judgement of each sentence
+    traces: dict[str, Trace] = field(default_factory=dict)  # the traces of these judgements, by sentence
+    fallback: Trace | None = None  # the trace of the first run in which the avoider did not answer
     failure: BaseException | None = None
     simulated: set[str] = field(default_factory=set)  # digests of the present example's scenarios
-    failing: set[str] = field(default_factory=set)  # those of the examples that failed
+    failing: set[str] = field(default_factory=set)  # digests of the scenarios of failed examples
     refused: dict[str, SafetyHarnessError] = field(default_factory=dict)  # by digest
-    examples: int = 0  # begun
-    asked: bool = False  # for a run, which may have been refused
+    examples: int = 0  # examples that were begun
+    asked: bool = False  # whether the test called ``simulate``, even if that was refused
     runs_since: int = 0  # simulations since the first failure
     kept: Path | None = None  # where the failing scenario was written
     replayed: list[Path] = field(default_factory=list)  # earlier failures that were tried first
-    as_kept: bool = False  # these with the avoiders of their files
-    computing_times: list[ComputingTime] = field(default_factory=list)  # of its runs
-    overruled: dict[str, Overruling] = field(default_factory=dict)  # of those that count, by their digests
-    tried: dict[str, TriedParts] = field(default_factory=dict)  # by the same
+    as_kept: bool = False  # whether they ran with the avoiders of their files
+    computing_times: list[ComputingTime] = field(default_factory=list)  # one for each of its runs
+    overruled: dict[str, Overruling] = field(default_factory=dict)  # of the runs that count, by digest
+    tried: dict[str, TriedParts] = field(default_factory=dict)  # of the runs that count, by digest
     differences: dict[str, RunDifference] = field(default_factory=dict)  # from a reference, by digest
     shared: list[str] = field(default_factory=list)  # failures that the reference has as well
-    judges_itself: bool = False  # by the marker, without assert_holds
-    of_another: list[str] = field(default_factory=list)  # violated as expected of the file's own avoider
+    judges_itself: bool = False  # a marker states that the test judges runs without assert_holds
+    of_another: list[str] = field(default_factory=list)  # violations that the file expects of its own avoider
     not_taken: str = ""  # the avoider that cannot take its scenario
 
     @property
     def counts(self) -> bool:
-        """Return whether the current run is evidence, and no attempt to make a failure smaller."""
+        """Return whether the current run counts as evidence, and not only simplifies a failing example."""
         return self.failure is None or not self.draws
 
     def fail(self, failure: BaseException) -> None:
-        """Note that the present example failed."""
+        """Record that the present example failed."""
         self.failure = failure
         self.failing |= self.simulated
 
     def note(self, judgement: Judgement, trace: Trace | None) -> None:
-        """Count a judgement, and keep it if it is the worst of its sentence so far."""
+        """Record a judgement; keep it for the summary if it is the worst of its sentence so far."""
         self.judgements.append(judgement)
         earlier = self.worst.get(judgement.evaluation.sentence)
         if earlier is None or judgement.severity < earlier.severity:
             self.show(judgement, trace)
 
     def show(self, judgement: Judgement, trace: Trace | None) -> None:
-        """Show ``judgement`` for its sentence in summaries and in the report."""
+        """Make ``judgement`` the one that summaries and the report show for its sentence."""
         sentence = judgement.evaluation.sentence
         self.worst[sentence] = judgement
         if self.keep_traces and trace is not None:
@@ -129,7 +133,7 @@ class TestRun:
 
 @dataclass(eq=False)
 class Session:
-    """A session of tests; the defaults are for a script or a notebook without pytest."""
+    """A session of tests; its defaults suit a script or a notebook without pytest."""
 
     root: Path = field(default_factory=Path.cwd)
     profile: Profile = QUICK
@@ -137,14 +141,14 @@ class Session:
     seed: int = 0
     avoider: str | None = None
     against: str | None = None
-    world: str = ""  # none is named: PyBullet, or kinematic where that is missing
+    world: str = ""  # empty: PyBullet, or the kinematic world if PyBullet is missing
     failures: Path = FAILURES
     report: Path | None = None
     saved: set[Path] = field(default_factory=set)  # traces that this process wrote for the report
     recordings: dict[str, bytes] = field(default_factory=dict)  # of logs, by their SHA-256
-    simulated: set[str] = field(default_factory=set)  # runs since the last report
-    judged: set[str] = field(default_factory=set)  # of these, or of earlier ones
-    ignored: list[str] = field(default_factory=list)  # files with a title as ours have it, of other programs
+    simulated: set[str] = field(default_factory=set)  # keys of the runs since the last test report
+    judged: set[str] = field(default_factory=set)  # keys of runs judged since then, even if simulated earlier
+    ignored: list[str] = field(default_factory=list)  # other programs' files with a title like ours
     test: TestRun | None = None
 
 
@@ -157,7 +161,7 @@ def session() -> Session:
 
 
 def begin(new: Session) -> Session:
-    """Make ``new`` the session of this process, and return the session before it."""
+    """Make ``new`` the session of this process; return the session that it replaces."""
     global _current
     previous, _current = _current, new
     return previous

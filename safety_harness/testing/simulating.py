@@ -1,4 +1,4 @@
-"""The fixture ``simulate``, which runs a scenario and returns its trace."""
+"""Provide the fixture ``simulate``, which runs a scenario and returns the trace of the run."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ from safety_harness.testing.session import TestRun, session
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Trace
 
-MOST_TICKS = 100_000  # of all the traces that are remembered: a hundred megabytes or so
+MOST_TICKS = 100_000  # of all remembered traces together: about a hundred megabytes
 
 _asked_for: WeakKeyDictionary[Trace, Scenario] = WeakKeyDictionary()
 _of_objects: WeakSet[Trace] = WeakSet()
 
 
 def original(trace: Trace) -> Scenario:
-    """Return the scenario of a test, before ``--avoider`` put another avoider into it."""
+    """Return the scenario that the test passed, before ``--avoider`` replaced its avoider."""
     return _asked_for.get(trace, trace.scenario)
 
 
 def is_of_an_object(trace: Trace) -> bool:
-    """Return whether a test gave an avoider or a controller as an object, which no command can name."""
+    """Return whether a test passed an avoider or a controller as an object, which no command can name."""
     return trace in _of_objects
 
 
 def digest_of(scenario: Scenario) -> str:
-    """Return hex digits that two scenarios share if they differ at most in their names."""
+    """Return a hex digest that is equal for two scenarios that differ at most in their names."""
     text = write_scenario(scenario)
     hands = [hand.motion.sha256 for hand in scenario.hands if isinstance(hand, RecordedHand)]
     parts = [text, *hands, command_line_reference(scenario)]
@@ -56,29 +56,29 @@ def digest_of(scenario: Scenario) -> str:
 
 
 def run_key(trace: Trace) -> str:
-    """Return the key of a run in every process: the system under test and the scenario."""
+    """Return a key for the run that is the same in every process: the system under test and the scenario."""
     return f"{trace.system.tested.name}: {digest_of(trace.scenario)}"
 
 
 def as_asked(scenario: Scenario) -> Scenario:
-    """Return the scenario with the avoider of ``--avoider``, if there is any."""
+    """Return the scenario with the avoider of ``--avoider``, if that option was given."""
     reference = session().avoider
     return scenario if reference is None else with_avoider(scenario, reference)
 
 
 def avoiders_asked() -> list[tuple[str | None, str]]:
-    """Return the avoider of ``--avoider`` or None, and the reference if any, with their options."""
+    """Return the avoider of ``--avoider`` or None, then any reference, each with the name of its option."""
     now = session()
     reference = [] if now.against is None else [(now.against, "--safety-against")]
     return [(now.avoider, option_of(now.avoider or "")), *reference]
 
 
-checker = Checker()  # what is collected is looked at, and nothing of a user's executed
-admitter = Admitter()  # one for all: an avoider that keeps something of a run is refused as flaky
+checker = Checker()  # checks what is collected without executing any user's code
+admitter = Admitter()  # shared by all runs, so that an avoider that remembers a run is found flaky
 
 
 def sought_from(path: Path, caller: FrameType | None) -> Path:
-    """Return a relative path from the folder of the calling file, else from pytest's root."""
+    """Return ``path`` relative to the folder of the calling file, or else relative to pytest's root."""
     if path.is_absolute() or caller is None:
         return path
     beside = Path(caller.f_code.co_filename).parent / path
@@ -86,18 +86,18 @@ def sought_from(path: Path, caller: FrameType | None) -> Path:
 
 
 class Simulate:
-    """``simulate(scenario)``: the trace of a run, the same for the same scenario.
+    """The callable ``simulate(scenario)``; it returns the same trace for the same scenario.
 
-    It runs in PyBullet, or in the world of ``--safety-world``.
+    It runs the scenario in PyBullet, or in the world of ``--safety-world``.
 
     Args:
-        scenario: A scenario, or the path of its file; a relative path is sought as ``scenarios`` does.
-        avoider: An avoider in place of that of ``--avoider`` or of the scenario.
-        controller: What drives the arm in place of the visual servo.
+        scenario: A scenario, or the path of its file.  A relative path is resolved as in ``scenarios``.
+        avoider: An avoider that replaces the avoider of ``--avoider`` and of the scenario.
+        controller: A controller that drives the arm in place of the visual servo.
 
     Raises:
         InputError: The scenario is not admissible.
-        FlakyAvoiderError: The avoider answers the questions of the run otherwise when they are repeated.
+        FlakyAvoiderError: The avoider answers a repeated question of the run differently.
 
     """
 
@@ -114,7 +114,7 @@ class Simulate:
         avoider: Avoider | None = None,
         controller: UserController | None = None,
     ) -> Trace:
-        """Run ``scenario``, or return the trace of an earlier run of the same scenario."""
+        """Run ``scenario`` and return the trace, or return the trace of an earlier run of it."""
         __tracebackhide__ = True
         frame, test = inspect.currentframe(), session().test
         if test is not None:
@@ -144,7 +144,7 @@ class Simulate:
         return trace
 
     def with_reference(self, trace: Trace) -> Trace:
-        """Run the same scenario with the avoider of ``--safety-against``; errors as of a call."""
+        """Run the same scenario with the avoider of ``--safety-against``; raise what a call raises."""
         reference = session().against
         assert reference is not None
         place = Place(field="--safety-against")
@@ -170,11 +170,11 @@ class Simulate:
         return trace
 
 
-simulate = Simulate()  # one for all: claims of the same scenario are judged on the same run
+simulate = Simulate()  # shared by all tests, so that claims of one scenario are judged on one run
 
 
 def _run(admitted: Admitted) -> Trace:
-    """Run a scenario; raise after Ctrl-C, which a trace only notes, and for a flaky avoider."""
+    """Run a scenario; raise KeyboardInterrupt after Ctrl-C, and FlakyAvoiderError for a flaky avoider."""
     named = session().world
     trace = run_trial(admitted, world=world_named(named, "--safety-world") if named else default_world())
     if trace.ended == INTERRUPTED:
@@ -187,14 +187,14 @@ def _run(admitted: Admitted) -> Trace:
 
 
 def _refuse_more_shrinking(test: TestRun | None, digest: str) -> None:
-    """Refuse further scenarios after a failure beyond the profile's number, to save time."""
+    """Reject further scenarios once the profile's number of runs after a failure is used up."""
     if test is None or test.counts:
         return
     if digest in test.refused:
-        raise test.refused[digest]  # Hypothesis repeats what failed before it tells
+        raise test.refused[digest]  # Hypothesis repeats the failing example before it reports it
     if digest in test.failing:
         return
-    hopeless = isinstance(test.failure, InputError | FlakyAvoiderError)  # another scenario does not mend it
+    hopeless = isinstance(test.failure, InputError | FlakyAvoiderError)  # a smaller scenario would not help
     if hopeless or test.runs_since >= session().profile.shrinking_runs:
         from hypothesis import reject
 

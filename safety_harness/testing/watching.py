@@ -1,8 +1,8 @@
-"""A Hypothesis test under a safety profile: its settings, its kept failures first, every example watched.
+"""Run a Hypothesis test under a safety profile: apply settings, try kept failures first, watch examples.
 
-The harness keeps failures as scenario files in a folder for people, and tries them first next time.
-Hypothesis's own database holds choices as bytes.  Those bytes lose their meaning once a space, a strategy
-or Hypothesis changes; a scenario file keeps its meaning.
+The harness keeps failures as scenario files in a folder that people can read.  In the next session, it tries
+these failures first.  Hypothesis's own database stores the choices as bytes.  These bytes lose their meaning
+when a space, a strategy or Hypothesis changes, whereas a scenario file keeps its meaning.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ from safety_harness.testing.session import TestRun, session
 from safety_harness.testing.simulating import digest_of
 
 PHASES = (Phase.explicit, Phase.generate, Phase.target, Phase.shrink)
-# A simulation takes as long as it takes, and which draws can be tried is not up to the test.
+# No deadline: a simulation may take long.  No health check: a test cannot choose its admissible draws.
 SUPPRESSED_CHECKS = (
     HealthCheck.too_slow,
     HealthCheck.filter_too_much,
     HealthCheck.data_too_large,
     HealthCheck.large_base_example,
 )
-ANY = Claim(sentence="trace finite and monotone", expected=Verdict.HOLDS)  # a file has to claim something
-_LONGEST = 60  # characters of a part of a path
+ANY = Claim(sentence="trace finite and monotone", expected=Verdict.HOLDS)  # because a file needs a claim
+_LONGEST = 60  # characters of one part of a path
 
 
 def under_profile(own: settings | None = None, *, fixed: bool = False) -> settings:
-    """Return the settings of a test under the session's profile.
+    """Return the settings of a test, adapted to the profile of the session.
 
     Args:
         own: the settings of the test; None for Hypothesis's defaults.
-        fixed: whether the test sets its number of examples, which then stays.
+        fixed: whether the test itself sets its number of examples, which is then kept.
 
     """
     own = own or settings.default
@@ -72,7 +72,7 @@ def under_profile(own: settings | None = None, *, fixed: bool = False) -> settin
 
 @contextmanager
 def watched(function: Any, test: TestRun) -> Iterator[None]:
-    """Run ``function``, a test with ``@given``, as ``under_profile`` says; restore it afterwards."""
+    """Apply ``under_profile`` to ``function``, a test with ``@given``, and restore the test afterwards."""
     handle = function.hypothesis
     saved = {
         "_hypothesis_internal_use_settings": function._hypothesis_internal_use_settings,
@@ -98,7 +98,7 @@ def watched(function: Any, test: TestRun) -> Iterator[None]:
 
 
 def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]:
-    """Return ``inner``, which runs one example, as a function that reports its failure to ``test``."""
+    """Return ``inner``, the function for one example, wrapped so that it reports failures to ``test``."""
 
     @functools.wraps(inner)
     def watched_example(*args: Any, **kwargs: Any) -> None:
@@ -107,7 +107,7 @@ def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]
         test.examples += 1
         try:
             inner(*args, **kwargs)
-        except HypothesisException:  # a draw that it gives up
+        except HypothesisException:  # Hypothesis gives up this draw
             raise
         except Exception as error:
             test.fail(error)
@@ -117,7 +117,7 @@ def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]
 
 
 def _kept(function: Any, test: TestRun) -> Iterator[Any]:
-    """Yield the test's kept failures as explicit examples, if the test draws only a scenario."""
+    """Yield the test's kept failures as explicit examples, if a scenario is all that the test draws."""
     names = list(function.hypothesis._given_kwargs)
     if len(names) != 1:
         return
@@ -160,12 +160,12 @@ def keep(test_id: str, violation: SafetyViolation) -> Path:
 def kept_for(test: TestRun, like: Scenario | None) -> Iterator[Scenario]:
     """Yield the kept failures of a test in the order of their file names.
 
-    The file gives the hands and the start.  The avoider or controller comes from ``like``, because the
-    test may use another system today.
+    The file determines the hands and the start.  ``like`` determines the avoider or controller, because the
+    test may now use another system.
 
     Args:
-        test: the test, which counts each file as replayed.
-        like: a scenario with the system of today's test; None keeps the system of the file.
+        test: the test, which records each file as replayed.
+        like: a scenario with the system that the test uses now; None keeps the system of the file.
 
     Raises:
         InputError: a file is not valid.
@@ -180,7 +180,7 @@ def kept_for(test: TestRun, like: Scenario | None) -> Iterator[Scenario]:
 
 
 def _is_known(claim: Claim, scenario: Scenario) -> bool:
-    """Return whether the harness can read the sentence back; a property of a user may have no sentence."""
+    """Return whether the harness can read the claim's sentence; a user's own property may have none."""
     try:
         property_of(claim, scenario)
     except InputError:
@@ -199,11 +199,12 @@ _LARGEST = 2**64
 
 
 class Independent(HypothesisProvider):
-    """Hypothesis's way of drawing, with independent draws for numbers between two bounds.
+    """A Hypothesis provider that draws each number between two bounds independently.
 
-    Most examples of Hypothesis vary earlier examples.  That finds bugs in parsers, but leaves half of fifty
-    hands at the same place.  This provider therefore draws the first half of the examples afresh, every
-    choice uniformly within its bounds.  Hypothesis draws the second half, led by the margins of the first.
+    Hypothesis derives most of its examples from earlier examples.  That finds bugs in parsers, but places
+    half of fifty hands at the same point.  This provider therefore draws the first half of the examples
+    afresh, with every choice uniform within its bounds.  Hypothesis draws the second half, guided by the
+    margins of the first half.
     """
 
     def draw_integer(
@@ -214,7 +215,7 @@ class Independent(HypothesisProvider):
         weights: dict[int, float] | None = None,
         shrink_towards: int = 0,
     ) -> int:
-        """Draw uniformly between two bounds; Hypothesis draws where a bound is missing or weights apply."""
+        """Draw uniformly between two bounds; let Hypothesis draw if a bound is missing or weights apply."""
         self._stop_at_half()
         if min_value is None or max_value is None or weights or self._random is None:
             return super().draw_integer(min_value, max_value, weights=weights, shrink_towards=shrink_towards)
@@ -228,7 +229,7 @@ class Independent(HypothesisProvider):
         allow_nan: bool = True,
         smallest_nonzero_magnitude: float,
     ) -> float:
-        """Draw uniformly between two bounds; Hypothesis draws where a bound is 2**64 or larger in size."""
+        """Draw uniformly between two bounds; let Hypothesis draw if a bound is 2**64 or larger in size."""
         self._stop_at_half()
         if not -_LARGEST < min_value <= max_value < _LARGEST or self._random is None:
             return super().draw_float(

@@ -1,4 +1,4 @@
-"""``safety-harness robot``: an arm's URDF as it is read, and capsules that enclose the arm."""
+"""Define ``safety-harness robot``, which shows an arm's URDF as it is read, and fits capsules around arms."""
 
 from __future__ import annotations
 
@@ -253,7 +253,7 @@ def enclose(
 
 
 def _show_what_it_lacks(arm: ArmModel) -> None:
-    """Print each quantity that the URDF lacks, with its use and its key; then soft limits and notes."""
+    """Print each quantity that the URDF lacks, its use and its key, then the soft limits and notes."""
     import numpy as np
 
     from safety_harness.claims.properties.tally import table
@@ -268,7 +268,7 @@ def _show_what_it_lacks(arm: ArmModel) -> None:
 
 
 def _robot(file: Path) -> AnyRobot | None:
-    """Return the arm of an arm's file, or an arm of the package by name; None for anything else."""
+    """Return the arm of an arm's file, or the arm that the package knows by this name; None otherwise."""
     from safety_harness.scenario.robots import Robot, is_arm_file, robot_named
 
     text = str(file)

@@ -1,11 +1,11 @@
 """Fit capsules to the shapes of an arm's links, for ``safety-harness robot fit``.
 
-The fit cuts each link's surface, from its collision and its visual shapes, into pieces of at most
-``PIECE_M``. Every piece belongs to one capsule that holds it wholly. A capsule is convex, so the piece's
-three corners suffice, and the capsules together hold every triangle. As in Lloyd's algorithm, each piece goes
-to the capsule that it fits best, then each capsule shrinks about its pieces to least volume. Several random
-starts compete by the volume of the union. A link gets a further capsule, up to ``MOST_CAPSULES``, while each
-takes a share of ``WORTH`` off that volume.
+The fit cuts the surface of each link's collision and visual shapes into pieces of at most ``PIECE_M``. Every
+piece belongs to one capsule that contains it completely. A capsule is convex, so it contains a piece if it
+contains the piece's three corners. The capsules together thus contain every triangle. As in Lloyd's
+algorithm, each piece is assigned to the capsule that it fits best. Each capsule then shrinks around its
+pieces to the least volume. Several random starts compete by the volume of the capsules' union. A link gets a
+further capsule, up to ``MOST_CAPSULES``, as long as that reduces the volume by the share ``WORTH``.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from safety_harness.cell.robot.urdf import ArmFileError
 PIECE_M = 0.025  # longest edge of a piece in the first rounds
 GRID_M = 0.006  # step of the grid that measures the volume of the union
 STARTS = 20  # random starts of a fit with more than one capsule
-ROUNDS = 15  # of Lloyd's algorithm at most
+ROUNDS = 15  # the most rounds of Lloyd's algorithm
 WORTH = 0.1
 MOST_CAPSULES = 4
-LONGEST_M = 4.0  # of a link: a mesh in millimetres is a thousand times as long
-ROUND = 32  # sides of what stands for a cylinder
+LONGEST_M = 4.0  # of a link; a mesh in millimetres would seem a thousand times as long
+ROUND = 32  # sides of the prism that replaces a cylinder
 POLISH_ROUNDS = 12
-FINE_M = 0.004  # pieces for the last rounds, where capsules hand over to one another
+FINE_M = 0.004  # longest edge of a piece in the last rounds, where capsules meet
 DECIMALS = 4  # 0.1 mm
 
 Capsule = tuple[NDArray[np.float64], NDArray[np.float64], float]  # start, end, radius
@@ -49,43 +49,43 @@ Capsule = tuple[NDArray[np.float64], NDArray[np.float64], float]  # start, end, 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The triangles of a link in its frame: ``faces`` (n, 3) index ``vertices`` (v, 3) [m]."""
+    """The triangles of a link in the link's frame: ``faces`` (n, 3) index ``vertices`` (v, 3) [m]."""
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
 
     @property
     def centres(self) -> NDArray[np.float64]:
-        """Centres of the triangles (n, 3) [m]."""
+        """The centres of the triangles (n, 3) [m]."""
         centres: NDArray[np.float64] = self.vertices[self.faces].mean(axis=1)
         return centres
 
     @property
     def areas(self) -> NDArray[np.float64]:
-        """Areas of the triangles (n,) [m^2]."""
+        """The areas of the triangles (n,) [m^2]."""
         a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
         areas: NDArray[np.float64] = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
         return areas
 
     def corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the vertices (k, 3) of the ``chosen`` (n,) triangles, each once."""
+        """Return the vertices (k, 3) of the triangles that ``chosen`` (n,) marks, each vertex once."""
         return self.vertices[np.unique(self.faces[chosen])]
 
 
 def _faces(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return vertices (v, 3) [m] and triangles (n, 3) of a shape in its own frame.
 
-    The polyhedron of a round shape encloses it.
+    A round shape is replaced by a polyhedron that encloses it.
     """
     trimesh = _trimesh()
     if shape.kind == "mesh":
         if str(shape.file).lower().endswith(".dae"):
-            import_module("collada")  # with which trimesh reads it
+            import_module("collada")  # trimesh needs it to read the file
         try:
             mesh = trimesh.load_mesh(shape.file)
             vertices = np.asarray(mesh.vertices) * (shape.size * _metres_a_unit(mesh))
             faces = np.asarray(mesh.faces)
-        except Exception as error:  # whatever its readers of a dozen formats raise
+        except Exception as error:  # trimesh's readers of a dozen formats may raise anything
             raise _of_mesh(shape, "a mesh that can be read", f"{type(error).__name__}: {error}") from error
         if vertices.ndim != 2 or len(faces) == 0 or not np.isfinite(vertices).all():
             raise _of_mesh(shape, "triangles with finite corners", f"{len(faces)} triangles")
@@ -106,7 +106,10 @@ def _faces(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _metres_a_unit(mesh: Any) -> float:
-    """Return the unit [m] that a COLLADA file states. It ignores the file's up axis, as ROS's tools do."""
+    """Return the length [m] of the unit that a COLLADA file states.
+
+    The file's up axis is ignored, as ROS's tools ignore it.
+    """
     number, _, rest = str(mesh.metadata.get("units", "")).partition(" ")
     return float(number) if rest == "* meters" else 1.0
 
@@ -122,7 +125,7 @@ def _of_mesh(shape: Shape, expected: str, got: str) -> ArmFileError:
 
 
 def link_surface(link: LinkShapes, longest_m: float) -> Surface:
-    """Return all shapes of a link, cut until no edge is longer than ``longest_m``."""
+    """Return all shapes of a link as triangles, cut until no edge is longer than ``longest_m``."""
     vertices, faces, count = [], [], 0
     with FITTING.needed("robot fit"):
         for part in (*link.collision, *link.visual):
@@ -137,9 +140,10 @@ def link_surface(link: LinkShapes, longest_m: float) -> Surface:
 
 @compiled
 def farthest(points: ArrayNx3, start: Array3, end: Array3) -> float:
-    """Return the largest distance [m] of ``points`` (n, 3) from the segment: the radius that holds them all.
+    """Return the largest distance [m] from the segment to one of ``points`` (n, 3).
 
-    ``start`` and ``end`` (3,) [m] are in the points' frame.
+    A capsule about the segment needs this radius to contain all points. ``start`` and ``end`` (3,) [m] are in
+    the points' frame.
     """
     largest = 0.0
     for i in range(points.shape[0]):
@@ -149,7 +153,7 @@ def farthest(points: ArrayNx3, start: Array3, end: Array3) -> float:
 
 @compiled
 def inside(points: ArrayNx3, start: Array3, end: Array3, radius: float) -> NDArray[np.bool_]:
-    """Return (n,) true where one of ``points`` (n, 3) lies in the capsule. ``start`` and ``end`` (3,)."""
+    """Return (n,) true where one of ``points`` (n, 3) lies in the capsule from ``start`` to ``end`` (3,)."""
     result = np.empty(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
         result[i] = point_segment_distance(points[i], start, end) <= radius
@@ -165,7 +169,7 @@ def assign(
     radii: NDArray[np.float64],  # (k,)
     owner_out: NDArray[np.int64],  # (n,), written
 ) -> None:
-    """Give every triangle (n, 3) to the capsule in which its outermost corner lies deepest."""
+    """Assign each triangle of ``faces`` to the capsule in which its outermost corner lies deepest."""
     for i in range(faces.shape[0]):
         least = np.inf
         for j in range(radii.shape[0]):
@@ -178,10 +182,13 @@ def assign(
 
 
 def smallest_capsule(points: ArrayNx3, start: Capsule | None) -> Capsule:
-    """Return a capsule of locally least volume about ``points`` (n, 3), from ``start`` or the main axes."""
+    """Return a capsule of locally least volume that contains ``points`` (n, 3).
+
+    The search begins at ``start``, or at the main axes of the points.
+    """
     try:
         hull = points[ConvexHull(points).vertices]
-    except QhullError:  # all in one plane
+    except QhullError:  # all points lie in one plane
         hull = points
 
     def volume(ends: NDArray[np.float64]) -> float:
@@ -213,7 +220,7 @@ def _axis_guesses(hull: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def fit_link(surface: Surface, rng: np.random.Generator) -> list[Capsule]:
-    """Return the capsules of a link: one, and another while it reduces the volume by the share ``WORTH``."""
+    """Return a link's capsules; each further capsule must reduce the volume by the share ``WORTH``."""
     best, volume = fit_capsules(surface, 1, rng)
     for count in range(2, MOST_CAPSULES + 1):
         more, less = fit_capsules(surface, count, rng)
@@ -224,9 +231,9 @@ def fit_link(surface: Surface, rng: np.random.Generator) -> list[Capsule]:
 
 
 def fit_capsules(surface: Surface, count: int, rng: np.random.Generator) -> tuple[list[Capsule], float]:
-    """Return the best fit of ``count`` capsules that together hold every triangle, and its volume [m^3].
+    """Return the best fit of ``count`` capsules that together contain every triangle, and its volume [m^3].
 
-    Without any successful start it returns no capsules, and infinity.
+    If no random start succeeds, the function returns no capsules, and infinity.
     """
     centres, areas = surface.centres, surface.areas
     low, high = surface.vertices.min(axis=0) - 0.05, surface.vertices.max(axis=0) + 0.05
@@ -249,7 +256,7 @@ def fit_capsules(surface: Surface, count: int, rng: np.random.Generator) -> tupl
 
 
 def _improve(surface: Surface, owner: NDArray[np.int64], count: int) -> list[Capsule] | None:
-    """Shrink capsules and reassign triangles by turns; None if a capsule has too few corners left."""
+    """Shrink the capsules and reassign the triangles in turn; None if a capsule has too few corners left."""
     capsules: list[Capsule] = []
     for _ in range(ROUNDS):
         groups = [surface.corners(owner == j) for j in range(count)]
@@ -270,7 +277,7 @@ def _stacked(capsules: list[Capsule]) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 def needed(surface: Surface, capsules: list[Capsule], index: int) -> NDArray[np.float64]:
-    """Return the corners of the triangles that no capsule besides ``index`` holds wholly."""
+    """Return the corners of those triangles that no capsule except ``index`` contains completely."""
     spare = np.zeros(len(surface.faces), dtype=np.bool_)
     for j, (start, end, radius) in enumerate(capsules):
         if j != index:
@@ -280,10 +287,10 @@ def needed(surface: Surface, capsules: list[Capsule], index: int) -> NDArray[np.
 
 
 def polish(surface: Surface, capsules: list[Capsule]) -> list[Capsule]:
-    """Shrink each capsule in turn about the triangles that only it holds; ends and radii to 0.1 mm.
+    """Shrink each capsule in turn around the triangles that no other contains; round to 0.1 mm.
 
-    Every step preserves coverage, so the last step's capsules hold every triangle. It rounds the ends before
-    it computes the radius, and rounds the radius up.
+    Every step preserves coverage, so the final capsules contain every triangle. The last round rounds the
+    ends before it computes the radius, and rounds the radius up.
     """
     capsules = list(capsules)
     for last in [False] * (POLISH_ROUNDS if len(capsules) > 1 else 1) + [True]:
@@ -299,7 +306,10 @@ def polish(surface: Surface, capsules: list[Capsule]) -> list[Capsule]:
 
 
 def excess(capsules: list[Capsule], surface: Surface, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the largest and mean distance [m] from the union's surface to the link's, by sampling."""
+    """Return the largest and mean distance [m] from the capsules' union to the link's surface.
+
+    Both are estimated from sampled points on the union's surface.
+    """
     samples = []
     for j, (start, end, radius) in enumerate(capsules):
         axis = end - start
@@ -323,11 +333,11 @@ def excess(capsules: list[Capsule], surface: Surface, rng: np.random.Generator) 
 
 
 def fit_mesh(file: Path, scale: float, seed: int = 0) -> tuple[list[Capsule], Surface]:
-    """Return the capsules that enclose a mesh (a tool, a part), in its own frame, and its surface.
+    """Return the capsules that enclose a mesh (a tool, a part), in the mesh's frame, and the mesh's surface.
 
     Args:
-        file: The mesh.
-        scale: The factor to metres.
+        file: The file of the mesh.
+        scale: The factor that converts the mesh's lengths to metres.
         seed: The seed of the random starts.
 
     Raises:
@@ -349,13 +359,13 @@ def fit_arm(
     progress: Callable[[int, str], None] = lambda done, link: None,
     each: Callable[..., Iterable[list[Capsule]]] = map,
 ) -> list[tuple[LinkShapes, list[Capsule]]]:
-    """Return the capsules of every link that has shapes; the same for the same seed.
+    """Return the capsules of every link that has shapes; the same seed results in the same capsules.
 
     Args:
         arm: The arm.
         seed: The seed of the random starts.
         progress: Called with the number of finished links and the name of the next link.
-        each: ``map``, or the ``map`` of a pool of processes.
+        each: The function that maps over the links: ``map``, or the ``map`` of a pool of processes.
 
     Raises:
         ArmFileError: The arm has no shapes, or a link's shapes have no area.
@@ -383,7 +393,7 @@ def _fitted(link: LinkShapes, seed: int) -> list[Capsule]:
 
 
 def write_capsules(file: Path, arm: ArmModel, fitted: list[tuple[LinkShapes, list[Capsule]]]) -> None:
-    """Write the capsules of an arm for ``read_capsules``; OutputError if that fails."""
+    """Write the capsules of an arm in the form that ``read_capsules`` reads; OutputError if that fails."""
     urdf, meshes = hashes_of(arm)
     capsules = [
         StoredCapsule(

@@ -1,6 +1,7 @@
-"""Arms in 3-D on one self-contained page: the capsules that distances use, about the meshes.
+"""Show arms in 3-D on one self-contained page: the capsules that distances use, around the meshes.
 
-The page uses the viewer and the data format of replays. Each joint in turn goes from end to end.
+The page uses the viewer and the data format of replays. It moves each joint in turn from one end of its range
+to the other.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ from safety_harness.report.replay import arm_in_scene
 from safety_harness.report.svg import plain
 from safety_harness.scenario.robots import AnyRobot, OwnRobot, Robot, robot_named
 
-TICK_S, LEG_S = 0.05, 2.0  # a joint's way has three legs: to its lower end, to the upper one, back
+TICK_S, LEG_S = 0.05, 2.0  # each joint moves in three legs: to its lower end, to its upper end, and back
 IN_TABLE = 120  # characters of a name
-ENDLESS_RAD = np.pi  # where a joint without ends turns round
+ENDLESS_RAD = np.pi  # where a joint without limits turns back
 
 
 def write_arm_page(path: Path, robots: Sequence[AnyRobot], *, title: str) -> None:
-    """Write the page whole or not at all; it needs no network. Raises OSError."""
+    """Write the page, which needs no network, in full or not at all; raise OSError if that fails."""
     arms = [_section(robot, number) for number, robot in enumerate(robots, start=1)]
     page = render_page(
         "arms.html.j2",
@@ -49,7 +50,7 @@ def write_arm_page(path: Path, robots: Sequence[AnyRobot], *, title: str) -> Non
 
 
 def shipped_robots() -> list[AnyRobot]:
-    """Return the package's own arms, and the arms whose files ship with it."""
+    """Return the arms that are built into the package, and the arms whose files ship with it."""
     files = [file.path for file in shipped_files() if file.kind is ShippedKind.ROBOTS]
     return [*Robot, *(robot_named(str(path)) for path in files)]
 
@@ -98,7 +99,7 @@ def _section(robot: AnyRobot, number: int) -> dict[str, Any]:
 
 
 def _scene(arm: ArmModel, capsules: CapsuleSet, meshes: dict[str, Any] | None) -> dict[str, Any]:
-    """Return the arm alone, as a run without a hand in which the joints turn one after another."""
+    """Return the replay of the arm alone: a run without a hand, in which one joint moves at a time."""
     joints, moving = _joint_ways(arm)
     ends = [
         f"{plain(name)}, {np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} deg"
@@ -117,13 +118,13 @@ def _scene(arm: ArmModel, capsules: CapsuleSet, meshes: dict[str, Any] | None) -
 
 
 def _ends(arm: ArmModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the angles (n,) and (n,) [rad] between which the page shows each joint."""
+    """Return the lower and the upper angles, each (n,) [rad], between which the page moves the joints."""
     low, high = arm.position_lower_rad, arm.position_upper_rad
     return np.where(np.isinf(low), -ENDLESS_RAD, low), np.where(np.isinf(high), ENDLESS_RAD, high)
 
 
 def _joint_ways(arm: ArmModel) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return (ticks, n) joint positions, and (ticks,) the joint that moves, from end to end, alone."""
+    """Return the joint positions (ticks, n), and the joint (ticks,) that moves alone at each tick."""
     low, high = _ends(arm)
     rest = np.clip(0.0, low, high)
     path, moving = [rest[None]], [0]
@@ -138,7 +139,10 @@ def _joint_ways(arm: ArmModel) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _meshes(arm: ArmModel) -> dict[str, Any] | None:
-    """Return the meshes by link, of collision shapes if there are any; None without the extra or files."""
+    """Return each link's mesh, from its collision shapes if it has any, else from its visual shapes.
+
+    The result is None if the extra "fitting" is not installed or a link's files are missing.
+    """
     if find_spec(FITTING.modules[0]) is None:
         return None
     from safety_harness.extensions.arms.fit_capsules import LONGEST_M, link_surface

@@ -1,6 +1,7 @@
-"""Worlds as Gymnasium environments; the import registers ``SafetyHarness-v0`` (docs/how-to/environments.md).
+"""Provide worlds as Gymnasium environments; the import registers ``SafetyHarness-v0``.
 
-``gymnasium.make("safety_harness.gym:SafetyHarness-v0", space="unseen-both.yaml")`` imports it too.
+``gymnasium.make("safety_harness.gym:SafetyHarness-v0", space="unseen-both.yaml")`` also imports this package.
+The environments are described in docs/how-to/environments.md.
 """
 
 from safety_harness.base.extras import GYM
@@ -9,7 +10,7 @@ ENVIRONMENT_ID = "SafetyHarness-v0"
 
 
 def register_environments() -> None:
-    """Register the environment once; MissingPackageError without Gymnasium."""
+    """Register the environment once; raise MissingPackageError if Gymnasium is not installed."""
     with GYM.needed("environments"):
         from gymnasium.envs.registration import register, registry
 

@@ -1,4 +1,4 @@
-"""Episodes in sequence as a Gymnasium environment: the loop of ``simulate``, turned inside out."""
+"""Provide episodes in sequence as a Gymnasium environment: the loop of ``simulate``, turned inside out."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ACTIONS = (TCP_VELOCITY, TCP_TWIST, JOINT_VELOCITY)
 
 
 class Pilot:
-    """The controller in an environment's place: it gives ``sees``, and the agent gives the actions."""
+    """A stand-in for a controller, which only names the observations ``sees``; the agent chooses actions."""
 
     name = OUTSIDE
 
@@ -48,17 +48,17 @@ class Pilot:
         self.sees = tuple(sees)
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
-        """Do nothing: no state passes from one episode to the next."""
+        """Do nothing, because no state passes from one episode to the next."""
 
     def act(self, seen: Seen) -> Stop:
-        """Raise ControllerError: the environment's ``step`` gives the action, so no code calls this."""
+        """Raise ControllerError, because the actions come from the environment's ``step``."""
         raise ControllerError("an environment's actions come from step")
 
 
 class Setting:
-    """The common part of all episodes of an environment, whether single or a vector.
+    """What all episodes of an environment have in common, whether it is single or a vector.
 
-    ``wanted`` is the number of values that ``obey`` needs of an action: 6 of the TCP, or n of the joints.
+    ``wanted`` is the number of values that ``obey`` needs: 6 for the TCP, or n for the joints.
     """
 
     def __init__(
@@ -89,14 +89,14 @@ class Setting:
         self.wanted = self.joints if self.by_joints else 6
 
     def wanted_of(self, actions: ArrayLike, lanes: int) -> NDArray[np.float64]:
-        """Return (n, wanted) from ``actions`` (n, a).
+        """Return ``actions`` (n, a) as (n, wanted), filled up with zeros.
 
-        Raise ControllerError for another shape or a value not finite.
+        Raise ControllerError if the shape differs or a value is not finite.
         """
         shape = self.action_space.shape
         try:
             given = np.asarray(actions, np.float64)
-        except (TypeError, ValueError):  # no numbers, or rows that are not alike
+        except (TypeError, ValueError):  # no numbers, or rows of different lengths
             given = np.full(0, np.nan)
         if given.size != lanes * shape[0] or given.shape[-1:] != shape or not np.isfinite(given).all():
             raise ControllerError(f"an action is finite numbers of the shape {shape}; got {actions!r}")
@@ -106,9 +106,10 @@ class Setting:
 
 
 def _action_space(action: str, first: Checked) -> spaces.Box:
-    """Return the action space in SI.
+    """Return the space of actions in SI units.
 
-    The controller bounds larger values as for any controller, and the trace records the limit.
+    An agent may exceed it: the controller then limits the values as for any controller, and the trace records
+    that.
     """
     motion = first.scenario.settings.motion
     linear, angular = [motion.max_tcp_speed_mps] * 3, [motion.max_tcp_angular_speed_radps] * 3
@@ -123,11 +124,11 @@ def _action_space(action: str, first: Checked) -> spaces.Box:
 
 
 def _lane(environment: HarnessEnv) -> int:
-    """Return the number of an environment's stream before a seed is given.
+    """Return the number of the stream that an environment uses until a seed is given.
 
-    Neighbours in a vector get different streams. A worker process of a vector has a number in its name, and
-    the search starts there, in steps of 2^32. The stream is the first number that no living environment of
-    the same title uses.
+    The stream is the first number that no living environment of the same title uses, so that neighbours in a
+    vector differ. In a worker process, the search starts at the number in the process's name, in steps of
+    2^32.
     """
     title = environment.setting.episodes.first.scenario.title
     worker = re.search(r"\d+$", current_process().name) if parent_process() is not None else None
@@ -143,18 +144,19 @@ _LIVING: WeakValueDictionary[tuple[str, int], HarnessEnv] = WeakValueDictionary(
 class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
     """A scenario, or draws of a space, in any world, driven by the actions of an agent.
 
-    A step is a control tick. Without a seed, environments that live at the same time have streams of their
-    own.
+    One step is one control tick. Without a seed, each of several environments that live at the same time has
+    its own stream.
 
     Args:
-        scenario: The scenario of every episode, or its file. Give this or ``space``.
+        scenario: The scenario of every episode, or its file. Pass either this or ``space``.
         space: The space whose draws the episodes run, or its file.
         world: The world, or its name.
-        sees: Words of a controller's contract, for the observations.
+        sees: Words of a controller's contract, which name the observed quantities.
         action: "tcp velocity" (3,) [m/s] or "tcp twist" (6,) [m/s, rad/s] in the base frame, or "joint
             velocity" (n,) [rad/s].
-        rewards: Weights of claims and of "progress" (``extensions.gym.rewards``).
-        ends: Claims whose violation at a tick terminates an episode. The end of the scenario truncates it.
+        rewards: The weights of claims and of "progress", which ``extensions.gym.rewards`` explains.
+        ends: Claims whose violation at a tick terminates an episode. The end of the scenario truncates an
+            episode.
 
     Raises:
         InadmissibleError: An argument cannot be used, or a scenario cannot run.
@@ -190,12 +192,12 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         """Begin the next episode.
 
         Args:
-            seed: Begin with the first episode of this stream of the seed tree. None: the next of the present
-                stream.
+            seed: The stream of the seed tree whose first episode begins. None: The next episode of the
+                present stream begins.
             options: Ignored.
 
         Returns:
-            Observation and info. ``info["margins"]`` has each claim's least margin so far.
+            Observation and info. ``info["margins"]`` maps each claim to its least margin so far.
 
         """
         super().reset(seed=seed)
@@ -205,7 +207,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         return self._observed(), self._info()
 
     def step(self, action: NDArray[np.float64]) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Move for a control tick.
+        """Move by one control tick.
 
         Args:
             action: (a,) as in ``action_space``.
@@ -231,12 +233,12 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         terminated = bool(rewards.ends_episode(margins, 1)[0])
         truncated = self._tick == self._checked.scenario.ticks
         self._over = terminated or truncated
-        if truncated:  # both ends of a run are recorded, and at the last the action stands
+        if truncated:  # a run records both its ends; at the last, the action is repeated
             self._command(wanted, last=True)
         return self._observed(), reward, terminated, truncated, self._info()
 
     def trace(self) -> Trace:
-        """Return the run of the episode so far, for verdicts and reports as for any other run."""
+        """Return the trace of the episode so far, which can be judged and reported like any other run."""
         whole = self._tick == self._checked.scenario.ticks
         done = self._ticks[: self._tick + whole]
         ended = "complete" if whole else "the environment's episode ended before its scenario"
@@ -275,7 +277,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         self._seen = self._controller.perceive(self._observation)
 
     def _command(self, wanted: NDArray[np.float64], *, last: bool) -> None:
-        """Do the work of ``simulate`` between two looks, and after the last look. ``wanted`` (6,) or (n,)."""
+        """Carry out ``wanted`` (6,) or (n,), and advance the world to the next tick unless ``last``."""
         tick = self._ticks[self._tick : self._tick + 1]
         command = self._controller.carry_out(wanted, self.setting.by_joints, False, self._observation)
         self._controller.report(tick)
@@ -288,6 +290,6 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         return {name: array[0] for name, array in rows.items()}
 
     def _info(self) -> dict[str, Any]:
-        """Return ``margins``: for each claim, its least margin of the episode so far [SI], at ticks alone."""
+        """Return the scenario's name, and ``margins``: each claim's least margin [SI] at a tick so far."""
         margins = {sentence: float(least[0]) for sentence, least in self._least.items()}
         return {"margins": margins, "scenario": self._checked.scenario.name}

@@ -1,4 +1,4 @@
-"""The episodes of an environment: a scenario, or the draws of a space that can run."""
+"""Provide an environment's episodes: one scenario, or those draws of a space that can run."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ File = str | Path
 
 
 class Episodes:
-    """The source of episodes: draws of a ``space``, or of one ``scenario``.
+    """The source of an environment's episodes: one ``scenario``, or draws of a ``space``.
 
     All episodes have observations and actions of the same size. Hand slots, arm, desired pose, motion limits
-    and clock must equal the ``first`` episode's.
+    and clock must therefore equal those of the ``first`` episode.
     """
 
     def __init__(
@@ -43,11 +43,11 @@ class Episodes:
     def stream(self, seed: int | None) -> Iterator[Checked]:
         """Yield episodes without end.
 
-        A space gives its draws of stream ``seed`` that can run. A scenario without a seed runs as it stands,
-        again and again. With a seed, its episode k has the seed of leaf k.
+        A space yields those draws of stream ``seed`` that can run. A scenario yields itself again and again.
+        If ``seed`` is given, episode k of the scenario gets the seed of leaf k.
 
         Args:
-            seed: The stream. None: stream 0 of a space, or the scenario's own seed.
+            seed: The number of the stream. None: stream 0 of a space, or the scenario's own seed.
 
         Raises:
             InadmissibleError: Too few draws of the space can run, or their sizes differ.
@@ -88,7 +88,7 @@ class Episodes:
         return checked
 
     def _refuse_other_size(self, scenario: Scenario) -> None:
-        """Refuse a scenario of another size: an environment's observation and action spaces never change."""
+        """Refuse a scenario of another size, because an environment's spaces must never change."""
         settings = scenario.settings
         size = scenario.hand_slots, scenario.robot, settings.cell, settings.motion, settings.clock
         if self._size and size != self._size:

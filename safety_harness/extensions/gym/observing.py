@@ -1,4 +1,4 @@
-"""An environment's observations, as a space of Gymnasium."""
+"""Describe an environment's observations as a space of Gymnasium."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from safety_harness.seams.contract import IMAGE, SIGHTS
 
 
 def observation_space(seen: SeenRows, sees: tuple[str, ...]) -> spaces.Dict:
-    """Return the space of one lane of ``observed``; InadmissibleError without ``sees`` and for pixels.
+    """Return the space of one lane of ``observed``; raise InadmissibleError without ``sees`` or for pixels.
 
     Args:
-        seen: (1,) SEEN, for the shapes.
-        sees: Words of a controller's contract.
+        seen: (1,) SEEN, which determines the shapes.
+        sees: Words of a controller's contract, which name the observed quantities.
 
     """
     if not sees:

@@ -1,13 +1,15 @@
-"""Rewards of claims: the shortfall of each tick, and progress to the desired pose.
+"""Compute rewards from claims: the shortfall at each tick, and the progress to the desired pose.
 
-A claim is usable if its margin is the least, over the ticks of a run, of a number that depends on a single
-tick. Let m_k [SI] be this number at tick k, and T the control period. A claim of weight w then gives
+A claim is usable if its margin is the least value of a number over the ticks of a run. The number must depend
+on a single tick. Let m_k [SI] be this number at tick k, and T the control period. A claim of weight w then
+contributes the reward
 
     r_k = w T min(m_k, 0),
 
 which is zero at a tick that meets the claim, and negative at any other tick. An episode whose ticks all meet
-it costs 0. Progress of weight w gives r_k = w (d_(k-1) - d_k), where d [m] is the TCP's distance from the
-desired position. The trace's verdicts, not these rewards, judge the motion between two ticks.
+the claim therefore costs 0. Progress of weight w contributes r_k = w (d_(k-1) - d_k), where d [m] is the
+TCP's distance from the desired position. These rewards ignore the motion between two ticks, which only the
+verdicts on a trace judge.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ USABLE = (
 
 
 def nearest_m(ticks: Ticks) -> Floats:
-    """Return (n,) the least distance of any hand from the arm, surface to surface; inf without a hand."""
+    """Return the least distance (n,) [m] from any hand to the arm, surface to surface; inf without a hand."""
     nearest: Floats = np.where(ticks["hand_present"], ticks["hand_distance_m"], np.inf).min(axis=1)
     return nearest
 
@@ -57,7 +59,7 @@ _SIGNALS: dict[Signal, OfTicks] = {
 
 
 def margins_of(claim: Property, arm: ArmModel) -> OfTicks | None:
-    """Return the function from (n,) TICK to the claim's numbers (n,) [SI]; None if it is not usable."""
+    """Return the function from (n,) TICK to the claim's numbers (n,) [SI]; None for an unusable claim."""
     lower, upper = arm.position_lower_rad, arm.position_upper_rad
     if isinstance(claim, HandDistance):
         least_m = claim.minimum_m
@@ -75,7 +77,7 @@ def margins_of(claim: Property, arm: ArmModel) -> OfTicks | None:
 
 
 def _formula_margins(formula: object) -> OfTicks | None:
-    """Return the margins of "always SIGNAL < LIMIT" without a window, for signals of a single tick."""
+    """Return the margins of "always SIGNAL < LIMIT" without a window, if SIGNAL depends on a single tick."""
     if not isinstance(formula, Always) or formula.span is not None:
         return None
     compared = formula.body
@@ -91,7 +93,7 @@ class Rewards:
     """The rewarded claims with their weights, and the claims whose violation ends an episode."""
 
     margins: Mapping[str, OfTicks]
-    weights: Mapping[str, float]  # of those that are rewarded
+    weights: Mapping[str, float]  # only the rewarded claims
     ends: tuple[str, ...]
     progress: float
     period_s: float
@@ -99,15 +101,15 @@ class Rewards:
 
     @classmethod
     def of_claims(cls, rewards: Mapping[str, float], ends: Sequence[str], checked: Checked) -> Rewards:
-        """Return the rewards for claims by their sentences.
+        """Return the rewards for the claims with the sentences of ``rewards`` and ``ends``.
 
         Args:
             rewards: The weight of each claim, and of "progress". Weights are finite and at least 0.
-            ends: Claims whose violation ends an episode.
-            checked: The first episode, for the arm and the settings.
+            ends: Sentences of the claims whose violation ends an episode.
+            checked: The first episode, which determines the arm and the settings.
 
         Raises:
-            InadmissibleError: A claim is not usable, or a weight is not such a number.
+            InadmissibleError: A claim is not usable, or a weight is negative or not finite.
 
         """
         margins, weights = {}, {}
@@ -115,7 +117,7 @@ class Rewards:
         for name, weight in rewards.items():
             if not (isinstance(weight, int | float) and np.isfinite(weight)):
                 raise InadmissibleError.of_option("rewards", f"a number for {name!r}", repr(weight))
-            if weight < 0.0:  # of a claim a violation would be rewarded, as its margin is negative already
+            if weight < 0.0:  # it would reward a violation, whose margin is negative already
                 raise InadmissibleError.of_option("rewards", f"no negative number for {name!r}", repr(weight))
             if name != PROGRESS:
                 weights[name] = float(weight)
@@ -133,18 +135,18 @@ class Rewards:
         return cls(margins, weights, tuple(ends), progress, settings.clock.control_period_s, desired)
 
     def way_left_m(self, ticks: Ticks) -> Floats:
-        """Return (n,) the distance from the TCP to the desired position [m]. ``ticks`` (n,) TICK."""
+        """Return the distance (n,) [m] from the TCP to the desired position at ``ticks`` (n,) TICK."""
         left: Floats = np.linalg.norm(
             ticks["transform_tcp_to_base"][:, :3, 3] - self.desired_tcp_in_base_m, axis=1
         )
         return left
 
     def at(self, ticks: Ticks) -> dict[str, Floats]:
-        """Return for each claim its margin (n,) at each of the ``ticks`` (n,) TICK, at ticks alone."""
+        """Return for each claim its margin (n,) at each of ``ticks`` (n,) TICK, but not between them."""
         return {sentence: of_ticks(ticks) for sentence, of_ticks in self.margins.items()}
 
     def of_step(self, margins: Mapping[str, Floats], way_m: Floats, way_before_m: Floats) -> Floats:
-        """Return (n,) the reward of a step.
+        """Return the reward (n,) of one step.
 
         Args:
             margins: For each claim, the margin (n,) at the end of the step.
@@ -158,7 +160,7 @@ class Rewards:
         return total
 
     def ends_episode(self, margins: Mapping[str, Floats], count: int) -> NDArray[np.bool_]:
-        """Return (n,) true where a claim that ends an episode is violated; NaN counts as a violation."""
+        """Return (n,) true where a claim of ``ends`` is violated; a margin of NaN counts as a violation."""
         ended = np.zeros(count, np.bool_)
         for sentence in self.ends:
             ended |= ~(margins[sentence] >= 0.0)

@@ -1,4 +1,4 @@
-"""Vector environments in the form of Stable-Baselines3: actions from -1 to 1, observations in float32."""
+"""Adapt vector environments to Stable-Baselines3: actions from -1 to 1, observations in float32."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ with POLICIES.needed("policies trained in environments"):
 
 
 class StableBaselinesEnv(VecEnv):
-    """``environments`` for an algorithm of Stable-Baselines3, with the chosen ``fields`` of observations.
+    """A Stable-Baselines3 view of ``environments``, with the chosen ``fields`` of observations.
 
-    An action of 1 is the largest of the environments' action space.
+    An action of 1 stands for the largest value in the environments' action space.
 
     Args:
-        environments: The lanes.
-        fields: The fields of observations. Empty: all of them.
-        ticks: The number of ticks for which each action stands, unless the episode ends before.
+        environments: The vector environment whose lanes are used.
+        fields: The fields of observations to keep. Empty: all fields.
+        ticks: The number of ticks for which each action is repeated, unless the episode ends earlier.
 
     """
 
@@ -49,7 +49,7 @@ class StableBaselinesEnv(VecEnv):
         self._actions = np.zeros((self.num_envs, *self._most.shape))
 
     def reset(self) -> Arrays:
-        """Begin an episode in each lane; the first time after a seed, the first episode of that seed."""
+        """Begin an episode in each lane; after a new seed, begin the first episode of that seed."""
         seeds = None if all(seed is None for seed in self._seeds) else self._seeds
         self._reset_seeds()
         return self._shown(self.environments.reset(seed=seeds)[0])
@@ -59,9 +59,9 @@ class StableBaselinesEnv(VecEnv):
         self._actions = self._most * actions.astype(np.float64)
 
     def step_wait(self) -> tuple[Arrays, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Step each lane by ``ticks``.
+        """Step each lane by ``ticks`` with the stored actions.
 
-        A lane that ends waits at its next start until the others have finished.
+        A lane whose episode ends waits at the start of its next episode until all lanes have finished.
         """
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         total, ended = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
@@ -85,19 +85,19 @@ class StableBaselinesEnv(VecEnv):
         self.environments.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return the environments' attribute, once for each of ``indices``."""
+        """Return the attribute of ``environments``, once for each of ``indices``."""
         return [getattr(self.environments, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raise AttributeError: lanes have no attributes of their own."""
+        """Raise AttributeError, because lanes have no attributes of their own."""
         raise AttributeError(f"{attr_name} cannot be set: lanes have no attributes of their own")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Raise AttributeError: lanes have no methods of their own."""
+        """Raise AttributeError, because lanes have no methods of their own."""
         raise AttributeError(f"{method_name} cannot be called: lanes have no methods of their own")
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Return False for each of ``indices``: no lane has a wrapper."""
+        """Return False for each of ``indices``, because no lane has a wrapper."""
         return [False] * len(list(self._get_indices(indices)))
 
     def _shown(self, seen: Arrays) -> Arrays:

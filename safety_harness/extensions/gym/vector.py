@@ -1,4 +1,4 @@
-"""Many episodes at once in the kinematic world, with one compiled call per step: a vector environment."""
+"""Run many episodes at once in the kinematic world, as a vector environment with one compiled call a step."""
 
 from __future__ import annotations
 
@@ -28,15 +28,16 @@ from safety_harness.trace.records import as_compiled, tick_dtype
 
 
 class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
-    """``num_envs`` environments in lanes, each with the same bits as a ``HarnessEnv`` of the same arguments.
+    """``num_envs`` environments in lanes, whose results are bit for bit those of a ``HarnessEnv``.
 
-    Lane i begins stream seed + i; without a seed, stream i. A lane whose episode is over is reset within the
-    same step. Its last observation and info are ``info["final_obs"]`` and ``info["final_info"]``. The world
-    is the kinematic world. Lanes have no traces: a ``HarnessEnv`` with the lane's seed gives the trace.
+    Lane i begins stream seed + i; without a seed, it begins stream i. When the episode of a lane ends, the
+    lane is reset within the same step. The last observation and info of that episode are
+    ``info["final_obs"]`` and ``info["final_info"]``. The world is the kinematic world. Lanes record no
+    traces; a ``HarnessEnv`` with the lane's seed and the same arguments records the trace.
 
     Args:
         num_envs: The number of lanes.
-        scenario: As for ``HarnessEnv``, like all further arguments.
+        scenario: As for ``HarnessEnv``.
         space: As for ``HarnessEnv``.
         world: The kinematic world, or its name.
         sees: As for ``HarnessEnv``.
@@ -90,13 +91,13 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         """Begin an episode in every lane.
 
         Args:
-            seed: Lane i begins stream seed + i, or the stream of entry i. None: each lane continues its
-                stream.
+            seed: A number: lane i begins stream seed + i. A list: lane i begins the stream of entry i. None:
+                each lane continues its stream.
             options: Ignored.
 
         Returns:
-            Observations (lanes, ...) and info. ``info["margins"]`` has each claim's least margin (lanes,) so
-            far.
+            Observations (lanes, ...) and info. ``info["margins"]`` maps each claim to its least margin
+            (lanes,) so far.
 
         """
         super().reset(seed=seed if isinstance(seed, int) else None)
@@ -112,7 +113,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
     def step(
         self, actions: NDArray[np.float64]
     ) -> tuple[Arrays, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Move every lane by a control tick.
+        """Move every lane by one control tick.
 
         Args:
             actions: (lanes, a) as in ``action_space``.
@@ -150,7 +151,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
 
     @property
     def _ticks(self) -> NDArray[np.void]:
-        """(lanes,) TICK: the present truth."""
+        """The present truth of all lanes, as (lanes,) TICK."""
         return self._worlds.truth[:, 0].view(self._tick_dtype)
 
     def _begin(self, lane: int) -> None:
@@ -164,7 +165,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         self._acts.observe(self._worlds, self._controllers, alone, self._wants)
 
     def _measured(self, lanes: NDArray[np.int64]) -> None:
-        """Measure the ``lanes`` (k,) at the start of their episodes."""
+        """Set the margins and distances of ``lanes`` (k,) at the start of their episodes."""
         ticks = self._ticks[lanes]
         self._way_m[lanes] = self.setting.rewards.way_left_m(ticks)
         for sentence, margin in self.setting.rewards.at(ticks).items():
@@ -180,11 +181,11 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
 class _Acts:
     """The control ticks of all lanes, without traces: each lane overwrites its one record in ``ticks``.
 
-    ``ticks`` (lanes, 1) ``as_compiled``.
+    ``ticks`` (lanes, 1) are in the form that ``as_compiled`` returns.
     """
 
     def __init__(self, lanes: int, joints: int, ticks: NDArray[np.void]) -> None:
-        self._ticks, self.lasts = ticks, np.ones(lanes, np.int64)  # the last tick is another one
+        self._ticks, self.lasts = ticks, np.ones(lanes, np.int64)  # 1: tick 0 is never the last one
         self._twists, self._joints = np.zeros((lanes, 6)), np.zeros((lanes, joints))
         self._flags = [np.zeros(lanes, np.bool_) for _ in range(3)]
         self._questions = np.zeros((lanes, 1), QUESTION)
@@ -193,7 +194,7 @@ class _Acts:
     def carry_out(
         self, worlds: WorldRecords, controllers: DrivenRecords, wanted: NDArray[np.float64], by_joints: bool
     ) -> None:
-        """Make every lane obey its action, ``wanted`` (lanes, a)."""
+        """Make every lane carry out its action, a row of ``wanted`` (lanes, a)."""
         flags, lasts = self._flags, self.lasts
         (self._joints if by_joints else self._twists)[:] = wanted
         flags[0][:] = by_joints
@@ -207,12 +208,12 @@ class _Acts:
         lasts: NDArray[np.int64],
         wants: tuple[bool, bool],
     ) -> None:
-        """Observe in the lanes whose ``lasts`` (lanes,) are not negative."""
+        """Observe the worlds in those lanes whose ``lasts`` (lanes,) are not negative."""
         look_lanes(worlds, controllers, lasts, 0, *wants)
 
 
 def _records(checked: Checked) -> tuple[WorldRecords, DrivenRecords]:
-    """Return the records of an episode at its start."""
+    """Return the world's and the controller's records at the start of an episode."""
     scenario = checked.scenario
     return (
         world_records(scenario, checked.arm, checked.joint_position_rad),

@@ -1,1 +1,1 @@
-"""Mutation testing of the harness: faults seeded into a sound system, and the claims that catch them."""
+"""Test the harness by mutation: seed faults into a sound system, and see which claims catch them."""

@@ -1,4 +1,4 @@
-"""Attribution of seeded faults, whose causes are known: a runner of systems with a fault."""
+"""Attribute seeded faults, whose causes are known, by running altered systems that contain a fault."""
 
 from __future__ import annotations
 
@@ -25,14 +25,17 @@ INGREDIENTS = {
 
 @dataclass(frozen=True, eq=False)
 class SeededRunner:
-    """Runs altered systems with the fault; without it if its own ingredient was replaced."""
+    """A runner of altered systems that contain the fault.
+
+    It omits the fault from a system in which the faulty ingredient was replaced.
+    """
 
     fault: SeededFault
     magnitude: float
     around: ChangedSystem  # with the fault's circumstance, without the fault
 
     def __call__(self, systems: Sequence[Altered]) -> list[Trace | Exception]:
-        """Return the runs, one after another; an exception of a faulty system stands for its run."""
+        """Return the runs in the order of ``systems``; a system that fails yields its exception."""
         return [self._run(system) for system in systems]
 
     def _run(self, altered: Altered) -> Trace | Exception:
@@ -51,9 +54,9 @@ class SeededRunner:
 def attribute_seeded(
     fault: SeededFault, magnitude: float, admitted: Admitted, claims: Sequence[Claim]
 ) -> tuple[Attribution, ...]:
-    """Return the causes of the violations of ``claims`` by a seeded fault.
+    """Return the causes that attribution finds for the violations of ``claims`` by a seeded fault.
 
-    Attribution tries a sound part for each part that can have a fault, so that it gets no clue to the
+    Attribution tries a sound replacement for each part that can have a fault, so that nothing hints at the
     faulty part.
     """
     around = fault.circumstance.bring_about(ChangedSystem(admitted))

@@ -1,7 +1,7 @@
 """Faults in an avoider's answers.
 
-They run behind the plain gate, which checks only reach. Behind the full gate they would test the gate,
-which would keep most of them from doing harm.
+These faults are tried behind the plain gate, which checks only reach. The full gate would prevent most of
+them from doing harm, so that the trial would test the gate.
 """
 
 from __future__ import annotations
@@ -37,36 +37,36 @@ _spread = partial(of_avoider, of_spread=True)
 
 @dataclass(frozen=True, eq=False)
 class FaultyAvoider(AvoiderAround):
-    """An avoider whose answers ``answers`` gives, from the sound avoider."""
+    """An avoider whose answers are made by ``answers``, which may query the sound avoider."""
 
     answers: Answers
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int, **seen: Any
     ) -> Proposal:
-        """Return the faulty answer."""
+        """Return the faulty answer to the question."""
         avoider = _Shown(self.avoider, seen) if seen else self.avoider
         return self.answers(avoider, hand_position_in_base_m, tcp_position_in_base_m, seed)
 
 
 @dataclass(frozen=True, eq=False)
 class _Shown(AvoiderAround):
-    """An avoider that sees more than hand, TCP and seed; the rest of its query is ``seen``."""
+    """An avoider that sees more than hand, TCP and seed; ``seen`` holds the additional arguments."""
 
     seen: dict[str, Any]
 
     def propose(self, **question: Any) -> Proposal:
-        """Return the avoider's own answer."""
+        """Return the avoider's own answer to the question, with the additional arguments."""
         return self.avoider.propose(**question, **self.seen)
 
 
 def sound_answer(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    """Return the sound answer."""
+    """Return the answer of the sound avoider."""
     return avoider.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=seed)
 
 
 def answering(make: Callable[[float], Answers]) -> Seeds:
-    """Seed a fault into the avoider's answers; each system gets a new fault from ``make``."""
+    """Seed a fault into the avoider's answers; ``make`` creates a new fault for each system."""
 
     def seed_into(system: ChangedSystem, magnitude: float) -> ChangedSystem:
         answers = make(magnitude)
@@ -76,12 +76,12 @@ def answering(make: Callable[[float], Answers]) -> Seeds:
 
 
 def queried(answers: Callable[[float, Avoider, Vector, Vector, int], Proposal]) -> Seeds:
-    """Seed a fault that queries the avoider and answers in its place."""
+    """Seed a fault that may query the avoider and that answers in its place."""
     return answering(lambda magnitude: partial(answers, magnitude))
 
 
 def answered(change: Callable[[float, Proposal, Vector, Vector, int], Proposal]) -> Seeds:
-    """Seed a change of each answer of the avoider."""
+    """Seed a fault that changes each answer of the avoider."""
 
     def answers(magnitude: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
         return change(magnitude, sound_answer(avoider, hand, tcp, seed), hand, tcp, seed)
@@ -90,7 +90,7 @@ def answered(change: Callable[[float, Proposal, Vector, Vector, int], Proposal])
 
 
 def moved(change: Callable[[Vector, float], Vector]) -> Seeds:
-    """Seed a change of the displacement (3,) [m] that the avoider proposes."""
+    """Seed a fault that changes the displacement (3,) [m] that the avoider proposes."""
 
     def displaced(magnitude: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
         return Proposal(tcp + change(proposal.position_in_base_m - tcp, magnitude), proposal.spread_m)
@@ -99,7 +99,7 @@ def moved(change: Callable[[Vector, float], Vector]) -> Seeds:
 
 
 def turned(vector: Vector, angle_rad: float) -> Vector:
-    """Return a displacement (3,) turned about the vertical."""
+    """Return a displacement (3,) that is turned about the vertical by ``angle_rad``."""
     c, s = cos(angle_rad), sin(angle_rad)
     return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
 
@@ -113,7 +113,7 @@ def _flipped(displacement: Vector, weight: float) -> Vector:
 @_avoider("mirrored axis", "a left-handed frame: away along two axes, towards along the third")
 @seeded(moved, (2.0, 3.0, 1.0), names=("y", "z", "x"))
 def _mirrored(displacement: Vector, axis: float) -> Vector:
-    """Mirror one coordinate of a displacement (3,): 1, 2, 3 for x, y, z."""
+    """Mirror one coordinate of a displacement (3,); ``axis`` 1, 2, 3 stands for x, y, z."""
     signs = np.ones(3)
     signs[int(axis) - 1] = -1.0
     return signs * displacement
@@ -206,7 +206,7 @@ def _noisy(std_m: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: in
 @_avoider("unseeded randomness", "no run of it can be repeated, so that no finding can be looked into")
 @seeded(answering, (0.1, 1e-3, 1e-9), "mm", 1e3)
 def _unseeded(std_m: float) -> Answers:
-    own = np.random.Generator(np.random.PCG64())  # the fault itself: entropy of the machine
+    own = np.random.Generator(np.random.PCG64())  # the fault: it is seeded from the machine's entropy
 
     def answers(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
         proposal = sound_answer(avoider, hand, tcp, seed)
@@ -221,7 +221,10 @@ def _unseeded(std_m: float) -> Answers:
 )
 @seeded(answering, (1e-2, 1e-3, 1e-6), "mm a question", 1e3)
 def _remembering(step_m: float) -> Answers:
-    """Drift by the same step with each query over all runs of the system, and back after twenty queries."""
+    """Drift by the same step with each query, and back after twenty queries.
+
+    The drift continues from run to run of the same system.
+    """
     questions = count()
 
     def answers(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
@@ -247,7 +250,7 @@ def _underconfident(factor: float, proposal: Proposal, hand: Vector, tcp: Vector
 @_spread("spread of the wrong axis", "the doubt about the most uncertain axis is not seen")
 @seeded(answered, (1.0, 0.5), "% of the largest lost", 100.0)
 def _wrong_spread_axis(weight: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    """Report the most uncertain axis as more certain than it is."""
+    """Report the most uncertain axis as less uncertain than it is."""
     spread_m = proposal.spread_m.copy()
     spread_m[int(np.argmax(spread_m))] *= 1.0 - weight
     return Proposal(proposal.position_in_base_m, spread_m)

@@ -1,4 +1,4 @@
-"""All seeded faults, and the changes declared harmless."""
+"""List all seeded faults, and the changes that are declared harmless."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``safety-harness selftest``: faults seeded into a sound system, and the claims that caught them."""
+"""Define ``safety-harness selftest``, which seeds faults into a sound system and shows the catches."""
 
 from __future__ import annotations
 

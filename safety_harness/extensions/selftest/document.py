@@ -1,4 +1,4 @@
-"""The outcome of a self-test as files: JSON for the certification page and other programs, and a page.
+"""Write the outcome of a self-test: JSON for the certification page and other programs, and a page.
 
 The page is self-contained HTML in the style of the reports.
 """
@@ -46,7 +46,10 @@ STATE_CLASS = {
 
 @dataclass(frozen=True, kw_only=True)
 class SelfTestRun:
-    """The circumstances of a self-test; if it was ``interrupted``, some ``planned`` faults did not run."""
+    """The circumstances of a self-test.
+
+    If it was ``interrupted``, some of the ``planned`` faults were not tried.
+    """
 
     profile: str
     avoider: str | None
@@ -64,7 +67,7 @@ class SelfTestRun:
 
 
 def document(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun) -> dict[str, Any]:
-    """Return plain JSON; a magnitude that is not finite is null and has words beside it."""
+    """Return the outcome as plain JSON; a magnitude that is not finite is null, with words beside it."""
     tally = tally_of(outcomes)
     return {
         "format": FORMAT,
@@ -75,7 +78,7 @@ def document(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun) -> dict[st
 
 
 def write_document(path: Path, outcomes: Sequence[FaultOutcome], selftest: SelfTestRun) -> None:
-    """Write the JSON, whole or not at all; OSError."""
+    """Write the JSON file in full or not at all; raise OSError if it cannot be written."""
     text = json.dumps(document(outcomes, selftest), indent=1, allow_nan=False, ensure_ascii=False)
     write_whole(path, text + "\n")
 
@@ -103,12 +106,12 @@ CaughtRuns = Sequence[tuple[FaultOutcome, JudgedRun]]
 def write_page(
     path: Path, outcomes: Sequence[FaultOutcome], selftest: SelfTestRun, runs: CaughtRuns = ()
 ) -> None:
-    """Write the page, whole or not at all, without any reference to the network; OSError."""
+    """Write the page, which needs no network, in full or not at all; OSError if it cannot be written."""
     write_whole(path, render(outcomes, selftest, runs))
 
 
 def render(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun, runs: CaughtRuns = ()) -> str:
-    """Return the page as text, the same bytes for the same arguments; it replays ``runs`` in 3-D."""
+    """Return the page as text, which is the same for the same arguments; it replays ``runs`` in 3-D."""
     faults, harmless = in_table(outcomes)
     replays = Replays()
     worlds = [str(KINEMATIC), *[str(PYBULLET)] * any(case.confirmed is not None for case in outcomes)]

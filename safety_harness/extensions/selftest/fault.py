@@ -1,4 +1,4 @@
-"""A seeded fault: a name, the hazard that it stands for, and a ladder of magnitudes.
+"""Define a seeded fault: its name, the hazard that it stands for, and a ladder of magnitudes.
 
 A file of faults declares each fault beside the function that makes it, by two decorators:
 
@@ -7,9 +7,9 @@ A file of faults declares each fault beside the function that makes it, by two d
     def _faster(factor: float, command: Records) -> None:
         command[0]["joint_velocity_radps"] *= factor
 
-``seeded`` states the place of the change (here the commands to the arm), the magnitudes, the worst first,
-and their unit for people. A fault without magnitudes is there or not. The decorator of the part makes a
-SeededFault, which ``faults_in`` finds in the file.
+``seeded`` states the place of the change, here the commands to the arm. It also states the magnitudes, the
+worst first, and their unit for people. A fault without magnitudes is either present or absent. The decorator
+of the faulty part makes a SeededFault, which ``faults_in`` finds in the file.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Changing = TypeVar("Changing")  # the change, as a function of its magnitude
 
 
 class FaultyPart(Enum):
-    """The part of the system that has a fault."""
+    """The part of the system that contains a fault."""
 
     AVOIDER = "avoider"
     GATE = "gate"
@@ -41,7 +41,7 @@ class FaultyPart(Enum):
 
 @dataclass(frozen=True)
 class SeverityLevels:
-    """Magnitudes in SI, the worst first, and their text for people: a unit, or a name for each."""
+    """The magnitudes of a fault in SI, the worst first, with their unit or their names for people."""
 
     values: tuple[float, ...]
     unit: str = ""
@@ -49,19 +49,19 @@ class SeverityLevels:
     names: tuple[str, ...] = ()
 
     def label(self, value: float) -> str:
-        """Return the text for one magnitude."""
+        """Return the text that shows the magnitude ``value`` to people."""
         if self.names:
             return self.names[self.values.index(value)]
         number = f"{value * self.per_si:.4g}"
         return f"{number} {self.unit}" if self.unit else number
 
 
-ONLY = SeverityLevels((1.0,), names=("there",))  # a fault that is there or not
+ONLY = SeverityLevels((1.0,), names=("there",))  # for a fault that is either present or absent
 
 
 @dataclass(frozen=True, eq=False)
 class Precondition:
-    """A change that the faulty and the sound system have in common."""
+    """A change that is made to both the faulty and the sound system."""
 
     name: str
     bring_about: Callable[[ChangedSystem], ChangedSystem]
@@ -72,14 +72,14 @@ AS_USUAL = Precondition("as it is", lambda system: system)
 
 @dataclass(frozen=True, eq=False)
 class SeededFault:
-    """A mistake that an engineer could make, and that can hurt people or end the task.
+    """A mistake that an engineer could make, and that can hurt people or prevent the task.
 
-    ``seed_into`` takes a sound system and a magnitude of the ``ladder``, and returns the faulty system.
-    Both run in the ``circumstance``. ``of_spread``: the fault does not apply to an avoider without a
-    spread.
+    ``seed_into`` takes a sound system and a magnitude of the ``ladder``, and returns the faulty system. Both
+    systems run under the precondition ``circumstance``. ``of_spread`` states that the fault does not apply to
+    an avoider without a spread.
 
-    ``harmless`` is the reason, stated beforehand, why the change cannot matter: a violation with it is a
-    false alarm. ``limit`` is the reason, stated beforehand, why no claim can catch the fault.
+    ``harmless`` is the reason, stated beforehand, why the change cannot matter; a violation that it causes is
+    a false alarm. ``limit`` is the reason, stated beforehand, why no claim can catch the fault.
     """
 
     part: FaultyPart
@@ -103,7 +103,10 @@ def seeded(
     per_si: float = 1.0,
     names: tuple[str, ...] = (),
 ) -> Callable[[Changing], Graded]:
-    """Decorate a change with the place where it is seeded and its SeverityLevels; ``ONLY`` without values."""
+    """Decorate a change with the place ``where`` it is seeded, and with its magnitudes.
+
+    Without ``values``, the magnitudes are ``ONLY``.
+    """
     ladder = SeverityLevels(values, unit, per_si, names) if values else ONLY
     return lambda change: (where(change), ladder)
 
@@ -111,7 +114,7 @@ def seeded(
 def fault_of(
     part: FaultyPart, name: str, hazard: str, circumstance: Precondition = AS_USUAL, of_spread: bool = False
 ) -> Callable[[Graded], SeededFault]:
-    """Make a fault from a ``seeded`` change."""
+    """Return a decorator that makes a SeededFault from a ``seeded`` change."""
     return lambda graded: SeededFault(part, name, hazard, *graded, circumstance, of_spread)
 
 
@@ -124,42 +127,48 @@ of_timing = partial(fault_of, FaultyPart.TIMING)
 
 
 def declared(*, harmless: str = "", limit: str = "") -> Callable[[SeededFault], SeededFault]:
-    """State beforehand why a fault cannot matter, or why no claim can catch it."""
+    """Return a decorator that states beforehand why a fault cannot matter, or why no claim can catch it."""
     return lambda fault: replace(fault, harmless=harmless, limit=limit)
 
 
 def faults_in(file: Mapping[str, object]) -> tuple[SeededFault, ...]:
-    """Return the faults that a file declares, in its order; ``file`` are its globals."""
+    """Return the faults that a file declares, in their order there; ``file`` holds the file's globals."""
     return tuple(fault for fault in file.values() if isinstance(fault, SeededFault))
 
 
 def anywhere(seeds: Seeds) -> Seeds:
-    """Seed a function of the whole system."""
+    """Seed a fault that is a function of the whole system."""
     return seeds
 
 
 def known(edit: Callable[[ControllerRecords, float], None]) -> Seeds:
-    """Seed a change of the records that the controller takes as given."""
+    """Seed a fault that changes the records that the controller takes as given."""
     return lambda system, magnitude: system.with_records(lambda records: edit(records, magnitude))
 
 
 def seen(change: Callable[[Admitted, float, Records], None]) -> Seeds:
-    """Seed a change of each observation, without memory."""
+    """Seed a fault that changes each observation, independently of earlier observations."""
     return seeing(lambda magnitude, admitted: _in_place(partial(change, admitted, magnitude)))
 
 
 def seeing(make: Callable[[float, Admitted], Change]) -> Seeds:
-    """Seed a change of the observations; each run gets a new change from ``make``, maybe with a memory."""
+    """Seed a fault that changes the observations.
+
+    ``make`` creates a new change for each run; the change may remember earlier observations.
+    """
     return lambda system, magnitude: system.seeing(partial(make, magnitude))
 
 
 def commanded(change: Callable[[float, Records], None]) -> Seeds:
-    """Seed a change of each command, without memory."""
+    """Seed a fault that changes each command, independently of earlier commands."""
     return obeying(lambda magnitude, _: _in_place(partial(change, magnitude)))
 
 
 def obeying(make: Callable[[float, Admitted], Change]) -> Seeds:
-    """Seed a change of the commands; each run gets a new change from ``make``, maybe with a memory."""
+    """Seed a fault that changes the commands.
+
+    ``make`` creates a new change for each run; the change may remember earlier commands.
+    """
     return lambda system, magnitude: system.obeying(partial(make, magnitude))
 
 

@@ -1,7 +1,7 @@
 """Faults of the gate between avoider and arm.
 
-A faulty gate shows only if it has something to refuse. So most of these faults run with an avoider with a
-single error; the sound gate runs with the same avoider.
+A faulty gate is noticed only if there is something to refuse. Most of these faults therefore run with an
+avoider that makes a single kind of error. The sound gate runs with the same avoider.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from safety_harness.extensions.selftest.system import ChangedSystem
 from safety_harness.trace.records import Check, DecisionOutcome, Mode
 
 SURE_BELOW_M = 0.02  # spread threshold of the avoiders below
-Rule = Callable[[Answer, Query], GateDecision]  # the sound gate's
+Rule = Callable[[Answer, Query], GateDecision]  # the sound gate's rule
 
 
 @dataclass(frozen=True, eq=False)
 class Erring:
-    """An avoider that always proposes the same displacement: ``by_m``, plus a distance towards the hand."""
+    """An avoider that always proposes the displacement ``by_m``, plus ``towards_hand_m`` towards the hand."""
 
     by_m: tuple[float, float, float]
     towards_hand_m: float = 0.0
@@ -41,14 +41,14 @@ class Erring:
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return the same mistake each time."""
+        """Propose the same wrong displacement each time."""
         to_hand_m = hand_position_in_base_m - tcp_position_in_base_m
         towards = self.towards_hand_m / length(to_hand_m) * to_hand_m
         return Proposal(tcp_position_in_base_m + towards + np.array(self.by_m), np.full(3, self.spread_m))
 
 
 def with_an(name: str, avoider: Erring) -> Precondition:
-    """Return the precondition of an avoider with a single error, for the sound gate as well."""
+    """Return the precondition that both gates, the faulty and the sound one, run with ``avoider``."""
     return Precondition(f"with an avoider that {name}", lambda s: s.with_avoider(lambda _: avoider))
 
 
@@ -68,28 +68,28 @@ NO_NUMBER = Precondition(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FaultyGate(Gate):
-    """A gate whose rulings ``rules`` gives, from the sound rule."""
+    """A gate whose rulings are made by ``rules``, which may call the sound rule."""
 
     rules: Callable[[Rule, Answer, Query], GateDecision]
 
     def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
-        """Return the faulty ruling."""
+        """Return the faulty ruling on ``proposed``."""
         return self.rules(super().rule_on, proposed, query)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BlindGate(Gate):
-    """A gate that skips the checks ``to``."""
+    """A gate that ignores the checks ``to``."""
 
     to: Check
 
     def check(self, position_in_base_m: Vector, query: Query) -> Check:
-        """Return the failed checks, without the skipped ones."""
+        """Return the failed checks, except those that the gate ignores."""
         return super().check(position_in_base_m, query) & ~self.to
 
 
 class LateRefusal(ControllerWrapper):
-    """A controller whose refusals take effect some cycles late; the arm heads for the refused pose before."""
+    """A controller whose refusals take effect late, so that the arm first heads for the refused pose."""
 
     def __init__(self, pilot: AvoidingServo, cycles: float) -> None:
         super().__init__(pilot)
@@ -118,12 +118,12 @@ class LateRefusal(ControllerWrapper):
 
 
 def ruled(rules: Callable[[float, Rule, Answer, Query], GateDecision]) -> Seeds:
-    """Seed a change of each ruling of the gate."""
+    """Seed a fault that changes each ruling of the gate."""
     return lambda system, magnitude: system.with_gate(FaultyGate, rules=partial(rules, magnitude))
 
 
 def _taking(ruling: GateDecision, outcome: DecisionOutcome) -> GateDecision:
-    """Return the ruling with another outcome, and the position of that outcome."""
+    """Return the ruling with ``outcome`` in place of its own, and with the position of that outcome."""
     answers = {DecisionOutcome.PROPOSED: ruling.proposed, DecisionOutcome.OPPOSITE: ruling.opposite}
     chosen = answers.get(outcome, NAN_PROPOSAL).position_in_base_m
     return replace(ruling, outcome=outcome, chosen_position_in_base_m=chosen)
@@ -132,7 +132,7 @@ def _taking(ruling: GateDecision, outcome: DecisionOutcome) -> GateDecision:
 @of_gate("threshold ignored", "the arm goes where the network only guesses", IN_DOUBT)
 @seeded(ruled, (np.inf, 4.0, 2.0, 1.6), "times the threshold")
 def _lax(factor: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """Multiply the threshold, and report the true threshold in the ruling."""
+    """Multiply the threshold of the spread, but report the true threshold in the ruling."""
     true_m = proposed.spread_threshold_m
     lax = replace(proposed, spread_threshold_m=factor * true_m)
     return replace(rule(lax, query), spread_threshold_m=true_m)
@@ -192,14 +192,14 @@ def _blind_to_its_region(system: ChangedSystem, _: float) -> ChangedSystem:
 @of_gate("minds one hand only", "the arm gives way to one hand and goes to a second hand")
 @seeded(ruled)
 def _one_hand_only(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """Rule as if only the nearest hand existed."""
+    """Rule as if the nearest hand were the only hand."""
     return rule(proposed, replace(query, hands_in_base_m=query.hand_position_in_base_m[None]))
 
 
 @of_gate("passes NaN", "no number becomes a position, and then a speed", NO_NUMBER)
 @seeded(ruled)
 def _passes_nan(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """Let NaN pass: it is not above a threshold and not out of reach."""
+    """Accept NaN, as comparisons do: NaN is neither above a threshold nor out of reach."""
     ruling = rule(proposed, query)
     return _taking(ruling, DecisionOutcome.PROPOSED) if ruling.proposed_failed & Check.NOT_FINITE else ruling
 
@@ -207,7 +207,7 @@ def _passes_nan(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDec
 @of_gate("lets no proposal pass", "the system in use does not use the tested avoider", CERTAIN)
 @seeded(ruled)
 def _lets_none_pass(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """Replace each usable proposal by the opposite pose, if that is usable too."""
+    """Replace each usable proposal by the opposite pose, if that pose is usable too."""
     ruling = rule(proposed, query)
     usable = ruling.outcome is DecisionOutcome.PROPOSED and not ruling.opposite_failed
     return _taking(ruling, DecisionOutcome.OPPOSITE) if usable else ruling

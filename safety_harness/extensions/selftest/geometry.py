@@ -1,7 +1,8 @@
-"""The hand distance of a run by an independent library: PyBullet's own kinematics and distances.
+"""Compute a run's hand distance independently, by PyBullet's own kinematics and distances.
 
-The trace gives the joints and the positions of the hands, and the package the sizes of the bodies. Nothing
-else of the package is used. Joints and hands count as moving straight from tick to tick.
+The trace contributes the joints and the positions of the hands, and the package the sizes of the bodies.
+Nothing else of the package is used. The computation assumes that joints and hands move straight from tick to
+tick.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from safety_harness.trace.trace import Trace
 
 SPAN_M = 2.0  # no point of a shipped arm is farther from one of its joints
 ROUNDING_M = 1e-4  # PyBullet returns link frames in single precision
-CLEAR_M = 1e-3  # reserve of a proof: the claim's bound may be lower than the distance by less
-FAR_M = 20.0  # the distance of bodies that are no nearer, and without a hand
+CLEAR_M = 1e-3  # reserve of a proof, because the claim's bound may lie below the distance by less
+FAR_M = 20.0  # the reported distance if bodies are farther apart, or if there is no hand
 BODIES = ("hand_position_in_base_m", "elbow_position_in_base_m")
 
 
 class Kept(Enum):
-    """The result of the geometry for a limit of the hand distance."""
+    """The finding of the geometry about a limit of the hand distance."""
 
     PROVEN = "kept"  # at every tick and between
     REFUTED = "broken"  # at a tick
@@ -35,10 +36,11 @@ class Kept(Enum):
 
 
 def hand_distance_kept(trace: Trace, limit_m: float) -> Kept:
-    """Return whether all hands and forearms stay ``limit_m`` from the arm's capsules, surface to surface.
+    """Return whether all hands and forearms stay at least ``limit_m`` away from the arm's capsules.
 
-    After a known distance it skips the ticks in which joints, times ``span_m_of``, and hands cannot use it
-    up. A hand appears and disappears only at a tick.
+    The distance is measured from surface to surface.  The function skips the ticks in which joints and hands
+    cannot move far enough to use up the last distance. It bounds the arm's motion by the joints' motion times
+    ``span_m_of``. The function assumes that a hand appears or disappears only at a tick.
     """
     ticks = trace.ticks
     present = ticks["hand_present"]
@@ -65,13 +67,13 @@ def hand_distance_kept(trace: Trace, limit_m: float) -> Kept:
 
 
 def span_m_of(trace: Trace) -> float:
-    """Return a length [m] such that no point of the arm is farther from one of its joints."""
+    """Return a length [m] that no point of the arm exceeds in its distance from any of the arm's joints."""
     robot = trace.scenario.robot
     return max(SPAN_M, float(arm_with(arm_model(robot), arm_capsules(robot)).reach_m.max()))
 
 
 def _most_moved_m(ticks: NDArray[np.void], span_m: float) -> NDArray[np.float64]:
-    """Return the greatest change (n-1,) [m] of the distance between ticks, for a hand that stays."""
+    """Return the largest change (n-1,) [m] of the distance between ticks, for hands present at both ticks."""
     moved_m: NDArray[np.float64] = span_m * np.abs(np.diff(ticks["joint_position_rad"], axis=0)).sum(axis=1)
     stays = ticks["hand_present"][1:] & ticks["hand_present"][:-1]
     steps_m = [np.linalg.norm(np.diff(ticks[name], axis=0), axis=2) for name in BODIES]
@@ -80,7 +82,7 @@ def _most_moved_m(ticks: NDArray[np.void], span_m: float) -> NDArray[np.float64]
 
 
 class PyBulletArm:
-    """A separate PyBullet client with the arm of a trace and a body for each of its capsules."""
+    """A separate PyBullet client with the arm of a trace and one body for each of its capsules."""
 
     def __init__(self, trace: Trace) -> None:
         with PYBULLET.needed("geometry that is not ours"):
@@ -109,7 +111,7 @@ class PyBulletArm:
         self._bullet.disconnect(physicsClientId=self._client)
 
     def distance_m(self, tick: np.void) -> float:
-        """Return the least distance [m] of any hand or forearm from the arm at a tick, at most ``FAR_M``."""
+        """Return the least distance [m] from the arm to any hand or forearm at a tick, at most ``FAR_M``."""
         hands = np.flatnonzero(tick["hand_present"])
         if len(hands):
             self._place_arm(tick["joint_position_rad"])
@@ -124,7 +126,7 @@ class PyBulletArm:
             self._lay(body, product(rotation, start) + origin, product(rotation, end) + origin)
 
     def _frame(self, link: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return rotation and origin of a link's frame; 0 is the base, and the last is the tcp."""
+        """Return rotation and origin of the frame of ``link``; link 0 is the base, and the last the TCP."""
         if link == 0:
             return np.eye(3), np.zeros(3)
         if link > len(self._joints):
@@ -163,7 +165,10 @@ class PyBulletArm:
         return int(self._bullet.createMultiBody(0.0, shape, physicsClientId=self._client))
 
     def _lay(self, body: int, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-        """Place a capsule from ``start`` to ``end``; its own z is its axis, and its origin the middle."""
+        """Place a capsule's body from ``start`` to ``end``.
+
+        The body's z axis is the capsule's axis, and its origin is the capsule's middle.
+        """
         axis_m = end - start
         length_m = float(length(axis_m))
         turn = np.array([0.0, 0.0, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""Changes that cannot matter, with reasons stated beforehand: an alarm about one is a false alarm."""
+"""Changes that cannot matter, for reasons stated beforehand; an alarm about such a change is false."""
 
 from __future__ import annotations
 

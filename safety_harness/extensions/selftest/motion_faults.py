@@ -1,4 +1,4 @@
-"""Faults of the arm itself: drives, joints, brakes. The controller does not know of them."""
+"""Faults of the arm itself, in drives, joints and brakes, of which the controller does not know."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _wound(system: ChangedSystem, turns: float) -> ChangedSystem:
 @of_motion("stop that does not stop", "the arm goes on without a position to go to")
 @seeded(obeying, (1.0, 0.5, 0.2), "% of the speed", 100.0)
 def _rolls_on(share: float, admitted: Admitted) -> Change:
-    """Ignore a protective stop: the drives go on at a share of their last speed."""
+    """Ignore a protective stop, so that the drives continue at a share of their last speed."""
     last: list[NDArray[np.float64]] = [np.zeros_like(admitted.joint_position_rad)]
 
     def obey(command: Records) -> Records:

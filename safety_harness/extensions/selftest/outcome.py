@@ -1,4 +1,4 @@
-"""The outcome of one fault and of all faults: in figures, and as rows of tables."""
+"""Define the outcome of one fault and of all faults, as figures and as rows of tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NONE = "-"
 
 @dataclass(frozen=True, kw_only=True)
 class FaultOutcome:
-    """The rungs of one fault, the worst magnitude first; a harmless change should have no alarm.
+    """The rungs of one fault, from the worst magnitude on; a harmless change should cause no alarm.
 
     ``limit`` is the reason, stated beforehand, why no claim can catch the fault.
     """
@@ -34,7 +34,7 @@ class FaultOutcome:
 
     @property
     def state(self) -> FaultState:
-        """The state; caught means caught at least at the worst magnitude."""
+        """The state of the fault, which is caught if at least its worst magnitude is caught."""
         caught = bool(self.rungs) and self.rungs[0].caught
         if not self.applies:
             return FaultState.UNTOUCHED
@@ -54,13 +54,13 @@ class FaultOutcome:
 
     @property
     def smallest(self) -> Rung | None:
-        """The smallest caught magnitude, above the first that was not caught."""
+        """The rung of the smallest caught magnitude; all worse magnitudes are caught too."""
         caught = [rung for rung in self.rungs if rung.caught]
         return caught[-1] if caught else None
 
     @property
     def survivor(self) -> Rung | None:
-        """The first magnitude without a catch; None without one."""
+        """The rung of the first magnitude that no claim caught; None if all are caught."""
         return next((rung for rung in self.rungs if not rung.caught), None)
 
     @property
@@ -71,13 +71,13 @@ class FaultOutcome:
 
     @property
     def confirmed(self) -> bool | None:
-        """Whether PyBullet confirms the catch at the smallest caught magnitude; None if it did not run."""
+        """Whether PyBullet confirms the catch of the smallest caught magnitude; None if it did not run."""
         smallest = self.smallest
         return smallest.confirmed if smallest else None
 
 
 def outcome_of(fault: SeededFault, rungs: Sequence[Rung], *, applies: bool = True) -> FaultOutcome:
-    """Return the outcome of a fault from its rungs."""
+    """Return the outcome of ``fault``, given its rungs."""
     return FaultOutcome(
         fault=fault.name,
         part=fault.part.value,
@@ -95,8 +95,8 @@ def outcome_of(fault: SeededFault, rungs: Sequence[Rung], *, applies: bool = Tru
 class SelfTestTally:
     """The figures of a whole self-test.
 
-    PyBullet's geometry judged ``geometry_runs`` with harmless changes as well. It contradicts our verdict
-    on the hand distance in ``geometry_contradicted`` of them.
+    PyBullet's geometry judged ``geometry_runs`` runs with harmless changes as well. In
+    ``geometry_contradicted`` of these runs, it contradicts the harness's verdict on the hand distance.
     """
 
     faults: int
@@ -119,7 +119,7 @@ class SelfTestTally:
 
 
 def tally_of(outcomes: Sequence[FaultOutcome]) -> SelfTestTally:
-    """Return the figures of ``outcomes``."""
+    """Return the figures of the whole self-test from ``outcomes``."""
     states = [outcome.state for outcome in outcomes]
     tried = [rung for outcome in outcomes if not outcome.harmless for rung in outcome.rungs]
     geometries = [rung.geometry for outcome in outcomes for rung in outcome.rungs if rung.geometry]
@@ -142,7 +142,7 @@ def tally_of(outcomes: Sequence[FaultOutcome]) -> SelfTestTally:
 
 
 def row(outcome: FaultOutcome) -> tuple[str, ...]:
-    """Return a fault's row under HEAD."""
+    """Return the table row of a fault, for the heading HEAD."""
     smallest, alarm, survivor = outcome.smallest, outcome.alarm, outcome.survivor
     first = outcome.rungs[0] if outcome.rungs else None
     if smallest is None or alarm is None or first is None:
@@ -162,7 +162,7 @@ def row(outcome: FaultOutcome) -> tuple[str, ...]:
 
 
 def harmless_row(change: FaultOutcome) -> tuple[str, ...]:
-    """Return a harmless change's row under HARMLESS_HEAD."""
+    """Return the table row of a harmless change, for the heading HARMLESS_HEAD."""
     alarms = [str(alarm) for rung in change.rungs for alarm in rung.alarms]
     episodes = sum(rung.episodes for rung in change.rungs)
     geometry = "; ".join(geometry_words(rung.geometry) for rung in change.rungs if rung.geometry) or NONE
@@ -170,13 +170,13 @@ def harmless_row(change: FaultOutcome) -> tuple[str, ...]:
 
 
 def geometry_words(geometry: Geometry) -> str:
-    """Return the numbers of kept and broken distances, and the runs with the opposite verdict, in words."""
+    """Return in words how many runs kept and broke the distance, and which ones contradict the harness."""
     text = f"kept in {geometry.kept} of {geometry.runs}, broken in {geometry.broken}"
     return f"{text}, to the contrary in {', '.join(geometry.contradicted)}" if geometry.contradicted else text
 
 
 def summary(tally: SelfTestTally) -> str:
-    """Return the figures in one line."""
+    """Return the figures of a self-test in one line."""
     text = f"{tally.caught} of {count_words(tally.faults, 'fault', 'faults')} caught ({tally.kill_rate:.0%})"
     text += f", {tally.rungs_caught} of {tally.rungs} magnitudes tried"
     if tally.limits:
@@ -196,17 +196,17 @@ def summary(tally: SelfTestTally) -> str:
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return a table in Markdown, for the docs."""
+    """Return the lines of a table in Markdown, for the docs."""
     written = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return written + ["| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in rows]
 
 
 def in_table(outcomes: Sequence[FaultOutcome]) -> tuple[list[FaultOutcome], list[FaultOutcome]]:
-    """Return the faults and the harmless changes."""
+    """Return the faults and the harmless changes as two lists."""
     faults = [outcome for outcome in outcomes if not outcome.harmless]
     return faults, [outcome for outcome in outcomes if outcome.harmless]
 
 
 def bad(outcomes: Sequence[FaultOutcome]) -> list[FaultOutcome]:
-    """Return the outcomes against the harness: survivors without a stated limit, and false alarms."""
+    """Return the outcomes that count against the harness: unexplained survivors and false alarms."""
     return [outcome for outcome in outcomes if outcome.state in (FaultState.SURVIVES, FaultState.FALSE_ALARM)]

@@ -1,4 +1,4 @@
-"""Faults between the hands and the controller's estimate of them."""
+"""Faults that lie between the hands and the controller's estimate of the hands."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GHOST_DEPTH_M = 1.45
 
 
 def _keep(observation: Records, wanted: NDArray[np.bool_]) -> None:
-    """Keep only the ``wanted`` boxes."""
+    """Keep only those boxes of the observation that ``wanted`` marks."""
     o = observation[0]
     kept = o["boxes"][: o["box_count"]][wanted]
     o["boxes"][: len(kept)] = kept
@@ -28,7 +28,7 @@ def _keep(observation: Records, wanted: NDArray[np.bool_]) -> None:
 @of_perception("latency that nobody counts", "the arm gives way to where the hand was")
 @seeded(seeing, (0.5, 0.2, 0.1, 0.04), "ms", 1e3)
 def _late(delay_s: float, admitted: Admitted) -> Change:
-    """Deliver frames late, as if they were new."""
+    """Deliver camera frames late, but with the present time."""
     frames = Delayed(delay_s)
 
     def see(observation: Records) -> Records:
@@ -126,7 +126,7 @@ def _wrong_depth(admitted: Admitted, factor: float, observation: Records) -> Non
 @of_perception("high hands dropped", "a hand from above is filtered out as something else")
 @seeded(seen, (1.6, 1.5, 1.4), "m below the camera")
 def _near_only(admitted: Admitted, depth_m: float, observation: Records) -> None:
-    """Drop the hands that are as near to the overhead camera as a head."""
+    """Drop the hands that are as near to the overhead camera as a head would be."""
     o = observation[0]
     _keep(observation, o["boxes"][: o["box_count"], Z] > depth_m)
 

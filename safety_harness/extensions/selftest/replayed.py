@@ -1,4 +1,4 @@
-"""Runs for the page: for each claim that caught a fault, a run with the first such fault."""
+"""Select runs for the page: for each claim that caught a fault, a run with the first such fault."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def caught_runs(
 ) -> list[tuple[FaultOutcome, JudgedRun]]:
     """Return at most ``most`` faults, each with the run in which a claim caught its smallest magnitude.
 
-    Each claim shows one fault, so that the page shows as many claims as possible. It omits catches without
-    a claim (a failed run, a changed answer). Ctrl-C raises KeyboardInterrupt.
+    Each claim appears with one fault only, so that the page shows as many claims as possible. A catch without
+    a claim (a failed run, a changed answer) is omitted. Ctrl-C raises KeyboardInterrupt.
     """
     seen, runs = set[str](), list[tuple[FaultOutcome, JudgedRun]]()
     for outcome, rung, claim in _caught(outcomes):
@@ -36,14 +36,14 @@ def caught_runs(
 
 
 def _caught(outcomes: Sequence[FaultOutcome]) -> Iterator[tuple[FaultOutcome, Rung, str]]:
-    """Yield the caught faults, the smallest caught magnitude, and the first claim that caught it."""
+    """Yield each caught fault, the rung of its smallest caught magnitude, and the first claim to catch it."""
     for outcome in outcomes:
         if not outcome.harmless and outcome.smallest is not None and outcome.alarm is not None:
             yield outcome, outcome.smallest, outcome.alarm.claim
 
 
 def _again(outcome: FaultOutcome, rung: Rung, sentence: str, episode: Admitted) -> JudgedRun | None:
-    """Return the run with the fault, judged by one claim alone; None if the sentence is no claim."""
+    """Return the run with the fault, judged by one claim only; None if ``sentence`` is no claim."""
     claims = [claim for claim in claims_of(episode.scenario) if claim.sentence == sentence]
     if not claims:
         return None

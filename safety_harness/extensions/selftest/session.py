@@ -1,6 +1,6 @@
-"""One self-test from its faults to its files, in several processes.
+"""Run one self-test in several processes, from its faults to its files.
 
-It stores each finished fault at once, so that a later failure loses no result.
+The session stores each finished fault at once, so that a later failure loses no result.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ PAGE, DATA = "selftest.html", "selftest.json"
 
 @dataclass(eq=False)
 class SelfTestSession:
-    """The faults tried so far, among the faults with these ``numbers`` in EVERY.
+    """The outcomes of the faults tried so far, among the faults with these ``numbers`` in EVERY.
 
     ``remarks`` concern the sound system, which the constructor tries. ``broken`` is the reason why the
-    self-test ended early. InputError for scenarios that cannot be used.
+    self-test ended early. The constructor raises InputError if scenarios cannot be used.
     """
 
     plan: SelfTestPlan
@@ -59,11 +59,11 @@ class SelfTestSession:
 
     @property
     def tried(self) -> list[FaultOutcome]:
-        """The outcomes in the order of the catalogue."""
+        """The outcomes so far, in the order of the catalogue."""
         return [self.done[EVERY[n].name] for n in self.numbers if EVERY[n].name in self.done]
 
     def run(self, jobs: int, on_fault: Callable[[FaultOutcome], None]) -> None:
-        """Try all faults, until Ctrl-C or a defect; OSError if the files cannot be written."""
+        """Try all faults until Ctrl-C or a defect ends the test; OSError if a file cannot be written."""
         results = outcomes(self.plan, self.numbers, jobs)
         try:
             while (outcome := next(results, None)) is not None:
@@ -81,15 +81,15 @@ class SelfTestSession:
 
     @property
     def document(self) -> dict[str, Any]:
-        """The outcomes so far, for JSON."""
+        """The outcomes so far, in the form of the JSON file."""
         return document(self.tried, self._facts())
 
     def write(self) -> None:
-        """Write the outcomes so far as JSON; OSError."""
+        """Write the outcomes so far as JSON; raise OSError if that fails."""
         write_document(self.out / DATA, self.tried, self._facts())
 
     def write_page(self) -> None:
-        """Write the page, with runs in 3-D after a whole self-test; OSError."""
+        """Write the page, with runs in 3-D after a complete self-test; raise OSError if that fails."""
         whole = not (self.interrupted or self.broken)
         runs = caught_runs(self.tried, self._episodes) if whole else []
         write_page(self.out / PAGE, self.tried, self._facts(), runs)
@@ -113,7 +113,10 @@ class SelfTestSession:
 
 
 def numbers_of(text: str | None) -> list[int]:
-    """Return the numbers in EVERY of the faults with these words in their name; SettingsError without any."""
+    """Return the numbers in EVERY of the faults whose name contains ``text``.
+
+    Raise SettingsError if there is no such fault.
+    """
     numbers = [n for n, fault in enumerate(EVERY) if text is None or text.lower() in fault.name.lower()]
     if not numbers:
         every, page = [fault.name for fault in EVERY], "safety-harness docs results/self-test#what-was-caught"
@@ -123,9 +126,10 @@ def numbers_of(text: str | None) -> list[int]:
 
 
 def try_out(trials: FaultTrials, fault: SeededFault) -> FaultOutcome:
-    """Return the outcome of a fault down its ladder, up to the first magnitude that survives.
+    """Return the outcome of ``fault``, tried down its ladder until a magnitude survives.
 
-    PyBullet repeats the smallest catch. A harmless change runs on the whole suite, with all its alarms.
+    PyBullet repeats the smallest catch. A harmless change runs on the whole suite, and all its alarms are
+    kept.
     """
     if not trials.applies(fault):
         return outcome_of(fault, (), applies=False)
@@ -155,7 +159,7 @@ def _try(number: int) -> FaultOutcome:
 
 
 def outcomes(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[FaultOutcome]:
-    """Yield the faults of these numbers in EVERY, each when it is finished; with one job, in this process."""
+    """Yield the outcome of each fault of ``numbers`` when it is finished; with one job, in this process."""
     if jobs == 1:
         trials = FaultTrials(plan.episodes())
         yield from (try_out(trials, EVERY[number]) for number in numbers)

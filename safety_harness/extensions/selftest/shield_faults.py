@@ -1,6 +1,6 @@
-"""Faults of a shield: it is blind, forgets a part of the arm, or takes hands for slower.
+"""Faults of a shield, which is blind, forgets a part of the arm, or assumes too low a speed of hands.
 
-They run where only a shield protects hands: the controller does not avoid them.
+They are tried where only a shield protects hands, because the controller does not avoid them.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ FAR_M = 10.0
 
 
 def _alone(system: ChangedSystem) -> ChangedSystem:
-    """Return the system with a shield and without avoidance of hands.
+    """Return the system with a shield, whose controller does not avoid hands.
 
-    With an eye-in-hand sensor it returns the system unchanged.
+    A system with an eye-in-hand sensor is returned unchanged.
     """
     scenario = system.admitted.scenario
     if scenario.settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:

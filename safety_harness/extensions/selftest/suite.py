@@ -1,6 +1,6 @@
-"""The episodes for faults: shipped scenarios, then draws of the spaces, in a fixed order.
+"""Choose the episodes for faults: shipped scenarios, then draws of the spaces, in a fixed order.
 
-``quick`` takes a couple of minutes on two idle cores; ``nightly`` uses all there is.
+``quick`` takes a couple of minutes on two idle cores; ``nightly`` uses all scenarios and many draws.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from safety_harness.space.read import read_space
 
 LONG_S = 30.0  # longer scenarios come last: they cost as much as several short ones
 
-# The scenarios that catch most come first; measured, see docs/results/self-test.md.
+# The scenarios that catch most faults come first, as measured in docs/results/self-test.md.
 TELLING = (
     "hand-visits-and-leaves",
     "second-hand",
@@ -51,7 +51,11 @@ TELLING = (
 
 @dataclass(frozen=True, kw_only=True)
 class SelfTestProfile:
-    """The TELLING scenarios, with ``others`` all scenarios, and then ``draws`` of each space."""
+    """The extent of a self-test.
+
+    It always includes the TELLING scenarios, with ``others`` all other scenarios, and ``draws`` draws of each
+    space.
+    """
 
     name: str
     others: bool
@@ -64,7 +68,7 @@ PROFILES = (QUICK, NIGHTLY)
 
 
 def profile_named(name: str) -> SelfTestProfile:
-    """Return the profile of a name; ScenarioError for any other name."""
+    """Return the profile with the name ``name``; raise ScenarioError if there is none."""
     profiles = {profile.name: profile for profile in PROFILES}
     if name not in profiles:
         hint = near_miss(name, profiles)
@@ -74,20 +78,20 @@ def profile_named(name: str) -> SelfTestProfile:
 
 @dataclass(frozen=True)
 class SelfTestPlan:
-    """The profile, the folder of scenarios, and the ``avoider`` in place of the scenarios' own."""
+    """The profile of a self-test, the folder of scenarios, and the ``avoider`` that replaces their own."""
 
     profile: SelfTestProfile
     folder: Path
     avoider: str | None
 
     def episodes(self) -> tuple[Admitted, ...]:
-        """Return at least one admitted scenario, in the order of the trials.
+        """Return the episodes, at least one, in the order in which they are tried.
 
-        The TELLING scenarios of ``folder`` come first, then the rest, then draws of its spaces. A profile
-        without ``others`` takes only the telling scenarios, if there are any. It omits scenarios that only
-        PyBullet can run.
+        The TELLING scenarios of ``folder`` come first, then the other scenarios, then draws of the folder's
+        spaces. A profile without ``others`` omits the other scenarios if there are any telling ones.
+        Scenarios that only PyBullet can run are always omitted.
 
-        InputError for a file that cannot be used, or without any episode.
+        The method raises InputError if a file cannot be used, or if no episode is left.
         """
         folder = located(self.folder)
         if not folder.is_dir():
@@ -122,7 +126,7 @@ def _rank(scenario: Scenario) -> tuple[int, float, str]:
 
 
 def _admitted(scenarios: Iterable[Scenario], avoider: str | None) -> Iterator[Admitted]:
-    """Yield the scenarios that the kinematic world can run, admitted."""
+    """Admit and yield the scenarios that the kinematic world can run."""
     for scenario in scenarios:
         try:
             KINEMATIC.refuse(scenario)
@@ -132,7 +136,7 @@ def _admitted(scenarios: Iterable[Scenario], avoider: str | None) -> Iterator[Ad
 
 
 def claims_of(scenario: Scenario) -> tuple[Claim, ...]:
-    """Return the whole catalogue with the limits of its examples, and the scenario's own expectations."""
+    """Return the whole catalogue with its examples' limits, and the scenario's claims that must hold."""
     examples = [Claim(sentence=entry.example, expected=Verdict.HOLDS) for entry in CATALOGUE]
     known = {claim.sentence for claim in examples}
     own = [c for c in scenario.claims if c.expected is Verdict.HOLDS and c.sentence not in known]

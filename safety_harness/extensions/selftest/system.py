@@ -1,8 +1,8 @@
-"""The system under test with an interface for each change: avoider, gate, controller, world.
+"""Define the system under test with an interface for changes to avoider, gate, controller and world.
 
-A fault never changes the system's own code. It wraps the avoider, the gate or the world, or edits the
-records that a run's controller and world read. Each ``with_`` returns another system and leaves its own
-sound.
+A fault never changes the system's own code. It wraps the avoider, the gate or the world, or it edits the
+records that a run's controller and world read. Each method ``with_...`` returns another system and leaves its
+own system sound.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MakesChange = Callable[[Admitted], Change]  # called for each run, since a chang
 
 @dataclass(frozen=True, eq=False)
 class ChangedSystem:
-    """An admitted scenario, with the changes of its controller and its world in a run."""
+    """An admitted scenario, with the changes that its controller and its world get in each run."""
 
     admitted: Admitted
     edits: tuple[Callable[[AvoidingServo], None], ...] = ()
@@ -41,11 +41,11 @@ class ChangedSystem:
     worlds: tuple[Callable[[Any], World], ...] = ()
 
     def with_avoider(self, wrap: Callable[[Avoider], Avoider]) -> ChangedSystem:
-        """Return the system with an avoider around its own."""
+        """Return the system with the avoider that ``wrap`` makes around its own."""
         return replace(self, admitted=replace(self.admitted, avoider=wrap(self.admitted.avoider)))
 
     def with_gate(self, cls: type[Gate] = Gate, /, **changed: Any) -> ChangedSystem:
-        """Return the system with a gate of another class or with other fields."""
+        """Return the system with a gate of the class ``cls``, or with changed fields of its gate."""
 
         def edit(pilot: AvoidingServo) -> None:
             pilot.gate = cls(**(vars(pilot.gate) | changed))
@@ -57,29 +57,30 @@ class ChangedSystem:
         return replace(self, edits=(*self.edits, lambda pilot: edit(pilot.records)))
 
     def with_pilot(self, wrap: Callable[[AvoidingServo], Controller]) -> ChangedSystem:
-        """Return the system with a controller around its own."""
+        """Return the system with the controller that ``wrap`` makes around its own."""
         return replace(self, pilot=wrap)
 
     def with_world(self, wrap: Callable[[Any], World]) -> ChangedSystem:
-        """Return the system with a world around its own."""
+        """Return the system with the world that ``wrap`` makes around its own."""
         return replace(self, worlds=(*self.worlds, wrap))
 
     def seeing(self, make: MakesChange) -> ChangedSystem:
-        """Return the system with a change of the observations between world and controller."""
+        """Return the system with a change of the observations between its world and its controller."""
         return self.with_world(lambda world: WorldWrapper(world, see=make(self.admitted)))
 
     def obeying(self, make: MakesChange) -> ChangedSystem:
-        """Return the system with a change of the commands between controller and world."""
+        """Return the system with a change of the commands between its controller and its world."""
         return self.with_world(lambda world: WorldWrapper(world, obey=make(self.admitted)))
 
     def starting_at(self, joint_position_rad: ArrayN) -> ChangedSystem:
-        """Return the system with another initial joint position (n,) [rad]."""
+        """Return the system with another joint position (n,) [rad] at the start."""
         return replace(self, admitted=replace(self.admitted, joint_position_rad=joint_position_rad))
 
     def run(self, world: WorldEntry = KINEMATIC) -> Trace:
-        """Run the system once; exceptions of the faults pass through, and Ctrl-C raises KeyboardInterrupt.
+        """Run the system once.
 
-        Each run makes a user's controller afresh, so that a fault leaves no trace in it.
+        Exceptions of the faults pass through, and Ctrl-C raises KeyboardInterrupt. Each run creates a user's
+        controller anew, so that no fault leaves a trace in it.
         """
         admitted = self.admitted
         scenario = admitted.scenario
@@ -104,18 +105,18 @@ class ChangedSystem:
 
 
 class Delayed:
-    """A queue whose items come out ``delay_s`` later."""
+    """A queue that releases each item ``delay_s`` after it was put in."""
 
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
         self._waiting: deque[tuple[float, Any]] = deque()
 
     def put(self, now_s: float, item: Any) -> None:
-        """Put an item in at the time ``now_s``."""
+        """Put ``item`` into the queue at the time ``now_s``."""
         self._waiting.append((now_s, item))
 
     def due(self, now_s: float) -> Any | None:
-        """Return the last item that is due by now, and drop all due items; None without any."""
+        """Return the latest item that is due at ``now_s``, and drop all due items; None if no item is due."""
         last = None
         while self._waiting and self._waiting[0][0] + self._delay_s <= now_s + 1e-9:
             _, last = self._waiting.popleft()
@@ -123,9 +124,9 @@ class Delayed:
 
 
 class WorldWrapper:
-    """A world with changed observations or commands; all else, such as ``acted_faults``, is the world's own.
+    """A world whose observations or commands are changed; everything else is the inner world's own.
 
-    A fault seeded from outside has no bit in ``acted_faults``, which has the scenario's faults.
+    ``acted_faults`` has bits only for the scenario's faults, not for a fault that is seeded from outside.
     """
 
     name: str
@@ -141,14 +142,14 @@ class WorldWrapper:
         return getattr(self.world, name)
 
     def true_state(self, tick: Records) -> None:
-        """Write the unchanged truth of the world."""
+        """Write the unchanged truth of the inner world into ``tick``."""
         self.world.true_state(tick)
 
     def observe(self) -> Records:
-        """Return the (1,) OBSERVATION, after the change if there is one."""
+        """Return the (1,) OBSERVATION, to which the change of observations is applied if there is one."""
         observation = self.world.observe()
         return observation if self._see is None else self._see(observation.copy())
 
     def step(self, command: Records) -> bool:
-        """Give the world the (1,) COMMAND, after the change if there is one."""
+        """Pass the (1,) COMMAND to the world, after the change of commands if there is one."""
         return self.world.step(command if self._obey is None else self._obey(command.copy()))

@@ -1,4 +1,4 @@
-"""Faults in the time of events."""
+"""Faults that change when events happen."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from safety_harness.extensions.selftest.system import Change, Records
 @of_timing("late commands", "the arm obeys outdated commands")
 @seeded(obeying, (0.4, 0.2, 0.1, 0.04), "ms", 1e3)
 def _late_commands(delay_s: float, admitted: Admitted) -> Change:
-    """Delay each command of the controller."""
+    """Delay each command of the controller by ``delay_s``."""
     cycles = round(delay_s / admitted.scenario.settings.clock.control_period_s)
     waiting: deque[Records] = deque()
 
@@ -40,7 +40,7 @@ def _late_commands(delay_s: float, admitted: Admitted) -> Change:
 @of_timing("missed cycles", "a controller that is not heard for part of every second")
 @seeded(obeying, (0.9, 0.5, 0.2, 0.05), "ms of a second", 1e3)
 def _missed(pause_s: float, admitted: Admitted) -> Change:
-    """Lose the controller's commands for a part of each second: the drives keep their last command."""
+    """Lose the controller's commands for a part of each second, while the drives keep the last command."""
     period_s = admitted.scenario.settings.clock.control_period_s
     held: list[Records] = []
     ticks = 0
@@ -79,7 +79,7 @@ def _slow(records: ControllerRecords, seconds: float) -> None:
 @of_timing("frames stamped too early", "a hand is extrapolated over a time that has not passed")
 @seeded(seen, (0.5, 0.2, 0.1, 0.05), "ms", 1e3)
 def _stamped_late(admitted: Admitted, by_s: float, observation: Records) -> None:
-    """Give frames an earlier time than their own."""
+    """Give camera frames a time that is earlier than their own by ``by_s``."""
     if observation[0]["boxes_new"]:
         observation[0]["boxes_time_s"] -= by_s
 

@@ -1,4 +1,4 @@
-"""One fault in a sound system: the claims violated with it that hold without it, on the same scenario."""
+"""Try one fault in a sound system: find claims that the fault violates and the sound system keeps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ RUN_FAILED = "the run can be carried through"
 LEAST_M = 0.050  # limit of the catalogue's example about the hand distance
 Evaluations = Mapping[str, Evaluation]  # by sentence
 
-# The least difference of the margins with and without a fault [SI], so that no catch depends on rounding.
+# The least difference [SI] of the margins with and without a fault; no catch then depends on rounding.
 CLEAR = {
     Unit.LENGTH: 1e-3,
     Unit.ANGLE: 1e-3,
@@ -43,10 +43,10 @@ CLEAR = {
 
 @dataclass(frozen=True, kw_only=True)
 class Alarm:
-    """A claim that is violated with the fault and holds without it.
+    """A claim that is violated with the fault, although it holds without the fault in the same scenario.
 
-    ``margin`` is the margin with the fault, and ``before`` the margin without it. ``true``: independent
-    geometry confirms it, which only harmless changes need.
+    ``margin`` is the margin with the fault, and ``before`` the margin without it. ``true`` states that
+    independent geometry confirms the alarm, which matters only for harmless changes.
     """
 
     claim: str
@@ -62,10 +62,10 @@ class Alarm:
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """The results of PyBullet's kinematics and distances for the hand distance, in runs with hands.
+    """The findings of PyBullet's kinematics and distances on the hand distance, in runs with hands.
 
-    The limit is ``kept`` in some runs and ``broken`` in some, and the rest is too near to decide. In the
-    ``contradicted`` runs our verdict is the opposite.
+    The limit is kept in ``kept`` runs and broken in ``broken`` runs; the other runs are too near to it to
+    decide. In the runs ``contradicted``, the harness's verdict is the opposite.
     """
 
     runs: int = 0
@@ -74,7 +74,7 @@ class Geometry:
     contradicted: tuple[str, ...] = ()
 
     def with_run(self, scenario: str, kept: Kept, verdict: Verdict) -> Geometry:
-        """Return the results with a further run."""
+        """Return the findings with those of a further run."""
         contradicted = {Kept.PROVEN: Verdict.VIOLATED, Kept.REFUTED: Verdict.HOLDS}.get(kept) is verdict
         return Geometry(
             runs=self.runs + 1,
@@ -86,10 +86,10 @@ class Geometry:
 
 @dataclass(frozen=True, kw_only=True)
 class Rung:
-    """One magnitude of a fault, the number of episodes tried, and the alarms.
+    """One magnitude of a fault, the number of episodes tried with it, and the alarms.
 
-    ``alarms`` are all alarms of the episode that caught it. ``confirmed`` states whether PyBullet confirms
-    the catch, None if it did not run. Only harmless changes have a ``geometry``.
+    ``alarms`` are all alarms of the episode that caught the fault. ``confirmed`` states whether PyBullet
+    confirms the catch; None if it did not run. Only harmless changes have a ``geometry``.
     """
 
     magnitude: float
@@ -101,13 +101,13 @@ class Rung:
 
     @property
     def caught(self) -> bool:
-        """Whether there is an alarm."""
+        """Whether the fault caused an alarm."""
         return bool(self.alarms)
 
 
 @dataclass(eq=False)
 class FaultTrials:
-    """Tries faults on a suite of episodes, and remembers the results of the sound system."""
+    """A trial that runs faults on a suite of episodes, and keeps the results of the sound system."""
 
     episodes: tuple[Admitted, ...]
     _sound: dict[tuple[int, str, str], Evaluations] = field(default_factory=dict)
@@ -115,8 +115,8 @@ class FaultTrials:
     def applies(self, fault: SeededFault) -> bool:
         """Return whether a fault applies to these episodes.
 
-        A fault of the spread needs an avoider with a spread. Faults of avoider, gate and the visual servo's
-        own records do not apply if a controller replaces the servo.
+        A fault of the spread applies only to an avoider with a spread. If a controller replaces the visual
+        servo, faults of the avoider, the gate and the servo's own records do not apply.
         """
         if not self._all_servo:
             return self._touches_any(fault)
@@ -136,7 +136,7 @@ class FaultTrials:
         return own and not faulty.edits and faulty.pilot is None
 
     def rung(self, fault: SeededFault, magnitude: float) -> Rung:
-        """Return the result of one magnitude: episode after episode, up to the first catch."""
+        """Return the result of one magnitude, tried on one episode after another until the first catch."""
         text, alarms = fault.ladder.label(magnitude), tuple[Alarm, ...]()
         for number in range(len(self.episodes)):
             alarms = self.alarms(fault, magnitude, number)
@@ -147,12 +147,12 @@ class FaultTrials:
     def alarms(
         self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry = KINEMATIC
     ) -> tuple[Alarm, ...]:
-        """Return the claims violated with the fault that hold without it, in one episode of the suite."""
+        """Return the claims that hold without the fault but are violated with it, in one episode."""
         sound, faulty, _ = self._with_and_without(fault, magnitude, number, world)
         return alarms_between(sound, faulty, self.episodes[number].scenario.name)
 
     def everywhere(self, fault: SeededFault) -> Rung:
-        """Return all alarms of a harmless change on the whole suite, and the results of the geometry."""
+        """Return all alarms of a harmless change on the whole suite, and the findings of the geometry."""
         magnitude, every, geometry = fault.ladder.values[0], list[Alarm](), Geometry()
         for number, admitted in enumerate(self.episodes):
             name = admitted.scenario.name
@@ -172,7 +172,10 @@ class FaultTrials:
         )
 
     def confirmed(self, fault: SeededFault, rung: Rung) -> bool | None:
-        """Return whether a claim that caught the fault is violated in PyBullet too; None without PyBullet."""
+        """Return whether a claim that caught the fault is violated in PyBullet too.
+
+        The result is None if PyBullet is not installed.
+        """
         if not REFERENCE.is_installed:
             return None
         there = self.alarms(fault, rung.magnitude, rung.episodes - 1, REFERENCE)
@@ -181,7 +184,7 @@ class FaultTrials:
     def _with_and_without(
         self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry = KINEMATIC
     ) -> tuple[Evaluations, Evaluations, Trace | None]:
-        """Return the evaluations without the fault and with it, and the run with it unless it failed."""
+        """Return the evaluations without and with the fault, and the run with it; None if that run failed."""
         system = fault.circumstance.bring_about(ChangedSystem(self.episodes[number]))
         key = (number, fault.circumstance.name, world.name)
         if key not in self._sound:
@@ -192,13 +195,13 @@ class FaultTrials:
         faulty = fault.seed_into(system, magnitude)
         try:
             trace = faulty.run(world)
-        except Exception as error:  # an exception of a faulty system is a catch; an error in judging is not
+        except Exception as error:  # a faulty system's exception is a catch, unlike an error in judging
             return self._sound[key], {RUN_FAILED: check(RUN_FAILED, described(error))}, None
         return self._sound[key], evaluations_of(faulty.admitted, trace), trace
 
 
 def alarms_between(sound: Evaluations, faulty: Evaluations, scenario: str) -> tuple[Alarm, ...]:
-    """Return the claims that hold in the sound run and are violated in the faulty run, by a clear margin."""
+    """Return the claims that hold in the sound run and are violated by a clear margin in the faulty run."""
     return tuple(
         Alarm(
             claim=claim,
@@ -212,13 +215,13 @@ def alarms_between(sound: Evaluations, faulty: Evaluations, scenario: str) -> tu
 
 
 def confirmed_by(kept: Kept, alarms: Sequence[Alarm]) -> tuple[Alarm, ...]:
-    """Return the alarms; one about the hand distance is true if the geometry refutes the limit."""
+    """Return ``alarms``; an alarm about the hand distance is true if the geometry refutes the limit."""
     refuted = kept is Kept.REFUTED
     return tuple(replace(alarm, true=refuted and alarm.claim == HAND_DISTANCE.example) for alarm in alarms)
 
 
 def fallen(sound: Evaluation, faulty: Evaluation) -> bool:
-    """Return whether a claim held and is violated now, with margins at least ``CLEAR`` apart."""
+    """Return whether a claim that held is violated now, with margins at least ``CLEAR`` apart."""
     if (sound.verdict, faulty.verdict) != (Verdict.HOLDS, Verdict.VIOLATED):
         return False
     if sound.margin is None or faulty.margin is None:
@@ -227,7 +230,7 @@ def fallen(sound: Evaluation, faulty: Evaluation) -> bool:
 
 
 def evaluations_of(admitted: Admitted, trace: Trace) -> dict[str, Evaluation]:
-    """Return the evaluations of one run by sentence: all claims, and the two further checks."""
+    """Return the evaluations of one run by their sentences: all claims, and two further checks."""
     evaluations = {RUN_FAILED: check(RUN_FAILED, ""), SAME_TWICE: check(SAME_TWICE, _flaky(admitted, trace))}
     for claim in claims_of(admitted.scenario):
         evaluations[claim.sentence] = property_of(claim, trace.scenario).evaluate(trace)
@@ -245,7 +248,7 @@ def _flaky(admitted: Admitted, trace: Trace) -> str:
 
 
 def check(sentence: str, problem: str) -> Evaluation:
-    """Return a check without a margin as an evaluation; it holds without a ``problem``."""
+    """Return a check without a margin as an evaluation, which holds unless there is a ``problem``."""
     return Evaluation(
         sentence=sentence,
         verdict=Verdict.VIOLATED if problem else Verdict.HOLDS,

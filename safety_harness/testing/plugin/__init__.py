@@ -1,1 +1,1 @@
-"""The pytest plug-in: its hooks, the collection of scenario files, and the summary at the end."""
+"""Provide the pytest plug-in: hooks, the collection of scenario files, and the summary at the end."""

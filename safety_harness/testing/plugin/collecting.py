@@ -1,6 +1,6 @@
-"""Scenario files as tests: an item for each claim, and one simulation for all claims of a scenario.
+"""Turn scenario files into tests: one test item for each claim, and one simulation for each scenario.
 
-The claims of a space judge the same draws, and the plug-in simulates every draw once for all of them.
+The claims of a space judge the same draws, so the plug-in simulates every draw only once.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ Nodes = Iterator[pytest.Item | pytest.Collector]
 
 
 class ScenarioFile(pytest.File):
-    """A scenario file, a matrix, a space or a suite."""
+    """The pytest node of a scenario file, a matrix, a space or a suite."""
 
     def collect(self) -> Nodes:
-        """Yield an item for each claim; a file with several scenarios has a node for each scenario.
+        """Yield a test item for each claim; in a file with several scenarios, yield a node for each scenario.
 
         Raises:
-            CollectError: the mistakes of the file, each with its place.
+            CollectError: the file has mistakes; the error lists each with its place.
 
         """
         scenarios, spaces, refused = self._read()
@@ -70,7 +70,7 @@ class ScenarioFile(pytest.File):
         if not several:
             yield from items(self)
             return
-        # pytest splits an id at its first bracket, so that a combination has none: "opposite, fast".
+        # pytest splits an id at its first bracket, so the name of a combination has none: "opposite, fast".
         own = name.removeprefix(self.path.stem) if name.startswith(f"{self.path.stem}[") else name
         plain = own.replace("[", " ").replace("]", "").strip()
         yield ScenarioNode.from_parent(self, name=plain, items=items)
@@ -78,10 +78,10 @@ class ScenarioFile(pytest.File):
     def _read(self) -> tuple[list[Scenario], list[SpaceRuns], list[tuple[Incompatible, Claims]]]:
         """Return the admissible scenarios, the spaces, and the scenarios that an avoider cannot take.
 
-        The third list holds a refusal by an avoider of the command line, and the claims of its scenario.
+        The third list pairs the refusal by a command-line avoider with the claims of the refused scenario.
 
         Raises:
-            CollectError: the mistakes of all inadmissible scenarios.
+            CollectError: some scenarios are inadmissible; the error lists all their mistakes.
 
         """
         gathered = gather([self.path], spaces=True)
@@ -114,10 +114,10 @@ class ScenarioFile(pytest.File):
 
 
 class LogFile(pytest.File):
-    """The log of a cell, which the harness judges without a simulation."""
+    """The pytest node of a cell's log, which the harness judges without a simulation."""
 
     def collect(self) -> Nodes:
-        """Yield an item for each claim; CollectError for an unusable log or a log without claims."""
+        """Yield a test item for each claim; raise CollectError if the log is unusable or has no claims."""
         try:
             recorded = recorded_run(self.path)
         except InputError as error:
@@ -134,30 +134,33 @@ class LogFile(pytest.File):
 
 
 class ScenarioNode(pytest.Collector):
-    """One scenario or space of a file that holds several."""
+    """The pytest node of one scenario or space, for a file that contains several."""
 
     def __init__(self, *, items: Callable[[pytest.Collector], Nodes], **options: Any) -> None:
         super().__init__(**options)
         self._items = items
 
     def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
-        """Return the items of its claims."""
+        """Return the test items of the scenario's or space's claims."""
         return self._items(self)
 
 
 class FileItem(pytest.Item):
-    """The item of one claim of a file; ``check`` judges it."""
+    """The test item of one claim of a file; the function ``check`` judges the claim."""
 
     def __init__(self, *, claim: Claim, check: Callable[[TestRun], None], **options: Any) -> None:
         super().__init__(**options)
         self.claim, self._check = claim, check
 
     def runtest(self) -> None:
-        """Judge the claim; simulate first unless another claim has just done so."""
+        """Judge the claim; simulate the scenario first, unless the test of another claim has just done so."""
         self._check(self.stash[TEST])
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """Return a mistake or a violation in words, without pytest's frames, which take a second."""
+        """Return a mistake or a violation in words.
+
+        The text omits pytest's frames, because formatting them takes a second.
+        """
         error = excinfo.value
         return (
             explained(error)
@@ -166,16 +169,19 @@ class FileItem(pytest.Item):
         )
 
     def reportinfo(self) -> tuple[Path, int, str]:
-        """Return the file, the line of the claim (from 0) and the name."""
+        """Return the file, the line of the claim (counted from 0) and the name of the test."""
         return self.path, (self.claim.place.line or 1) - 1, self.name
 
 
 class ClaimItem(FileItem):
-    """One claim of one scenario; it passes if its verdict is the verdict that the file expects."""
+    """The test item of one claim of one scenario, which passes if the verdict is the expected one."""
 
 
 class SpaceClaimItem(FileItem):
-    """One claim of a space; it passes if no draw contradicts the file and some draws decide."""
+    """The test item of one claim of a space.
+
+    It passes if no draw contradicts the file and at least some draws decide the claim.
+    """
 
 
 def _items(parent: pytest.Collector, *, scenario: Scenario) -> Nodes:
@@ -211,13 +217,13 @@ def _judge(scenario: Scenario, claim: Claim, test: TestRun) -> None:
 
 
 def _note_of_another(claim: Claim, evaluation: Evaluation, scenario: Scenario, test: TestRun) -> None:
-    """Note a violation that the file expects of its own avoider, if ``--avoider`` replaces that avoider."""
+    """Record that ``--avoider`` causes a violation that the file expects of its own avoider."""
     if session().avoider is not None and claim.is_loosely(evaluation.verdict):
         test.of_another.append(f"{scenario.name.partition('#')[0]}: {claim.sentence}")
 
 
 def _skip_inapplicable(evaluations: Iterable[Evaluation]) -> None:
-    """Skip the test if the controller under test lacks the quantity of the claim in every run."""
+    """Skip the test if the controller under test lacks the quantity that the claim needs, in every run."""
     every = list(evaluations)
     if every and not any(evaluation.applicable for evaluation in every):
         pytest.skip(f"not applicable to the controller: {every[0].reason}")
@@ -234,15 +240,15 @@ def _judge_log(trace: Trace, claim: Claim, _: TestRun) -> None:
 class _Judged:
     run: Run
     evaluations: tuple[Evaluation, ...]  # in the order of the claims
-    fallback: Evaluation | None  # that the avoider did not answer, where nobody expects it
-    differences: tuple[ClaimDifference | None, ...]  # of the claims, then of the fallback, from a reference
+    fallback: Evaluation | None  # the violation that the avoider did not answer, unless it is expected
+    differences: tuple[ClaimDifference | None, ...]  # from a reference: for each claim, then for the fallback
 
 
 class SpaceRuns:
-    """A space and the judgements of its draws.
+    """A space, and the judgements of its draws so far.
 
-    The test of each claim draws by the same seed, and the margins of all claims lead it.  All tests thus
-    see the same scenarios until one of them fails.
+    The tests of all claims draw with the same seed, and the margins of all claims guide each test.  All tests
+    therefore see the same scenarios until one of them fails.
 
     Raises:
         InputError: admission refuses the space.
@@ -257,7 +263,10 @@ class SpaceRuns:
         self._shown: dict[str, tuple[Judgement, Trace]] = {}
 
     def check(self, number: int, test: TestRun) -> None:
-        """Draw scenarios and judge claim ``number``; SafetyViolation with the smallest failing scenario."""
+        """Draw scenarios and judge claim ``number`` in each.
+
+        Raise SafetyViolation with the smallest failing scenario.
+        """
         __tracebackhide__ = True
         for scenario in kept_for(test, one_system(self.space)):
             self._examine(scenario, number, test)

@@ -1,4 +1,4 @@
-"""The end of a session: the judgements, how often runs tested each claim, the kept files, and the report."""
+"""End a session: collect the judgements, tell how often runs tested each claim, and write the report."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Ending:
-    """The collector of the results of all tests, including those from the workers of xdist."""
+    """The collector of all test results, including those of xdist's workers."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -26,7 +26,7 @@ class Ending:
         self._unwritten = ""
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Take the judgements of a test."""
+        """Take over the judgements of a test from its report."""
         sent = vars(report).get("safety_harness")
         if sent is None:
             return
@@ -35,23 +35,23 @@ class Ending:
         message = of_text(sent)
         run = message.run
         if run.judgements or message.simulated or message.swallowed or run.replayed or run.not_taken:
-            hidden = message.failed and report.passed  # by a hook of somebody else's
+            hidden = message.failed and report.passed  # another plug-in's hook turned the failure into a pass
             self._sent.append(replace(message, swallowed=message.swallowed or hidden))
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
-        """Take the files that a worker of xdist ignored."""
+        """Take over the names of files that an xdist worker ignored."""
         current().ignored += getattr(node, "workeroutput", {}).get("safety_ignored", [])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self) -> None:
-        """Let SIGTERM and SIGHUP end the session like Ctrl-C, where they would lose a report."""
+        """Let SIGTERM and SIGHUP end the session as Ctrl-C does, if the session has to write a report."""
         if current().report is not None:
             answer_as_ctrl_c()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Fail a session in which no run tested some claim, and write the report."""
+        """Fail a session in which some claim was never tested, and write the report."""
         nothing = self._not_taken() and not self._judgements()
         if (self._untested() or self._unjudged() or nothing) and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
@@ -66,7 +66,7 @@ class Ending:
                 session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """The files of others; the table of claims, the kept failures, the seed."""
+        """Print ignored files of other programs, the table of claims, the kept failures, and the seed."""
         if ignored := ", ".join(dict.fromkeys(current().ignored)):
             terminalreporter.write_line(
                 f"safety-harness ignored {ignored}: a title as ours, and no key or no file that is ours"
@@ -113,14 +113,17 @@ class Ending:
             say(line)
 
     def _overruled(self) -> str:
-        """Return how often the gate overruled the avoiders; each run counts once, from whichever worker."""
+        """Return how often the gate overruled the avoiders; a run of several workers counts once."""
         from safety_harness.trace.overruling import Overruling
 
         runs = {run: counts for sent in self._sent for run, counts in sent.run.overruled.items()}
         return sum(runs.values(), Overruling()).summary
 
     def _against(self) -> list[str]:
-        """Return the differences from the reference; they count as tested only if no test drew scenarios."""
+        """Return the differences from the reference.
+
+        The lines contain p-values only if no test drew scenarios.
+        """
         from safety_harness.admission.avoiders import told_avoider
         from safety_harness.claims.properties.against import Against
         from safety_harness.testing.plugin.payloads import differences
@@ -133,7 +136,7 @@ class Ending:
         return list(Against(mine=mine, reference=told_avoider(now.against), runs=runs, drawn=drawn).lines())
 
     def _not_taken(self) -> list[str]:
-        """Return how many tests an avoider skipped because it cannot take their scenarios."""
+        """Return how many tests were skipped because the avoider cannot take their scenarios."""
         avoiders = [sent.run.not_taken for sent in self._sent if sent.run.not_taken]
         return [
             f"not run: {avoiders.count(name)} tests of scenarios that {name} cannot take"
@@ -141,7 +144,7 @@ class Ending:
         ]
 
     def _of_another(self) -> list[str]:
-        """Return the violations that files expect of their own avoider, and that --avoider shows too."""
+        """Return the violations that a file expects of its own avoider and that --avoider causes too."""
         texts = dict.fromkeys(text for sent in self._sent for text in sent.run.of_another)
         return [f"expected of another than --avoider: it may be for another reason: {text}" for text in texts]
 
@@ -152,7 +155,7 @@ class Ending:
         return [f"computing time: {line}" for line in lines_of(runs)]
 
     def _untried(self) -> list[str]:
-        """Return the moves and faults that no run of the session tried; each run counts once."""
+        """Return the moves and faults that no run of the session tried; a repeated run counts once."""
         from safety_harness.claims.properties.tried import TriedParts
 
         tried = TriedParts()
@@ -189,14 +192,14 @@ class Ending:
         return lines
 
     def _world(self) -> list[str]:
-        """Say that no world was named and which one took its place."""
+        """Say that the session named no world, and which world was used in its place."""
         from safety_harness.cell.simulation.worlds import DEFAULTED, KINEMATIC
 
         made_in = {j.run.world for j in self._judgements()}
         return [DEFAULTED] if not current().world and str(KINEMATIC) in made_in else []
 
     def _fallback(self) -> str:
-        """Of the runs in which the avoider did not answer: in how many decisions the fallback stood in."""
+        """Return in how many decisions the fallback acted, and in how many runs without an answer."""
         from safety_harness.claims.properties.answered import ANSWERED, fallback_words
         from safety_harness.report.words import count_words
 
@@ -210,7 +213,7 @@ class Ending:
         return text and f"{text} of {count_words(len(evaluations), 'run', 'runs')}"
 
     def _unjudged(self) -> str:
-        """Return the simulated runs without a judged claim, with the tests that made them."""
+        """Return the simulated runs whose claims nobody judged, with the tests that made them."""
         from safety_harness.report.words import count_words
 
         judged = {run for sent in self._sent for run in sent.judged}
@@ -219,9 +222,9 @@ class Ending:
         return text * bool(runs) + ", ".join(dict.fromkeys(runs.values()))
 
     def _tested(self) -> list[str]:
-        """Return the subjects of verdicts that concern more than the avoider or controller by default.
+        """Return what the verdicts are about, if that is more than an avoider or controller with defaults.
 
-        That is a shield, a gate or a setting that is not the default.
+        The text names a shield, a gate, and settings that differ from their defaults.
         """
         runs: dict[str, set[str]] = {}
         for run in (judgement.run for judgement in self._judgements()):
@@ -237,7 +240,7 @@ class Ending:
         return [judgement for sent in self._sent for judgement in sent.run.judgements]
 
     def _basis(self) -> str:
-        """Return the grounds of the session's verdicts."""
+        """Return the sentence on what the session's verdicts are based on."""
         from safety_harness.claims.properties.tally import basis_of_tallies
 
         return basis_of_tallies((j.run.world for j in self._judgements()), self._tallies())

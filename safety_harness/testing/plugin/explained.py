@@ -1,4 +1,4 @@
-"""Shared parts of the plug-in: the test record of an item, and the text of a mistake."""
+"""Provide what several parts of the plug-in need: an item's test record, and the text of a mistake."""
 
 from __future__ import annotations
 
@@ -15,6 +15,6 @@ TEST: pytest.StashKey[TestRun] = pytest.StashKey()
 
 
 def explained(error: BaseException) -> str:
-    """Return the text of a mistake: place, expected, got, hint, and the line of the test that led to it."""
+    """Return the text of a mistake: place, expected, got, hint, and the test line that led to it."""
     lines = [explanation(error), *(f"  {note}" for note in getattr(error, "__notes__", []))]
     return "\n".join(lines).replace(f"{Path.cwd()}{os.sep}", "")

@@ -1,4 +1,4 @@
-"""The record of a test that a worker process sends to the session."""
+"""Define the record of a test that a worker process sends to the session."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from safety_harness.testing.session import Judgement, TestRun
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EndedTest:
-    """A test that has ended: its judgements and its result, as a worker sends them.
+    """A finished test with its judgements and its result, as a worker sends it.
 
     Attributes:
         run: the test's record, without its traces and errors.
-        failed: pytest reports a failure.
-        swallowed: the test passed although a claim failed in it.
-        simulated: keys of the runs that need a judgement.
+        failed: whether pytest reports a failure.
+        swallowed: whether the test passed although a claim failed in it.
+        simulated: keys of the simulated runs, which need a judgement.
         judged: keys of the runs that the test judged.
         traces: files for the report, each with an evaluation and its expected verdict.
         executed: the avoider files that the process has executed.
@@ -41,7 +41,7 @@ class EndedTest:
 
     @property
     def text(self) -> str:
-        """Return the record as letters for ``of_text``; a test report may carry plain values only."""
+        """Return the record as text for ``of_text``, because a test report may contain only plain values."""
         run = replace(self.run, worst={}, traces={}, fallback=None, failure=None, refused={})
         return b64encode(pickle.dumps(replace(self, run=run))).decode()
 
@@ -53,12 +53,12 @@ def of_text(text: str) -> EndedTest:
 
 
 def tallies_of(judged: Iterable[Judgement]) -> tuple[ClaimTally, ...]:
-    """Return how often the runs tested each claim."""
+    """Return how often the judged runs tested each claim."""
     return tally_claims(Judged(run=j.run.name, evaluation=j.evaluation, expected=j.expected) for j in judged)
 
 
 def differences(every: Iterable[EndedTest]) -> list[RunDifference]:
-    """Merge the differences of several tests into one record per run, with all claims about that run."""
+    """Merge the differences of several tests into one record for each run, with all claims about that run."""
     runs: dict[str, RunDifference] = {}
     for ended in every:
         for digest, difference in ended.run.differences.items():
@@ -69,9 +69,9 @@ def differences(every: Iterable[EndedTest]) -> list[RunDifference]:
 
 
 def junit_properties(test: TestRun) -> list[tuple[str, object]]:
-    """Return name and value pairs for JUnit: the worst judgement of each claim.
+    """Return (name, value) pairs for JUnit: the worst judgement of each claim.
 
-    The names of a second claim end in 2, those names of a third in 3, and so on.
+    The names of the second claim end in 2, the names of the third claim in 3, and so on.
     """
     properties: list[tuple[str, object]] = []
     by_sentence: dict[str, list[Judgement]] = {}

@@ -1,7 +1,7 @@
-"""The hooks of the pytest plug-in, which import heavy modules only at their first use.
+"""Define the hooks of the pytest plug-in, which import heavy modules only when they first need them.
 
-Most projects never need those modules.  The plug-in ignores a session without a scenario file and without
-a test that uses ``safety_harness.testing``.
+Most projects never need these modules.  The plug-in does nothing in a session that has neither a scenario
+file nor a test that uses ``safety_harness.testing``.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Options and ini values."""
+    """Add the options and ini settings of the plug-in."""
     names = [profile.name for profile in PROFILES]
     sizes = ", ".join(f"{profile.name} {profile.examples}" for profile in PROFILES)
     group = parser.getgroup("safety-harness", "safety properties of a hand-avoiding robot arm")
@@ -81,13 +81,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Begin a session; an unusable avoider ends it at once."""
+    """Begin a session, and end it at once if the avoider cannot be used."""
     config.addinivalue_line("markers", f"{JUDGES_ITSELF}: a test that looks at runs without assert_holds")
     name = config.getoption("safety_profile") or config.getini("safety_profile")
     profiles = {profile.name: profile for profile in PROFILES}
     if name not in profiles:
         raise pytest.UsageError(f"safety_profile: expected one of {', '.join(profiles)}; got {name!r}")
-    report = config.getoption("safety_report")  # as seen from where pytest was started
+    report = config.getoption("safety_report")  # relative to the folder in which pytest was started
     new = Session(
         root=config.rootpath,
         profile=profiles[name],
@@ -117,19 +117,19 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node: Any) -> None:
-    """Give every worker of xdist the same seed."""
+    """Pass the same seed to every worker of xdist."""
     node.workerinput["safety_seed"] = session().seed
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | ScenarioFile | None:
-    """Collect scenario files, spaces, suites and logs that match ``safety_scenarios``.
+    """Collect the scenario files, spaces, suites and logs that match ``safety_scenarios``.
 
-    Without that setting, collect the files that the harness recognises.  A file that the user names and that
-    has a title of the harness counts too, so that its mistakes appear.
+    Without that setting, the plug-in collects the files that the harness recognises.  It also collects a file
+    that the user names if its title is the harness's, so that its mistakes are shown.
     """
     patterns = parent.config.getini("safety_scenarios")
     if patterns is None and file_path.suffix.lower() not in SUFFIXES:
-        return None  # before anything is imported: most files are of other projects
+        return None  # before any import, because most files belong to other projects
     from safety_harness.scenario.ours import is_ours, is_titled
 
     if patterns is not None:
@@ -150,12 +150,12 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtestloop(session: pytest.Session) -> None:
-    """Refuse an avoider of ``--avoider`` that cannot be made, before the first test.
+    """Refuse an ``--avoider`` that cannot be created, before the first test runs.
 
-    Collection executes no avoider.
+    This happens here because collection must not execute an avoider.
     """
     config = session.config
-    elsewhere = config.pluginmanager.hasplugin("dsession")  # the workers of xdist have the tests
+    elsewhere = config.pluginmanager.hasplugin("dsession")  # xdist's workers run the tests
     if config.option.collectonly or _is_worker(config) or not (session.testscollected or elsewhere):
         return
     _refuse_unusable_avoiders(make=True)
@@ -163,7 +163,7 @@ def pytest_runtestloop(session: pytest.Session) -> None:
 
 @pytest.fixture(scope="session")
 def simulate() -> Simulate:
-    """Return a function from a scenario to the trace of its run."""
+    """Return a function that runs a scenario and returns the trace of its run."""
     from safety_harness.testing.simulating import simulate as shared
 
     return shared
@@ -171,8 +171,8 @@ def simulate() -> Simulate:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
-    """Watch the tests that judge runs."""
-    if "safety_harness.testing.asserting" not in sys.modules:  # nobody can have judged anything
+    """Watch a test while it runs, if it may judge runs."""
+    if "safety_harness.testing.asserting" not in sys.modules:  # in this case no test has judged a run
         return (yield)
     from safety_harness.testing.plugin.running import watch
 
@@ -184,7 +184,7 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Add the judgements to the report, which carries them to JUnit and from a worker to the session."""
+    """Add the judgements to the test report, which carries them to JUnit and from a worker to the session."""
     report = yield
     test = item.stash.get(TEST, None)
     if test is not None and report.when == "call":
@@ -198,7 +198,7 @@ def pytest_runtest_makereport(
 def pytest_make_collect_report(
     collector: pytest.Collector,
 ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    """Report a mistake in a scenario file, or in a test's request, without frames of the harness."""
+    """Report a mistake in a scenario file or in a test's request without traceback frames of the harness."""
     report = yield
     call = getattr(report, "call", None)
     if report.failed and call is not None and isinstance(call.excinfo.value, SafetyHarnessError):
@@ -207,17 +207,17 @@ def pytest_make_collect_report(
 
 
 class _PastCapture(io.StringIO):
-    """A stream to the terminal during a test whose output the test or pytest captures."""
+    """A stream that reaches the terminal during a test, although the test or pytest captures the output."""
 
     def __init__(self, config: pytest.Config) -> None:
         super().__init__()
         self._plugins = config.pluginmanager
 
     def write(self, text: str) -> int:
-        """Write a whole line."""
+        """Write ``text`` as a whole line."""
         capture, reporter = map(self._plugins.getplugin, ("capturemanager", "terminalreporter"))
         if capture and reporter:
-            streams = sys.stdin, sys.stdout, sys.stderr  # of the test, perhaps
+            streams = sys.stdin, sys.stdout, sys.stderr  # the test may have replaced them
             with capture.global_and_fixture_disabled():
                 reporter.write_line(text.rstrip("\n"))
             sys.stdin, sys.stdout, sys.stderr = streams
@@ -233,7 +233,7 @@ def _is_worker(config: pytest.Config) -> bool:
 
 
 def _seed(config: pytest.Config) -> int:
-    """Return the seed of ``--hypothesis-seed``, else a new one; a worker of xdist gets its session's seed."""
+    """Return the seed of ``--hypothesis-seed`` or a new seed; a worker of xdist gets its session's seed."""
     if _is_worker(config):
         return int(config.workerinput["safety_seed"])  # type: ignore[attr-defined]
     option = config.getoption("--hypothesis-seed", default=None)
@@ -243,7 +243,7 @@ def _seed(config: pytest.Config) -> int:
 
 
 def _refuse_idle_patterns(config: pytest.Config) -> None:
-    """Raise UsageError for a pattern of ``safety_scenarios`` without a file where pytest looks for tests."""
+    """Raise UsageError for a pattern of ``safety_scenarios`` that matches no file where pytest looks."""
     of_ini = config.args_source is pytest.Config.ArgsSource.TESTPATHS
     for pattern in config.getini("safety_scenarios") or ():
         literal = re.split(r"[*?[]", pattern)[0].rpartition("/")[0]
@@ -280,7 +280,7 @@ def _refuse_unknown_world(label: str) -> None:
 
 
 def refuse_unusable_avoider(reference: str, option: str, *, make: bool) -> None:
-    """Raise UsageError for a missing or invalid avoider; only ``make`` executes a file."""
+    """Raise UsageError for a missing or invalid avoider; execute an avoider's file only with ``make``."""
     from safety_harness.admission.avoiders import refuse_unusable, resolve_avoider, scenario_of_avoider
 
     try:

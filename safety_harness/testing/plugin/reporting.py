@@ -1,7 +1,7 @@
-"""``--safety-report FILE``: the report of ``safety-harness run`` for the runs that tests judged.
+"""Write ``--safety-report FILE``: the report of ``safety-harness run``, for the runs that tests judged.
 
-The process that simulates a run writes its trace to the folder FILE-traces.  The session that gathers
-the results reads it there.  For a test that draws scenarios the report shows the worst run per claim.
+The process that simulates a run writes its trace to the folder FILE-traces.  The session that gathers the
+results reads the trace from there.  If a test draws scenarios, the report shows the worst run for each claim.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TITLE = "Safety properties of a hand-avoiding robot arm"
 
 
 def save_runs(test: TestRun, report: Path) -> tuple[tuple[Path, Verdict, Evaluation], ...]:
-    """Write the traces of ``test``; return file, expected verdict and evaluation of each claim.
+    """Write the traces of ``test``; return the file, expected verdict and evaluation of each claim.
 
     Raises:
         OSError: a trace cannot be written.
@@ -42,10 +42,10 @@ def save_runs(test: TestRun, report: Path) -> tuple[tuple[Path, Verdict, Evaluat
     for sentence, trace in test.traces.items():
         scenario, worst = trace.scenario, test.worst[sentence]
         digest = digest_of(scenario)[:12]
-        if not trace.known.simulated:  # a log of the scenario is another trace than a run of it
+        if not trace.known.simulated:  # a log and a run of the same scenario are different traces
             digest += f"-{hashlib.sha256(trace.ticks.tobytes()).hexdigest()[:12]}"
         file = folder / f"{scenario.name.partition('#')[0]}-{digest}.trace"
-        if file not in session().saved:  # what an earlier session wrote may be of other code
+        if file not in session().saved:  # an earlier session may have written the file with other code
             folder.mkdir(parents=True, exist_ok=True)
             save_trace(trace, file, recordings=session().recordings)
             session().saved.add(file)
@@ -56,14 +56,14 @@ def save_runs(test: TestRun, report: Path) -> tuple[tuple[Path, Verdict, Evaluat
 def write_reports(
     file: Path, sent: Sequence[EndedTest], coverage: Sequence[ClaimTally], *, command: str, whole: bool
 ) -> str:
-    """Write ``file`` and its JSON; return the reason for a failure, or an empty text.
+    """Write ``file`` and its JSON; return the reason if that fails, and otherwise an empty text.
 
     Args:
-        file: the page; the JSON has the same stem.
+        file: the file of the page; the JSON file has the same stem.
         sent: the tests that ended.
         coverage: how often the runs tested each claim.
-        command: the command that the page shows.
-        whole: whether every test ended; the report marks an interrupted session.
+        command: the command line that the page shows.
+        whole: whether every test ended; if not, the report says that the session was interrupted.
 
     """
     try:
@@ -86,14 +86,14 @@ def write_reports(
 
 
 def _runs(sent: Sequence[EndedTest]) -> Iterator[JudgedRun]:
-    """Yield one judged run for each trace, with all the claims that tests made about it."""
+    """Yield one judged run for each trace, with all claims that tests judged in this run."""
     by_file: dict[Path, list[tuple[str, Verdict, Evaluation]]] = {}
     for ended in sent:
         for file, expected, evaluation in ended.traces:
             by_file.setdefault(file, []).append((ended.run.id, expected, evaluation))
     for file, judgements in by_file.items():
         trace = load_trace(file)
-        first: dict[str, tuple[Claim, Evaluation]] = {}  # of what several tests said of one claim
+        first: dict[str, tuple[Claim, Evaluation]] = {}  # the first test's judgement of each claim
         for _, expected, evaluation in judgements:
             claim = Claim(sentence=evaluation.sentence, expected=expected)
             first.setdefault(evaluation.sentence, (claim, evaluation))

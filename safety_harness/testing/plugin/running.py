@@ -1,6 +1,6 @@
-"""One test that judges runs: watch it while it runs, and put its judgements into its report.
+"""Watch one test that judges runs while it runs, and put its judgements into its report.
 
-The report holds plain data, because a report of xdist can carry nothing else.
+The report contains plain data, because xdist can transfer nothing else in a report.
 """
 
 from __future__ import annotations
@@ -31,12 +31,15 @@ from safety_harness.testing.plugin.payloads import EndedTest, junit_properties
 from safety_harness.testing.session import Judgement, TestRun, session
 from safety_harness.testing.watching import keep, watched
 
-_OF_TARGETS = re.compile(r"Highest target|\s*\S+\s+\(label=|\s*$")  # of Hypothesis, a note a line
+_OF_TARGETS = re.compile(r"Highest target|\s*\S+\s+\(label=|\s*$")  # lines of Hypothesis's notes on targets
 
 
 @contextmanager
 def watch(item: pytest.Item) -> Iterator[None]:
-    """Keep a TestRun for ``item`` during its call; NotEstablished if the runs test none of its assertions."""
+    """Keep a TestRun for ``item`` during its call.
+
+    Raise NotEstablished if the runs test none of the item's assertions.
+    """
     function = _hypothesis_function(item)
     draws = function is not None or isinstance(item, SpaceClaimItem)
     test = TestRun(item.nodeid, draws=draws, keep_traces=session().report is not None)
@@ -72,7 +75,7 @@ def watch(item: pytest.Item) -> Iterator[None]:
 
 
 def _show(violation: SafetyViolation, test: TestRun) -> None:
-    """Show the failing run after its reduction in place of the first failure, and keep its scenario."""
+    """Show the reduced failing run in place of the first failure, and keep its scenario."""
     trace = violation.trace
     test.show(Judgement(run_of(trace), violation.evaluation, violation.expected), trace)
     if test.draws and trace.known.simulated and not in_store(violation.scenario):
@@ -80,9 +83,9 @@ def _show(violation: SafetyViolation, test: TestRun) -> None:
 
 
 def _leave_hypothesis_out(error: SafetyHarnessError, function: Any) -> None:
-    """Shorten the traceback to the test itself.
+    """Shorten the traceback of ``error`` so that it shows only the test itself.
 
-    A note of Hypothesis stays only if the test draws more than a scenario.
+    Hypothesis's note on the failing example remains only if the test draws more than a scenario.
     """
     draws_more = function is not None and len(function.hypothesis._given_kwargs) > 1
     notes = [note for note in getattr(error, "__notes__", []) if not _OF_TARGETS.match(note)]
@@ -95,13 +98,13 @@ def _leave_hypothesis_out(error: SafetyHarnessError, function: Any) -> None:
     files = [Path(frame.tb_frame.f_code.co_filename) for frame in frames]
     positions = [k for k, file in enumerate(files) if "hypothesis" in file.parts]
     if positions and positions[-1] + 1 < len(frames):
-        # The frame before the first is the function that @given made, which looks like the test itself.
+        # The frame before Hypothesis's first is the function that @given made; it looks like the test itself.
         outer = frames[max(positions[0] - 2, 0)]
         outer.tb_next = frames[positions[-1] + 1]
 
 
 def refuse_untested(test: TestRun) -> None:
-    """Raise NotEstablished if a test draws scenarios and every judgement is inconclusive."""
+    """Raise NotEstablished if a test draws scenarios and all its judgements are inconclusive."""
     if not test.draws or not test.judgements:
         return
     if all(j.evaluation.verdict is Verdict.INCONCLUSIVE is not j.expected for j in test.judgements):
@@ -117,12 +120,12 @@ def refuse_untested(test: TestRun) -> None:
 def complete(
     report: pytest.TestReport, item: pytest.Item, call: pytest.CallInfo[None], test: TestRun
 ) -> None:
-    """Add the judgements to the report, and remove the harness's frames from it."""
+    """Add the judgements to the report, and remove the frames of the harness from its traceback."""
     error = call.excinfo.value if call.excinfo is not None else None
     if isinstance(error, NotEstablished | InputError | FlakyAvoiderError):
         report.longrepr = "\n".join([explained(error), *_asked_at(error, item)])
     swallowed = False
-    if report.passed and not test.draws:  # it expected the failures that did not fail it, or swallowed them
+    if report.passed and not test.draws:  # the test expected the failures, or swallowed them
         swallowed = any(j.evaluation.verdict is not j.expected for j in test.judgements)
         test.judgements = [j for j in test.judgements if j.evaluation.verdict is j.expected]
     now = session()
@@ -140,11 +143,11 @@ def complete(
 
         ended = replace(ended, traces=save_runs(test, now.report))
     vars(report)["safety_harness"] = ended.text
-    vars(item).pop("_hypothesis_failing_examples", None)  # a patch with a scenario's repr is of no use
+    vars(item).pop("_hypothesis_failing_examples", None)  # a patch with a scenario's repr is useless
 
 
 def _asked_at(error: BaseException, item: pytest.Item) -> list[str]:
-    """Return the line of the test that led to a mistake, unless the mistake already names that line."""
+    """Return the line of the test that led to a mistake; empty if the mistake itself is in that file."""
     lines = [
         step.lineno for step in traceback.extract_tb(error.__traceback__) if step.filename == str(item.path)
     ]
@@ -154,26 +157,26 @@ def _asked_at(error: BaseException, item: pytest.Item) -> list[str]:
 
 
 def _hypothesis_function(item: pytest.Item) -> Any:
-    """Return the function with ``@given`` below a bound method; None for any other item."""
+    """Return the function with ``@given`` that the item calls; None if the item calls no such function."""
     function = getattr(item, "obj", None)
     function = getattr(function, "__func__", function)
     return function if getattr(function, "is_hypothesis_test", False) else None
 
 
 def _arguments(item: pytest.Item) -> tuple[str, ...]:
-    """Return the names of the fixtures that the test's own function takes."""
+    """Return the names of the fixtures that the test function itself requests."""
     info = getattr(item, "_fixtureinfo", None)
     return () if info is None else info.argnames
 
 
 def _is_about_scenarios(item: pytest.Item, function: Any) -> bool:
-    """Return whether a test with ``@given`` takes scenarios of this package, or simulates."""
+    """Return whether a test with ``@given`` draws scenarios of this package or uses ``simulate``."""
     given = function.hypothesis._given_kwargs.values()
     return "simulate" in getattr(item, "fixturenames", ()) or any(map(gives_scenarios, given))
 
 
 def _asserts(function: Any) -> bool:
-    """Return whether a test, or a function within it, names ``assert_holds``."""
+    """Return whether the code of a test, or of a function within it, refers to ``assert_holds``."""
     codes = [getattr(inspect.unwrap(function), "__code__", None)]
     for code in codes:
         if code is not None and "assert_holds" in code.co_names:
