@@ -1,4 +1,4 @@
-"""Connections to a ledger: checks, the right to write, SQLite's errors in words, and the tables."""
+"""Connections to a ledger: checks, permission to write, SQLite's errors in words, and the tables."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ unusable = LedgerError.of_file
 
 
 def refuse_no_ledger(path: Path) -> None:
-    """Raise LedgerError for no file, no SQLite, no ledger, or a file shorter than its header states."""
+    """Raise LedgerError if ``path`` has no file, no SQLite database, no ledger, or a truncated file."""
     refuse_other_kind(path, FileKind.LEDGER, error=LedgerError)
     refuse_no_file(path, "a ledger", LedgerError)
     try:
@@ -49,7 +49,7 @@ def refuse_no_ledger(path: Path) -> None:
 
 
 def _unfinished(path: Path) -> bool:
-    """Return whether there is a write-ahead log, with pages that the file lacks."""
+    """Return whether the ledger has a write-ahead log with pages that its file lacks."""
     log = path.with_name(path.name + "-wal")
     return log.exists() and log.stat().st_size > 0
 
@@ -57,9 +57,9 @@ def _unfinished(path: Path) -> bool:
 def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False) -> sqlite3.Connection:
     """Return a connection to the ledger at ``path``; LedgerError if it is damaged or of another version.
 
-    A reader may read while another process writes, and sees the state at the beginning of its query. A
-    reader of the file ``alone`` ignores the files beside it and writes no such file. It treats the file as
-    a stranger's, and allows only a ledger's own tables, views and triggers.
+    A reader may read while another process writes. It then sees the state at the beginning of its query. With
+    ``alone``, a reader ignores the files beside the ledger and writes no such file. It then trusts nothing in
+    the file, and allows only a ledger's own tables, views and triggers.
     """
     refuse_no_ledger(path)
     with explained(path):
@@ -114,7 +114,7 @@ def _refuse_other_version(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise LedgerError unless the schema is a ledger's: a view in place of a table could give false rows."""
+    """Raise LedgerError if the file has a foreign table or view, which could return false rows."""
     connection.execute("PRAGMA trusted_schema = OFF")
     with closing(sqlite3.connect(":memory:")) as whole:
         create(whole, counts_in(connection))
@@ -135,7 +135,7 @@ _TEXTS = "SELECT name, type, tbl_name, sql FROM sqlite_master"
 
 @contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Raise OutputError for SQLite's errors of a full disk, LedgerError for its further errors."""
+    """Raise OutputError if SQLite reports a full disk, and LedgerError for all its other errors."""
     try:
         yield
     except sqlite3.Error as error:
@@ -153,10 +153,10 @@ def explained(path: Path) -> Iterator[None]:
 
 @contextmanager
 def only_runner(path: Path) -> Iterator[None]:
-    """Hold the lock of a ledger's runner; LedgerError if another process has it.
+    """Hold the lock that one runner of a ledger needs; LedgerError if another process holds it.
 
-    The operating system releases the lock when the process ends in any way. After work that ended well, the
-    lock's file is gone.
+    The operating system releases the lock when the process ends in any way. If the work ended without an
+    error, the function removes the lock's file.
     """
     file = path.with_name(path.name + ".lock")
     with writing(file):
@@ -179,7 +179,7 @@ def only_runner(path: Path) -> Iterator[None]:
 
 
 def remove_empty_log(path: Path) -> None:
-    """Let SQLite remove the empty log that a reader leaves; it stays while other connections use it."""
+    """Let SQLite remove the empty log that a reader leaves, unless other connections use the log."""
     log = path.with_name(path.name + "-wal")
     with suppress(sqlite3.Error, OSError):
         if log.stat().st_size == 0:
@@ -188,7 +188,7 @@ def remove_empty_log(path: Path) -> None:
 
 
 def refuse_any_file(path: Path) -> None:
-    """Raise LedgerError if there is a file at the path of a new ledger."""
+    """Raise LedgerError if the path of a new ledger exists already."""
     if path.exists():
         raise unusable(path, "a path without a file", "a file")
 
@@ -280,7 +280,7 @@ _NAMES = (
 
 @lru_cache
 def added_columns() -> tuple[RegisteredPart, ...]:
-    """Return the parts that add a column; leave out, with a warning, an invalid name or one in use."""
+    """Return the parts that add a column; skip, with a warning, a part whose name is invalid or in use."""
     columns: dict[str, RegisteredPart] = {}
     for part in parts(ExtensionPoint.LEDGER_COLUMNS):
         if part.name in (*OWN_COLUMNS, *columns) or not _COLUMN.fullmatch(part.name):
@@ -294,7 +294,7 @@ def added_columns() -> tuple[RegisteredPart, ...]:
 
 
 def added_in(connection: sqlite3.Connection) -> tuple[str, ...]:
-    """Return the names of a ledger's added columns that are valid; a stranger may have written any text."""
+    """Return the valid names of a ledger's added columns, because a stranger may have written any text."""
     if not connection.execute("SELECT 1 FROM main.sqlite_master WHERE name = 'added'").fetchone():
         return ()
     names = [str(name) for (name,) in connection.execute(_NAMES)]
@@ -302,7 +302,7 @@ def added_in(connection: sqlite3.Connection) -> tuple[str, ...]:
 
 
 def _show_added(connection: sqlite3.Connection) -> None:
-    """Put a view with the added columns before the view of episodes."""
+    """Hide the view of episodes behind a temporary view that also has the added columns."""
     own = "FROM added a JOIN stratum s ON s.id = a.stratum WHERE s.name = e.stratum AND a.episode = e.episode"
     if columns := [f"(SELECT number {own} AND a.name = '{name}') AS {name}" for name in added_in(connection)]:
         connection.execute(
@@ -311,7 +311,7 @@ def _show_added(connection: sqlite3.Connection) -> None:
 
 
 def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> None:
-    """Make the tables in the open transaction; older programs had fewer ``counts``."""
+    """Create the tables in the open transaction; ``counts`` is shorter for ledgers of older programs."""
     for statement in _tables(counts).split(";\n")[:-1]:
         connection.execute(statement)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -319,13 +319,13 @@ def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> 
 
 
 def counts_in(connection: sqlite3.Connection) -> tuple[str, ...]:
-    """Return the names of ``COUNTS`` that the ledger has; later programs note more."""
+    """Return the names of ``COUNTS`` that the ledger stores; newer programs store more counts."""
     columns = {row[1] for row in connection.execute("PRAGMA main.table_info(episode)")}
     return tuple(name for name in COUNTS if name in columns)
 
 
 def _count_nothing_else(connection: sqlite3.Connection) -> None:
-    """Put a view before the table of episodes that gives 0 for each count that the ledger lacks."""
+    """Hide the table of episodes behind a temporary view with 0 for each count that the ledger lacks."""
     there = counts_in(connection)
     if absent := [f"0 AS {name}" for name in COUNTS if name not in there]:
         connection.execute(f"CREATE TEMP VIEW episode AS SELECT *, {', '.join(absent)} FROM main.episode")
