@@ -73,10 +73,10 @@ def plan_with(files: Sequence[PlanFile], reference: str, folder: Path) -> Plan:
 
 
 def against_lines(first: Ledger, second: Ledger) -> Iterator[str]:
-    """Yield sentences on what ``second`` lost against the reference ``first``: margins, then violations.
+    """Yield sentences on the losses of ``second`` against the reference ``first``: margins, then violations.
 
     The caller first checks both ledgers with ``compare_ledgers``. The sentences leave out each episode that
-    lacks a verdict in one of the ledgers.
+    lacks a verdict in either ledger.
     """
     path, reference = str(second.path), str(first.path)
     with second.attached(first.path, "first"):

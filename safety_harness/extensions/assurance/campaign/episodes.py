@@ -166,9 +166,9 @@ class EpisodeRunner:
         return self._guarded(stratum, drawn.episode, work)
 
     def _guarded(self, stratum: int, episode: int, work: Callable[[], _Done]) -> _Done | Row:
-        """Return the result of ``work``, which is tried twice; a failed row if both tries raise an error.
+        """Return the result of ``work``, after at most two attempts; a failed row if both raise an error.
 
-        More tries would be useless, because every worker would meet such an error. Three errors pass on:
+        More attempts would be useless, because every worker would meet such an error. Three errors pass on:
         InputError (caused by the plan), MemoryError (by this process) and CampaignError (by a program that
         must not run).
         """
@@ -252,8 +252,8 @@ def _decided(run: Trace) -> dict[str, Any]:
 def number_of(run: Trace) -> int:
     """Return a 63-bit hash that identifies ``run``; 0 for a run without ticks.
 
-    The hash covers what arm, hands and avoider did, but not the seed. Thus two draws that lead to the same
-    actions count as one run. To save time, the hash covers sensors only at every 16th tick.
+    The hash covers the actions of arm, hands and avoider, but not the seed. Thus two draws that lead to the
+    same actions count as one run. To save time, the hash covers sensors only at every 16th tick.
     """
     if len(run.ticks) == 0:
         return 0

@@ -57,8 +57,8 @@ def _unfinished(path: Path) -> bool:
 def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False) -> sqlite3.Connection:
     """Return a connection to the ledger at ``path``; LedgerError if it is damaged or of another version.
 
-    A reader may read while another process writes. It then sees the state at the beginning of its query. With
-    ``alone``, a reader ignores the files beside the ledger and writes no such file. It then trusts nothing in
+    A reader may read while another process writes. It then sees the state at the beginning of its query. If
+    ``alone`` is true, a reader ignores the files beside the ledger and writes no such file. It then distrusts
     the file, and allows only a ledger's own tables, views and triggers.
     """
     refuse_no_ledger(path)
