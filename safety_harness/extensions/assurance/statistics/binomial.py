@@ -94,7 +94,7 @@ def bounds_of(
     """Return one bound per sample, in the order of ``samples``; all bounds hold together with ``confidence``.
 
     The method is Bonferroni's: each of m bounds may fail with the chance (1 - confidence) / m. It also holds
-    for samples that depend on another sample.
+    if the samples are dependent.
 
     Args:
         samples: At least one sample.

@@ -18,8 +18,8 @@ restart is another pilot. In it, a point counts as far away if the mixture alrea
 phi does. If a restart finds violations, its region joins the mixture. The search ends with the first restart
 that finds no violation. ``still_found`` is true if even the last allowed restart found violations.
 
-In many dimensions, a few draws may carry most of the weight. Then the replications agree far better than they
-should. To notice this, a generalised Pareto distribution is fitted to the largest weights of violations
+In many dimensions, a few draws may carry most of the weight. Then the replications agree on a value that is
+far too low. To notice this, a generalised Pareto distribution is fitted to the largest weights of violations
 (Zhang and Stephens, 2009). If its shape exceeds 0.7, the estimate is not reliable (Vehtari, Simpson, Gelman,
 Yao and Gabry, 2024).
 

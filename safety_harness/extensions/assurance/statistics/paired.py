@@ -62,8 +62,8 @@ def compare(
 
     The difference is D = t (2 s - 1). Here t is the probability that exactly one avoider violates the claim.
     Given such an episode, s is the probability that this is the first avoider. Both t and s have Clopper and
-    Pearson's intervals, each with half of the error. The interval of D spans all values that t and s allow
-    within these. It usually holds with more than the stated confidence.
+    Pearson's intervals, each with half of the error. While t and s vary within these intervals, D varies
+    within its own interval. This usually holds with more than the stated confidence.
 
     Args:
         first: A sample of fixed length.
