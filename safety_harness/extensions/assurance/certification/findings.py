@@ -1,4 +1,4 @@
-"""The open findings of a report, which an assessor has to look at; the rest of the report gives them."""
+"""The open findings of a report, derived from its other parts; an assessor has to look at each finding."""
 
 from __future__ import annotations
 
