@@ -5,7 +5,8 @@ These are regressions:
 - A claim had the status SHOWN in a stratum and lost it. A removed claim also lost it.
 - The confidence is lower.
 - A target is larger, and the claim no longer meets the earlier target.
-- A claim with neither the status SHOWN nor ESTIMATED was removed from the plan, or tested in another space.
+- A claim had neither the status SHOWN nor ESTIMATED, and the later plan omits it or shows it in another
+  space.
 - A finding is new.
 - A proof is gone.
 - A hazard met its hourly limit and no longer meets it.
