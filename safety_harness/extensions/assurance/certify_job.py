@@ -95,7 +95,7 @@ def certify(
         pdf=pdf,
         proof=paths["proof"],
     )
-    # Results of the search go out as remarks: the verdicts are the results.
+    # Print the search's results as remarks, because the verdicts are the results.
     evidence, complete = job.run(workers, watching_campaign, replace(output, result=output.say))
     delta = None
     if complete and earlier is not None:

@@ -92,7 +92,7 @@ class _Task:
     """
 
     chunk: Chunk
-    alone: bool  # with nothing beside it
+    alone: bool  # while the pool has no other unfinished task
     since_s: float
     begun: bool = False
 
@@ -110,9 +110,9 @@ class DaskCrew:
     limits: Limits = LIMITS
     replaced: int = 0
     size: int = 0  # threads of all workers when they were counted last; workers may come later
-    _under_way: dict[Any, _Task] = field(default_factory=dict)  # by future, in the order of giving
+    _under_way: dict[Any, _Task] = field(default_factory=dict)  # by future, in the order of submission
     _suspects: set[Chunk] = field(default_factory=set)
-    _waiting: Chunk | None = None  # a suspect, until nothing else is under way
+    _waiting: Chunk | None = None  # a suspect that waits until no other task is unfinished
     _finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)
     _refused: int = 0
     _mistake: InputError | None = None
@@ -170,7 +170,7 @@ class DaskCrew:
     def _event_of(self, future: Any) -> list[Event]:
         if future not in self._under_way:
             return []
-        if future.status == "cancelled":  # not from here: the scheduler has forgotten it
+        if future.status == "cancelled":  # not by this pool: the scheduler has forgotten the task
             raise self._gone()
         task = self._under_way.pop(future)
         try:

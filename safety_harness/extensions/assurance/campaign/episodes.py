@@ -107,7 +107,7 @@ class EpisodeRunner:
     programs: bool = True
     _admitter: Admitter = field(default_factory=Admitter, init=False)
     _random: dict[int, frozenset[int]] = field(default_factory=dict)
-    _noted: int = 0  # of the journal of files that users' modules opened
+    _noted: int = 0  # bytes read so far of the journal of opened files
 
     def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
         """Yield a row for each of ``episodes``, in order; InputError if the plan's text causes an error.

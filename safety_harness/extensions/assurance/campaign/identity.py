@@ -96,7 +96,7 @@ def identity_of(
     """
     parts = {f"the file {file.name}": file.sha256 for file in files}
     named = {avoider or ""} | {text for space in spaces for text in references_in(space.tree)}
-    named |= {space.simplest.avoider for space in spaces}  # the default, of a space that names none
+    named |= {space.simplest.avoider for space in spaces}  # the default avoider, if a space names no avoider
     for name in sorted(named & set(SHIPPED)):
         parts[f"the network {name}"] = hashlib.sha256(shipped_model(name).read_bytes()).hexdigest()
     made_by = provenance(world, _libraries(spaces, world))

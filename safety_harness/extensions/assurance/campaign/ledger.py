@@ -101,7 +101,7 @@ def _is_recording(file: PlanFile) -> bool:
         return False
 
 
-# How questions were repeated: in another process, by new runs (OF_AVOIDER: a fresh avoider's), in one call.
+# Bits of how questions were repeated: in another process, by new runs, in one call, by a fresh avoider.
 BY_PROCESS, BY_RUNS, TOGETHER, OF_AVOIDER = 1, 2, 4, 8
 
 
@@ -256,7 +256,7 @@ class Ledger:
             LedgerError: Earlier runs read other bytes of a file, or a file is newer than these runs.
 
         """
-        for name, sha256 in sorted(files, key=itemgetter(1)):  # first the files that the module writes
+        for name, sha256 in sorted(files, key=itemgetter(1)):  # first the files that the module itself writes
             known = self.opened.get(name)
             if sha256 and known is None and self._is_newer(name):
                 raise unusable(self.path, f"{name} as it was when runs began", "a newer file")

@@ -28,7 +28,7 @@ from safety_harness.extensions.assurance.statistics.sample import PERHAPS
 _NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)
 _EPISODE = ", ".join((*_NUMBERS, "mishap", "failure"))
 _JUDGEMENT = "outcome, margin, worst_time_s, exercised"
-# The same claim of the same episode in two ledgers: a in this ledger, b in the ledger attached as "first".
+# Pairs judgement a in this ledger with b in the attached ledger "first": same stratum, claim and episode.
 PAIRS = (
     "FROM judgement a JOIN stratum s ON s.id = a.stratum JOIN claim c ON c.id = a.claim "
     "JOIN first.stratum t ON t.name = s.name JOIN first.claim d ON d.sentence = c.sentence "

@@ -69,7 +69,7 @@ def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False)
         except sqlite3.OperationalError:
             if write or _unfinished(path):
                 raise
-            connection = _open(path, "ro&immutable=1")  # a folder that cannot be written: no shared memory
+            connection = _open(path, "ro&immutable=1")  # no shared memory in a folder that cannot be written
         try:
             _refuse_other_version(connection, path)
             if alone:
@@ -92,7 +92,7 @@ def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False)
 def _open(path: Path, mode: str) -> sqlite3.Connection:
     uri = f"file:{quote(str(path.absolute()))}?mode={mode}"
     connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY_MS / 1e3)
-    if mode == "rw":  # a commit is on the disk when it returns, and readers read meanwhile
+    if mode == "rw":  # a commit that returns is on the disk; readers may read meanwhile
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = OFF")
@@ -128,7 +128,7 @@ def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
         raise unusable(path, "a ledger's own tables", f"something else: {sorted(map(str, foreign))[0]}")
 
 
-# The text of a table also has its collations, checks and computed columns, on which its contents depend.
+# The SQL text of a table includes collations, checks and computed columns, which influence its contents.
 # All programs that made ledgers of this version wrote the same text for a table.
 _TEXTS = "SELECT name, type, tbl_name, sql FROM sqlite_master"
 
@@ -147,7 +147,7 @@ def explained(path: Path) -> Iterator[None]:
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             raise unusable(path, "a ledger without the lock of another process", text) from error
         raise unusable(path, "a ledger, whole and readable", text) from error
-    except UnicodeDecodeError as error:  # of a damaged schema, which SQLite's message quotes
+    except UnicodeDecodeError as error:  # SQLite's message quotes a damaged schema
         raise unusable(path, "a ledger, whole and readable", "text that is not UTF-8") from error
 
 
@@ -166,7 +166,7 @@ def only_runner(path: Path) -> Iterator[None]:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if not os.path.samestat(os.fstat(stream.fileno()), file.stat()):
-                raise BlockingIOError  # the runner that had it has just removed it
+                raise BlockingIOError  # the previous runner has just removed the file
         except OSError as error:
             stream.seek(0)
             got = f"the process {stream.read().strip()}"
@@ -193,18 +193,18 @@ def refuse_any_file(path: Path) -> None:
         raise unusable(path, "a path without a file", "a file")
 
 
-COUNTS = (*OVERRULED_BY, "run", "theorem")  # of an episode, 0 if an older program did not note it
-OWN_COLUMNS = (  # of tables for other programs
+COUNTS = (*OVERRULED_BY, "run", "theorem")  # counts of an episode; 0 if an older program did not write them
+OWN_COLUMNS = (  # columns in tables for other programs
     *("stratum", "episode", "claim", "outcome", "margin_si", "worst_time_s", "exercised", "seed", "draws"),
     *("decisions", "proposed", "opposite", "stopped", "faults", "late", "overruled", *COUNTS),
     *("proposals", "cell", "mishap", "failure", "seconds", "worker"),
 )
 APPLICATION_ID = 0x53_48_4C_47  # "SHLG", in the header of the file
-VERSION = 2  # of its tables: 2 has what the gate overruled
+VERSION = 2  # of the tables: version 2 added what the gate overruled
 
 _WHEN = " ".join(f"WHEN {int(outcome)} THEN '{outcome.name.lower()}'" for outcome in EpisodeOutcome)
-OUTCOME = f"CASE j.outcome {_WHEN} END"  # of a judgement j, in words
-OVERRULED = "e.overruled_replaced + e.overruled_stopped"  # of an episode e
+OUTCOME = f"CASE j.outcome {_WHEN} END"  # the outcome of a judgement j, in words
+OVERRULED = "e.overruled_replaced + e.overruled_stopped"  # the overruled proposals of an episode e
 
 
 def _tables(counts: tuple[str, ...]) -> str:
@@ -265,7 +265,7 @@ CREATE VIEW results AS
 """
 
 
-# The table of columns that packages add; the first such number makes it.
+# The table of columns that packages add; writing the first such number creates it.
 ADDED = """CREATE TABLE IF NOT EXISTS added (
     name TEXT NOT NULL, stratum INTEGER NOT NULL, episode INTEGER NOT NULL, number REAL,
     PRIMARY KEY (name, stratum, episode)

@@ -35,8 +35,8 @@ from safety_harness.extensions.assurance.statistics.planning import (
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 
 WANTED = 0.9  # chance of success of a planned number of runs
-ALONE = 0.05  # error of each interval of a pilot, alone
-FIRST = 30  # runs of a stratum before a forecast of the rest
+ALONE = 0.05  # allowed error of each interval of a pilot by itself
+FIRST = 30  # runs of a stratum that a forecast of its other runs needs
 _PILOT = 2  # in the campaign's branch of the tree of seeds
 
 

@@ -324,7 +324,7 @@ def _strata(listed: Field, folder: Path, library: Library) -> tuple[Stratum, ...
         if (kind := kind_of(file)) not in (None, FileKind.SPACE):
             raise space.error(expected, got=f"{kind.words}: {file}")
         variant = only_variant(file, library, "one scenario space")
-        tree = with_relative_paths(variant.tree, file.parent)  # as a report refers to them, in any folder
+        tree = with_relative_paths(variant.tree, file.parent)  # as a report refers to files, in any folder
         strata.append(Stratum(name, space_of(tree, file, name=variant.name), runs))
     return tuple(strata)
 

@@ -30,7 +30,7 @@ from safety_harness.extensions.assurance.campaign.identity import Identity
 from safety_harness.extensions.assurance.campaign.plan import read_plan
 from safety_harness.extensions.assurance.campaign.rows import Row
 
-_MOST_FALSE_STARTS = 10  # in a row: then no worker can start at all
+_MOST_FALSE_STARTS = 10  # after so many in a row, no worker can start at all
 _LOOK_S = 1.0  # between looks at clocks and memory
 
 
@@ -257,7 +257,7 @@ class Processes:
     def _hear(self, worker: _Worker, events: list[Event]) -> None:
         """Add all messages of ``worker`` to ``events``; replace the worker if its process has ended."""
         rows: list[Row] = []
-        done: _Free | None = None  # the end of its chunk, and its last message
+        done: _Free | None = None  # the worker's last message, which ends its chunk
         ended = False
         try:
             while done is None and worker.connection.poll():

@@ -43,7 +43,7 @@ ADMITTED_OF = 2_000  # independent draws
 _RARE = 3  # in the campaign's branch of the tree of seeds
 _BATCH = 64
 _UNTESTED, _REFUSED = 1e6, 1e9  # beyond every margin; a refused draw is the farthest
-_BARELY = 1e-12  # each violation needs a value below 0, even with the margin 0
+_BARELY = 1e-12  # a violation with the margin 0 needs a value below 0 too
 
 
 @dataclass(frozen=True, kw_only=True)

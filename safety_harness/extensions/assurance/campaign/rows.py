@@ -56,7 +56,7 @@ class Row:
     worker: str = ""
     trace: bytes | None = field(default=None, repr=False)
     added: tuple[tuple[str, float], ...] = ()  # columns of packages, by name; the ledger stores NaN as NULL
-    # A ledger does not store these with the row; ``opened``: files beside the plan, and their SHA-256.
+    # A ledger does not store these fields with the row. ``opened``: (path from the plan's folder, SHA-256).
     asked: tuple[Asked, ...] = field(default=(), repr=False, compare=False)
     driven: DrivenRun | None = field(default=None, repr=False, compare=False)
     times: AnswersTook = field(default_factory=AnswersTook, repr=False, compare=False)  # of this machine

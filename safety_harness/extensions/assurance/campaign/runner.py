@@ -29,10 +29,10 @@ from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.extensions.assurance.statistics.sequential import anytime_lower, anytime_upper
 
 ATTEMPTS = 3
-CHUNK_S = 1.0  # of work, beside which handing over and committing cost little
+CHUNK_S = 1.0  # of work per chunk, so that handing over and committing cost little
 MOST_IN_CHUNK = 1000
-MOST_TOGETHER = 64  # in a world with batches, which holds all traces of a chunk in memory
-_WAIT_S = 0.5  # for events, between looks at ``enough``
+MOST_TOGETHER = 64  # episodes of a chunk in a world with batches, which holds all their traces in memory
+_WAIT_S = 0.5  # to wait for events before ``enough`` is called again
 _COMMIT_S = 0.2  # between commits, so that a transaction has many rows
 
 
@@ -208,7 +208,7 @@ class CampaignRunner:
                 self.ledger.drop_traces(stratum, [episode for episode in surplus if episode not in random])
 
 
-EVERY = 50  # episodes between looks
+EVERY = 50  # episodes between two looks at the bounds
 
 _Outcomes = tuple[EpisodeOutcome, ...]  # of an episode, by claim
 
@@ -229,7 +229,7 @@ class Stopping:
         self._counts = np.zeros((count, len(plan.claims), len(EpisodeOutcome)), np.int64)
         self._reached = [0] * count
         self._ahead: list[dict[int, _Outcomes]] = [{} for _ in range(count)]
-        self.decided: dict[int, int] = {}  # strata, and after how many episodes
+        self.decided: dict[int, int] = {}  # stratum -> the number of episodes that decided it
         for stratum in range(count if self._active else 0):
             columns = [ledger.outcomes(stratum, claim) for claim in range(len(plan.claims))]
             for k, episode in enumerate(columns[0][0].tolist()):

@@ -129,7 +129,7 @@ def _checked(check: Callable[[], RepeatabilityResult]) -> RepeatabilityResult:
     """Return the result of ``check``; if it raises an error, return that in words, so that no run is lost."""
     try:
         return check()
-    except Exception as error:  # also of a user's program
+    except Exception as error:  # a user's program may raise anything
         return RepeatabilityResult(questions=0, words=f"repeatability cannot be checked: {described(error)}")
 
 

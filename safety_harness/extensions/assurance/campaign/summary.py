@@ -28,7 +28,7 @@ from safety_harness.extensions.assurance.campaign.rows import Row
 from safety_harness.extensions.assurance.statistics.binomial import ProbabilityBounds, Sides, bounds_of
 from safety_harness.extensions.assurance.statistics.sample import JUDGED, EpisodeOutcome
 
-# One pass in the order of the rows; the episode beside min() is the first with that margin.
+# One pass in the order of the rows; SQLite takes the episode from the first row with the least margin.
 _COUNTS = (
     "SELECT stratum, claim, count(*), "
     f"{', '.join(f'count(*) FILTER (WHERE outcome = {int(code)})' for code in EpisodeOutcome)}, "

@@ -43,7 +43,7 @@ STATE = {
     ClaimStatus.REFUTED: FAILS,
     ClaimStatus.ESTIMATED: OPEN,
 }
-MOST_STRATA = 4  # elements of a claim, the most severe first; one element has the rest
+MOST_STRATA = 4  # elements below a claim, the most severe strata first; the last sums up the rest
 
 
 class ElementKind(Enum):

@@ -15,7 +15,7 @@ from safety_harness.report.svg import plain
 WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 12.0
 LETTERS = 25  # in a line of a box
 _HASH = re.compile(r"\b([0-9a-f]{16})[0-9a-f]{48}\b")
-INDENT = 12.0  # of elements beside an element: the picture has them below it
+INDENT = 12.0  # of elements beside an element, which the picture draws below it
 
 
 class _Box:
@@ -36,7 +36,7 @@ class _Layout:
 
     def __init__(self, top: Element) -> None:
         self.boxes: list[_Box] = []
-        self.arrows: list[tuple[list[tuple[float, float]], str]] = []  # a line, the marker at its end
+        self.arrows: list[tuple[list[tuple[float, float]], str]] = []  # a line's points, its end's marker
         self.height = self._place(top, GAP_X, GAP_X)[1] + GAP_X
         self.width = max(box.x for box in self.boxes) + WIDTH + GAP_X
 

@@ -106,7 +106,7 @@ class Certification:
         if pdf:
             browser()
         folder = folder or Path("reports") / plan.name
-        read_notes(folder)  # the check: an unreadable file is refused before any run
+        read_notes(folder)  # refuse an unreadable file before any run
         certificate = proof or plan.proof
         certified = None if certificate is None else read_certified(certificate, plan)
         trials = HarnessTrials(

@@ -38,7 +38,7 @@ from safety_harness.trace.unmeasured import refuse_not_simulated
 
 FOLDER = "counterexamples"
 LARGEST_SCENARIO_BYTES = 2**20
-MOST = 40  # with pictures on the page: the pictures of each take some 0.2 MB, 0.3 at most
+MOST = 40  # counterexamples with pictures, which take some 0.2 MB each, and 0.3 MB at most
 MOST_LINES = 14
 MOST_ASKED = 2  # the worst kinds of violation of each claim get an attribution
 FAULT = "whose fault: "

@@ -42,7 +42,7 @@ LOG = f"{LEDGER}-wal"
 PASSING = (LOG, f"{LEDGER}-shm", f"{LEDGER}.lock")
 LARGEST_MANIFEST_BYTES = 2**21  # some 20,000 files
 LARGEST_TRACE_BYTES = 2**26
-MOST_OPENED_BYTES = 2**26  # of all files that programs opened; a report has only the hashes of more
+MOST_OPENED_BYTES = 2**26  # of all files that programs opened; above this, a report has only their hashes
 
 
 def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Evidence:

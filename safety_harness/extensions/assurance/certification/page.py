@@ -65,7 +65,7 @@ MEANINGS = {
 
 MOST_LED = 3  # findings in view; the page folds the rest
 MOST_OPEN = 2  # counterexamples that the page draws when it opens
-# Without --full a printed page has at most this number of each, the most severe first.
+# Without --full, a printed page has at most so many items of each kind, the most severe first.
 MOST_PRINTED, MOST_PRINTED_CLAIMS, MOST_PRINTED_ROWS = 3, 4, 25
 
 

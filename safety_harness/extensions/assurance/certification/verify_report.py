@@ -79,7 +79,7 @@ _ANSWERS = b'<ul class="answers">'  # on top: the bound and the verdict of each 
 _VERDICTS = re.compile(rb'<table class="[^"<>]*\bverdicts"[^<>]*>')
 _NUMBERS = re.compile(rb'<(td)[^<>]*class="number"[^<>]*>')
 _CLOSING = re.compile(rb"</(?:strong|td)>|(?<!</svg>)</span>")
-_HIDING = re.compile(rb"<!--|<template\b", re.IGNORECASE)  # no version writes any: they could hide a verdict
+_HIDING = re.compile(rb"<!--|<template\b", re.IGNORECASE)  # could hide a verdict, and no version writes it
 _LONGEST_BADGE = 2_000  # bytes, with its icon
 _MARKUP = re.compile(rb"<[^<>]*>")
 _TAG = re.compile(rb"<\w[^<>]*>")
@@ -294,7 +294,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         return now if report.same_words else replace(now, agreement=then.agreement)
 
     oracles_with = then.oracles_measured_with if then.oracles else ""
-    # a declaration can only be of this plan with the ledger's software
+    # a declaration can only be about this plan and the ledger's software
     declared = recorded.record.declaration_sha256
     gathered = put_together(
         report.plan,

@@ -32,7 +32,7 @@ from safety_harness.trace.compare import CLOSE, first_difference
 from safety_harness.trace.overruling import COUNTS as OVERRULED
 from safety_harness.trace.trace import Trace
 
-MOST_AGAIN = 1000  # unless --runs is higher: some minutes in PyBullet
+MOST_AGAIN = 1000  # repeated runs, unless --runs asks for more; they take some minutes in PyBullet
 MOST_TOGETHER = 32
 COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", "theorem")
 
@@ -192,7 +192,7 @@ class Compared:
 
         On another machine, the last bits of a physics engine's trace may differ.
         """
-        if row.trace is None:  # the run fails here; its row shows it
+        if row.trace is None:  # the repeated run failed, as its row shows
             return
         again = trace_of(self.plan, row.stratum, row.trace)
         difference: object = first_difference(stored, again)

@@ -230,14 +230,14 @@ def _run_episodes(
         stopped = interrupted()
     result(*tested_lines(plan))
     with Ledger.open(path, check=False) as ledger:
-        finished = kind_of(path.parent) is FileKind.REPORT  # its manifest allows no further file
+        finished = kind_of(path.parent) is FileKind.REPORT  # a report's manifest allows no further file
         state, drawn = _say_ledger(ledger), True
         try:
             if not finished:
                 _write_page(ledger, state, path.with_suffix(".html"))
         except SafetyHarnessError:
             raise
-        except Exception as error:  # the runs count although the page failed
+        except Exception as error:  # the runs stay valid if the page fails
             say(f"error: the page cannot be written ({described(error)}); the ledger has all runs")
             drawn = False
         tally, targets = state.tally, {claim.sentence: claim.target for claim in plan.claims}

@@ -376,7 +376,7 @@ def verify(
         for check in verify_report(
             report,
             runs=runs,
-            miss=_chance(miss),  # the default is a text, as the help shows it
+            miss=_chance(miss),  # its default is a text, which the help shows
             seed=secrets.randbelow(2**31) if seed is None else seed,
             execute_programs=execute_programs,
             seal=seal,

@@ -20,7 +20,7 @@ from safety_harness.extensions.assurance.statistics.planning import Aim, allowed
 from safety_harness.scenario.model import Verdict
 from safety_harness.space.read import read_space
 
-TARGET = 0.02  # of a draft; its author replaces it, knowing the hazard
+TARGET = 0.02  # of a draft; the author, who knows the hazard, replaces it
 
 
 def explain_plan(path: Path) -> int:

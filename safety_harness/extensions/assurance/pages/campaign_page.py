@@ -30,8 +30,8 @@ from safety_harness.report.words import with_minus
 from safety_harness.scenario.files import display_path
 from safety_harness.trace.store import load_trace
 
-MOST_EPISODES = 1000  # with violations; the ledger has all
-MOST_SHOWN = 5  # as replays
+MOST_EPISODES = 1000  # episodes with violations on the page; the ledger has all
+MOST_SHOWN = 5  # violations shown as replays
 SHOWN, REFUTED, NOT_SHOWN, NO_TARGET = "shown", "refuted", "not shown", "no target"
 CSS = {SHOWN: "holds", REFUTED: "violated", NOT_SHOWN: "inconclusive", NO_TARGET: "none"}
 _WORST = (

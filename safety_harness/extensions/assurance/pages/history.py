@@ -23,7 +23,7 @@ from safety_harness.report.svg import HANDS
 from safety_harness.report.words import count_words, with_minus
 
 REPORT = "report.json"
-LIKELY_TREND = 0.05  # level of the test: a less likely trend counts as growth
+LIKELY_TREND = 0.05  # level of the test; a trend with a smaller p-value counts as growth
 WIDTH_PX, HEIGHT_PX, EDGE_PX = 960.0, 240.0, 60.0
 _UNITS = {si: unit for unit, si in SI_UNITS.items() if si != "1"}
 Claimed = tuple[str, str, str]  # scenario, avoider, claim

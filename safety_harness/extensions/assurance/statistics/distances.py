@@ -69,7 +69,7 @@ def tolerance_bound(sample: IndependentSample, content: float, confidence: float
         content=content,
         at_least=float(margins[rank - 1]) if rank else -math.inf,
         rank=rank,
-        # (1 - 0.9) n is a little below 0.1 n in floating point: the 1e-9 makes up for that.
+        # In floating point, (1 - 0.9) n is a little below 0.1 n; the 1e-9 makes up for that.
         seen=float(margins[min(math.floor((1.0 - content) * n + 1e-9), n - 1)]),
         trials=n,
         confidence=confidence,

@@ -48,9 +48,9 @@ from safety_harness.extensions.assurance.statistics.rare import (
 )
 from safety_harness.extensions.assurance.statistics.sample import Floats, refusal
 
-FEWEST_WEIGHTS = 25  # whose tail has a shape
+FEWEST_WEIGHTS = 25  # the fewest weights whose tail can be fitted
 _COMPONENTS, _ROUNDS, _MOST_LEVELS, _MOST_RESTARTS = 3, 20, 30, 16
-_MORE_LEVELS = 6  # that a restart may take beyond those of the pilot
+_MORE_LEVELS = 6  # steps that a restart may take beyond the pilot's number
 _LEAST_SHARE = 0.05  # of a component, so that its region has draws
 _LARGEST_EXPONENT = 700.0  # exp overflows above 709; such a weight is practically 0
 

@@ -142,7 +142,7 @@ def _extreme(more: int, fewer: int, n: int, chance: float) -> float:
 
 def _mcnemar(worst: Ints, best: Ints) -> float:
     """Return the two-sided p-value, counting unclear episodes so that they least support a difference."""
-    more, fewer = int(np.sum(best == 1)), int(np.sum(best == -1))  # at the least for the first
+    more, fewer = int(np.sum(best == 1)), int(np.sum(best == -1))  # counts of the least possible differences
     if more <= fewer:
         fewer, more = int(np.sum(worst == 1)), int(np.sum(worst == -1))
         if more <= fewer:

@@ -19,7 +19,7 @@ from safety_harness.extensions.assurance.statistics.binomial import chance_of_ea
 from safety_harness.extensions.assurance.statistics.sample import refusal
 from safety_harness.extensions.assurance.statistics.sequential import evidence_below
 
-MOST_RUNS = 10**12  # where a search for a number of runs gives up
+MOST_RUNS = 10**12  # a search for a number of runs stops here
 _TAIL = 1e-12  # probability that the sum over tested runs omits at each end
 _TARGET = "violated in at most"
 

@@ -26,8 +26,8 @@ from safety_harness.base.elementary import log, log1p
 from safety_harness.base.special import beta_share, log_beta, settled
 from safety_harness.extensions.assurance.statistics.sample import Floats
 
-_SCALE = 0.5  # of the upper bound's mixture, Beta(_SCALE, 1) of p
-_JEFFREYS = 0.5  # of the lower bound's, Beta(_JEFFREYS, _JEFFREYS)
+_SCALE = 0.5  # for the upper bound: q / p has the distribution Beta(_SCALE, 1)
+_JEFFREYS = 0.5  # for the lower bound: q has the distribution Beta(_JEFFREYS, _JEFFREYS)
 
 
 @lru_cache(maxsize=4096)
