@@ -54,8 +54,8 @@ def violated_episodes(
 ) -> Iterator[tuple[Admitted, list[Claim]]]:
     """Yield each episode of ``violated``, drawn and admitted again, with the claims that it violates.
 
-    CampaignError: a draw names a program although ``programs`` is False. LedgerError: an episode cannot be
-    drawn again.
+    CampaignError if a draw names a program although ``programs`` is False. LedgerError if an episode cannot
+    be drawn again.
     """
     runner = EpisodeRunner(plan, programs=programs)
     for (stratum, episode), numbers in violated.claims.items():

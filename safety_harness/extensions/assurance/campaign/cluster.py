@@ -125,7 +125,7 @@ class DaskCrew:
 
     @property
     def free(self) -> int:
-        """The number of chunks that the pool accepts now; 0 while a suspect runs alone or waits for that."""
+        """The number of chunks that the pool accepts now; 0 while a suspect runs or waits to run alone."""
         if self._waiting is not None or any(task.alone for task in self._under_way.values()):
             return 0
         return max(max(self.size, 1) * _AHEAD - len(self._under_way), 0)
@@ -188,7 +188,7 @@ class DaskCrew:
         return [Arrived(task.chunk, tuple(answer), last=True)]
 
     def _lost(self, task: _Task, error: BaseException) -> Lost:
-        """Return the loss of ``task``, which Dask gave up."""
+        """Return the ``Lost`` event of ``task``, which Dask gave up."""
         from distributed import KilledWorker
 
         if not isinstance(error, KilledWorker):
@@ -213,7 +213,7 @@ class DaskCrew:
         return CampaignError(f"the scheduler {self.address} is gone; the ledger has its earlier results")
 
     def _look_around(self, events: list[Event]) -> None:
-        """Count the workers and look for hung tasks, every ``_LOOK_S`` seconds."""
+        """Count the workers and look for hung tasks, at most once in ``_LOOK_S`` seconds."""
         if time.monotonic() - self._looked_s < _LOOK_S:
             return
         self._looked_s = time.monotonic()
@@ -226,7 +226,7 @@ class DaskCrew:
                 raise self._gone() from error
 
     def _look_for_hung(self, threads: dict[str, int], events: list[Event]) -> None:
-        """Drop each task that began too long ago, or that no worker began although workers were there.
+        """Drop each task that began too long ago, or that no worker began in time although there are workers.
 
         A worker with n threads works on the first n of its tasks, in the order in which the pool submitted
         them.

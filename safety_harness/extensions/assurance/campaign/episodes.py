@@ -1,4 +1,4 @@
-"""Episode k of a stratum: draw, admit, run and judge it, with the same result in any place and order."""
+"""Draw, admit, run and judge episode k of a stratum, with the same result on any machine and in any order."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _root_seed(seed: int, number: int, episode: int) -> int:
 
 
 def random_episodes(plan: Plan, stratum: int) -> frozenset[int]:
-    """Return the episodes of a stratum whose traces are kept in any case; the choice precedes all runs."""
+    """Return the episodes of a stratum whose traces are kept in any case, as chosen before all runs."""
     declared = plan.strata[stratum]
     count = min(plan.random_traces, declared.runs)
     rng = generator(plan.seed, Branch.CAMPAIGN, declared.number)
@@ -235,7 +235,7 @@ def _added(run: Trace) -> Iterator[tuple[str, float]]:
 
 
 def _decided(run: Trace) -> dict[str, Any]:
-    """Return the number of decisions of each kind; empty for a run without a decision, as in most runs."""
+    """Return the number of decisions of each kind; empty if the run has no decision, like most runs."""
     if len(run.decisions) == 0:
         return {}
     outcome, failed = run.decisions["outcome"], run.decisions["proposed_failed"]
@@ -286,8 +286,8 @@ def why_broken(trace: Trace) -> str:
 def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudgement:
     """Return the judgement of one claim on one run, as the estimates count it.
 
-    The outcome is UNTESTED only if a whole run did not exercise the claim, or lacks a measured input. Upper
-    bounds count a broken run as a violation, whatever its verdict.
+    The outcome is UNTESTED only if a whole run did not exercise the claim, or did not measure one of its
+    inputs. Upper bounds count a broken run as a violation, even if its verdict is another.
     """
     if evaluation.verdict is Verdict.VIOLATED:
         outcome = EpisodeOutcome.VIOLATED
@@ -319,10 +319,10 @@ def trace_bytes(trace: Trace) -> bytes:
 
 
 def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
-    """Return the stored trace of a simulated run in ``data``, with the files of the plan's space.
+    """Return the stored trace in ``data`` with the files of the plan's space; TraceError unless simulated.
 
     The system under test comes from the plan, because a stored reference may have lost its folder
-    (``portable``). TraceError for any other trace.
+    (``portable``).
     """
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         file = Path(folder) / "stored.trace"

@@ -1,4 +1,4 @@
-"""Exports and queries of a ledger: a table for other programs, filters as SQL, and SQL that only reads."""
+"""Export a ledger as a table for other programs, and query it by filters or by SQL that can only read."""
 
 from __future__ import annotations
 

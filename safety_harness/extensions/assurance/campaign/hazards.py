@@ -1,4 +1,4 @@
-"""The hazards of a plan: task, zone, event, severity, frequency, and who decided them for what reason.
+"""The hazards of a plan: task, zone, event, severity, frequency, the persons who decided, and the reasons.
 
 docs/reference/plan.md describes these keys.
 """
@@ -242,7 +242,7 @@ class PlannedHazards:
         return tuple(listed)
 
     def target(self, names: tuple[str, ...], field: Field) -> float:
-        """Return the largest violation probability of a run at which no hazard in ``names`` exceeds its rate.
+        """Return the largest violation probability per run at which every hazard in ``names`` keeps its rate.
 
         For one hazard, this is its allowed rate divided by the upper bound of its approaches an hour. The
         function returns the least of these quotients, and at most 0.5. ScenarioError, at ``field``, if a

@@ -1,7 +1,7 @@
-"""The identity of a plan: its files, and a name with a hash or version for all that its results depend on.
+"""The identity of a plan: its files, and all parts that its results depend on, by name and hash or version.
 
-If something changed, the identity names it. The files suffice to read the plan on another machine, or after
-the user has changed the original files.
+A comparison of two identities names what changed. The files suffice to read the plan on another machine, or
+after the user has changed the original files.
 """
 
 from __future__ import annotations
@@ -203,11 +203,11 @@ def _files_of(robot: AnyRobot) -> Iterator[Path]:
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return each file's name relative to the common folder; shipped files come below a folder ``shipped``.
+    """Return each file's name relative to the common folder; shipped files may be below a folder ``shipped``.
 
-    There, a copied plan finds the files that it names as "shipped:" on any machine. This does not apply to a
-    plan that itself ships with the package. Shipped files are placed there in an installation. In a checkout,
-    they are placed there only if a user's file contains "shipped:".
+    In that folder, a copy of the plan finds the files that it names as "shipped:" on any machine. The
+    function uses the folder in an installation, and in a checkout if a user's file contains "shipped:". It
+    never uses the folder for a plan that itself ships with the package.
     """
     ours = {path for path in paths if contents() in path.parents}
     own = [path for path in paths if path not in ours]

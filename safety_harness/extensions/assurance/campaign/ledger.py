@@ -418,7 +418,7 @@ class Ledger:
 
     @property
     def _copies(self) -> str:
-        """A sentence on runs that repeat other runs, because a repeated scenario is no further evidence."""
+        """A sentence on runs that only repeat other runs, which are no evidence; empty if no run does so."""
         now = self.connection.total_changes, next(self.all("PRAGMA data_version"))
         if self._looked_at != now:  # the query takes a second for a million runs
             rows = ((self.declared.strata[k], *counts) for k, *counts in self.all(_DISTINCT))
@@ -523,7 +523,7 @@ class Ledger:
         return episodes, outcomes, np.array([margin for *_, margin in rows], np.float64)  # NULL becomes NaN
 
     def sample(self, stratum: str, claim: str) -> IndependentSample:
-        """Return the sample of a claim in a stratum, from which estimates are made.
+        """Return the sample for an estimate of how often runs of a stratum violate a claim.
 
         Args:
             stratum: The name of the stratum in the plan.

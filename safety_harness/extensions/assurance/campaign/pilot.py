@@ -1,10 +1,10 @@
-"""A pilot: a few runs that forecast how many runs of a plan test each claim, how many it needs, and the time.
+"""A pilot: a few runs that forecast how many runs test each claim, how many a plan needs, and the time.
 
 The runs of a pilot have another seed than the plan's runs. Thus the plan's author sees no declared run before
 the declaration. The required numbers of runs come from the bounds themselves
 (``extensions.assurance.statistics.planning``).
 
-As in the upper bounds, runs without a verdict and failed runs count as tested and as violations.
+The forecast counts runs without a verdict and failed runs as tested and as violations, like the upper bounds.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _PILOT = 2  # in the campaign's branch of the tree of seeds
 
 
 def aim_of(plan: Plan, target: float) -> Aim:
-    """Return the aim to show ``target`` for a claim in a stratum; all bounds of the plan hold together."""
+    """Return the aim to show ``target`` for a claim in a stratum, together with all bounds of the plan."""
     family = ends_of(len(plan.claims), len(plan.strata))
     return Aim(target=target, confidence=plan.confidence, family=family, stop_early=plan.stop_early)
 
@@ -52,8 +52,9 @@ class ClaimForecast:
 
     In the pilot, ``tested`` of ``tried`` runs exercised the claim, and ``bad`` of these may violate it.
     ``needed`` is the least number of tested runs that can show the target. ``runs_needed`` is the least
-    number of all runs. These numbers suffice with the chance ``WANTED`` if the plan's runs have the pilot's
-    shares. Without a target or a sufficient number they are None; ``why`` has the reason.
+    number of runs, tested or not, that contains so many tested runs. These numbers suffice with the chance
+    ``WANTED`` if the plan's runs have the pilot's shares. Both are None without a target or if no number
+    suffices; ``why`` has the reason.
     """
 
     stratum: str
@@ -69,7 +70,7 @@ class ClaimForecast:
 
     @property
     def expected(self) -> tuple[int, int, int]:
-        """The least, likely and most planned runs that will exercise the claim (95 % for it alone)."""
+        """The least, likely and largest number of planned runs that test the claim (95 % for it alone)."""
         least = lower_bound(self.tested, self.tried, ALONE / 2)
         most = upper_bound(self.tested, self.tried, ALONE / 2)
         ends = (math.floor(least * self.planned), math.ceil(most * self.planned))
@@ -125,7 +126,7 @@ def forecast(plan: Plan, stratum: int, claim: int, *, tried: int, tested: int, b
 
 
 def too_few(plan: Plan, tally: CampaignTally) -> Iterator[ClaimForecast]:
-    """Yield the claims with too few planned runs, in each unfinished stratum with at least ``FIRST`` runs."""
+    """Yield a forecast for each claim with too few planned runs, in unfinished strata with ``FIRST`` runs."""
     for stratum, part in enumerate(tally.strata):
         for claim, judged in enumerate(part.claims if part.done >= FIRST and not part.complete else ()):
             counts = judged.counts

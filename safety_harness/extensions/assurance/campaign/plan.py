@@ -97,7 +97,7 @@ class Stratum:
 
     @property
     def number(self) -> int:
-        """The number that the seeds derive from; it depends on the name only, and on no other stratum."""
+        """The number from which the seeds derive; it depends on the name alone, not on other strata."""
         return stratum_number(self.name)
 
 

@@ -1,8 +1,8 @@
 """The interface of a worker pool that runs episodes, and a pool of processes on this machine.
 
-The pool replaces each process that crashes, hangs or leaks memory. Each worker has its own pipe, so that a
-worker that ends amid a message harms only itself. A process that has imported everything forks the workers
-(forkserver), so that a new worker starts at once.
+The pool replaces each process that crashes, hangs or leaks memory. Each worker has its own pipe. So a worker
+that dies while it sends a message harms no other worker. A process that has imported everything forks the
+workers (forkserver), so that a new worker starts at once.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _LOOK_S = 1.0  # between looks at clocks and memory
 
 @dataclass(frozen=True)
 class Chunk:
-    """Episodes of one stratum for one worker; ``keep_violations`` states whether rows carry their traces."""
+    """Episodes of one stratum for one worker; ``keep_violations`` keeps the traces of violations."""
 
     stratum: int
     episodes: tuple[int, ...]
@@ -131,7 +131,7 @@ def work(connection: Connection, lifeline: Connection, make: Callable[[], RunsEp
 
 
 def _end_with(lifeline: Connection) -> None:
-    """End this process as soon as its parent has ended, for whatever reason."""
+    """End this process as soon as its parent has ended, even if the parent was killed."""
     try:
         lifeline.recv()
     except (EOFError, OSError):

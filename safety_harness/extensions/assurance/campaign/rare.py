@@ -2,11 +2,11 @@
 
 The estimate is the share of *all admitted* draws of a stratum that violate a claim. It includes draws that do
 not test the claim. The margin of a refused draw, or of a run that does not test the claim, exceeds every
-margin of a test. Among runs that do not test it, the margin is smaller if the hand came nearer.
+margin of a test. Among runs that do not test the claim, the margin is smaller if a hand came nearer.
 
-Separate independent draws give the share of admitted draws, with an exact interval. The estimate divides the
-share of violations by that share. Its interval holds with the plan's confidence, together with all other
-claims and strata (Bonferroni).
+Separate independent draws give the share of admitted draws, with an exact interval. The estimate is the share
+of violating draws divided by the share of admitted draws. Its interval holds with the plan's confidence,
+together with all other claims and strata (Bonferroni).
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ _BARELY = 1e-12  # a violation with the margin 0 needs a value below 0 too
 class RareViolation:
     """A claim in a stratum: about ``share`` of the admitted draws violate it, at least ``low``.
 
-    ``high`` is an exact upper end, from the plain draws alone. Of ``ADMITTED_OF`` draws, ``admitted`` were
-    admitted. ``estimate`` concerns all draws, admitted or refused, in the unit cube.
+    ``high`` is an exact upper end, from the plain draws alone. Admission accepted ``admitted`` of
+    ``ADMITTED_OF`` draws. ``estimate`` concerns all draws, admitted or refused, in the unit cube.
     """
 
     stratum: str

@@ -30,9 +30,9 @@ class Row:
     is a number that identifies the run, and 0 if there is no run. ``theorem`` has the bits of
     ``theorem_bits``. Bit 0 is set behind a shield, and bit n is set if assumption n did not hold.
 
-    ``cell`` is the run's cell in the coverage map. ``run_error`` is what the avoider did in place of an
-    answer. ``failure`` is the reason why there is no whole run. ``seconds`` and ``worker`` depend on this
-    machine; all other fields are equal on every machine.
+    ``cell`` is the run's cell in the coverage map. ``run_error`` states how the avoider failed to answer.
+    ``failure`` is the reason why there is no whole run. ``seconds`` and ``worker`` depend on this machine;
+    all other fields are equal on every machine.
     """
 
     stratum: int  # its place in the plan

@@ -41,8 +41,8 @@ class CampaignRunner:
     """A runner of the missing episodes of a ledger, which also reports its progress.
 
     ``tally`` counts the committed episodes, ``done_now`` the episodes of this session, and ``retried`` the
-    lost episodes that ran again. The runner calls ``enough`` again and again. Once it returns True,
-    unfinished chunks finish and no new chunk begins.
+    lost episodes that ran again. The runner calls ``enough`` before it gives out chunks. Once ``enough``
+    returns True, unfinished chunks finish and no new chunk begins.
 
     ``part`` (k, n) selects every n-th episode from k on, for machines that share only the plan.
     ``repeatability`` collects the questions that all workers asked their avoiders.
@@ -200,7 +200,7 @@ class CampaignRunner:
         return [range(gap.start + (first - gap.start) % parts, gap.stop, parts) for gap in missing]
 
     def _drop_surplus(self) -> None:
-        """Drop the traces of violations after the first ``violations_kept``, which may arrive earlier."""
+        """Drop traces of violations, except those of the first ``violations_kept`` violations by number."""
         for stratum, tally in enumerate(self.tally.strata):
             surplus = self.ledger.violations_kept(stratum)[self.plan.violations_kept :]
             if tally.complete and surplus:
@@ -214,7 +214,7 @@ _Outcomes = tuple[EpisodeOutcome, ...]  # of an episode, by claim
 
 
 class Stopping:
-    """The rule that ends strata early, which looks at episodes in order, whatever the speed of workers.
+    """The rule that ends strata early; it takes episodes in order, so that the workers' speed has no effect.
 
     A claim is decided once its upper bound meets the target, or its lower bound exceeds the target. A stratum
     ends once all its claims are decided. The bounds hold at all looks

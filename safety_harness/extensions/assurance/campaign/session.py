@@ -164,13 +164,16 @@ def plan_of(ledger: Ledger) -> Iterator[Plan]:
 
 @contextmanager
 def copied_plan_of(ledger: Ledger) -> Iterator[Plan]:
-    """Yield the plan from the copies in ``ledger``, even if the original files have changed; InputError."""
+    """Yield the plan from the copies of its files in ``ledger``, even if the original files have changed.
+
+    InputError if the present program cannot read the copies.
+    """
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         yield read_plan(unpacked(ledger.files, Path(folder)))
 
 
 def processor() -> str:
-    """Return the processor's name; processors of one family give results that are equal bit for bit."""
+    """Return the processor's name; results are equal bit for bit on all processors of a family."""
     lines: list[str] = []
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()

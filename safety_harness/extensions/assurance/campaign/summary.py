@@ -6,9 +6,9 @@ Kasper, 2013), with SHA-256. The input of a leaf begins with the byte 0, and the
 two below n.
 
 A leaf is the JSON of an episode. It begins with stratum and number, seed, draws, decisions, overruled
-proposals, run, theorem bits, cell, run error and failure. Then follow the kind and the SHA-256 of the stored
-trace. For each claim it ends with outcome, margin, moment and occasions. The ledger does not store these
-hashes, because in the same file they would protect nothing.
+proposals, run, theorem bits, cell, run error and failure. The kind and the SHA-256 of the stored trace
+follow. The leaf ends with the outcome, margin, moment and occasions for each claim. The ledger does not store
+these hashes, because they would protect nothing in the same file.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def tally_of(ledger: Ledger) -> CampaignTally:
 class LedgerState:
     """The state of a ledger, computed once.
 
-    Only a complete campaign has ``bounds`` and a ``fingerprint``. There are no ``bounds`` if its episodes
-    depend on each other.
+    Only a complete campaign has ``bounds`` and a ``fingerprint``. If its episodes depend on each other, it
+    has no ``bounds``.
     """
 
     tally: CampaignTally
@@ -89,7 +89,7 @@ def state_of(ledger: Ledger) -> LedgerState:
 
 
 def basis_in(ledger: Ledger, tally: CampaignTally) -> str:
-    """Return what the ledger's verdicts rest on, in words: world, exercised runs, and unwatched parts."""
+    """Return the basis of the ledger's verdicts in words: world, exercised runs, and unwatched parts."""
     claims = map(tally.of_claim, range(len(ledger.declared.claims)))
     return basis([str(ledger.declared.world)], ((counts.tested, tally.done) for counts in claims))
 
@@ -168,7 +168,7 @@ class ClaimCounts:
         return sum(count for outcome, count in self.counts.items() if outcome not in left_out)
 
     def add(self, outcome: EpisodeOutcome, margin: float, episode: int) -> None:
-        """Count an episode; if two margins are equal, the least margin keeps its first episode."""
+        """Count an episode; if several episodes have the least margin, the first of them is the worst."""
         self.counts[outcome] += 1
         tested = outcome in JUDGED and not math.isnan(margin)
         if tested and (math.isnan(self.worst) or (margin, episode) < (self.worst, self.worst_episode)):
@@ -260,7 +260,10 @@ def _rows(ledger: Ledger) -> Iterator[bytes]:
 
 
 def merkle_root(leaves: Iterable[bytes]) -> bytes:
-    """Return the hash MTH of RFC 6962 (32 bytes); each subtree of 2^k leaves waits for an equal neighbour."""
+    """Return the hash MTH of RFC 6962 (32 bytes) over ``leaves``, which it reads only once.
+
+    A finished subtree of 2^k leaves waits until a right neighbour of 2^k leaves is finished too.
+    """
     waiting: list[tuple[int, bytes]] = []  # (leaves, hash) by descending size
     for leaf in leaves:
         size, digest = 1, _sha256(_LEAF + leaf)

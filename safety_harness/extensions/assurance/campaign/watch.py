@@ -1,4 +1,4 @@
-"""A check of the avoider in runs without a ledger: did it always answer, in time, and again the same?"""
+"""Check, in runs without a ledger, that the avoider always answers, in time, and repeats its answers."""
 
 from __future__ import annotations
 
