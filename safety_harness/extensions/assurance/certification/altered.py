@@ -4,10 +4,10 @@ The verifier draws n of N runs without replacement. Suppose that k of the N rows
 all k with the chance C(N - k, n) / C(N, n) (hypergeometric). A repeated run always exposes a row that states
 another outcome.
 
-k is the least number of rows that can change the status against the target, if the forger may choose their
-outcomes. The statuses are *met* (shown, with or without doubt), *not shown*, *refuted* and *never put to the
-test*. Without a target, only the last status counts. Doubt is no separate status, because a single run
-without a verdict causes it.
+k is the least number of altered rows that can change a status; the altered rows may state any outcome. The
+statuses are *met* (shown, with or without doubt), *not shown*, *refuted* and *never put to the test*. Without
+a target, only the last status counts. Doubt is no separate status, because a single run without a verdict
+causes it.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _least_rows(outcome: ClaimResult, target: float | None, chance: float, early
 
 
 def _least(turns: Callable[[int], bool], most: int) -> Iterator[int]:
-    """Yield the least number from 1 to ``most`` with ``turns`` true; nothing if it is false for ``most``.
+    """Yield the least number from 1 to ``most`` for which ``turns`` is true, if there is such a number.
 
     ``turns`` must be monotone: if it is true for a number, it is true for every larger number.
     """
@@ -117,6 +117,6 @@ def chance_to_miss(runs: int, altered: int, again: int) -> float:
 
 
 def runs_to_see(runs: int, altered: int, miss: float) -> int:
-    """Return how many of ``runs`` to repeat, so that they miss all ``altered`` rows with at most ``miss``."""
+    """Return how many of ``runs`` to repeat so that they miss ``altered`` rows with chance ``miss`` only."""
     (again,) = _least(lambda again: chance_to_miss(runs, altered, again) <= miss, runs - altered + 1)
     return again

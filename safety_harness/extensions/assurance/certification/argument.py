@@ -396,7 +396,7 @@ DEFEATERS: tuple[tuple[str, str, str, Callable[[Evidence], Answers]], ...] = (
 
 
 def _defeaters(evidence: Evidence) -> Iterator[Element]:
-    """Yield each defeater of the top goal: green if all its answers are, with no open finding on them."""
+    """Yield each defeater of the top goal, green only if its answers are green without an open finding."""
     for name, text, place, known in DEFEATERS:
         if name == "certain" and not evidence.system.asks:
             continue

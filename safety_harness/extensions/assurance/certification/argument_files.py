@@ -4,9 +4,9 @@
 draws goal structures. The documentation of gsn2x lists the keys ("Syntax in YAML", "Dialectic Extension").
 The text is JSON, which is valid YAML.
 
-``argument.yaml`` has the author's notes, one for each goal, strategy and defeater. Their names stay the same
-from run to run. ``certify`` reads the notes and adds them as justifications. Then it writes the file again
-and keeps the notes.
+``argument.yaml`` has the author's notes, one for each goal, strategy and defeater. The names of these
+elements stay the same from run to run. ``certify`` reads the notes and adds them as justifications. Then it
+writes the file again and keeps the notes.
 """
 
 from __future__ import annotations

@@ -334,7 +334,7 @@ def _example(
 def told_whose_fault(plan: Plan, met: Sequence[Example | str]) -> tuple[Example | str, ...]:
     """Return ``met``, with an attribution added to the worst declared counterexamples of each claim.
 
-    The attribution runs the scenarios again. As in the runs, it executes the programs that the plan names. It
+    The attribution runs the scenarios again. Like the runs, it executes the programs that the plan names. It
     covers ``MOST_ASKED`` counterexamples of each claim. Counterexamples of a search already have an
     attribution.
     """
@@ -363,7 +363,7 @@ def numbered(met: Sequence[Example | str]) -> tuple[Example, ...]:
 
 
 def write_traces(examples: Sequence[Example], folder: Path) -> None:
-    """Write the traces of the declared ``examples`` below ``folder``, and remove all earlier traces there.
+    """Write the traces of the declared ``examples`` below ``folder``, and remove earlier traces of this kind.
 
     Raises:
         OSError: A trace cannot be written.

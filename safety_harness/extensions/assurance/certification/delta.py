@@ -2,7 +2,7 @@
 
 These are regressions:
 
-- A claim had the status SHOWN in a stratum and lost it. A removed claim also lost it.
+- A claim lost the status SHOWN in a stratum, or a claim with this status is gone.
 - The confidence is lower.
 - A target is larger, and the claim no longer meets the earlier target.
 - A claim had neither the status SHOWN nor ESTIMATED, and the later plan omits it or shows it in another
@@ -214,8 +214,8 @@ def delta_between(
         names: The names of the two folders.
         identities: The inputs that the runs of each report depend on.
         paired: For each (claim, stratum), the interval of the difference in the violation probability, later
-            minus earlier, as (lower end, upper end, confidence). A claim without an entry has its two
-            intervals compared instead.
+            minus earlier, as (lower end, upper end, confidence). Without an entry, the two intervals of the
+            claim are compared instead.
 
     Returns:
         The comparison.

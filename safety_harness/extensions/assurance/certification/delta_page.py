@@ -18,7 +18,7 @@ PAGE, JSON = "delta.html", "delta.json"
 def folder_of_delta(report: Path) -> Path:
     """Return the folder for a comparison, which lies beside the folder ``report``.
 
-    Inside the report, the manifest would not list its files.
+    Inside the report, it would contain files that the manifest does not list.
     """
     return report.with_name(f"{report.name}.delta")
 

@@ -2,7 +2,7 @@
 
 The types define three things: the JSON, the reader of the JSON, and its schema.
 
-Numbers are in SI. A probability is that of a violation in a run that put the claim to the test. An unknown
+Numbers are in SI. Each probability refers to a violation in a run that put the claim to the test. An unknown
 value is None or an empty tuple, never a number.
 """
 
@@ -523,7 +523,7 @@ class Evidence:
 
     @property
     def unmade(self) -> list[str]:
-        """The parts of the report that could not be made after the runs, each with its reason."""
+        """The parts of the report that failed after the runs, each with the reason."""
         return [finding.text for finding in self.findings if f" {UNMADE}: " in finding.text]
 
     @property

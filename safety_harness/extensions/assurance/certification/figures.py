@@ -139,7 +139,7 @@ def margins_figure(claim: ClaimEvidence) -> str:
 def separation_figure(cases: tuple[SeparationCase, ...]) -> str:
     """Return the SVG of the protective separation distance in each case: its terms, and the real distance.
 
-    It is empty if there are no ``cases``.
+    The text is empty if there are no ``cases``.
     """
     if not cases:
         return ""

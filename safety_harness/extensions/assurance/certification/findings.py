@@ -114,7 +114,7 @@ def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenF
 
 
 def of_searches(searches: Sequence[Searched], planned: int) -> Iterator[OpenFinding]:
-    """Yield missing, interrupted and unconfirmed searches; the plan asks for ``planned`` search runs."""
+    """Yield a finding for each missing, interrupted or unconfirmed search of ``planned`` search runs."""
     texts = [] if searches or not planned else ["the search that the plan asks for was not made"]
     for search in searches:
         if search.found is None:
@@ -130,7 +130,7 @@ def of_searches(searches: Sequence[Searched], planned: int) -> Iterator[OpenFind
 
 
 def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
-    """Yield the ``examples`` that the page cannot show, and the number of examples that no bound covers."""
+    """Yield findings on ``examples`` that the page cannot show, and on those that no bound covers."""
     shown = [item.shown for item in examples if isinstance(item, Example)]
     problems = [item for item in examples if isinstance(item, str)]
     texts = []
@@ -147,7 +147,7 @@ def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
 
 
 def of_worlds(credibility: Credibility, tested: Sequence[SystemUnderTest]) -> Iterator[OpenFinding]:
-    """Yield reasons to doubt the simulator: its ``credibility``, and recorded cells with other systems."""
+    """Yield a finding for each reason to doubt the simulator, such as a cell that is no ``tested`` system."""
     agreement = credibility.agreement
     if agreement is None or not agreement.present:
         text = "the agreement of the two worlds was not measured with this source"
@@ -174,7 +174,7 @@ def of_worlds(credibility: Credibility, tested: Sequence[SystemUnderTest]) -> It
 
 
 def of_selftest(selftest: SelfTest | None) -> Iterator[OpenFinding]:
-    """Yield reasons to doubt the claims: a missing or partial ``selftest``, false alarms, missed faults."""
+    """Yield findings on the harness: a missing or partial ``selftest``, false alarms, missed faults."""
     if selftest is None:
         yield OpenFinding("nothing is said of how well the harness notices faults", "tools")
         return

@@ -1,7 +1,7 @@
 """Check whether a gate takes answers only to questions in the region of a certificate.
 
-The check covers the strata that ask the network of the certificate. It compares the boxes of ``gate:
-{questions within: ...}`` exactly.
+The check covers the strata that ask the network of the certificate. It compares exactly the boxes under the
+key ``questions within`` of ``gate``.
 """
 
 from __future__ import annotations

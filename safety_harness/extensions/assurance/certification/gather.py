@@ -152,7 +152,7 @@ def put_together(
     explain: Explains = told_whose_fault,
     guard: ReportGuard | None = None,
 ) -> GatheredEvidence:
-    """Return the evidence that follows from the ledger and the searches, with the given parts.
+    """Return the evidence that follows from the ledger, the searches, and the given parts.
 
     For the parts that only ``certify`` knows, ``verify`` passes the recorded parts.
 

@@ -2,9 +2,8 @@
 
 A rate is the product of two upper bounds. The first bounds the number of approaches in an hour, and the
 second the probability of a violation in a run. Every approach counts as a run that puts the claim to the
-test. The product uses the largest bound per run of all strata. So it holds however an hour's approaches are
-distributed over the strata. ``extensions.assurance.statistics.rates`` explains how the bounds share the
-error.
+test. The product uses the largest bound per run of all strata. So the rate holds for every mixture of strata
+in an hour. ``extensions.assurance.statistics.rates`` explains how the bounds share the error.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def write_once(made: L, file: Path, read: Callable[[Path], L], *, expected: str)
         made: The declaration or the seal.
         file: The file.
         read: Reads an existing file.
-        expected: What the error states as the expected file.
+        expected: The description of the expected file in the error.
 
     Returns:
         ``made``.
@@ -106,7 +106,7 @@ class PlanDeclaration(Lodged):
 
 
 def declaration_of(plan: Plan, identity: Identity | None = None) -> PlanDeclaration:
-    """Return the declaration of ``plan``, with the present software or with the ``identity`` in a ledger."""
+    """Return the declaration of ``plan``, for the present software or for the ``identity`` of a ledger."""
     parts: dict[str, Any] = {
         "plan": plan.title,
         "avoider": plan.avoider or "what the spaces name",
@@ -219,7 +219,7 @@ def seal_of(folder: Path, ledger: Ledger) -> Seal:
 def seal_file(folder: Path) -> Path:
     """Return the file for the seal of a report, which lies beside the report's ``folder``.
 
-    The seal could not cover its own file in the folder.
+    If the file lay in the folder, the seal could not cover it.
     """
     whole = folder.resolve()
     return whole.with_name(whole.name + ".seal.json")

@@ -1,4 +1,4 @@
-"""The traces that a ledger keeps, and what they show besides the plan's claims."""
+"""The traces that a ledger keeps, and what the report derives from them besides the plan's claims."""
 
 from __future__ import annotations
 
@@ -107,14 +107,14 @@ def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
 
 
 def judged_run(trace: Trace) -> JudgedRun:
-    """Judge ``trace`` again by its scenario's claims."""
+    """Return ``trace``, judged again by the claims of its scenario."""
     return JudgedRun(trace=trace, evaluations=judge(trace), replay_command="")
 
 
 def separation_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[SeparationCase]:
     """Yield, for each stratum of ``plan``, the ``stored`` run with the least margin of protective separation.
 
-    The hands reach, so that the claim assumes the speed of a reaching hand.
+    For every hand, the claim assumes the speed of a reaching hand.
     """
     prop = property_of(
         replace(plan.claims[0].claim, sentence=ProtectiveSeparation().sentence), plan.strata[0].space.simplest

@@ -196,7 +196,7 @@ def verify(
 
 
 def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination]:
-    """Yield the examinations that need the declared plan in the report, and rows that belong to its runs."""
+    """Yield the examinations of a report with the declared plan, and with rows that belong to its runs."""
     plan, ledger, same = report.plan, report.ledger, report.same
     drawing.on_progress("stored traces, judged with the present code")
     stored = check_traces(plan, ledger, same=same)

@@ -1,4 +1,4 @@
-"""Check that all files are present, that the plan is the declared plan, and that the ledger has its runs."""
+"""Check that all files are present, that the plan is as declared, and that the ledger records its runs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MOST_NAMED = 10  # faults of an examination; a last line counts the rest
 
 @dataclass(frozen=True)
 class Examination:
-    """What a check looked at, and the faults that it found.
+    """The subject of a check, and the faults that it found.
 
     ``notes`` are no faults.  ``unchecked`` has the points that the check could not decide; each of them may
     hide a fault.

@@ -209,7 +209,7 @@ def _texts(page: bytes, openings: re.Pattern[bytes]) -> Iterator[tuple[bytes, by
 
 
 def _without_style(there: bytes, made: bytes) -> tuple[tuple[str, ...], bytes]:
-    """Return a remark if the style sheets differ, and the page with the style sheet that was made here.
+    """Return a remark if the style sheets differ, and the page ``there`` with the style sheet of ``made``.
 
     The function replaces the style sheet only if everything before it is equal. In another place, a browser
     might show the text instead of using it as a style sheet.

@@ -39,10 +39,11 @@ COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faul
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """How many runs to repeat: ``runs``, or enough to miss all altered rows with at most the chance ``miss``.
+    """The number of runs to repeat: ``runs``, or so many that the chance to miss altered rows is ``miss``.
 
-    The altered rows are the fewest rows that change the weakest verdict. ``seed`` draws the runs; the maker
-    of the report cannot know it.  ``programs`` is true if programs in the report may run.
+    This is the chance to miss all altered rows, if a forger altered the fewest that change the weakest
+    verdict. ``seed`` draws the runs; the maker of the report cannot know it.  ``programs`` is true if
+    programs in the report may run.
     """
 
     runs: int | None
@@ -274,9 +275,10 @@ def _same(then: float, now: float) -> bool:
 def _is_close(sentence: str, then: float, now: float) -> bool:
     """Return whether two margins (SI) of a claim differ by no more than another machine's rounding.
 
-    On emulated machines, a margin moves by at most 1e-12. The margin of a ``SAMPLED`` claim moves by 0.13 mm,
-    because its path ends at a sample. Samples are 2.5 mm apart, and a last bit decides which sample is the
-    end. The tolerances are a tenth of a millimetre (1e-4 in SI units), and 2.5 mm for a ``SAMPLED`` claim.
+    On emulated machines, a margin moves by at most 1e-12. The margin of a ``SAMPLED`` claim moves by up to
+    0.13 mm, because its path ends at a sample. Samples are 2.5 mm apart, and a last bit decides which sample
+    is the end. The tolerances are a tenth of a millimetre (1e-4 in SI units), and 2.5 mm for a ``SAMPLED``
+    claim.
     """
     if math.isnan(then) or math.isnan(now):
         return math.isnan(then) and math.isnan(now)

@@ -15,7 +15,7 @@ MOST = 20  # the first violations of each claim
 def whose_fault(plan: Plan, ledger: Ledger) -> WhoseFault:
     """Attribute violations of ``plan`` in ``ledger`` by kinematic replays.
 
-    As in the runs, the function executes the programs that the plan names.
+    Like the runs, the function executes the programs that the plan names.
     """
     violated = ViolatedEpisodes.first(ledger, MOST)
     tally = AttributionTally.from_attributions(
