@@ -1,4 +1,4 @@
-"""The commands ``safety-harness certify``, which reports a plan's evidence, and ``verify``, a check of it."""
+"""The commands ``safety-harness certify`` and ``verify``: report a plan's evidence, and check a report."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Course:
 
     @property
     def turns(self) -> list[tuple[str, str, str]]:
-        """(revision, verdict before, verdict) for each revision whose verdict differs from the previous."""
+        """(revision, verdict before, verdict) for each revision with another verdict than before."""
         return [
             (name, last["verdict"], now["verdict"])
             for (_, last), (name, now) in zip(self.found, self.found[1:], strict=False)

@@ -7,7 +7,7 @@ other density q, whose draws have the weights w:
 
 A pilot fits this mixture in steps. Each step takes the draws with the least margins of the previous step, and
 fits the mixture to them by their weights. This is the cross-entropy method (Rubinstein and Kroese, 2004).
-Expectation maximisation fits mixtures (Cappe, Douc, Guillin, Marin and Robert, 2008).
+Expectation maximisation fits each mixture (Cappe, Douc, Guillin, Marin and Robert, 2008).
 
 No s_k is below 1. Thus in a direction that does not matter, draws stay as wide as before and weights stay
 small. A share a of plain draws, from phi, keeps w at most 1/a (Hesterberg, 1995). Then R replications, each
@@ -19,12 +19,12 @@ phi does. If a restart finds violations, its region joins the mixture. The searc
 that finds no violation. ``still_found`` is true if even the last allowed restart found violations.
 
 In many dimensions, a few draws may carry most of the weight. Then the replications agree on a value that is
-far too low. To notice this, a generalised Pareto distribution is fitted to the largest weights of violations
-(Zhang and Stephens, 2009). If its shape exceeds 0.7, the estimate is not reliable (Vehtari, Simpson, Gelman,
-Yao and Gabry, 2024).
+far too low. To notice this, the method fits a generalised Pareto distribution to the largest weights of
+violations (Zhang and Stephens, 2009). If its shape exceeds 0.7, the estimate is not reliable (Vehtari,
+Simpson, Gelman, Yao and Gabry, 2024).
 
 A region without draws leaves no sign in the weights. Therefore, as in splitting, only plain draws give the
-upper end. These are the first step of the first pilot, and the plain share of the replications.
+upper end. These draws are the first step of the first pilot, and the plain share of the replications.
 """
 
 from __future__ import annotations

@@ -294,7 +294,7 @@ def _replication(particles: _Particles, steps: int, levels: list[float], lengths
 
 
 class _Particles:
-    """Points (n, d) of standard normal space and their margins (n,); first, the points are plain draws."""
+    """Points (n, d) of standard normal space and their margins (n,); the first points are plain draws."""
 
     def __init__(self, judged: JudgedMargins, shape: tuple[int, int], rng: np.random.Generator) -> None:
         self._judged, self._rng = judged, rng

@@ -3,9 +3,9 @@
 Approaches are a Poisson process with a rate r. At worst, each approach is a run that violates a claim with
 the probability p. Then violations occur at the rate r p, whatever the pattern of the approaches.
 
-Let r exceed its bound R with a probability of at most a, and p its bound P with at most b. Then r p exceeds R
-P with a probability of at most a + b (Boole). The two errors need not be independent. The rates of approaches
-share one half of the error, and the bounds per run share the other half.
+Suppose that r exceeds its bound R with a probability of at most a, and p its bound P with at most b. Then r p
+exceeds R P with a probability of at most a + b (Boole). The two errors need not be independent. The rates of
+approaches share one half of the error, and the bounds per run share the other half.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def most_an_hour(count: int, hours: float, chance: float) -> float:
 
 @dataclass(frozen=True)
 class SharedError:
-    """The error that ``confidence`` allows, shared by ``rates`` rates of approaches and bounds per run."""
+    """The error that ``confidence`` allows: half for the ``rates`` of approaches, half for bounds per run."""
 
     confidence: float
     rates: int

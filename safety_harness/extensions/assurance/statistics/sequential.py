@@ -1,7 +1,7 @@
 """Bounds of a probability that hold after every trial at once, so that a stream may stop at any time.
 
-For each share p, a martingale M_n(p) compares p with a mixture of alternatives q. It depends on the trials so
-far, of which k of n are successes:
+For each share p, a martingale compares p with a mixture of alternatives q. After n trials, of which k are
+successes, it is
 
     M_n(p) = E_q[ q^k (1 - q)^(n - k) ] / ( p^k (1 - p)^(n - k) )
 
