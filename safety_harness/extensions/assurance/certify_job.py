@@ -1,4 +1,4 @@
-"""Run a declared plan and write its evidence: ``safety_harness.certify``, and its result."""
+"""Run a declared plan and write its evidence; this module has ``safety_harness.certify`` and its result."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ def certify(
     Args:
         plan: A plan or its file.
         controller: A controller that drives the arm, in place of the plan's avoider.
-        out: The folder of the report, in which every finished run is kept; None: reports/NAME of the plan.
-        pdf: Whether to write the page as PDF too, by an installed Chromium.
-        full: Whether the PDF contains the whole page, not only the most severe results of each kind.
+        out: The folder of the report, which keeps every finished run; None: reports/NAME of the plan.
+        pdf: Whether to print the page to a PDF too, with an installed Chromium.
+        full: Whether the PDF contains the whole page, or only the most severe results of each kind.
         workers: The number of processes; None: one for each core.
         selftest: A file selftest.json for the report; None: the report states that there is no self-test.
         oracles: A file of independent oracles for the report; None: no oracles.
@@ -95,7 +95,7 @@ def certify(
         pdf=pdf,
         proof=paths["proof"],
     )
-    # Results of the search go out as remarks: the verdicts are the results.
+    # Print the search's results as remarks, because the verdicts are the results.
     evidence, complete = job.run(workers, watching_campaign, replace(output, result=output.say))
     delta = None
     if complete and earlier is not None:
@@ -145,20 +145,21 @@ class CertificationResult:
 
     @property
     def claims(self) -> tuple[ClaimEvidence, ...]:
-        """Each claim with its ``standing`` and the reason."""
+        """The evidence on each claim, with its status ``standing`` and the reason."""
         return self.evidence.claims
 
     @property
     def page(self) -> Path:
-        """The report's page."""
+        """The file of the report's page."""
         return self.folder / PAGE
 
     @property
     def exit_code(self) -> int:
-        """The command's exit code: as expected, different or interrupted.
+        """The exit code of the command ``certify``: as expected, different or interrupted.
 
-        An incomplete report is *interrupted*.  With an earlier report, regressions decide on the code;
-        otherwise the standing of the claims decides.  A failed part of the report is *different* too.
+        The code of an incomplete report is *interrupted*.  If there is an earlier report, the code depends on
+        regressions; otherwise it depends on the claims' status.  The code is *different* too if a part of the
+        report failed.
         """
         if not self.complete:
             return INTERRUPTED

@@ -1,4 +1,4 @@
-"""Plans as files that ``validate``, ``explain``, ``new`` and ``schema`` of the core accept."""
+"""Plans as input files of the core's commands ``validate``, ``explain``, ``new`` and ``schema``."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from safety_harness.scenario.model import Scenario
 
 
 def _check(path: Path, inspect: Callable[[Scenario], object]) -> CheckedFile:
-    """Check that a draw of every stratum of the plan in ``path`` is admissible.
+    """Raise an error unless a draw of every stratum of the plan in ``path`` is admissible.
 
-    A warning says if ``certify`` will refuse the plan. ``inspect`` receives the simplest scenario of each
-    stratum.
+    A warning states whether ``certify`` will refuse the plan. ``inspect`` receives the simplest scenario of
+    each stratum.
     """
     from safety_harness.admission.spaces import draw_admissible
     from safety_harness.cli.console import say

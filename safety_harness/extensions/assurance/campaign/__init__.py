@@ -1,1 +1,1 @@
-"""Campaigns: declared plans of many independent episodes, run into a durable ledger."""
+"""Campaigns: a declared plan of many independent episodes, run and recorded in a durable ledger."""

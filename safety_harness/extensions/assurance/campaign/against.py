@@ -1,4 +1,4 @@
-"""Two campaigns over the same episodes: sentences on new violations and lost margins."""
+"""Sentences that compare two campaigns over the same episodes: new violations and lost margins."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _LOST = (
 
 
 def plan_against(ledger: Ledger, reference: str) -> Plan:
-    """Return the ledger's plan with another avoider or controller.
+    """Return the plan of ``ledger`` with another avoider or controller.
 
-    The plan and its files are written to a folder beside the ledger.
+    The function writes the plan and its files to a folder beside the ledger.
 
     Args:
-        ledger: The ledger, open.
-        reference: The avoider or controller, with a file as seen from the working directory.
+        ledger: The open ledger.
+        reference: The new avoider or controller; the path of its file is relative to the working directory.
 
     """
     systems = map(json.loads, ledger.declared.identity.systems)
@@ -49,14 +49,14 @@ def plan_against(ledger: Ledger, reference: str) -> Plan:
 
 
 def plan_with(files: Sequence[PlanFile], reference: str, folder: Path) -> Plan:
-    """Return the plan of ``files`` with another avoider or controller.
+    """Return the plan in ``files`` with another avoider or controller.
 
-    All files are written to a folder, and the plan is read from there.
+    The function writes all files to a folder, and reads the plan from there.
 
     Args:
-        files: The files of a plan, its own first.
+        files: The files of a plan; the plan's own file comes first.
         reference: A reference to an avoider, or a ``Driver``.
-        folder: The path of the new folder; the name gets the reference as a suffix.
+        folder: The path of the new folder; the function appends the reference to its name.
 
     """
     slug = re.sub(r"[^a-z0-9]+", "-", reference.lower()).strip("-")
@@ -73,9 +73,10 @@ def plan_with(files: Sequence[PlanFile], reference: str, folder: Path) -> Plan:
 
 
 def against_lines(first: Ledger, second: Ledger) -> Iterator[str]:
-    """Yield sentences on the losses of ``second`` against ``first``, the reference: margins, then violations.
+    """Yield sentences on the losses of ``second`` against the reference ``first``: margins, then violations.
 
-    Both ledgers have to pass ``compare_ledgers``. An episode without a verdict in either does not count.
+    The caller first checks both ledgers with ``compare_ledgers``. The sentences leave out each episode that
+    lacks a verdict in either ledger.
     """
     path, reference = str(second.path), str(first.path)
     with second.attached(first.path, "first"):

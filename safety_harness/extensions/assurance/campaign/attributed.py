@@ -1,4 +1,4 @@
-"""The violated episodes of a ledger, drawn again from their seeds for attribution."""
+"""The episodes of a ledger that violate a claim, drawn again from their seeds to attribute the violations."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ _VIOLATED = (
 
 @dataclass(frozen=True)
 class ViolatedEpisodes:
-    """The first violations of each claim, with the strata side by side: ``claims`` by (stratum, episode).
+    """The first violations of each claim in a ledger.
 
-    The ledger has ``of`` violations in all.
+    ``claims`` maps (stratum, episode) to the numbers of the claims that the episode violates. ``of`` is the
+    number of all violations in the ledger.
     """
 
     claims: dict[tuple[int, int], tuple[int, ...]]
@@ -32,7 +33,7 @@ class ViolatedEpisodes:
 
     @classmethod
     def first(cls, ledger: Ledger, most: int) -> ViolatedEpisodes:
-        """Return at most ``most`` violations of each claim."""
+        """Return the first violations of each claim in ``ledger``, at most ``most`` of each."""
         chosen: dict[tuple[int, int], tuple[int, ...]] = {}
         counts = [0] * len(ledger.declared.claims)
         for stratum, episode, claim in ledger.all(_VIOLATED):
@@ -43,7 +44,7 @@ class ViolatedEpisodes:
 
     @property
     def summary(self) -> str:
-        """The number of these violations, of all violations and of the episodes, in words."""
+        """The numbers of chosen violations, of all violations and of chosen episodes, in words."""
         chosen = sum(map(len, self.claims.values()))
         return f"{chosen} of {self.of} violations, in {len(self.claims)} episodes"
 
@@ -51,10 +52,10 @@ class ViolatedEpisodes:
 def violated_episodes(
     plan: Plan, violated: ViolatedEpisodes, *, programs: bool
 ) -> Iterator[tuple[Admitted, list[Claim]]]:
-    """Yield each episode, drawn and admitted again, with the claims that it violates.
+    """Yield each episode of ``violated``, drawn and admitted again, with the claims that it violates.
 
-    CampaignError: a draw has a program and ``programs`` is False. LedgerError: an episode cannot be drawn
-    again.
+    CampaignError if a draw names a program although ``programs`` is False. LedgerError if an episode cannot
+    be drawn again.
     """
     runner = EpisodeRunner(plan, programs=programs)
     for (stratum, episode), numbers in violated.claims.items():

@@ -1,14 +1,14 @@
-"""A crew on a Dask cluster: the extra "cluster" of this package.
+"""A worker pool on a Dask cluster, for the extra "cluster" of this package.
 
-Each chunk is a task, which carries the plan's files. Workers need the same version of this package and of
-its libraries; otherwise they refuse.
+Each chunk of episodes is one Dask task, which carries the plan's files. A worker refuses tasks if its version
+of this package or of a library differs from the client's.
 
-Workers should have one thread and a nanny. Only on a main thread can a deadline interrupt a user's avoider,
-and the nanny restarts a worker that hangs.
+Each worker should have one thread and a nanny. A deadline can interrupt a user's avoider only on a main
+thread. The nanny restarts a worker that hangs.
 
-If a worker dies, Dask tries its tasks again. Dask gives up a task that ran on several workers when they
-died; its presence there is enough. So a task that Dask gave up runs again without any other task before it
-counts as the cause.
+If a worker dies, Dask runs its tasks again on another worker. After several such deaths, Dask gives up each
+task that was on those workers, even if another task killed them. Therefore the pool runs such a task once
+more, alone, before it blames the task.
 """
 
 from __future__ import annotations
@@ -55,9 +55,10 @@ _OF_THREAD = threading.local()  # two threads must not call one avoider at the s
 def run_chunk(
     files: Sequence[PlanFile], identity: Identity, chunk: Chunk
 ) -> Sequence[Row] | InputError | Lost:
-    """Run a chunk on a Dask worker, whose machine has no file of the plan, and return its rows.
+    """Run ``chunk`` on a Dask worker, whose machine has no file of the plan, and return its rows.
 
-    Errors are return values: Dask's client never hears of an exception whose traceback cannot be pickled.
+    The function returns errors as values, because Dask never reports an exception whose traceback cannot be
+    pickled.
     """
     try:
         bench = _bench(files, identity)
@@ -72,7 +73,7 @@ def run_chunk(
 
 
 def _bench(files: Sequence[PlanFile], identity: Identity) -> EpisodeRunner:
-    """Return the runner of a plan, made once; its files stay until the thread ends or takes another plan."""
+    """Return the runner of a plan, made once; its files stay until the thread ends or gets another plan."""
     if getattr(_OF_THREAD, "plan", "") != identity.sha256:
         _OF_THREAD.folder = tempfile.TemporaryDirectory(prefix="safety-harness-", ignore_cleanup_errors=True)
         file = unpacked(files, Path(_OF_THREAD.folder.name))
@@ -84,19 +85,24 @@ def _bench(files: Sequence[PlanFile], identity: Identity) -> EpisodeRunner:
 
 @dataclass(eq=False)
 class _Task:
-    """A chunk under way. ``since_s`` is the time when it was given, or (``begun``) first seen on a worker."""
+    """A chunk that the scheduler has accepted and not returned yet.
+
+    ``since_s`` is the time when the pool submitted the chunk. If ``begun`` is true, it is the time when the
+    pool first saw the chunk on a worker.
+    """
 
     chunk: Chunk
-    alone: bool  # with nothing beside it
+    alone: bool  # while the pool has no other unfinished task
     since_s: float
     begun: bool = False
 
 
 @dataclass(eq=False)
 class DaskCrew:
-    """A WorkerPool of a Dask scheduler's workers; ``address`` is tcp://... or the path of a scheduler file.
+    """A WorkerPool of the workers of a Dask scheduler.
 
-    A chunk that takes too long is lost, and its worker is restarted. InputError without such a scheduler.
+    ``address`` is tcp://... or the path of a scheduler file. A chunk that takes too long counts as lost, and
+    the pool restarts its worker. InputError if no such scheduler answers.
     """
 
     plan: Plan
@@ -104,9 +110,9 @@ class DaskCrew:
     limits: Limits = LIMITS
     replaced: int = 0
     size: int = 0  # threads of all workers when they were counted last; workers may come later
-    _under_way: dict[Any, _Task] = field(default_factory=dict)  # by future, in the order of giving
+    _under_way: dict[Any, _Task] = field(default_factory=dict)  # by future, in the order of submission
     _suspects: set[Chunk] = field(default_factory=set)
-    _waiting: Chunk | None = None  # a suspect, until nothing else is under way
+    _waiting: Chunk | None = None  # a suspect that waits until no other task is unfinished
     _finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)
     _refused: int = 0
     _mistake: InputError | None = None
@@ -119,13 +125,13 @@ class DaskCrew:
 
     @property
     def free(self) -> int:
-        """The number of chunks that may come: 0 while a suspect waits to run alone, or runs alone."""
+        """The number of chunks that the pool accepts now; 0 while a suspect runs or waits to run alone."""
         if self._waiting is not None or any(task.alone for task in self._under_way.values()):
             return 0
         return max(max(self.size, 1) * _AHEAD - len(self._under_way), 0)
 
     def give(self, chunk: Chunk) -> None:
-        """Submit a chunk as a task of its own."""
+        """Submit ``chunk`` as a separate task; a suspect waits until it can run alone."""
         if chunk in self._suspects:
             self._waiting = chunk
         else:
@@ -137,7 +143,7 @@ class DaskCrew:
         future.add_done_callback(self._finished.put)
 
     def take(self, timeout_s: float) -> Sequence[Event]:
-        """Return the chunks that have come, whole. Raise a mistake in the plan after all earlier events."""
+        """Return finished and lost chunks; raise an error in the plan only after all earlier events."""
         if self._mistake is not None:
             raise self._mistake
         if self._waiting is not None and not self._under_way:
@@ -157,14 +163,14 @@ class DaskCrew:
         return events
 
     def close(self) -> None:
-        """Drop the tasks under way, as the scheduler does for a client that leaves; the cluster stays."""
+        """Close the client, so that the scheduler drops its unfinished tasks; the cluster keeps running."""
         with suppress(OSError, TimeoutError):
             self._client.close(timeout=_ANSWER_S)
 
     def _event_of(self, future: Any) -> list[Event]:
         if future not in self._under_way:
             return []
-        if future.status == "cancelled":  # not from here: the scheduler has forgotten it
+        if future.status == "cancelled":  # not by this pool: the scheduler has forgotten the task
             raise self._gone()
         task = self._under_way.pop(future)
         try:
@@ -182,7 +188,7 @@ class DaskCrew:
         return [Arrived(task.chunk, tuple(answer), last=True)]
 
     def _lost(self, task: _Task, error: BaseException) -> Lost:
-        """Return the loss of a task that Dask gave up."""
+        """Return the ``Lost`` event of ``task``, which Dask gave up."""
         from distributed import KilledWorker
 
         if not isinstance(error, KilledWorker):
@@ -194,7 +200,7 @@ class DaskCrew:
         return Lost(task.chunk, "its worker died", times=error.allowed_failures + 1 if task.alone else 0)
 
     def _refusal(self, task: _Task, why: str) -> Lost:
-        """Return a loss without an episode to blame; CampaignError after ``_MOST_REFUSED`` in a row."""
+        """Return a loss that blames no episode; CampaignError after ``_MOST_REFUSED`` losses in a row."""
         self._refused += 1
         if self._refused >= _MOST_REFUSED:
             raise CampaignError(
@@ -207,7 +213,7 @@ class DaskCrew:
         return CampaignError(f"the scheduler {self.address} is gone; the ledger has its earlier results")
 
     def _look_around(self, events: list[Event]) -> None:
-        """Count the workers and look for hung tasks, every ``_LOOK_S`` seconds."""
+        """Count the workers and look for hung tasks, at most once in ``_LOOK_S`` seconds."""
         if time.monotonic() - self._looked_s < _LOOK_S:
             return
         self._looked_s = time.monotonic()
@@ -220,9 +226,10 @@ class DaskCrew:
                 raise self._gone() from error
 
     def _look_for_hung(self, threads: dict[str, int], events: list[Event]) -> None:
-        """Drop tasks that began too long ago, and tasks that no worker has begun although there are workers.
+        """Drop each task that began too long ago, or that no worker began in time although there are workers.
 
-        A worker with n threads works on the first n of its tasks, in the order in which they were given.
+        A worker with n threads works on the first n of its tasks, in the order in which the pool submitted
+        them.
         """
         allowed_s, now_s = self.limits.first_s + self.limits.silence_s, time.monotonic()
         place = {future.key: k for k, future in enumerate(self._under_way)}
@@ -250,9 +257,10 @@ class DaskCrew:
 
 
 def connected(where: str, timeout_s: float) -> Any:
-    """Return a ``distributed.Client`` of the scheduler at an address (tcp://...) or in a file.
+    """Return a ``distributed.Client`` of the scheduler at the address ``where`` (tcp://...), or in that file.
 
-    InputError without an answer within ``timeout_s``; MissingPackageError without the library.
+    InputError if the scheduler does not answer within ``timeout_s``. MissingPackageError if Dask is not
+    installed.
     """
     with CLUSTER.needed("--cluster"):
         from distributed import Client
@@ -268,7 +276,7 @@ def connected(where: str, timeout_s: float) -> Any:
 
 
 def _address_in(file: Path) -> str:
-    """Return the address in a scheduler's file; an error at once, where Dask would wait for the file."""
+    """Return the address in a scheduler file; raise an error if there is no file, where Dask would wait."""
     try:
         address = json.loads(file.read_text(encoding="utf-8"))["address"]
     except FileNotFoundError:

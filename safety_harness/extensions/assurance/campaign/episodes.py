@@ -1,4 +1,4 @@
-"""Episode k of a stratum: drawn, admitted, run and judged, the same in any place and in any order."""
+"""Draw, admit, run and judge episode k of a stratum, with the same result on any machine and in any order."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _Done = TypeVar("_Done")
 
 
 def root_seed(plan: Plan, stratum: int, episode: int) -> int:
-    """Return the root of all random numbers of an episode."""
+    """Return the seed from which all random numbers of an episode derive."""
     return _root_seed(plan.seed, plan.strata[stratum].number, episode)
 
 
@@ -64,7 +64,7 @@ def _root_seed(seed: int, number: int, episode: int) -> int:
 
 
 def random_episodes(plan: Plan, stratum: int) -> frozenset[int]:
-    """Return the episodes of a stratum whose traces stay in any case; the choice precedes all runs."""
+    """Return the episodes of a stratum whose traces are kept in any case, as chosen before all runs."""
     declared = plan.strata[stratum]
     count = min(plan.random_traces, declared.runs)
     rng = generator(plan.seed, Branch.CAMPAIGN, declared.number)
@@ -72,7 +72,7 @@ def random_episodes(plan: Plan, stratum: int) -> frozenset[int]:
 
 
 def failed_row(plan: Plan, stratum: int, episode: int, failure: str, *, draws: int = 0) -> Row:
-    """Return the row of an episode that could not run; it has the outcome FAILED for each claim."""
+    """Return the row of an episode that could not run; the row has the outcome FAILED for each claim."""
     return Row(
         stratum=stratum,
         episode=episode,
@@ -85,7 +85,7 @@ def failed_row(plan: Plan, stratum: int, episode: int, failure: str, *, draws: i
 
 @dataclass(frozen=True)
 class Drawn:
-    """An admitted episode, and the number of draws that it took."""
+    """An episode with its admitted draw, and the number of draws until admission accepted it."""
 
     episode: int
     draws: int
@@ -94,12 +94,12 @@ class Drawn:
 
 @dataclass(eq=False)
 class EpisodeRunner:
-    """Runs a plan's episodes in this process.
+    """A runner of a plan's episodes in this process.
 
-    It makes avoiders of files once. If such an avoider remembers earlier runs, episodes are not
-    independent, and depend on the process that ran them.
+    It makes each avoider of a user's file only once. If such an avoider remembers earlier runs, its episodes
+    depend on each other and on the process that runs them.
 
-    Without ``programs`` it executes no Python file: a draw that names one raises CampaignError.
+    If ``programs`` is False, it executes no Python file: a draw that names a program raises CampaignError.
     """
 
     plan: Plan
@@ -107,12 +107,12 @@ class EpisodeRunner:
     programs: bool = True
     _admitter: Admitter = field(default_factory=Admitter, init=False)
     _random: dict[int, frozenset[int]] = field(default_factory=dict)
-    _noted: int = 0  # of the journal of files that users' modules opened
+    _noted: int = 0  # bytes read so far of the journal of opened files
 
     def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
-        """Yield a row for each episode, in their order; InputError if the text of the plan is to blame.
+        """Yield a row for each of ``episodes``, in order; InputError if the plan's text causes an error.
 
-        ``keep_violations`` says whether rows of violations carry their traces.
+        ``keep_violations`` states whether a row with a violation carries its trace.
         """
         for group in [episodes] if self.plan.world.batch else [[episode] for episode in episodes]:
             begun_s = time.perf_counter()
@@ -133,9 +133,9 @@ class EpisodeRunner:
     def scenario(
         self, stratum: int, episode: int, draw: int, values: NDArray[np.float64] | None = None
     ) -> Scenario:
-        """Return a draw for an episode, with the plan's claims and avoider.
+        """Return draw number ``draw`` of an episode, with the plan's claims and avoider.
 
-        ``values`` (d,) are those of ``space.draw``.
+        ``values`` (d,) are the values that ``space.draw`` takes.
         """
         space = self.plan.strata[stratum].space
         scenario = space.draw(root_seed(self.plan, stratum, episode), draw, values)
@@ -146,7 +146,7 @@ class EpisodeRunner:
     def draw(self, stratum: int, episode: int, first: NDArray[np.float64] | None = None) -> Drawn | Row:
         """Return the first draw that admission accepts; a failed row after ``MAX_REJECTION_RATIO`` refusals.
 
-        ``first`` (d,) has the values of draw 0, if they exist already.
+        ``first`` (d,) has the values of draw 0, if the caller already has them.
         """
         refused: Counter[str] = Counter()
         for k in range(MAX_REJECTION_RATIO):
@@ -166,10 +166,11 @@ class EpisodeRunner:
         return self._guarded(stratum, drawn.episode, work)
 
     def _guarded(self, stratum: int, episode: int, work: Callable[[], _Done]) -> _Done | Row:
-        """Return the result of ``work``, tried twice; after two errors of the harness, a failed row.
+        """Return the result of ``work``, after at most two attempts; a failed row if both raise an error.
 
-        Each worker would meet such an error, so that further attempts are useless. InputError (the plan is
-        to blame), MemoryError (this process is) and CampaignError (a program that must not run) pass on.
+        More attempts would be useless, because every worker would meet such an error. Three errors pass on:
+        InputError (caused by the plan), MemoryError (by this process) and CampaignError (by a program that
+        must not run).
         """
         for _ in range(2):
             try:
@@ -189,7 +190,7 @@ class EpisodeRunner:
         return replace(row, trace=trace_bytes(run)) if wanted else row
 
     def row_of(self, stratum: int, episode: int, draws: int, run: Trace) -> Row:
-        """Return the row of a run, judged by the plan's claims."""
+        """Return the row of ``run``, judged by the plan's claims."""
         broken = why_broken(run)
         judgements = tuple(
             judgement_of(property_of(planned.claim, run.scenario).evaluate(run), run, broken)
@@ -223,7 +224,7 @@ class EpisodeRunner:
 
 
 def _added(run: Trace) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of packages by their columns; NaN and a warning if a package raises."""
+    """Yield each column of a package, and its number for ``run``; NaN and a warning if the package raises."""
     for part in added_columns():
         measure = load(part, FunctionType)
         try:
@@ -234,7 +235,7 @@ def _added(run: Trace) -> Iterator[tuple[str, float]]:
 
 
 def _decided(run: Trace) -> dict[str, Any]:
-    """Return the number of decisions of each kind; empty without a decision, as in most runs."""
+    """Return the number of decisions of each kind; empty if the run has no decision, like most runs."""
     if len(run.decisions) == 0:
         return {}
     outcome, failed = run.decisions["outcome"], run.decisions["proposed_failed"]
@@ -249,10 +250,10 @@ def _decided(run: Trace) -> dict[str, Any]:
 
 
 def number_of(run: Trace) -> int:
-    """Return a hash of 63 bits that identifies a run; 0 for a run without ticks.
+    """Return a 63-bit hash that identifies ``run``; 0 for a run without ticks.
 
-    It covers the acts of arm, hands and avoider, and not the seed: two draws that differ in no act are one
-    run. It covers sensors only at every 16th tick, to save time.
+    The hash covers the actions of arm, hands and avoider, but not the seed. Thus two draws that lead to the
+    same actions count as one run. To save time, the hash covers sensors only at every 16th tick.
     """
     if len(run.ticks) == 0:
         return 0
@@ -271,7 +272,7 @@ _DECIDED = ("tick", "outcome", "proposed_position_in_base_m", "proposed_spread_m
 
 
 def why_broken(trace: Trace) -> str:
-    """Return the reason why a trace does not record a whole run; empty if it does."""
+    """Return the reason why ``trace`` does not record a whole run; empty if it does."""
     if not trace.complete:
         return f"the run was cut short: {trace.ended}"
     odd = first_inconsistency(trace)
@@ -283,10 +284,10 @@ def why_broken(trace: Trace) -> str:
 
 
 def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudgement:
-    """Return the outcome for estimates.
+    """Return the judgement of one claim on one run, as the estimates count it.
 
-    UNTESTED is only a whole run that did not exercise the claim, or that lacks a measured input. A broken
-    run counts as a violation in upper bounds, whatever its verdict.
+    The outcome is UNTESTED only if a whole run did not exercise the claim, or did not measure one of its
+    inputs. Upper bounds count a broken run as a violation, even if its verdict is another.
     """
     if evaluation.verdict is Verdict.VIOLATED:
         outcome = EpisodeOutcome.VIOLATED
@@ -310,7 +311,7 @@ def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudg
 
 
 def trace_bytes(trace: Trace) -> bytes:
-    """Return the trace as ``save_trace`` writes it."""
+    """Return ``trace`` as the bytes that ``save_trace`` writes."""
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         file = Path(folder) / "one.trace"
         save_trace(trace, file)
@@ -318,9 +319,10 @@ def trace_bytes(trace: Trace) -> bytes:
 
 
 def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
-    """Return a stored, simulated trace with the files of the plan's space; TraceError for any other.
+    """Return the stored trace in ``data`` with the files of the plan's space; TraceError unless simulated.
 
-    A stored reference may have lost its folder (``portable``), so the plan names the system under test.
+    The system under test comes from the plan, because a stored reference may have lost its folder
+    (``portable``).
     """
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         file = Path(folder) / "stored.trace"
@@ -332,6 +334,6 @@ def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
 
 
 def _where(error: Exception) -> str:
-    """Return the deepest line of the traceback, which no ledger stores."""
+    """Return the file and line that raised ``error``, because no ledger stores the traceback."""
     frames = traceback.extract_tb(error.__traceback__)
     return f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""

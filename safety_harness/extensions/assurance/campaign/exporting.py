@@ -1,4 +1,4 @@
-"""A ledger as a table for other programs, and queries: filters as SQL, and SQL that can only read."""
+"""Export a ledger as a table for other programs, and query it by filters or by SQL that can only read."""
 
 from __future__ import annotations
 
@@ -47,9 +47,10 @@ SUFFIXES = (".csv", ".parquet")
 
 
 def export(ledger: Ledger, out: Path) -> int:
-    """Write the table as CSV or Parquet, by the suffix of ``out``, and return the number of lines.
+    """Write the ledger's results as a CSV or Parquet table, by the suffix of ``out``; return the line count.
 
-    Parquet needs pyarrow, the extra "export". OutputError, or InputError for another suffix.
+    Parquet needs pyarrow, the extra "export". OutputError if ``out`` cannot be written, InputError for
+    another suffix.
     """
     if out.suffix not in SUFFIXES:
         raise ScenarioError.of_file(out, f"a file that ends in {' or '.join(SUFFIXES)}", out.name)
@@ -72,7 +73,7 @@ def export_traces(ledger: Ledger, folder: Path) -> list[Path]:
 
 
 def _columns(ledger: Ledger) -> tuple[tuple[str, str, str], ...]:
-    """Return name, SQL expression and type of the columns, with the columns of packages."""
+    """Return the name, SQL expression and type of each column, the columns of packages included."""
     added = ((name, _ADDED.format(name), "float64") for name in added_in(ledger.connection))
     return (*_COLUMNS, *added)
 
@@ -114,9 +115,10 @@ _READING = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION,
 def question_of(
     ledger: Ledger, claim: str | None, stratum: str | None, outcome: str | None, below: str | None
 ) -> tuple[str, tuple[object, ...]]:
-    """Return SQL over the view ``results`` with the worst margins first, and its values.
+    """Return an SQL query of the view ``results``, worst margins first, and the values of its placeholders.
 
-    Give a claim or stratum in full, or by words that only one has; ``below`` is a margin with its unit.
+    ``claim`` and ``stratum`` are full names, or words that occur in only one name. ``below`` is a margin with
+    its unit.
     """
     declared = ledger.declared
     outcomes = tuple(code.name.lower() for code in EpisodeOutcome)
@@ -142,7 +144,7 @@ def question_of(
 
 
 def refuse_writing(connection: sqlite3.Connection) -> None:
-    """Restrict the connection to reading: no change, no attached file, no setting."""
+    """Restrict ``connection`` to reading: it refuses changes, attached files and settings."""
     connection.set_authorizer(
         lambda action, *_: sqlite3.SQLITE_OK if action in _READING else sqlite3.SQLITE_DENY
     )

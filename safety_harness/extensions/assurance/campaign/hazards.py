@@ -1,6 +1,6 @@
-"""The hazards of a plan: task, zone, event, severity, frequency, who decided them, and why.
+"""The hazards of a plan: task, zone, event, severity, frequency, the persons who decided, and the reasons.
 
-docs/reference/plan.md is the reference of these keys.
+docs/reference/plan.md describes these keys.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _SOURCE = _line("the source of the number")
 
 @declared
 class CountedApproaches:
-    """A count of approaches in a number of hours, as a Poisson process."""
+    """A number of approaches that were counted in some hours; the approaches are a Poisson process."""
 
     count: int = key(
         "counted",
@@ -69,7 +69,7 @@ class CountedApproaches:
     file: Path | None = None
 
     def most_an_hour(self, chance: float) -> float:
-        """Return the upper bound of the rate an hour; the rate exceeds it with this chance at most."""
+        """Return an upper bound that the true hourly rate exceeds with at most this ``chance``."""
         return most_an_hour(self.count, self.hours, chance)
 
     @property
@@ -80,7 +80,7 @@ class CountedApproaches:
 
 @declared
 class StatedApproaches:
-    """A stated bound of the rate, with its confidence."""
+    """An upper bound of the hourly rate of approaches, stated by its author with a confidence."""
 
     at_most: float = key("at most", QuantityValue(NUMBER, least=1e-9, most=1e6), "approaches an hour", "40")
     confidence: float = key(
@@ -92,7 +92,7 @@ class StatedApproaches:
     source: str = key("source", _SOURCE, "the author of the bound, and the grounds", "the line's cycle time")
 
     def most_an_hour(self, chance: float) -> float:
-        """Return the stated bound; ``read_hazards`` checked its confidence against this chance."""
+        """Return the stated bound; ``read_hazards`` has checked its confidence against ``chance``."""
         return self.at_most
 
     @property
@@ -105,7 +105,7 @@ Approaches = CountedApproaches | StatedApproaches
 
 
 def _fitted(field: Field) -> CountedApproaches:
-    """Return the approaches of recorded hands: count and hours from the output of ``hands fit --json``."""
+    """Return the count and hours of recorded approaches, from the output of ``hands fit --json``."""
     name = field.sentence("the JSON output of hands fit --json")
     file = resolved((field.file.parent if field.file else Path()) / name)
     if not file.is_file():
@@ -138,10 +138,10 @@ class _FittedApproaches:
 
 
 class _ApproachesValue(Below):
-    """A mapping of one of three kinds."""
+    """A mapping that gives the rate of approaches in one of three ways: fitted, counted or stated."""
 
     def read(self, field: Field) -> Approaches:
-        """Return counted or stated approaches; a fit counts as counted."""
+        """Return counted or stated approaches; fitted approaches become counted approaches."""
         approaches: Approaches | _FittedApproaches = super().read(field)
         return approaches.approaches if isinstance(approaches, _FittedApproaches) else approaches
 
@@ -158,7 +158,7 @@ APPROACHES = _ApproachesValue(
 
 @declared
 class Hazard:
-    """One hazard of a plan in its author's words.
+    """A hazard of a plan, in the words of the plan's author.
 
     ``severity``, ``exposure`` and ``avoidance`` may be UNKNOWN.
     """
@@ -205,7 +205,7 @@ class Hazard:
     )
 
     def derived(self, graph: RiskGraph) -> DerivedRate:
-        """Return the level and rate of the graph, with each step in words."""
+        """Return the level and the rate that ``graph`` requires for this hazard, with each step in words."""
         low = self.probability == LOW
         return derived(graph, self.severity, self.exposure, self.avoidance, unlikely=low)
 
@@ -215,7 +215,7 @@ HAZARD = table_of(Hazard, "a hazard", where="a hazard of a plan")
 
 @dataclass(frozen=True)
 class PlannedHazards:
-    """All hazards of a plan, the graph of their rates, and the shares of the plan's error."""
+    """All hazards of a plan, the risk graph for their rates, and how the bounds share the plan's error."""
 
     hazards: tuple[Hazard, ...]
     graph: RiskGraph
@@ -223,12 +223,12 @@ class PlannedHazards:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that gave the rates of approaches."""
+        """The files from which the plan takes rates of approaches."""
         rates = (item.approaches for item in self.hazards)
         return tuple(item.file for item in rates if isinstance(item, CountedApproaches) and item.file)
 
     def named(self, field: Field) -> tuple[str, ...]:
-        """Return the hazards that a claim lists; ScenarioError for an unknown or repeated hazard."""
+        """Return the hazard names that a claim lists; ScenarioError for an unknown or repeated hazard."""
         names = [hazard.name for hazard in self.hazards]
         listed: list[str] = []
         for item in field.items("a list of the plan's hazards", least=1):
@@ -242,10 +242,11 @@ class PlannedHazards:
         return tuple(listed)
 
     def target(self, names: tuple[str, ...], field: Field) -> float:
-        """Return the greatest probability of a violation in a run at which no hazard exceeds its rate.
+        """Return the largest violation probability per run at which every hazard in ``names`` keeps its rate.
 
-        It is the rate divided by the most approaches an hour, the least over these hazards, and at most
-        0.5. ScenarioError, at ``field``, if a hazard lacks its assessment or its approaches.
+        For one hazard, this is its allowed rate divided by the upper bound of its approaches an hour. The
+        function returns the least of these quotients, and at most 0.5. ScenarioError, at ``field``, if a
+        hazard lacks its assessment or its approaches.
         """
         shares = []
         for hazard in self.hazards:
@@ -268,7 +269,7 @@ class PlannedHazards:
 
 
 def read_hazards(given: Fields, confidence: float) -> PlannedHazards:
-    """Return the contents of the keys ``hazards`` and ``risk graph``; ScenarioError with its place."""
+    """Read the keys ``hazards`` and ``risk graph`` of a plan; ScenarioError names the place of an error."""
     listed, graph = given.optional("hazards"), given.optional("risk graph")
     items = listed.items("a list of hazards", least=1, most=MOST_HAZARDS) if listed else ()
     hazards: list[Hazard] = []

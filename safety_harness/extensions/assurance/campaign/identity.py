@@ -1,7 +1,7 @@
-"""The identity of a plan: its files, and name and hash of all that its results depend on.
+"""The identity of a plan: its files, and all parts that its results depend on, by name and hash or version.
 
-The identity names a change. The files suffice to read the plan on another machine, or after its own files
-have changed.
+A comparison of two identities names what changed. The files suffice to read the plan on another machine, or
+after the user has changed the original files.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ CLAIMS = "the meaning of the claims"
 
 @dataclass(frozen=True)
 class Identity:
-    """The parts that results depend on (a file, a network, a library), each with its hash or version."""
+    """All parts that the results depend on (files, networks, libraries), each with its hash or version."""
 
     parts: tuple[tuple[str, str], ...]
 
@@ -52,7 +52,7 @@ class Identity:
 
     @classmethod
     def from_json(cls, text: str) -> Identity:
-        """Return the identity in a stored text; ValueError or TypeError for other text or a repeated part."""
+        """Return the identity in a stored text; ValueError or TypeError if it is wrong or repeats a part."""
         parts = tuple((str(name), str(value)) for name, value in json.loads(text))
         if len(dict(parts)) < len(parts):
             raise ValueError("a part occurs twice")
@@ -60,13 +60,13 @@ class Identity:
 
     @property
     def systems(self) -> list[str]:
-        """The systems under test as text, each once."""
+        """The distinct systems under test, as text."""
         return sorted({text for name, text in self.parts if name.startswith(SYSTEM)})
 
     def changes(self, now: Identity) -> list[str]:
-        """Return the changes up to ``now``, in words; empty without a change.
+        """Return the changes from this identity to ``now``, in words; empty if they are equal.
 
-        They include a system under test only if no other part (a file, network or version) changed.
+        A changed system under test is listed only if no other part (a file, network or version) changed.
         """
         old, new = dict(self.parts), dict(now.parts)
         lines = [f"{name} changed" for name in old if name in new and old[name] != new[name]]
@@ -75,7 +75,7 @@ class Identity:
         return [line for line in lines if not line.startswith(SYSTEM)] or lines
 
     def refuse_other(self, now: Identity, file: Path, *, where: str = "", hint: str = "") -> None:
-        """Raise LedgerError, with the changes of ``file``, unless ``now`` is this identity."""
+        """Raise LedgerError unless ``now`` equals this identity; the error for ``file`` lists the changes."""
         if changes := self.changes(now):
             expected = f"the plan, files and versions of its first run{where}"
             raise LedgerError(place=Place(file=file), expected=expected, got="; ".join(changes), hint=hint)
@@ -91,11 +91,12 @@ def identity_of(
 ) -> Identity:
     """Return the identity of a plan: its files, shipped networks, this package and its libraries.
 
-    ``systems`` are the systems under test by their strata; ``edition`` is the meaning of the claims.
+    ``systems`` gives the system under test of each stratum by the stratum's name. ``edition`` is the edition
+    of the catalogue that gives the claims their meaning.
     """
     parts = {f"the file {file.name}": file.sha256 for file in files}
     named = {avoider or ""} | {text for space in spaces for text in references_in(space.tree)}
-    named |= {space.simplest.avoider for space in spaces}  # the default, of a space that names none
+    named |= {space.simplest.avoider for space in spaces}  # the default avoider, if a space names no avoider
     for name in sorted(named & set(SHIPPED)):
         parts[f"the network {name}"] = hashlib.sha256(shipped_model(name).read_bytes()).hexdigest()
     made_by = provenance(world, _libraries(spaces, world))
@@ -110,13 +111,13 @@ def identity_of(
 
 
 def edition_of(identity: Identity) -> int:
-    """Return the edition of the catalogue for a ledger's claims; 1 for a ledger that states no edition."""
+    """Return the edition of the catalogue for a ledger's claims; 1 if the ledger states no edition."""
     edition = dict(identity.parts).get(CLAIMS, "edition 1").removeprefix("edition ")
     return int(edition) if edition in map(str, range(1, EDITION)) else EDITION
 
 
 def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:
-    """Return the libraries of the runs, each once; a missing engine appears as not loaded."""
+    """Return the distinct libraries that the runs use; a missing engine appears as not loaded."""
     entry = worlds_by_label()[world]
     used = (libraries_of(entry.name, space.simplest) for space in spaces)
     return tuple(dict.fromkeys(chain(entry.libraries * entry.is_installed, *used)))
@@ -127,7 +128,7 @@ MOST_BYTES = 200_000_000  # of all files together
 
 @dataclass(frozen=True)
 class PlanFile:
-    """One file: its bytes, and its name relative to the common folder of all files."""
+    """One file of a plan: its bytes, and its name relative to the common folder of all files."""
 
     name: str
     data: bytes = field(repr=False)
@@ -147,8 +148,8 @@ def files_of_plan(
 ) -> tuple[PlanFile, ...]:
     """Return the plan's own file, then spaces, the files that they extend, recordings, avoiders and models.
 
-    ``further`` are other files that the plan was read from. Files that a user's avoider imports or opens
-    are not among them. ScenarioError above MOST_BYTES in all.
+    ``further`` are more files from which the plan was read. The result lacks the files that a user's avoider
+    imports or opens. ScenarioError if all files together exceed MOST_BYTES.
     """
     named = [plan.resolve(), *library.files, *further]
     for space in spaces:
@@ -173,9 +174,10 @@ _ABSOLUTE = re.compile(rb"""(?<=["'])[~/][^"'\n]*(?=["'])|(?<=[\s\[{,])[~/][^\s"
 
 
 def _packed(data: bytes, path: Path, names: dict[Path, str]) -> bytes:
-    """Return the bytes of a file; absolute references to other packed files become relative.
+    """Return the content of a file in which absolute references to other packed files become relative.
 
-    So the plan's copy in a report refers to the copies in that report, wherever the report is.
+    Thus a copy of the plan in a report refers to the copies of files in the same report, wherever the report
+    is.
     """
     if path.suffix not in (".yaml", ".yml", ".urdf"):
         return data
@@ -193,7 +195,7 @@ def _packed(data: bytes, path: Path, names: dict[Path, str]) -> bytes:
 
 
 def _files_of(robot: AnyRobot) -> Iterator[Path]:
-    """Yield the files and meshes of a user's arm, except those of an installed package."""
+    """Yield the files and meshes of a user's arm, except the files of an installed package."""
     if isinstance(robot, OwnRobot):
         yield from robot.files if robot.package is None else robot.files[1:]
         shapes = (shape for link in arm_model(robot).links for shape in (*link.collision, *link.visual))
@@ -201,11 +203,11 @@ def _files_of(robot: AnyRobot) -> Iterator[Path]:
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return each file's name relative to the common folder; for shipped files, below a folder ``shipped``.
+    """Return each file's name relative to the common folder; shipped files may be below a folder ``shipped``.
 
-    A plan that refers to files as "shipped:" finds them there on any machine, unless the plan ships itself.
-    In an installation this is the only way to refer to them. In a checkout it applies if a file of the user
-    contains "shipped:".
+    In that folder, a copy of the plan finds the files that it names as "shipped:" on any machine. The
+    function uses the folder in an installation, and in a checkout if a user's file contains "shipped:". It
+    never uses the folder for a plan that itself ships with the package.
     """
     ours = {path for path in paths if contents() in path.parents}
     own = [path for path in paths if path not in ours]
@@ -225,7 +227,7 @@ def _says_shipped(path: Path) -> bool:
 
 
 def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:
-    """Write the files below ``folder`` and return the path of the first, the plan's own.
+    """Write ``files`` below ``folder`` and return the path of the first file, which is the plan's own.
 
     ScenarioError for a name that leads out of the folder.
     """

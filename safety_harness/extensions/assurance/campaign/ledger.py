@@ -1,7 +1,7 @@
-"""The ledger: one SQLite file with one row for each planned episode that ran.
+"""The ledger of a campaign: one SQLite file with one row for each planned episode that ran.
 
-When ``record`` returns, its commit is on the disk, and no later event loses it. An earlier interruption
-leaves no part of a batch. Other programs may read while one process writes.
+When ``record`` returns, its rows are committed to the disk, and no later event loses them. An interruption
+before that leaves no part of a batch. Other programs may read while one process writes.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ _JUDGEMENT = f"INSERT INTO judgement VALUES ({', '.join('?' * 7)})"
 
 @dataclass(frozen=True)
 class Declared:
-    """The plan in a ledger; ``strata`` with their ``planned`` episodes, ``claims`` with their ``units``."""
+    """The plan as a ledger stores it; ``planned`` has the number of episodes of each stratum."""
 
     title: str
     plan_file: Path
@@ -94,14 +94,14 @@ WRISTS = (
 
 
 def _is_recording(file: PlanFile) -> bool:
-    """Return whether a file is a table of tracked points, under any name."""
+    """Return whether ``file`` is a table of tracked points, whatever its name."""
     try:
         return bool(parse_recording(file.data, Path(file.name)).tracks)
     except RecordingError:
         return False
 
 
-# How questions were repeated: in another process, by new runs (OF_AVOIDER: a fresh avoider's), in one call.
+# Bits of how questions were repeated: in another process, by new runs, in one call, by a fresh avoider.
 BY_PROCESS, BY_RUNS, TOGETHER, OF_AVOIDER = 1, 2, 4, 8
 
 
@@ -112,9 +112,9 @@ def _how(result: RepeatabilityResult) -> int:
 
 
 class Ledger:
-    """The ledger of a plan. ``create`` or ``open`` makes it; close it, or use it in a ``with``.
+    """The ledger of a plan, made by ``create`` or ``open``. Close it, or use it in a ``with`` statement.
 
-    Strata and claims have the numbers of the plan's order, which ``declared`` has.
+    A stratum or claim has the number of its position in ``declared``, which keeps the plan's order.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
@@ -127,14 +127,14 @@ class Ledger:
 
     @classmethod
     def create(cls, path: Path, plan: Plan) -> Ledger:
-        """Return a new ledger without episodes; a failure leaves no file.
+        """Create a ledger of ``plan`` without episodes, and return it; a failure leaves no file.
 
         Args:
-            path: The file, which must not exist.
+            path: The path of the new file, which must not exist.
             plan: The plan. The ledger copies all its files.
 
         Raises:
-            LedgerError: There is a file.
+            LedgerError: The file exists already.
             OutputError: The file cannot be written.
 
         """
@@ -153,12 +153,12 @@ class Ledger:
 
     @classmethod
     def open(cls, path: Path, *, write: bool = False, check: bool = True, alone: bool = False) -> Ledger:
-        """Return the ledger in a file.
+        """Return the ledger in the file ``path``.
 
         Args:
             path: The file.
-            write: Whether to write to it.
-            check: Whether SQLite looks at all pages, up to 2 GiB.
+            write: Whether to open the file for writing.
+            check: Whether SQLite checks all pages of a file of at most 2 GiB.
             alone: Whether to ignore any file beside it, such as a write-ahead log, and to refuse foreign
                 tables.
 
@@ -182,7 +182,7 @@ class Ledger:
         self.close()
 
     def close(self) -> None:
-        """Close the file, and remove an empty log beside it, unless the file was opened only to read."""
+        """Close the file, and remove an empty log beside it unless the ledger was opened with ``alone``."""
         self.connection.close()
         if self.tidies:
             remove_empty_log(self.path)
@@ -192,26 +192,26 @@ class Ledger:
         identity: Identity,
         hint: str = "restore them, or begin another ledger (--out FOLDER)",
     ) -> None:
-        """Refuse a plan that has changed since the ledger began.
+        """Raise LedgerError if the plan has changed since the ledger began.
 
         Args:
-            identity: The identity of the plan now.
-            hint: The advice of the error.
+            identity: The present identity of the plan.
+            hint: The advice in the error.
 
         Raises:
-            LedgerError: The error states the changes.
+            LedgerError: The plan has changed; the error lists the changes.
 
         """
         self.declared.identity.refuse_other(identity, self.path, hint=hint)
 
     def refuse_other_plan(self, plan: Plan) -> None:
-        """Refuse a plan that has changed, or a changed file that a user's module opened in a run.
+        """Raise LedgerError if ``plan``, or a file that a user's module opened during a run, has changed.
 
         Args:
-            plan: The plan now.
+            plan: The present plan.
 
         Raises:
-            LedgerError: The error states the changes.
+            LedgerError: Something has changed; the error lists the changes.
 
         """
         self.refuse_other(plan.identity)
@@ -223,15 +223,15 @@ class Ledger:
 
     @property
     def opened(self) -> dict[str, str]:
-        """The files that users' modules opened, named from the plan's folder, with their SHA-256.
+        """The files that users' modules opened: their paths from the plan's folder, and their SHA-256.
 
-        The hash is empty for a file that the module writes itself.
+        The hash is empty for a file that the module itself writes.
         """
         present = self._has("opened")
         return dict(self.all("SELECT name, sha256 FROM opened ORDER BY name")) if present else {}
 
     def times(self, stratum: int) -> AnswersTook:
-        """Return the answer times of a stratum; without answers if an older program made the ledger.
+        """Return the answer times of a stratum; they are empty in a ledger of an older program.
 
         Args:
             stratum: The number of the stratum.
@@ -242,21 +242,21 @@ class Ledger:
 
     @property
     def slow(self) -> list[str]:
-        """The strata whose answers took longer than their runs allow, in words."""
+        """Sentences on the strata in which answers took longer than the runs allow."""
         named = ((name, self.times(k).summary) for k, name in enumerate(self.declared.strata))
         return [f"{name}: {text}" for name, text in named if text]
 
     def take_opened(self, files: Iterable[tuple[str, str]]) -> None:
-        """Note opened files.
+        """Record the files that users' modules opened during runs.
 
         Args:
-            files: Names from the plan's folder, with the SHA-256 of the bytes.
+            files: For each file, its path from the plan's folder and the SHA-256 of its bytes.
 
         Raises:
             LedgerError: Earlier runs read other bytes of a file, or a file is newer than these runs.
 
         """
-        for name, sha256 in sorted(files, key=itemgetter(1)):  # first the files that the module writes
+        for name, sha256 in sorted(files, key=itemgetter(1)):  # first the files that the module itself writes
             known = self.opened.get(name)
             if sha256 and known is None and self._is_newer(name):
                 raise unusable(self.path, f"{name} as it was when runs began", "a newer file")
@@ -267,7 +267,7 @@ class Ledger:
                 raise unusable(self.path, expected, "other bytes: it changed during the runs")
 
     def _is_newer(self, name: str) -> bool:
-        """Return whether a file changed between the first session with runs and this session."""
+        """Return whether the file ``name`` changed between the first session with runs and this session."""
         (ends,) = self.all("SELECT min(began), max(began) FROM session WHERE EXISTS (SELECT 1 FROM episode)")
         begun_s, now_s = (datetime.fromisoformat(began or "1970-01-02").timestamp() for began in ends)
         file = self.declared.plan_file.parent / name
@@ -275,26 +275,26 @@ class Ledger:
 
     @property
     def files(self) -> tuple[PlanFile, ...]:
-        """The files of the plan at the beginning of the ledger, the plan's own first."""
+        """The plan's files as they were when the ledger began; the plan's own file comes first."""
         return tuple(
             PlanFile(name, data) for name, data in self.all("SELECT name, data FROM file ORDER BY place")
         )
 
     @property
     def wrists(self) -> tuple[str, ...]:
-        """A note on recorded hands; empty if no file of the plan is a recording."""
+        """A remark on the meaning of recorded hands; empty if no file of the plan is a recording."""
         return (WRISTS,) if any(map(_is_recording, self.files)) else ()
 
     @cached_property
     def counts(self) -> tuple[str, ...]:
-        """The names of ``COUNTS`` that this ledger has; the rest read as 0."""
+        """The names of ``COUNTS`` that this ledger stores; a reader sees 0 for each missing count."""
         return counts_in(self.connection)
 
     @cached_property
     def draws_sha256(self) -> str:
         """The SHA-256 of the files that determine the scenarios.
 
-        The plan's own file, programs and networks are not among them.
+        It does not cover the plan's own file, programs and networks.
         """
         drawing = [
             file.sha256
@@ -304,13 +304,13 @@ class Ledger:
         return hashlib.sha256("".join(sorted(drawing)).encode()).hexdigest()
 
     def record(self, rows: Iterable[Row]) -> None:
-        """Note episodes in one transaction.
+        """Write the rows of new episodes in one transaction.
 
         Args:
-            rows: The rows of new episodes.
+            rows: The rows.
 
         Raises:
-            LedgerError: The ledger has one of these episodes already, or cannot be written.
+            LedgerError: The ledger already has one of these episodes, or it cannot be written.
             OutputError: The disk is full.
 
         """
@@ -343,7 +343,7 @@ class Ledger:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Commit all statements of a ``with`` together; roll back after an exception."""
+        """Commit all statements in a ``with`` block together; roll back if the block raises an exception."""
         with explained(self.path):
             self.connection.execute("BEGIN IMMEDIATE")
             try:
@@ -355,10 +355,10 @@ class Ledger:
                 raise
 
     def begin_session(self, began: str, workers: str, machine: str) -> None:
-        """Note who works on the ledger; only people read it.
+        """Record when, where and with how many workers a session runs episodes; these texts are for people.
 
         Args:
-            began: The time, ISO 8601 in UTC.
+            began: The time of the beginning, ISO 8601 in UTC.
             workers: The number of workers.
             machine: The machine, in words.
 
@@ -368,7 +368,7 @@ class Ledger:
             self.connection.execute(insert, (began, workers, machine))
 
     def note_repeated(self, result: RepeatabilityResult) -> None:
-        """Note the answers of a second avoider to a session's questions, or the runs of a fresh controller.
+        """Record how a second avoider answered a session's questions, or how a fresh controller's runs went.
 
         Args:
             result: The counts, and the worst difference in words.
@@ -382,12 +382,12 @@ class Ledger:
 
     @property
     def asks_again(self) -> bool:
-        """Whether the ledger has a table of repeated questions. Older programs wrote ledgers without it."""
+        """Whether the ledger has a table of repeated questions, which older programs did not write."""
         return self._has("repeated")
 
     @property
     def repeated(self) -> RepeatabilityResult:
-        """The answers of second avoiders in all sessions, with the words of the first difference."""
+        """The result of repeating questions in all sessions, with the first difference in words."""
         if not self.asks_again:
             return RepeatabilityResult(questions=0)
         order = "ORDER BY differing = 0, words = '', id"
@@ -407,7 +407,7 @@ class Ledger:
 
     @property
     def dependent(self) -> str:
-        """The reason why even a complete ledger gives no bound; empty without a reason."""
+        """The reason why even a complete ledger gives no bound; empty if there is no reason."""
         difference = self.repeated.remembers
         if not difference:
             return self._copies
@@ -418,7 +418,7 @@ class Ledger:
 
     @property
     def _copies(self) -> str:
-        """The number of runs that repeat others, in words; a repeated scenario is no further evidence."""
+        """A sentence on runs that only repeat other runs, which are no evidence; empty if no run does so."""
         now = self.connection.total_changes, next(self.all("PRAGMA data_version"))
         if self._looked_at != now:  # the query takes a second for a million runs
             rows = ((self.declared.strata[k], *counts) for k, *counts in self.all(_DISTINCT))
@@ -444,7 +444,7 @@ class Ledger:
             yield range(expected, end)
 
     def violations_kept(self, stratum: int) -> list[int]:
-        """Return the violating episodes that have a stored trace, ascending.
+        """Return the violating episodes that have a stored trace, in ascending order.
 
         Args:
             stratum: The number of the stratum.
@@ -454,7 +454,7 @@ class Ledger:
         return [episode for (episode,) in self.all(question, stratum)]
 
     def drop_traces(self, stratum: int, episodes: Iterable[int]) -> None:
-        """Remove stored traces of violations beyond the plan's number.
+        """Remove the stored traces of ``episodes``, because the plan keeps fewer violations.
 
         Args:
             stratum: The number of the stratum.
@@ -467,7 +467,7 @@ class Ledger:
 
     @renamed_parameters(after="episodes")  # deprecated: the old name, for one release
     def stop(self, stratum: int, episodes: int) -> None:
-        """End a stratum early, and remove later episodes.
+        """End a stratum early, and remove all later episodes.
 
         Args:
             stratum: The number of the stratum.
@@ -491,12 +491,12 @@ class Ledger:
         return None if episodes is None else int(episodes)
 
     def traces(self) -> list[tuple[int, int, bool]]:
-        """Return (stratum, episode, whether it violates a claim) of each stored trace."""
+        """Return (stratum, episode, whether the episode violates a claim) for each stored trace."""
         rows = self.all("SELECT stratum, episode, violation FROM trace ORDER BY stratum, episode")
         return [(stratum, episode, bool(violation)) for stratum, episode, violation in rows]
 
     def trace(self, stratum: int, episode: int) -> bytes | None:
-        """Return a stored trace as the bytes of a .trace file; None without a stored trace.
+        """Return a stored trace as the bytes of a .trace file; None if the episode has no stored trace.
 
         Args:
             stratum: The number of the stratum.
@@ -507,14 +507,14 @@ class Ledger:
         return next((data for (data,) in self.all(question, stratum, episode)), None)
 
     def outcomes(self, stratum: int, claim: int) -> tuple[Ints, Ints, Floats]:
-        """Return episodes, outcomes and margins (n,) of the present rows, ascending by episode.
+        """Return episodes, outcomes and margins (n,) of a claim in a stratum, ascending by episode.
 
         Args:
             stratum: The number of the stratum.
             claim: The number of the claim.
 
         Returns:
-            Margins are SI, NaN without a margin.
+            One value for each episode in the ledger. Margins are SI, and NaN if there is no margin.
 
         """
         question = "SELECT episode, outcome, margin FROM judgement WHERE stratum = ? AND claim = ? ORDER BY 1"
@@ -523,11 +523,11 @@ class Ledger:
         return episodes, outcomes, np.array([margin for *_, margin in rows], np.float64)  # NULL becomes NaN
 
     def sample(self, stratum: str, claim: str) -> IndependentSample:
-        """Return the sample for estimates of a claim in a stratum.
+        """Return the sample for an estimate of how often runs of a stratum violate a claim.
 
         Args:
-            stratum: The stratum, as the plan names it.
-            claim: The claim, as the plan writes it.
+            stratum: The name of the stratum in the plan.
+            claim: The text of the claim in the plan.
 
         Raises:
             KeyError: The plan has no such stratum or claim.
@@ -549,7 +549,7 @@ class Ledger:
         )
 
     def stream(self, stratum: int) -> Declaration:
-        """Return the terms of a stratum's stream, fixed before its first run.
+        """Return the terms of a stratum's stream of episodes, which were fixed before its first run.
 
         Args:
             stratum: The number of the stratum.
@@ -568,7 +568,7 @@ class Ledger:
 
     @contextmanager
     def attached(self, path: Path, name: str) -> Iterator[None]:
-        """Attach another ledger for reading within a ``with``.
+        """Attach another ledger for reading in the body of a ``with`` statement.
 
         Args:
             path: The file of the other ledger.
@@ -582,18 +582,18 @@ class Ledger:
             self.connection.execute(f"DETACH {name}")
 
     def _has(self, table: str) -> bool:
-        """Return whether the ledger has a table; ledgers of older programs lack some."""
+        """Return whether the ledger has the table ``table``; older programs did not write all tables."""
         return bool(list(self.all("SELECT 1 FROM sqlite_master WHERE name = ? AND type = 'table'", table)))
 
     def all(self, question: str, *values: object) -> Iterator[tuple[Any, ...]]:
-        """Yield the rows of a query in SQL.
+        """Yield the rows that an SQL query returns.
 
         Args:
             question: The query.
             values: The values of its placeholders.
 
         Raises:
-            LedgerError: SQLite cannot answer it.
+            LedgerError: SQLite cannot answer the query.
 
         """
         with explained(self.path):
@@ -607,7 +607,7 @@ def _place(names: tuple[str, ...], name: str) -> int:
 
 
 def _declare(connection: sqlite3.Connection, plan: Plan, ledger: Path) -> None:
-    """Write the plan and all its files into a new ledger, whose final path is ``ledger``."""
+    """Write ``plan`` and all its files into a new ledger, which will have the path ``ledger``."""
     choices = {"seed": plan.seed, "world": plan.world.label}
     choices |= {"confidence": plan.confidence, "stop early": plan.stop_early}
     entries = {
@@ -627,7 +627,7 @@ def _declare(connection: sqlite3.Connection, plan: Plan, ledger: Path) -> None:
 
 
 def _declared(connection: sqlite3.Connection, path: Path) -> Declared:
-    """Return the plan of a ledger; LedgerError for contents that no plan gives."""
+    """Return the plan as the ledger stores it; LedgerError for content that no plan can have."""
     with explained(path):
         entries = dict(connection.execute("SELECT key, value FROM about"))
         strata = connection.execute("SELECT name, planned FROM stratum ORDER BY id").fetchall()

@@ -1,4 +1,4 @@
-"""Several ledgers: parts of one plan that become one ledger, and the losses from one avoider to another."""
+"""Operations on several ledgers: merge parts of one plan, and compare the results of two avoiders."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from safety_harness.extensions.assurance.statistics.sample import PERHAPS
 _NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)
 _EPISODE = ", ".join((*_NUMBERS, "mishap", "failure"))
 _JUDGEMENT = "outcome, margin, worst_time_s, exercised"
-# The same claim of the same episode in two ledgers: a in this ledger, b in the ledger attached as "first".
+# Pairs judgement a in this ledger with b in the attached ledger "first": same stratum, claim and episode.
 PAIRS = (
     "FROM judgement a JOIN stratum s ON s.id = a.stratum JOIN claim c ON c.id = a.claim "
     "JOIN first.stratum t ON t.name = s.name JOIN first.claim d ON d.sentence = c.sentence "
@@ -39,9 +39,9 @@ PAIRS = (
 def merge(into: Path, ledgers: Sequence[Path]) -> int:
     """Write all episodes of ``ledgers`` to a new ledger at ``into``, and return their number.
 
-    Results of the same episode must agree to the last bit; a repeated path counts once. LedgerError,
-    without a new ledger, if there is a file at ``into``, plans differ, a plan stops early (which needs its
-    episodes in order), or two results disagree.
+    Two results of the same episode must agree to the last bit. A path that is listed twice counts once.
+    LedgerError, and no new ledger, in four cases: ``into`` exists, the plans differ, two results differ, or
+    the plan may stop early. Such a plan needs its episodes in order.
     """
     with Ledger.open(ledgers[0]) as first, only_runner(into):
         refuse_any_file(into)
@@ -52,7 +52,10 @@ def merge(into: Path, ledgers: Sequence[Path]) -> int:
 
 
 def _merged(unfinished: Path, first: Ledger, ledgers: Sequence[Path]) -> int:
-    """Merge the ledgers and return the number of episodes; leave no file beside the ledger."""
+    """Merge ``ledgers`` into the file ``unfinished``, and return the number of episodes.
+
+    The function leaves no other file beside the ledger.
+    """
     try:
         with plan_of(first) as plan, Ledger.create(unfinished, plan) as whole:
             for path in {path.resolve(): path for path in ledgers}.values():
@@ -66,7 +69,7 @@ def _merged(unfinished: Path, first: Ledger, ledgers: Sequence[Path]) -> int:
 
 
 def _take_over(whole: Ledger, path: Path) -> None:
-    """Copy all of one ledger in one transaction."""
+    """Copy the whole ledger at ``path`` into ``whole`` in one transaction."""
     with explained(path), whole.attached(path, "part"), whole.transaction():
         for table, columns, key in (
             ("episode", _EPISODE, ("stratum", "episode")),
@@ -109,7 +112,7 @@ def _take_over(whole: Ledger, path: Path) -> None:
 
 @dataclass(frozen=True)
 class Worse:
-    """An episode that violates a claim with the second avoider and not with the first; margins in SI."""
+    """An episode that violates a claim with the second avoider but not with the first; its margins are SI."""
 
     stratum: str
     episode: int
@@ -120,11 +123,11 @@ class Worse:
 
 
 def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ...]:
-    """Return second minus first for each common claim and stratum, with exact bounds.
+    """Return, for each common claim and stratum, the difference ``second`` minus ``first`` with exact bounds.
 
-    All bounds hold together with the first's confidence (Bonferroni). LedgerError if the campaigns have no
-    common claim or stratum, other spaces or other scenarios, or if episodes are missing. StatisticsError if
-    two streams differ.
+    All bounds hold together with the confidence of ``first`` (Bonferroni). LedgerError if episodes are
+    missing, or if the campaigns have no common claim or stratum, other spaces or other scenarios.
+    StatisticsError if two streams differ.
     """
     refuse_incomparable(first, second)
     refuse_other_scenarios(first, second)
@@ -138,19 +141,19 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
 
 
 def began_at(ledger: Ledger) -> list[str]:
-    """Return the beginnings of the ledger's sessions, ISO 8601 in UTC, ascending."""
+    """Return the time at which each session of ``ledger`` began, ISO 8601 in UTC, ascending."""
     return [began for (began,) in ledger.all("SELECT began FROM session ORDER BY began")]
 
 
 def refuse_itself(first: Ledger, second: Ledger) -> None:
-    """Raise LedgerError for two ledgers with the same sessions and the same rows."""
+    """Raise LedgerError if both ledgers have the same sessions and the same rows."""
     if began_at(first) == began_at(second) and root_of(first) == root_of(second):
         got = f"{first.path}, which has the same runs: a comparison with itself"
         raise unusable(second.path, "a ledger of other runs", got)
 
 
 def refuse_incomparable(first: Ledger, second: Ledger) -> None:
-    """Raise LedgerError for campaigns over other spaces, and while episodes are missing."""
+    """Raise LedgerError if the campaigns have different spaces, or if episodes are missing."""
     if first.draws_sha256 != second.draws_sha256:  # only the same spaces give common random numbers
         expected = f"a campaign over the same spaces as {first.path}"
         raise unusable(second.path, expected, "spaces with another text")
@@ -161,7 +164,7 @@ def refuse_incomparable(first: Ledger, second: Ledger) -> None:
 
 
 def without_a_decided_run(ledger: Ledger) -> list[tuple[str, str]]:
-    """Return stratum and claim for which all runs failed or had no verdict."""
+    """Return each (stratum, claim) for which every run failed or had no verdict."""
     pairs = [(stratum, claim) for stratum in ledger.declared.strata for claim in ledger.declared.claims]
     samples = {pair: ledger.sample(*pair) for pair in pairs}
     return [pair for pair, sample in samples.items() if np.isin(sample.outcomes, PERHAPS).all()]
@@ -174,7 +177,7 @@ _DRAWN = (
 
 
 def refuse_other_scenarios(first: Ledger, second: Ledger) -> None:
-    """Raise LedgerError if an episode has another scenario in each, because admission refused other draws."""
+    """Raise LedgerError if an episode has different scenarios, because admission refused different draws."""
     with second.attached(first.path, "first"):
         (pairs, differing), *_ = second.all(f"SELECT count(*), total(a.draws <> b.draws) {_DRAWN}")
     if differing:
@@ -183,7 +186,7 @@ def refuse_other_scenarios(first: Ledger, second: Ledger) -> None:
 
 
 def worse_episodes(first: Ledger, second: Ledger, most: int = 20) -> list[Worse]:
-    """Return at most ``most`` episodes that only the second violates, the largest loss of margin first."""
+    """Return at most ``most`` episodes that violate a claim only in ``second``, the largest loss first."""
     with second.attached(first.path, "first"):
         rows = second.all(
             f"SELECT s.name, a.episode, c.sentence, c.unit, b.margin, a.margin {PAIRS} "

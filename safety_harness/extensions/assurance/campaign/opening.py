@@ -1,4 +1,4 @@
-"""Connections to a ledger: checks, the right to write, SQLite's errors in words, and the tables."""
+"""Connections to a ledger: checks, permission to write, SQLite's errors in words, and the tables."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ unusable = LedgerError.of_file
 
 
 def refuse_no_ledger(path: Path) -> None:
-    """Raise LedgerError for no file, no SQLite, no ledger, or a file shorter than its header states."""
+    """Raise LedgerError if ``path`` has no file, no SQLite database, no ledger, or a truncated file."""
     refuse_other_kind(path, FileKind.LEDGER, error=LedgerError)
     refuse_no_file(path, "a ledger", LedgerError)
     try:
@@ -49,7 +49,7 @@ def refuse_no_ledger(path: Path) -> None:
 
 
 def _unfinished(path: Path) -> bool:
-    """Return whether there is a write-ahead log, with pages that the file lacks."""
+    """Return whether the ledger has a write-ahead log with pages that its file lacks."""
     log = path.with_name(path.name + "-wal")
     return log.exists() and log.stat().st_size > 0
 
@@ -57,9 +57,9 @@ def _unfinished(path: Path) -> bool:
 def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False) -> sqlite3.Connection:
     """Return a connection to the ledger at ``path``; LedgerError if it is damaged or of another version.
 
-    A reader may read while another process writes, and sees the state at the beginning of its query. A
-    reader of the file ``alone`` ignores the files beside it and writes no such file. It treats the file as
-    a stranger's, and allows only a ledger's own tables, views and triggers.
+    A reader may read while another process writes. It then sees the state at the beginning of its query. If
+    ``alone`` is true, a reader ignores the files beside the ledger and writes no such file. It then distrusts
+    the file, and allows only a ledger's own tables, views and triggers.
     """
     refuse_no_ledger(path)
     with explained(path):
@@ -69,7 +69,7 @@ def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False)
         except sqlite3.OperationalError:
             if write or _unfinished(path):
                 raise
-            connection = _open(path, "ro&immutable=1")  # a folder that cannot be written: no shared memory
+            connection = _open(path, "ro&immutable=1")  # no shared memory in a folder that cannot be written
         try:
             _refuse_other_version(connection, path)
             if alone:
@@ -92,7 +92,7 @@ def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False)
 def _open(path: Path, mode: str) -> sqlite3.Connection:
     uri = f"file:{quote(str(path.absolute()))}?mode={mode}"
     connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY_MS / 1e3)
-    if mode == "rw":  # a commit is on the disk when it returns, and readers read meanwhile
+    if mode == "rw":  # a commit that returns is on the disk; readers may read meanwhile
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = OFF")
@@ -114,7 +114,7 @@ def _refuse_other_version(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise LedgerError unless the schema is a ledger's: a view in place of a table could give false rows."""
+    """Raise LedgerError if the file has a foreign table or view, which could return false rows."""
     connection.execute("PRAGMA trusted_schema = OFF")
     with closing(sqlite3.connect(":memory:")) as whole:
         create(whole, counts_in(connection))
@@ -128,14 +128,14 @@ def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
         raise unusable(path, "a ledger's own tables", f"something else: {sorted(map(str, foreign))[0]}")
 
 
-# The text of a table also has its collations, checks and computed columns, on which its contents depend.
+# The SQL text of a table includes collations, checks and computed columns, which influence its contents.
 # All programs that made ledgers of this version wrote the same text for a table.
 _TEXTS = "SELECT name, type, tbl_name, sql FROM sqlite_master"
 
 
 @contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Raise OutputError for SQLite's errors of a full disk, LedgerError for its further errors."""
+    """Raise OutputError if SQLite reports a full disk, and LedgerError for all its other errors."""
     try:
         yield
     except sqlite3.Error as error:
@@ -147,16 +147,16 @@ def explained(path: Path) -> Iterator[None]:
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             raise unusable(path, "a ledger without the lock of another process", text) from error
         raise unusable(path, "a ledger, whole and readable", text) from error
-    except UnicodeDecodeError as error:  # of a damaged schema, which SQLite's message quotes
+    except UnicodeDecodeError as error:  # SQLite's message quotes a damaged schema
         raise unusable(path, "a ledger, whole and readable", "text that is not UTF-8") from error
 
 
 @contextmanager
 def only_runner(path: Path) -> Iterator[None]:
-    """Hold the lock of a ledger's runner; LedgerError if another process has it.
+    """Hold the lock that one runner of a ledger needs; LedgerError if another process holds it.
 
-    The operating system releases the lock when the process ends in any way. After work that ended well, the
-    lock's file is gone.
+    The operating system releases the lock when the process ends in any way. If the work ended without an
+    error, the function removes the lock's file.
     """
     file = path.with_name(path.name + ".lock")
     with writing(file):
@@ -166,7 +166,7 @@ def only_runner(path: Path) -> Iterator[None]:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if not os.path.samestat(os.fstat(stream.fileno()), file.stat()):
-                raise BlockingIOError  # the runner that had it has just removed it
+                raise BlockingIOError  # the previous runner has just removed the file
         except OSError as error:
             stream.seek(0)
             got = f"the process {stream.read().strip()}"
@@ -179,7 +179,7 @@ def only_runner(path: Path) -> Iterator[None]:
 
 
 def remove_empty_log(path: Path) -> None:
-    """Let SQLite remove the empty log that a reader leaves; it stays while other connections use it."""
+    """Let SQLite remove the empty log that a reader leaves, unless other connections use the log."""
     log = path.with_name(path.name + "-wal")
     with suppress(sqlite3.Error, OSError):
         if log.stat().st_size == 0:
@@ -188,23 +188,23 @@ def remove_empty_log(path: Path) -> None:
 
 
 def refuse_any_file(path: Path) -> None:
-    """Raise LedgerError if there is a file at the path of a new ledger."""
+    """Raise LedgerError if the path of a new ledger exists already."""
     if path.exists():
         raise unusable(path, "a path without a file", "a file")
 
 
-COUNTS = (*OVERRULED_BY, "run", "theorem")  # of an episode, 0 if an older program did not note it
-OWN_COLUMNS = (  # of tables for other programs
+COUNTS = (*OVERRULED_BY, "run", "theorem")  # counts of an episode; 0 if an older program did not write them
+OWN_COLUMNS = (  # columns in tables for other programs
     *("stratum", "episode", "claim", "outcome", "margin_si", "worst_time_s", "exercised", "seed", "draws"),
     *("decisions", "proposed", "opposite", "stopped", "faults", "late", "overruled", *COUNTS),
     *("proposals", "cell", "mishap", "failure", "seconds", "worker"),
 )
 APPLICATION_ID = 0x53_48_4C_47  # "SHLG", in the header of the file
-VERSION = 2  # of its tables: 2 has what the gate overruled
+VERSION = 2  # of the tables: version 2 added what the gate overruled
 
 _WHEN = " ".join(f"WHEN {int(outcome)} THEN '{outcome.name.lower()}'" for outcome in EpisodeOutcome)
-OUTCOME = f"CASE j.outcome {_WHEN} END"  # of a judgement j, in words
-OVERRULED = "e.overruled_replaced + e.overruled_stopped"  # of an episode e
+OUTCOME = f"CASE j.outcome {_WHEN} END"  # the outcome of a judgement j, in words
+OVERRULED = "e.overruled_replaced + e.overruled_stopped"  # the overruled proposals of an episode e
 
 
 def _tables(counts: tuple[str, ...]) -> str:
@@ -265,7 +265,7 @@ CREATE VIEW results AS
 """
 
 
-# The table of columns that packages add; the first such number makes it.
+# The table of columns that packages add; writing the first such number creates it.
 ADDED = """CREATE TABLE IF NOT EXISTS added (
     name TEXT NOT NULL, stratum INTEGER NOT NULL, episode INTEGER NOT NULL, number REAL,
     PRIMARY KEY (name, stratum, episode)
@@ -280,7 +280,7 @@ _NAMES = (
 
 @lru_cache
 def added_columns() -> tuple[RegisteredPart, ...]:
-    """Return the parts that add a column; leave out, with a warning, an invalid name or one in use."""
+    """Return the parts that add a column; skip, with a warning, a part whose name is invalid or in use."""
     columns: dict[str, RegisteredPart] = {}
     for part in parts(ExtensionPoint.LEDGER_COLUMNS):
         if part.name in (*OWN_COLUMNS, *columns) or not _COLUMN.fullmatch(part.name):
@@ -294,7 +294,7 @@ def added_columns() -> tuple[RegisteredPart, ...]:
 
 
 def added_in(connection: sqlite3.Connection) -> tuple[str, ...]:
-    """Return the names of a ledger's added columns that are valid; a stranger may have written any text."""
+    """Return the valid names of a ledger's added columns, because a stranger may have written any text."""
     if not connection.execute("SELECT 1 FROM main.sqlite_master WHERE name = 'added'").fetchone():
         return ()
     names = [str(name) for (name,) in connection.execute(_NAMES)]
@@ -302,7 +302,7 @@ def added_in(connection: sqlite3.Connection) -> tuple[str, ...]:
 
 
 def _show_added(connection: sqlite3.Connection) -> None:
-    """Put a view with the added columns before the view of episodes."""
+    """Hide the view of episodes behind a temporary view that also has the added columns."""
     own = "FROM added a JOIN stratum s ON s.id = a.stratum WHERE s.name = e.stratum AND a.episode = e.episode"
     if columns := [f"(SELECT number {own} AND a.name = '{name}') AS {name}" for name in added_in(connection)]:
         connection.execute(
@@ -311,7 +311,7 @@ def _show_added(connection: sqlite3.Connection) -> None:
 
 
 def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> None:
-    """Make the tables in the open transaction; older programs had fewer ``counts``."""
+    """Create the tables in the open transaction; ``counts`` is shorter for ledgers of older programs."""
     for statement in _tables(counts).split(";\n")[:-1]:
         connection.execute(statement)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -319,13 +319,13 @@ def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> 
 
 
 def counts_in(connection: sqlite3.Connection) -> tuple[str, ...]:
-    """Return the names of ``COUNTS`` that the ledger has; later programs note more."""
+    """Return the names of ``COUNTS`` that the ledger stores; newer programs store more counts."""
     columns = {row[1] for row in connection.execute("PRAGMA main.table_info(episode)")}
     return tuple(name for name in COUNTS if name in columns)
 
 
 def _count_nothing_else(connection: sqlite3.Connection) -> None:
-    """Put a view before the table of episodes that gives 0 for each count that the ledger lacks."""
+    """Hide the table of episodes behind a temporary view with 0 for each count that the ledger lacks."""
     there = counts_in(connection)
     if absent := [f"0 AS {name}" for name in COUNTS if name not in there]:
         connection.execute(f"CREATE TEMP VIEW episode AS SELECT *, {', '.join(absent)} FROM main.episode")

@@ -1,8 +1,8 @@
-"""How often a campaign's gate overruled the avoider: counts, a sample of episodes, and a comparison.
+"""How often the gate overruled the avoider in a campaign: counts, a sample of episodes, a comparison.
 
-"A proposal of this episode was overruled" has outcomes like a claim, so that ``statistics`` gives its
-bounds and its paired test. An episode without a proposal is untested. An episode that failed to run counts
-as unknown.
+The functions treat "no proposal of this episode was overruled" like a claim. Thus ``statistics`` can give its
+bounds and its paired test. An episode without a proposal is UNTESTED. An episode that failed to run is
+FAILED, unless the gate had overruled a proposal before.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ _EPISODES = (
 
 
 def overruling_in(ledger: Ledger, stratum: int | None = None) -> Overruling:
-    """Return the counts of one stratum, or of all strata for None."""
+    """Return how often the gate overruled proposals in ``stratum``, or in all strata for None."""
     chosen = (stratum is None, stratum)
     return Overruling.of_counts(*ledger.all(f"SELECT {_SUMS} FROM episode WHERE ? OR stratum = ?", *chosen))
 
 
 def overruled_episodes(ledger: Ledger, stratum: int) -> IndependentSample:
-    """Return the episodes of a stratum as a sample: "violated" if the gate overruled a proposal.
+    """Return the episodes of ``stratum`` as a sample, "violated" if the gate overruled a proposal.
 
     The margin is minus the number of overruled proposals. StatisticsError while episodes are missing.
     """
@@ -58,7 +58,7 @@ def overruled_episodes(ledger: Ledger, stratum: int) -> IndependentSample:
 
 @dataclass(frozen=True)
 class OverrulingCompared:
-    """One stratum of two campaigns: all proposals of each, and a paired test of the overruled episodes."""
+    """A stratum in two campaigns: the counts of both, and a paired test of the episodes with overruling."""
 
     stratum: str
     before: Overruling
@@ -84,7 +84,7 @@ class OverrulingCompared:
 
 
 def compare_overruling(first: Ledger, second: Ledger) -> list[OverrulingCompared]:
-    """Return the comparison of each common stratum; ``compare_ledgers`` refuses ledgers that do not match."""
+    """Return the comparison of each common stratum of two ledgers, which ``compare_ledgers`` must accept."""
     strata = [name for name in first.declared.strata if name in second.declared.strata]
     places = [(first.declared.strata.index(name), second.declared.strata.index(name)) for name in strata]
     return [

@@ -1,9 +1,10 @@
-"""A few runs before a plan's own: how many runs will exercise each claim, how many it needs, and the time.
+"""A pilot: a few runs that forecast how many runs test each claim, how many a plan needs, and the time.
 
-A pilot's runs have another seed than the plan's, so that its author sees no declared run before the
-declaration. The bounds themselves give the numbers of runs (``extensions.assurance.statistics.planning``).
+The runs of a pilot have another seed than the plan's runs. Thus the plan's author sees no declared run before
+the declaration. The required numbers of runs come from the bounds themselves
+(``extensions.assurance.statistics.planning``).
 
-Runs without a verdict and runs that failed count as tested and as violations, as in the upper bounds.
+The forecast counts runs without a verdict and failed runs as tested and as violations, like the upper bounds.
 """
 
 from __future__ import annotations
@@ -34,24 +35,26 @@ from safety_harness.extensions.assurance.statistics.planning import (
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 
 WANTED = 0.9  # chance of success of a planned number of runs
-ALONE = 0.05  # error of each interval of a pilot, alone
-FIRST = 30  # runs of a stratum before a forecast of the rest
+ALONE = 0.05  # allowed error of each interval of a pilot by itself
+FIRST = 30  # runs of a stratum that a forecast of its other runs needs
 _PILOT = 2  # in the campaign's branch of the tree of seeds
 
 
 def aim_of(plan: Plan, target: float) -> Aim:
-    """Return the goal to show a target for one claim in one stratum, with all bounds of the plan together."""
+    """Return the aim to show ``target`` for a claim in a stratum, together with all bounds of the plan."""
     family = ends_of(len(plan.claims), len(plan.strata))
     return Aim(target=target, confidence=plan.confidence, family=family, stop_early=plan.stop_early)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimForecast:
-    """One claim in one stratum: ``tested`` of ``tried`` runs exercised it, and ``bad`` may violate it.
+    """A forecast for one claim in one stratum.
 
-    ``needed`` is the least number of tested runs that can show the target, and ``runs_needed`` the least
-    number of all runs. They succeed with the chance ``WANTED``, if the shares of tested and of violating
-    runs are the pilot's. They are None without a target or a sufficient number; ``why`` has the reason.
+    In the pilot, ``tested`` of ``tried`` runs exercised the claim, and ``bad`` of these may violate it.
+    ``needed`` is the least number of tested runs that can show the target. ``runs_needed`` is the least
+    number of runs, tested or not, that contains so many tested runs. These numbers suffice with the chance
+    ``WANTED`` if the plan's runs have the pilot's shares. Both are None without a target or if no number
+    suffices; ``why`` has the reason.
     """
 
     stratum: str
@@ -67,7 +70,7 @@ class ClaimForecast:
 
     @property
     def expected(self) -> tuple[int, int, int]:
-        """The planned runs that will exercise the claim: least, likely, most (95 % alone)."""
+        """The least, likely and largest number of planned runs that test the claim (95 % for it alone)."""
         least = lower_bound(self.tested, self.tried, ALONE / 2)
         most = upper_bound(self.tested, self.tried, ALONE / 2)
         ends = (math.floor(least * self.planned), math.ceil(most * self.planned))
@@ -75,7 +78,7 @@ class ClaimForecast:
 
     @property
     def enough(self) -> bool:
-        """Whether the planned runs suffice, by the pilot's shares."""
+        """Whether the planned runs suffice if they have the pilot's shares."""
         return self.target is None or (self.runs_needed is not None and self.runs_needed <= self.planned)
 
     @property
@@ -91,7 +94,7 @@ class ClaimForecast:
 
 
 def forecast(plan: Plan, stratum: int, claim: int, *, tried: int, tested: int, bad: int) -> ClaimForecast:
-    """Return the forecast from the first ``tried`` runs, of a pilot or of the plan's own."""
+    """Return the forecast for a claim from ``tried`` runs, either of a pilot or the plan's first runs."""
     planned, declared = plan.claims[claim], plan.strata[stratum]
     unknown = ClaimForecast(
         stratum=declared.name,
@@ -123,7 +126,7 @@ def forecast(plan: Plan, stratum: int, claim: int, *, tried: int, tested: int, b
 
 
 def too_few(plan: Plan, tally: CampaignTally) -> Iterator[ClaimForecast]:
-    """Yield the claims that too few runs are planned for, in each unfinished stratum with ``FIRST`` runs."""
+    """Yield a forecast for each claim with too few planned runs, in unfinished strata with ``FIRST`` runs."""
     for stratum, part in enumerate(tally.strata):
         for claim, judged in enumerate(part.claims if part.done >= FIRST and not part.complete else ()):
             counts = judged.counts
@@ -138,8 +141,8 @@ def too_few(plan: Plan, tally: CampaignTally) -> Iterator[ClaimForecast]:
 class PlanPilot:
     """The results of a pilot; ``run_s`` is the median time of a run [s] in each stratum.
 
-    ``remarks`` are reasons why the runs do not represent the plan's avoider; these and ``slow_answers``
-    come from ``AvoiderWatch``.
+    ``remarks`` are reasons why the runs do not represent the plan's avoider. Both ``remarks`` and
+    ``slow_answers`` come from ``AvoiderWatch``.
     """
 
     forecasts: tuple[ClaimForecast, ...]
@@ -154,14 +157,14 @@ class PlanPilot:
         return not (self.failures or self.remarks) and all(claim.enough for claim in self.forecasts)
 
     def seconds(self, plan: Plan, workers: int) -> float:
-        """Return the time [s] of the plan's runs on this machine, if no other program uses its cores."""
+        """Return how long [s] the plan's runs take on this machine if no other program uses its cores."""
         return sum(s * stratum.runs for s, stratum in zip(self.run_s, plan.strata, strict=True)) / workers
 
 
 def pilot(plan: Plan, runs: int, on_progress: Callable[[int], None] = lambda done: None) -> PlanPilot:
-    """Run ``runs`` episodes of each stratum in this process, without writing.
+    """Run ``runs`` episodes of each stratum in this process, and write no file.
 
-    InputError for an avoider that cannot be made, or if the plan's text is to blame.
+    InputError if an avoider cannot be made, or if the plan's text causes an error.
     """
     plan.world.opener()
     for scenario in scenarios_by_avoider(plan):

@@ -1,7 +1,7 @@
-"""A plan: claims, spaces, the number of runs in each, and the traces to keep.
+"""A plan: claims, scenario spaces, the number of runs in each space, and the traces to keep.
 
-Its text belongs to the identity of its results. Only a hash that another party has shows that it came
-before them. docs/reference/plan.md is the reference of the file.
+The identity of the results includes the plan's text. Only a hash that another party holds can show that the
+plan existed before the results. docs/reference/plan.md describes the file.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ MOST_TRACES = 100_000  # of a stratum, some 0.4 MB each
 class PlannedClaim:
     """A claim that should hold, as its author wrote it; ``target`` bounds its probability of violation.
 
-    ``hazards`` are the plan's hazards that it belongs to; ``hazard`` has their names, or words of its own.
+    ``hazards`` are the plan's hazards under which the author listed the claim. ``hazard`` has their names, or
+    the author's own description.
     """
 
     claim: Claim
@@ -82,13 +83,13 @@ class PlannedClaim:
 
     @property
     def sentence(self) -> str:
-        """The text in the plan."""
+        """The text of the claim in the plan."""
         return self.claim.sentence
 
 
 @dataclass(frozen=True, eq=False)
 class Stratum:
-    """``runs`` independent draws of a space; ``number`` stands for its name in the tree of seeds."""
+    """A scenario space with ``runs`` independent draws."""
 
     name: str
     space: ScenarioSpace
@@ -96,17 +97,17 @@ class Stratum:
 
     @property
     def number(self) -> int:
-        """The number of the name: other strata do not influence these episodes."""
+        """The number from which the seeds derive; it depends on the name alone, not on other strata."""
         return stratum_number(self.name)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """A plan, made by ``read_plan``. ``confidence`` is that of all its bounds together.
+    """A plan, made by ``read_plan``; all its bounds hold together with ``confidence``.
 
-    In each stratum, ``random_traces`` and ``violations_kept`` whole traces are stored. ``search_runs`` is
-    the number of runs of a search for counterexamples, which no bound uses. ``avoider`` replaces the
-    avoiders of the spaces. ``files`` are all files of the plan.
+    The ledger keeps whole traces of ``random_traces`` runs and of ``violations_kept`` violations in each
+    stratum. ``search_runs`` is the number of runs that search for counterexamples; no bound uses them.
+    ``avoider`` replaces the avoiders of the spaces. ``files`` are all files of the plan.
     """
 
     title: str
@@ -130,7 +131,7 @@ class Plan:
 
     @property
     def name(self) -> str:
-        """The name of the file without its suffix."""
+        """The name of the plan's file without its suffix."""
         return self.file.stem
 
     @property
@@ -140,11 +141,11 @@ class Plan:
 
     @property
     def avoider_here(self) -> str | None:
-        """The avoider as seen from the working directory; None if the plan names no avoider."""
+        """The plan's avoider, with a path from the working directory; None if the plan names no avoider."""
         return None if self.avoider is None else _seen_from_here(self.file.parent, self.avoider)
 
     def with_avoider(self, scenario: Scenario) -> Scenario:
-        """Return a scenario with the plan's avoider, if the plan names one.
+        """Return ``scenario`` with the plan's avoider, if the plan names an avoider.
 
         Args:
             scenario: A scenario of the plan.
@@ -155,7 +156,7 @@ class Plan:
 
 
 def read_packable(path: Path) -> Plan:
-    """Return the plan in a file; ScenarioError if a copy of its files, as in a report, reads differently."""
+    """Return the plan in ``path``; ScenarioError if a copy of its files, as in a report, reads otherwise."""
     plan = read_plan(path)
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         try:
@@ -174,7 +175,7 @@ def read_packable(path: Path) -> Plan:
 
 
 def _stored_references(plan: Plan) -> set[str]:
-    """Return the references to files in the plan's spaces, as traces store them."""
+    """Return the references to files in the plan's spaces, in the form in which traces store them."""
     spaces = ((stratum.space.tree, (stratum.space.file or plan.file).parent) for stratum in plan.strata)
     references = ((file_and_name(text)[0] or text, at) for tree, at in spaces for text in references_in(tree))
     return {portable(text, at) for text, at in references if Path(text).suffix}
@@ -184,16 +185,16 @@ _PACKABLE = "references that a report can contain: relative paths"
 
 
 def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
-    """Return the plan in a file, with its spaces.
+    """Return the plan in the file ``path``, with its spaces.
 
-    It makes no avoider, because that would execute a user's file.
+    The function makes no avoider, because that would execute a user's file.
 
     Args:
-        path: The file; ``shipped:NAME`` is a shipped file, also where a plan names a space.
+        path: The file. ``shipped:NAME`` is a shipped file, also where a plan names a space.
         edition: The edition of the catalogue that gives the claims their meaning.
 
     Raises:
-        InputError: The plan cannot be used; the error has the place.
+        InputError: The plan cannot be used; the error names the place.
 
     """
     path = as_path(path, "read_plan(path)")
@@ -259,7 +260,7 @@ def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
 def _systems(
     strata: Iterable[Stratum], path: Path, reference: str | None
 ) -> Iterator[tuple[str, SystemUnderTest]]:
-    """Yield each stratum's system under test; omit a missing program, which admission refuses with words."""
+    """Yield the system under test of each stratum; omit a missing program, which admission refuses later."""
     for stratum in strata:
         scenario = stratum.space.simplest
         if reference:
@@ -270,12 +271,12 @@ def _systems(
 
 @lru_cache(maxsize=256)  # each episode needs it
 def stratum_number(name: str) -> int:
-    """Return the number of a stratum in the tree of seeds: 63 bits of its name's SHA-256."""
+    """Return the number from which the seeds of a stratum derive: 63 bits of the SHA-256 of its name."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") >> 1
 
 
 def scenarios_by_avoider(plan: Plan) -> Iterable[Scenario]:
-    """Return one scenario of the plan for each avoider or controller of its runs."""
+    """Return one scenario for each avoider or controller that the plan's runs use."""
     scenarios: dict[str, Scenario] = {}
     for stratum in plan.strata:
         simplest = plan.with_avoider(stratum.space.simplest)
@@ -294,7 +295,7 @@ def scenarios_by_avoider(plan: Plan) -> Iterable[Scenario]:
 
 
 def _seen_from_here(folder: Path, reference: str) -> str:
-    """Return a reference in ``folder`` with its file as seen from the working directory."""
+    """Return ``reference``, relative to ``folder``, with a path from the working directory."""
     file, name = file_and_name(reference)
     if not file:
         return reference
@@ -302,7 +303,7 @@ def _seen_from_here(folder: Path, reference: str) -> str:
 
 
 def _read(given: Fields | None, key: str, read: Callable[[Field], V], default: V) -> V:
-    """Return the value of a key, or the default without the key."""
+    """Return the value that ``read`` gives for ``key``, or ``default`` if the key is missing."""
     field = given.optional(key) if given else None
     return read(field) if field else default
 
@@ -323,13 +324,13 @@ def _strata(listed: Field, folder: Path, library: Library) -> tuple[Stratum, ...
         if (kind := kind_of(file)) not in (None, FileKind.SPACE):
             raise space.error(expected, got=f"{kind.words}: {file}")
         variant = only_variant(file, library, "one scenario space")
-        tree = with_relative_paths(variant.tree, file.parent)  # as a report refers to them, in any folder
+        tree = with_relative_paths(variant.tree, file.parent)  # as a report refers to files, in any folder
         strata.append(Stratum(name, space_of(tree, file, name=variant.name), runs))
     return tuple(strata)
 
 
 def with_relative_paths(node: Node, folder: Path) -> Node:
-    """Return a tree with relative paths from ``folder`` in avoiders, controllers and recordings."""
+    """Return a copy of ``node`` in which avoiders, controllers and recordings have paths from ``folder``."""
 
     def relative(text: str) -> str:
         file, name = file_and_name(text)

@@ -1,4 +1,4 @@
-"""The keys of a plan, for ``read_plan``, ``explain`` and the schema for editors."""
+"""The keys of a plan's file, which ``read_plan``, ``explain`` and the schema for editors share."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The interface of a pool that runs episodes, and a pool of processes on this machine.
+"""The interface of a worker pool that runs episodes, and a pool of processes on this machine.
 
-The pool replaces processes that crash, hang or leak, one at a time. Each worker has its own pipe, so that
-its end in the middle of a message harms no other worker. A process that has imported everything forks them
-(forkserver), so that a new worker starts at once.
+The pool replaces each process that crashes, hangs or leaks memory. Each worker has its own pipe. So a worker
+that dies while it sends a message harms no other worker. A process that has imported everything forks the
+workers (forkserver), so that a new worker starts at once.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from safety_harness.extensions.assurance.campaign.identity import Identity
 from safety_harness.extensions.assurance.campaign.plan import read_plan
 from safety_harness.extensions.assurance.campaign.rows import Row
 
-_MOST_FALSE_STARTS = 10  # in a row: then no worker can start at all
+_MOST_FALSE_STARTS = 10  # after so many in a row, no worker can start at all
 _LOOK_S = 1.0  # between looks at clocks and memory
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Episodes of one stratum for one worker; ``keep_violations`` says whether to store their traces."""
+    """Episodes of one stratum for one worker; ``keep_violations`` keeps the traces of violations."""
 
     stratum: int
     episodes: tuple[int, ...]
@@ -45,7 +45,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Arrived:
-    """Rows of a chunk, which may come in parts; ``last`` marks the last part."""
+    """Finished rows of a chunk; a chunk may arrive in parts, and ``last`` marks the last part."""
 
     chunk: Chunk
     rows: tuple[Row, ...]
@@ -54,9 +54,9 @@ class Arrived:
 
 @dataclass(frozen=True)
 class Lost:
-    """A chunk without further rows, and the reason: its worker crashed, hung or grew too large.
+    """A chunk that yields no more rows, and the reason: its worker crashed, hung or grew too large.
 
-    ``times`` counts the times that a worker certainly began it and was lost; 0 blames no episode.
+    ``times`` counts how often a worker certainly began the chunk and was lost; 0 blames no episode.
     """
 
     chunk: Chunk
@@ -68,7 +68,7 @@ Event = Arrived | Lost
 
 
 class WorkerPool(Protocol):
-    """Workers. Call ``give`` while ``free`` is positive, then ``take``."""
+    """A pool of workers. Call ``give`` while ``free`` is positive, then call ``take``."""
 
     size: int  # workers that can work at the same time now
     replaced: int  # workers replaced so far
@@ -78,27 +78,27 @@ class WorkerPool(Protocol):
         """The number of chunks that the pool accepts now."""
 
     def give(self, chunk: Chunk) -> None:
-        """Let a worker run a chunk."""
+        """Let a worker run ``chunk``."""
 
     def take(self, timeout_s: float) -> Sequence[Event]:
-        """Return the events since the last call; wait for an event until the timeout is over.
+        """Return the events since the last call; if there are none, wait for at most ``timeout_s``.
 
-        InputError if the plan is to blame, CampaignError if the pool cannot run anything more.
+        InputError if the plan caused an error. CampaignError if the pool cannot run anything more.
         """
 
     def close(self) -> None:
-        """Stop at once, and drop the chunks under way."""
+        """Stop all workers at once, and drop the unfinished chunks."""
 
 
 class RunsEpisodes(Protocol):
-    """The interface of an ``EpisodeRunner``, which a worker has."""
+    """The part of an ``EpisodeRunner`` that a worker calls."""
 
     def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
-        """Yield a row for each episode, in their order."""
+        """Yield a row for each of ``episodes``, in their order."""
 
 
 def bench_of_file(file: Path, identity: Identity) -> EpisodeRunner:
-    """Return a runner of the plan in a file; LedgerError if the file no longer has the declared plan."""
+    """Return a runner of the plan in ``file``; LedgerError if that plan is no longer the declared plan."""
     plan = read_plan(file)
     identity.refuse_other(plan.identity, file, where=", on every machine")
     return EpisodeRunner(plan, worker=f"{os.uname().nodename}:{os.getpid()}")
@@ -106,13 +106,13 @@ def bench_of_file(file: Path, identity: Identity) -> EpisodeRunner:
 
 @dataclass(frozen=True)
 class _Free:
-    """The message of a worker that waits for a chunk; ``resident_bytes`` is its memory now."""
+    """The message that a worker is ready for a chunk; ``resident_bytes`` is its present memory."""
 
     resident_bytes: int
 
 
 def work(connection: Connection, lifeline: Connection, make: Callable[[], RunsEpisodes]) -> None:
-    """Answer chunks with rows, one by one, and then with ``_Free``; end when the pipe closes."""
+    """Send a row for each episode of each received chunk, then ``_Free``; return when the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process answers Ctrl-C
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
     try:
@@ -131,7 +131,7 @@ def work(connection: Connection, lifeline: Connection, make: Callable[[], RunsEp
 
 
 def _end_with(lifeline: Connection) -> None:
-    """End this process when its parent has ended, in any state."""
+    """End this process as soon as its parent has ended, even if the parent was killed."""
     try:
         lifeline.recv()
     except (EOFError, OSError):
@@ -139,7 +139,7 @@ def _end_with(lifeline: Connection) -> None:
 
 
 def resident_bytes(process: int) -> int:
-    """Return the present memory of a process; 0 for a process that has ended."""
+    """Return the memory that ``process`` uses now; 0 if the process has ended."""
     try:
         pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
     except (OSError, IndexError, ValueError):
@@ -151,11 +151,12 @@ def resident_bytes(process: int) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """The limits at which a worker is replaced.
+    """The limits beyond which the pool replaces a worker.
 
-    ``silence_s`` is the longest time between two messages (at least a row) on a monotonic clock. The first
-    chunk may take ``first_s`` more, because it may compile machine code. Beyond ``resident_bytes`` or
-    ``episodes`` a worker is replaced between two chunks, and beyond twice the memory at once.
+    A worker sends at least one message per row. ``silence_s`` is the longest time between two messages, on a
+    monotonic clock. Before its first finished chunk, a worker has ``first_s`` more, because it may compile
+    machine code. The pool replaces a worker above ``resident_bytes`` or ``episodes`` after its chunk. Above
+    twice the memory, it replaces the worker at once.
     """
 
     silence_s: float = 300.0
@@ -188,7 +189,7 @@ class _Worker:
 
 @dataclass(eq=False)
 class Processes:
-    """A WorkerPool of ``size`` processes, each with a bench from ``make``."""
+    """A WorkerPool of ``size`` processes, each with a runner that ``make`` returns."""
 
     make: Callable[[], RunsEpisodes]
     size: int
@@ -211,7 +212,7 @@ class Processes:
         return sum(worker.chunk is None for worker in self.workers)
 
     def give(self, chunk: Chunk) -> None:
-        """Give a chunk to a worker without one, if possible to a worker that is ready."""
+        """Give ``chunk`` to a worker without a chunk, preferably to a worker that is ready."""
         worker = max((w for w in self.workers if w.chunk is None), key=lambda w: w.ready)
         worker.chunk = chunk
         worker.heard_s = time.monotonic()
@@ -219,7 +220,7 @@ class Processes:
             self._send(worker, chunk)
 
     def take(self, timeout_s: float) -> Sequence[Event]:
-        """Return rows as they come, and lost chunks. Raise a mistake in the plan after all earlier events."""
+        """Return new rows and lost chunks; raise an error in the plan only after all earlier events."""
         if self._mistake is not None:
             raise self._mistake
         by_connection = {worker.connection: worker for worker in self.workers}
@@ -254,9 +255,9 @@ class Processes:
             worker.connection.send(message)
 
     def _hear(self, worker: _Worker, events: list[Event]) -> None:
-        """Add all messages of a worker to ``events``; replace a worker that has ended."""
+        """Add all messages of ``worker`` to ``events``; replace the worker if its process has ended."""
         rows: list[Row] = []
-        done: _Free | None = None  # the end of its chunk, and its last message
+        done: _Free | None = None  # the worker's last message, which ends its chunk
         ended = False
         try:
             while done is None and worker.connection.poll():
@@ -292,7 +293,7 @@ class Processes:
             self._renew(worker)
 
     def _look_at(self, worker: _Worker, events: list[Event]) -> None:
-        """Replace a worker that is silent for too long or has grown too large."""
+        """Replace ``worker`` if it has been silent for too long or uses too much memory."""
         limits = self.limits
         allowed_s = limits.silence_s + (0.0 if worker.chunks else limits.first_s)
         if (worker.chunk is not None or not worker.ready) and time.monotonic() - worker.heard_s > allowed_s:

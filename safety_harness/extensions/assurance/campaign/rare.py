@@ -1,11 +1,12 @@
-"""The probability of a plan's rare violations, from far fewer runs than plain draws would take.
+"""The probability of rare violations of a plan, from far fewer runs than plain draws would need.
 
-The estimate is the share of *all admitted* draws of a stratum that violate a claim; draws without a test of
-the claim count. The margin of a refused draw, or of a run without a test, is beyond all margins of tests.
-Among runs without a test, a nearer hand has a smaller margin.
+The estimate is the share of *all admitted* draws of a stratum that violate a claim. It includes draws that do
+not test the claim. The margin of a refused draw, or of a run that does not test the claim, exceeds every
+margin of a test. Among runs that do not test the claim, the margin is smaller if a hand came nearer.
 
-Separate independent draws give the share of admitted draws, with an exact interval. The quotient of both
-shares holds with the plan's confidence, together with all other claims and strata (Bonferroni).
+Separate independent draws give the share of admitted draws, with an exact interval. The estimate is the share
+of violating draws divided by the share of admitted draws. Its interval holds with the plan's confidence,
+together with all other claims and strata (Bonferroni).
 """
 
 from __future__ import annotations
@@ -42,15 +43,15 @@ ADMITTED_OF = 2_000  # independent draws
 _RARE = 3  # in the campaign's branch of the tree of seeds
 _BATCH = 64
 _UNTESTED, _REFUSED = 1e6, 1e9  # beyond every margin; a refused draw is the farthest
-_BARELY = 1e-12  # each violation needs a value below 0, even with the margin 0
+_BARELY = 1e-12  # a violation with the margin 0 needs a value below 0 too
 
 
 @dataclass(frozen=True, kw_only=True)
 class RareViolation:
-    """One claim in one stratum: about ``share`` of admitted draws violate it, at least ``low``.
+    """A claim in a stratum: about ``share`` of the admitted draws violate it, at least ``low``.
 
-    ``high`` is the exact upper end from the plain draws alone. ``admitted`` counts the admitted among
-    ``ADMITTED_OF`` draws. ``estimate`` concerns all draws, in the unit cube.
+    ``high`` is an exact upper end, from the plain draws alone. Admission accepted ``admitted`` of
+    ``ADMITTED_OF`` draws. ``estimate`` concerns all draws, admitted or refused, in the unit cube.
     """
 
     stratum: str
@@ -68,13 +69,13 @@ def rare_violations(
     on_run: Callable[[int], None] = lambda done: None,
     watch: AvoiderWatch | None = None,
 ) -> Iterator[RareViolation]:
-    """Yield the estimate of each claim in each stratum.
+    """Yield the estimate for each claim in each stratum.
 
-    ``on_run`` gets the number of runs so far. ``watch`` gets all runs, and judges whether they represent
-    the avoider.
+    ``on_run`` receives the number of draws for the present claim so far. ``watch`` receives all runs, and
+    judges whether they represent the avoider.
 
-    InputError if the plan's text is to blame. StatisticsError for a run that failed, or that exercises the
-    claim and has no verdict.
+    InputError if the plan's text causes an error. StatisticsError if a run failed, or if a run exercises the
+    claim but has no verdict.
     """
     plan.world.opener()
     for scenario in scenarios_by_avoider(plan):
@@ -108,7 +109,7 @@ def rare_violations(
 
 
 class _Draws:
-    """Points (n, d) of the cube -> margins (n,) of a claim; each run has its own seed."""
+    """A function from points (n, d) of the cube to margins (n,) of a claim; each run has its own seed."""
 
     def __init__(
         self,
@@ -125,12 +126,12 @@ class _Draws:
         self._admitter, self._made = Admitter(), 0
 
     def admitted(self, draws: int) -> int:
-        """Return the number of admitted draws among ``draws`` independent draws."""
+        """Return how many of ``draws`` independent draws admission accepts."""
         points = np.random.Generator(np.random.PCG64(self._seed)).random((draws, self._space.dimension))
         return sum(self._admit(point) is not None for point in points)
 
     def __call__(self, points: Floats) -> Floats:
-        """Return the margins (n,) of points (n, d), as ``weigh`` and ``split`` need them."""
+        """Return the margins (n,) at ``points`` (n, d), in the form that ``weigh`` and ``split`` need."""
         return np.concatenate(
             [self._margins(points[first : first + _BATCH]) for first in range(0, len(points), _BATCH)]
         )

@@ -1,8 +1,8 @@
-"""A risk graph: from severity, exposure and avoidance to a required level and a rate, step by step.
+"""A risk graph, which derives a required level and rate from severity, exposure and avoidance.
 
-The default is the graph of ISO 13849-1:2023, Annex A (informative), as public summaries give it; the rates
-are the upper ends of its bands of PFH_D. A level is the requirement of a risk assessment on a safety
-function; this module does not show that a function meets it.
+The default is the graph of ISO 13849-1:2023, Annex A (informative), as public summaries state it. The rates
+are the upper ends of its bands of PFH_D. A risk assessment requires a level of a safety function. This module
+does not show that a function meets the level.
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ PFH_D = {"a": (1e-5, 1e-4), "b": (3e-6, 1e-5), "c": (1e-6, 3e-6), "d": (1e-7, 1e
 
 @dataclass(frozen=True, kw_only=True)
 class RiskGraph:
-    """``levels`` by their ways, such as ``S2 F1 P2``, and ``an_hour``: the violations that a level allows."""
+    """A risk graph: the level at the end of each path, and the hourly violations that a level allows.
+
+    ``levels`` maps paths such as ``S2 F1 P2`` to levels. ``an_hour`` maps levels to violations an hour.
+    """
 
     name: str
     levels: Mapping[str, str]
@@ -40,11 +43,11 @@ class RiskGraph:
 
     @property
     def order(self) -> tuple[str, ...]:
-        """The levels, the most permissive first."""
+        """The levels in order, the most permissive level first."""
         return tuple(sorted(self.an_hour, key=lambda level: -self.an_hour[level]))
 
     def below(self, level: str) -> str:
-        """Return one level less; the lightest level stays."""
+        """Return the level one step more permissive than ``level``; the most permissive level stays."""
         return self.order[max(self.order.index(level) - 1, 0)]
 
 
@@ -57,7 +60,7 @@ ISO_13849 = RiskGraph(
 
 @dataclass(frozen=True)
 class DerivedRate:
-    """The result of a walk through the graph: a level and its rate, or neither, and all steps in words."""
+    """The level and rate that a risk graph gives (None without a full assessment), and all steps in words."""
 
     level: str | None
     an_hour: float | None
@@ -65,9 +68,9 @@ class DerivedRate:
 
 
 def derived(graph: RiskGraph, severity: str, exposure: str, avoidance: str, *, unlikely: bool) -> DerivedRate:
-    """Return the level and rate for an assessment; no level follows if part of it is not assessed.
+    """Return the level and rate for an assessment; without a full assessment, both are None.
 
-    ``unlikely``: the hazardous event has a low probability, which lowers the level by one.
+    If ``unlikely`` is true, the hazardous event has a low probability, which lowers the level by one.
     """
     assessment = {"severity": severity, "exposure": exposure, "avoidance": avoidance}
     if missing := [parameter for parameter, value in assessment.items() if value == UNKNOWN]:
@@ -85,7 +88,7 @@ def derived(graph: RiskGraph, severity: str, exposure: str, avoidance: str, *, u
 
 
 def band_of(an_hour: float) -> str:
-    """Return the band of PFH_D that a number of this size would lie in, in words."""
+    """Return, in words, the band of PFH_D that contains the number ``an_hour``."""
     for level, (low, high) in PFH_D.items():
         if low <= an_hour < high:
             return f"of the size of band {level}"
@@ -128,7 +131,7 @@ OWN_GRAPH = KeyTable(
 
 
 def read_graph(field: Field | None) -> RiskGraph:
-    """Return the plan's own graph, or the default."""
+    """Return the risk graph that the plan defines in ``field``; the default graph if ``field`` is None."""
     if field is None:
         return ISO_13849
     given = field.fields(OWN_GRAPH.names)

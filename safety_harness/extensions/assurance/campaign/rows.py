@@ -14,7 +14,7 @@ from safety_harness.trace.overruling import Overruling
 
 @dataclass(frozen=True)
 class ClaimJudgement:
-    """The result of one episode for one claim; the margin is SI, NaN without a margin."""
+    """The result of one episode for one claim; the margin is SI, and NaN if there is no margin."""
 
     outcome: EpisodeOutcome
     margin: float = math.nan
@@ -24,15 +24,15 @@ class ClaimJudgement:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One episode, run or failed to run. ``judgements`` are in the order of the plan's claims.
+    """An episode that ran or failed to run; ``judgements`` are in the order of the plan's claims.
 
-    ``seed`` is the root of its draws, and ``draws`` the number of draws until admission accepted one.
-    ``run`` is the number that identifies the run, 0 without a run. ``theorem`` has ``theorem_bits``: bit 0
-    is set behind a shield, and bit n if assumption n did not hold.
+    ``seed`` is the root of its draws. ``draws`` counts the draws until admission accepted a scenario. ``run``
+    is a number that identifies the run, and 0 if there is no run. ``theorem`` has the bits of
+    ``theorem_bits``. Bit 0 is set behind a shield, and bit n is set if assumption n did not hold.
 
-    ``cell`` is its cell in the coverage of the domain. The ``run_error`` is the avoider's act in
-    place of an answer, and ``failure`` the reason why there is no run. ``seconds`` and ``worker`` belong to
-    this machine; all else is the same on every machine.
+    ``cell`` is the run's cell in the coverage map. ``run_error`` states how the avoider failed to answer.
+    ``failure`` is the reason why there is no whole run. ``seconds`` and ``worker`` depend on this machine;
+    all other fields are equal on every machine.
     """
 
     stratum: int  # its place in the plan
@@ -56,7 +56,7 @@ class Row:
     worker: str = ""
     trace: bytes | None = field(default=None, repr=False)
     added: tuple[tuple[str, float], ...] = ()  # columns of packages, by name; the ledger stores NaN as NULL
-    # A ledger does not store these with the row; ``opened``: files beside the plan, and their SHA-256.
+    # A ledger does not store these fields with the row. ``opened``: (path from the plan's folder, SHA-256).
     asked: tuple[Asked, ...] = field(default=(), repr=False, compare=False)
     driven: DrivenRun | None = field(default=None, repr=False, compare=False)
     times: AnswersTook = field(default_factory=AnswersTook, repr=False, compare=False)  # of this machine
@@ -64,5 +64,5 @@ class Row:
 
     @property
     def violates(self) -> bool:
-        """Whether it violates any claim."""
+        """Whether the episode violates any claim."""
         return any(judgement.outcome is EpisodeOutcome.VIOLATED for judgement in self.judgements)

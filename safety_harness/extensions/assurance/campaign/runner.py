@@ -1,7 +1,8 @@
-"""The loop that gives episodes to a crew and commits the results.
+"""The loop that gives episodes to a worker pool and commits their rows to the ledger.
 
-A lost chunk runs again, one episode at a time, to find the culprit; after ATTEMPTS an episode has failed to
-run. The results depend neither on the order of arrival nor on the time of day.
+If a chunk is lost, the runner runs its episodes again, one at a time, to find the episode that caused the
+loss. After ATTEMPTS losses, that episode counts as failed. The results do not depend on the order in which
+rows arrive, or on the time of day.
 """
 
 from __future__ import annotations
@@ -28,23 +29,23 @@ from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.extensions.assurance.statistics.sequential import anytime_lower, anytime_upper
 
 ATTEMPTS = 3
-CHUNK_S = 1.0  # of work, beside which handing over and committing cost little
+CHUNK_S = 1.0  # of work per chunk, so that handing over and committing cost little
 MOST_IN_CHUNK = 1000
-MOST_TOGETHER = 64  # in a world with batches, which holds all traces of a chunk in memory
-_WAIT_S = 0.5  # for events, between looks at ``enough``
+MOST_TOGETHER = 64  # episodes of a chunk in a world with batches, which holds all their traces in memory
+_WAIT_S = 0.5  # to wait for events before ``enough`` is called again
 _COMMIT_S = 0.2  # between commits, so that a transaction has many rows
 
 
 @dataclass(eq=False)
 class CampaignRunner:
-    """Runs the missing episodes of a ledger, and shows its own progress.
+    """A runner of the missing episodes of a ledger, which also reports its progress.
 
-    ``tally`` counts the committed episodes, ``done_now`` the episodes of this session, ``retried`` the
-    episodes that were lost and ran again. The runner calls ``enough`` in between: once it is true, chunks
-    under way finish and no chunk begins.
+    ``tally`` counts the committed episodes, ``done_now`` the episodes of this session, and ``retried`` the
+    lost episodes that ran again. The runner calls ``enough`` before it gives out chunks. Once ``enough``
+    returns True, unfinished chunks finish and no new chunk begins.
 
-    ``part`` (k, n) takes every n-th episode from k on, for machines that share only the plan.
-    ``repeatability`` collects the questions to the avoiders of all workers.
+    ``part`` (k, n) selects every n-th episode from k on, for machines that share only the plan.
+    ``repeatability`` collects the questions that all workers asked their avoiders.
     """
 
     plan: Plan
@@ -77,13 +78,13 @@ class CampaignRunner:
 
     @property
     def left(self) -> int:
-        """Episodes that are still to come."""
+        """The number of episodes that are still to come."""
         strata = zip(self.tally.strata, self._left, strict=True)
         return sum(left for stratum, left in strata if not stratum.complete)
 
     @property
     def standing(self) -> tuple[int, int]:
-        """Episodes done and planned, of this part if it runs one."""
+        """The numbers of finished and of planned episodes, of this part if the runner runs only a part."""
         first, parts = self.part
         if parts == 1:
             return self.tally.done, self.tally.planned
@@ -91,10 +92,10 @@ class CampaignRunner:
         return planned - sum(self._left), planned
 
     def run(self) -> bool:
-        """Run until the end or ``enough``, and return whether the campaign is complete.
+        """Run until the end, or until ``enough`` returns True; return whether the campaign is complete.
 
-        InputError and CampaignError as for ``WorkerPool.take``; OutputError if the ledger cannot be
-        written. The ledger has all episodes that were finished before.
+        InputError and CampaignError come from ``WorkerPool.take``. OutputError if the ledger cannot be
+        written. In each case, the ledger has all episodes that finished before.
         """
         try:
             self._run()
@@ -124,7 +125,7 @@ class CampaignRunner:
         self.on_progress(self)
 
     def commit(self) -> None:
-        """Write the rows that have come; after an error they stay for the next attempt."""
+        """Write the rows that have arrived; after an error, the runner keeps them for the next commit."""
         ends = [stratum.stopped_after for stratum in self.tally.strata]  # later episodes do not count
         rows = [row for row in self._rows if (end := ends[row.stratum]) is None or row.episode < end]
         if rows:
@@ -156,7 +157,7 @@ class CampaignRunner:
             del self._out[event.chunk]
 
     def _lost(self, event: Lost) -> None:
-        """Try lost episodes again, one at a time; an episode that is lost too often has failed to run."""
+        """Try lost episodes again, one at a time; an episode that is lost too often counts as failed."""
         waiting = sorted(self._out.pop(event.chunk))
         blamed = event.times if len(event.chunk.episodes) == 1 else 0
         self.retried += len(waiting)
@@ -199,7 +200,7 @@ class CampaignRunner:
         return [range(gap.start + (first - gap.start) % parts, gap.stop, parts) for gap in missing]
 
     def _drop_surplus(self) -> None:
-        """Drop traces of later violations than the first ``violations_kept``, which may have come earlier."""
+        """Drop traces of violations, except those of the first ``violations_kept`` violations by number."""
         for stratum, tally in enumerate(self.tally.strata):
             surplus = self.ledger.violations_kept(stratum)[self.plan.violations_kept :]
             if tally.complete and surplus:
@@ -207,16 +208,16 @@ class CampaignRunner:
                 self.ledger.drop_traces(stratum, [episode for episode in surplus if episode not in random])
 
 
-EVERY = 50  # episodes between looks
+EVERY = 50  # episodes between two looks at the bounds
 
 _Outcomes = tuple[EpisodeOutcome, ...]  # of an episode, by claim
 
 
 class Stopping:
-    """Decides when strata stop, in the order of the episodes, so that the speed of workers has no influence.
+    """The rule that ends strata early; it takes episodes in order, so that the workers' speed has no effect.
 
-    A claim is decided if its upper bound meets the target, or its lower bound is above it. A stratum is
-    decided with all of its claims. The bounds hold at all looks
+    A claim is decided once its upper bound meets the target, or its lower bound exceeds the target. A stratum
+    ends once all its claims are decided. The bounds hold at all looks
     (``extensions.assurance.statistics.sequential``).
     """
 
@@ -228,7 +229,7 @@ class Stopping:
         self._counts = np.zeros((count, len(plan.claims), len(EpisodeOutcome)), np.int64)
         self._reached = [0] * count
         self._ahead: list[dict[int, _Outcomes]] = [{} for _ in range(count)]
-        self.decided: dict[int, int] = {}  # strata, and after how many episodes
+        self.decided: dict[int, int] = {}  # stratum -> the number of episodes that decided it
         for stratum in range(count if self._active else 0):
             columns = [ledger.outcomes(stratum, claim) for claim in range(len(plan.claims))]
             for k, episode in enumerate(columns[0][0].tolist()):
@@ -238,7 +239,7 @@ class Stopping:
             self._advance(stratum)
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Take new episodes in."""
+        """Take in the episodes of ``rows``, and decide about each stratum."""
         if self._active:
             for row in rows:
                 outcomes = tuple(judgement.outcome for judgement in row.judgements)

@@ -1,4 +1,4 @@
-"""A campaign from the beginning, or from an interruption, to the end: one runner, its ledger and its crew."""
+"""Run a campaign from its beginning, or from an interruption, to its end, with one runner and its workers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MakesCrew = Callable[[Plan], WorkerPool]
 
 
 def processes(workers: int | None = None, limits: Limits = LIMITS) -> MakesCrew:
-    """Return a maker of a crew on this machine; without ``workers``, it has one process for each core."""
+    """Return a function that makes worker processes on this machine: ``workers``, or one for each core."""
     size = workers or len(os.sched_getaffinity(0))
     return lambda plan: Processes(partial(bench_of_file, plan.file.resolve(), plan.identity), size, limits)
 
@@ -51,27 +51,27 @@ def run_missing(
 ) -> bool:
     """Run the missing episodes of a ledger, and create the ledger if it is missing.
 
-    A ledger without runs begins anew if the plan has changed. At the end a second avoider answers some of
-    the questions again, and the ledger stores the result. If no episode is missing, these are questions of
+    If the plan has changed, a ledger without runs begins anew. At the end, a second avoider answers some of
+    the questions again, and the ledger stores the result. If no episode is missing, the questions come from
     the stored runs.
 
     Args:
         plan: The plan.
         path: The file of the ledger.
         make_crew: Makes the workers, as ``processes`` does.
-        on_progress: A callback with the runner, after each commit.
-        enough: A condition that ends the session early.
+        on_progress: A callback, which receives the runner after each commit.
+        enough: A function that returns True to end the session early.
         part: (k, n) runs only every n-th episode, from k on.
-        say: A callback with a line for people.
+        say: A callback, which receives a line for people.
 
     Returns:
         Whether the campaign is complete.
 
     Raises:
-        InputError: An avoider cannot be made or the world is not installed (then there is no new ledger),
-            or the plan is to blame.
+        InputError: The plan causes an error, an avoider cannot be made, or the world is not installed. In the
+            last two cases no new ledger is created.
         LedgerError: The ledger belongs to another plan, or another runner uses it.
-        CampaignError: The crew cannot run anything more.
+        CampaignError: The workers cannot run anything more.
         OutputError: The ledger cannot be written.
 
     """
@@ -102,7 +102,7 @@ carry_on = run_missing  # deprecated: the old name, for one release
 
 
 def _ask_again(plan: Plan, ledger: Ledger, say: Callable[[str], None]) -> None:
-    """Ask the questions of stored runs again, and note the answers in the ledger only if one differs.
+    """Ask the questions of stored runs again, and record the answers in the ledger only if one differs.
 
     The ledger may belong to a report, which should not change without need.
     """
@@ -126,17 +126,17 @@ def _ask_again(plan: Plan, ledger: Ledger, say: Callable[[str], None]) -> None:
 
 
 def _checked(check: Callable[[], RepeatabilityResult]) -> RepeatabilityResult:
-    """Return the result of ``check``, or its error in words, which is no reason to lose the runs."""
+    """Return the result of ``check``; if it raises an error, return that in words, so that no run is lost."""
     try:
         return check()
-    except Exception as error:  # also of a user's program
+    except Exception as error:  # a user's program may raise anything
         return RepeatabilityResult(questions=0, words=f"repeatability cannot be checked: {described(error)}")
 
 
 def _known(path: Path, plan: Plan) -> Ledger | None:
-    """Return the ledger at ``path`` for writing; None if there is no file.
+    """Return the ledger at ``path``, opened for writing; None if there is no file.
 
-    It deletes another plan's ledger without runs, and then returns None.
+    If the ledger belongs to another plan and has no runs, delete it and return None.
     """
     if not path.exists():
         return None
@@ -151,9 +151,9 @@ def _known(path: Path, plan: Plan) -> Ledger | None:
 
 @contextmanager
 def plan_of(ledger: Ledger) -> Iterator[Plan]:
-    """Yield the plan of a ledger, from its own file if that exists, else from the ledger's copy.
+    """Yield the plan of ``ledger`` from the plan's own file, or from the ledger's copy if that file is gone.
 
-    LedgerError if the plan has changed; the error states the changes.
+    LedgerError if the plan has changed; the error lists the changes.
     """
     file = ledger.declared.plan_file
     with ExitStack() as stack:
@@ -164,13 +164,16 @@ def plan_of(ledger: Ledger) -> Iterator[Plan]:
 
 @contextmanager
 def copied_plan_of(ledger: Ledger) -> Iterator[Plan]:
-    """Yield the plan from the ledger's copy of its files, even if the files have changed; InputError."""
+    """Yield the plan from the copies of its files in ``ledger``, even if the original files have changed.
+
+    InputError if the present program cannot read the copies.
+    """
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         yield read_plan(unpacked(ledger.files, Path(folder)))
 
 
 def processor() -> str:
-    """Return the name of the processor; results are equal bit for bit within a family of processors."""
+    """Return the processor's name; results are equal bit for bit on all processors of a family."""
     lines: list[str] = []
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()

@@ -1,14 +1,14 @@
 """Summaries of a ledger: the counts, a fingerprint of its results, and a hash of all rows.
 
 The hash is the root of a Merkle tree over the episodes, as in RFC 6962, section 2.1 (Laurie, Langley and
-Kasper, 2013). It uses SHA-256. The input of a leaf begins with the byte 0 and the input of a node with the
-byte 1, so that a node cannot pass as a leaf. The left subtree of n leaves has as many leaves as the largest
-power of two below n.
+Kasper, 2013), with SHA-256. The input of a leaf begins with the byte 0, and the input of a node with the byte
+1. Thus a node cannot pass as a leaf. The left subtree of n leaves has as many leaves as the largest power of
+two below n.
 
-A leaf is the JSON of an episode. It has stratum and number, seed, draws, decisions, overruled proposals,
-run, theorem bits, cell, run error and failure. Then follow the kind and the SHA-256 of a stored trace, and
-for each claim outcome, margin, moment and occasions. The ledger does not store these hashes, because in the
-same file they would give no protection.
+A leaf is the JSON of an episode. It begins with stratum and number, seed, draws, decisions, overruled
+proposals, run, theorem bits, cell, run error and failure. The kind and the SHA-256 of the stored trace
+follow. The leaf ends with the outcome, margin, moment and occasions for each claim. The ledger does not store
+these hashes, because they would protect nothing in the same file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from safety_harness.extensions.assurance.campaign.rows import Row
 from safety_harness.extensions.assurance.statistics.binomial import ProbabilityBounds, Sides, bounds_of
 from safety_harness.extensions.assurance.statistics.sample import JUDGED, EpisodeOutcome
 
-# One pass in the order of the rows; the episode beside min() is the first with that margin.
+# One pass in the order of the rows; SQLite takes the episode from the first row with the least margin.
 _COUNTS = (
     "SELECT stratum, claim, count(*), "
     f"{', '.join(f'count(*) FILTER (WHERE outcome = {int(code)})' for code in EpisodeOutcome)}, "
@@ -43,7 +43,7 @@ _JUDGED = "SELECT claim, episode, outcome, margin, worst_time_s, exercised FROM 
 
 
 def _of_episode(ledger: Ledger) -> str:
-    """Return the columns that are equal on every machine, as far as the ledger has them."""
+    """Return the columns that are equal on every machine, omitting the columns that ``ledger`` lacks."""
     return (
         "e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, e.late, "
         f"e.{', e.'.join(ledger.counts)}, c.words, e.mishap, e.failure"
@@ -51,7 +51,7 @@ def _of_episode(ledger: Ledger) -> str:
 
 
 def tally_of(ledger: Ledger) -> CampaignTally:
-    """Return the counts and worst margins of the present rows."""
+    """Return the counts and the worst margins of the rows in ``ledger`` now."""
     declared = ledger.declared
     strata = [StratumTally(planned, [ClaimCounts() for _ in declared.claims]) for planned in declared.planned]
     for stratum, done in ledger.all("SELECT stratum, count(*) FROM episode GROUP BY stratum"):
@@ -70,9 +70,10 @@ def tally_of(ledger: Ledger) -> CampaignTally:
 
 @dataclass(frozen=True)
 class LedgerState:
-    """The state of a ledger, computed once; only a complete campaign has ``bounds`` and ``fingerprint``.
+    """The state of a ledger, computed once.
 
-    Dependent episodes have no ``bounds``.
+    Only a complete campaign has ``bounds`` and a ``fingerprint``. If its episodes depend on each other, it
+    has no ``bounds``.
     """
 
     tally: CampaignTally
@@ -81,21 +82,24 @@ class LedgerState:
 
 
 def state_of(ledger: Ledger) -> LedgerState:
-    """Return the state of the present rows; a million episodes take some time."""
+    """Return the state of the rows in ``ledger`` now; a million episodes take some time."""
     tally = tally_of(ledger)
     bounds = bounds_in(ledger) if tally.complete and not ledger.dependent else ()
     return LedgerState(tally, bounds, fingerprint_of(ledger) if tally.complete else None)
 
 
 def basis_in(ledger: Ledger, tally: CampaignTally) -> str:
-    """Return the basis of the ledger's verdicts in words: world, exercised runs, and the unwatched part."""
+    """Return the basis of the ledger's verdicts in words: world, exercised runs, and unwatched parts."""
     claims = map(tally.of_claim, range(len(ledger.declared.claims)))
     return basis([str(ledger.declared.world)], ((counts.tested, tally.done) for counts in claims))
 
 
 @dataclass(frozen=True)
 class FallbackTally:
-    """Missing answers: ``unanswered`` among ``decisions``, in ``episodes`` episodes, and the main reason."""
+    """The questions that the avoider did not answer: ``unanswered`` of ``decisions``, and the main reason.
+
+    ``episodes`` counts the episodes with such a question.
+    """
 
     unanswered: int
     decisions: int
@@ -104,19 +108,19 @@ class FallbackTally:
 
     @property
     def summary(self) -> str:
-        """The text for headlines; empty if the avoider always answered."""
+        """A sentence for headlines; empty if the avoider always answered."""
         return fallback_words(self.unanswered, self.decisions)
 
 
 def shields_in(ledger: Ledger) -> tuple[str, ...]:
-    """Return how the theorem of the shield stands in each stratum that has a shield, in words."""
+    """Return, for each stratum with a shield, a sentence on whether the shield's theorem applies."""
     every = "SELECT theorem, count(*) FROM episode WHERE stratum = ? GROUP BY theorem"
     theorems = ((name, counts_words(ledger.all(every, k))) for k, name in enumerate(ledger.declared.strata))
     return tuple(f"shield in {name}: {text}" for name, text in theorems if text)
 
 
 def fallback_of(ledger: Ledger, stratum: int | None = None) -> FallbackTally:
-    """Return the missing answers in one stratum, or in all strata for None."""
+    """Return how often the avoider did not answer in ``stratum``, or in all strata for None."""
     selection = (stratum is None, stratum)
     counts = "SELECT coalesce(sum(faults), 0), coalesce(sum(decisions), 0), count(mishap) FROM episode"
     ((unanswered, decisions, episodes),) = ledger.all(f"{counts} WHERE ? OR stratum = ?", *selection)
@@ -127,14 +131,14 @@ def fallback_of(ledger: Ledger, stratum: int | None = None) -> FallbackTally:
 
 
 def bounds_in(ledger: Ledger) -> tuple[ProbabilityBounds, ...]:
-    """Return the bounds of each claim in each stratum, as in a report: all hold together."""
+    """Return the bounds of each claim in each stratum, which all hold together, as in a report."""
     declared = ledger.declared
     pairs = [(stratum, claim) for stratum in declared.strata for claim in declared.claims]
     return bounds_of([ledger.sample(*pair) for pair in pairs], declared.confidence, Sides.BOTH)
 
 
 def fingerprint_of(ledger: Ledger) -> str:
-    """Return the SHA-256 of all results, bit for bit; equal results of a plan have equal fingerprints."""
+    """Return the SHA-256 of all results, bit for bit; if two ledgers agree, so do their fingerprints."""
     same = (  # the same results in the same order
         f"SELECT {_of_episode(ledger)} FROM episode e LEFT JOIN cell c ON c.id = e.cell "
         "WHERE e.stratum = ? ORDER BY e.episode",
@@ -151,7 +155,7 @@ def fingerprint_of(ledger: Ledger) -> str:
 
 @dataclass
 class ClaimCounts:
-    """One claim in one stratum: episodes by outcome, and the least margin (SI) with its episode."""
+    """A claim in a stratum: the episodes with each outcome, and the least margin (SI) with its episode."""
 
     counts: dict[EpisodeOutcome, int] = field(default_factory=lambda: dict.fromkeys(EpisodeOutcome, 0))
     worst: float = math.nan
@@ -164,7 +168,7 @@ class ClaimCounts:
         return sum(count for outcome, count in self.counts.items() if outcome not in left_out)
 
     def add(self, outcome: EpisodeOutcome, margin: float, episode: int) -> None:
-        """Count an episode; of equal margins the first episode stays."""
+        """Count an episode; if several episodes have the least margin, the first of them is the worst."""
         self.counts[outcome] += 1
         tested = outcome in JUDGED and not math.isnan(margin)
         if tested and (math.isnan(self.worst) or (margin, episode) < (self.worst, self.worst_episode)):
@@ -173,7 +177,7 @@ class ClaimCounts:
 
 @dataclass
 class StratumTally:
-    """One stratum: planned episodes, done episodes, and the number that failed to run."""
+    """A stratum: the numbers of planned, finished and failed episodes."""
 
     planned: int
     claims: list[ClaimCounts]
@@ -196,13 +200,13 @@ class StratumTally:
 
 @dataclass
 class CampaignTally:
-    """All strata, in the plan's order."""
+    """The tallies of all strata, in the plan's order."""
 
     strata: list[StratumTally]
 
     @property
     def done(self) -> int:
-        """The number of done episodes."""
+        """The number of finished episodes."""
         return sum(stratum.done for stratum in self.strata)
 
     @property
@@ -221,7 +225,7 @@ class CampaignTally:
         return all(stratum.complete for stratum in self.strata)
 
     def of_claim(self, claim: int) -> ClaimCounts:
-        """Return the counts of one claim over all strata; ``worst_episode`` does not show its stratum."""
+        """Return the counts of ``claim`` over all strata; the stratum of ``worst_episode`` is not stored."""
         whole = ClaimCounts()
         for stratum in self.strata:
             part = stratum.claims[claim]
@@ -240,7 +244,7 @@ _OF_STRATUM = (
 
 
 def root_of(ledger: Ledger) -> str:
-    """Return the root over all episodes, stratum by stratum, with the judgements of all claims."""
+    """Return the Merkle root over all episodes, stratum by stratum, with the judgements of all claims."""
     return merkle_root(_rows(ledger)).hex()
 
 
@@ -256,7 +260,10 @@ def _rows(ledger: Ledger) -> Iterator[bytes]:
 
 
 def merkle_root(leaves: Iterable[bytes]) -> bytes:
-    """Return MTH of RFC 6962 (32 bytes); subtrees of 2^k leaves wait for their right neighbours."""
+    """Return the hash MTH of RFC 6962 (32 bytes) over ``leaves``, which it reads only once.
+
+    A finished subtree of 2^k leaves waits until a right neighbour of 2^k leaves is finished too.
+    """
     waiting: list[tuple[int, bytes]] = []  # (leaves, hash) by descending size
     for leaf in leaves:
         size, digest = 1, _sha256(_LEAF + leaf)

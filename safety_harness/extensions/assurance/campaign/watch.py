@@ -1,4 +1,4 @@
-"""The avoider in runs without a ledger: whether it always answered, in time, and alike when asked again."""
+"""Check, in runs without a ledger, that the avoider always answers, in time, and repeats its answers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,11 @@ from safety_harness.trace.trace import Trace
 
 @dataclass
 class AvoiderWatch:
-    """Counts ``decisions`` and ``unanswered`` decisions, and collects ``times`` and the questions of runs."""
+    """A record of the avoider's answers over several runs.
+
+    It counts ``decisions`` and ``unanswered`` decisions. It collects answer ``times`` and the questions,
+    which ``remarks`` asks again.
+    """
 
     decisions: int = 0
     unanswered: int = 0
@@ -26,14 +30,14 @@ class AvoiderWatch:
     repeatability: Repeatability = field(default_factory=Repeatability)
 
     def add(self, run: Trace) -> None:
-        """Take in a run."""
+        """Add the answers in ``run``."""
         self.decisions += len(run.decisions)
         self.unanswered += int(np.count_nonzero(unanswered(run)))
         self.times += AnswersTook.from_trace(run)
         self.repeatability.add(run)
 
     def add_row(self, row: Row, scenario: Callable[[], Scenario]) -> None:
-        """Take in a run by its row; ``scenario`` returns its scenario on demand."""
+        """Add the answers of a run from its ``row``; ``scenario`` returns the run's scenario on demand."""
         self.decisions += row.decisions
         self.unanswered += row.faults
         self.times += row.times
@@ -43,7 +47,7 @@ class AvoiderWatch:
 
     @property
     def time_lines(self) -> list[str]:
-        """A line if the avoider was slower than its runs allow; else empty."""
+        """A line if the avoider was slower than its runs allow; otherwise empty."""
         return [f"computing time: {text}" for text in [self.times.summary] if text]
 
     def remarks(self, plan: Plan) -> Iterator[str]:

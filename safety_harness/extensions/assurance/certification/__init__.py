@@ -1,1 +1,1 @@
-"""Evidence as one report: results, argument, counterexamples, and a page that ``verify`` checks again."""
+"""Evidence as one report: results, argument, counterexamples, and a page, which ``verify`` checks again."""

@@ -1,12 +1,13 @@
-"""The least number of altered rows that would change a verdict, and the chance that a check misses them all.
+"""The least number of altered rows that changes a verdict, and the chance that a check misses all of them.
 
-The verifier draws n of N runs without replacement. If k of the N rows were altered, all k stay outside of the
-n with the chance C(N - k, n) / C(N, n) (hypergeometric). A repeated run always exposes a row with another
-outcome.
+The verifier draws n of N runs without replacement. Suppose that k of the N rows were altered. The draw misses
+all k with the chance C(N - k, n) / C(N, n) (hypergeometric). A repeated run always exposes a row that states
+another outcome.
 
-k is the least number of rows that can give another status against the target, with any outcomes. The statuses
-are *met* (shown, with or without doubt), *not shown*, *refuted* and *never put to the test*. Without a target
-only the last status counts. Doubt is no separate status, since a single run without a verdict causes it.
+k is the least number of altered rows that can change a status; the altered rows may state any outcome. The
+statuses are *met* (shown, with or without doubt), *not shown*, *refuted* and *never put to the test*. Without
+a target, only the last status counts. Doubt is no separate status, because a single run without a verdict
+causes it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from safety_harness.extensions.assurance.statistics.sequential import anytime_lo
 
 @dataclass(frozen=True)
 class Turn:
-    """The least number of altered ``rows`` that gives a claim another verdict in a stratum."""
+    """The least number of altered ``rows`` that changes the verdict of a claim in a stratum."""
 
     claim: str
     stratum: str
@@ -31,9 +32,9 @@ class Turn:
 
 
 def turns_of(claims: Sequence[ClaimEvidence], *, early: bool) -> tuple[Turn, ...]:
-    """Return the turn of every verdict of ``claims``, the most easily changed verdict first.
+    """Return a ``Turn`` for every verdict of ``claims``, the most easily changed verdict first.
 
-    ``early`` is true for bounds that hold at every time, as a plan with early stopping has them.
+    ``early`` is true if the bounds hold at every time, as in a plan that may stop early.
     """
     turns = [
         Turn(claim.sentence, outcome.stratum, outcome.standing, rows)
@@ -45,10 +46,10 @@ def turns_of(claims: Sequence[ClaimEvidence], *, early: bool) -> tuple[Turn, ...
 
 
 def rows_to_turn(outcome: ClaimResult, target: float | None, *, early: bool) -> int | None:
-    """Return the least number of rows with other outcomes that change the verdict of ``outcome``.
+    """Return the least number of rows whose altered outcomes change the verdict of ``outcome``.
 
-    The quickest way to more violations changes runs without a violation first, and then untested runs. The
-    quickest way to fewer violations is the reverse.
+    The quickest way to more violations alters tested runs without a violation first, and then untested runs.
+    The quickest way to fewer violations alters violations first, and then untested runs.
 
     Args:
         outcome: The results of a claim in a stratum.
@@ -67,7 +68,7 @@ def rows_to_turn(outcome: ClaimResult, target: float | None, *, early: bool) -> 
 
 
 def _least_rows(outcome: ClaimResult, target: float | None, chance: float, early: bool) -> Iterator[int]:
-    """Yield the least number of altered rows that gives the outcome each different status."""
+    """Yield, for each status that differs from the present one, the least number of rows that causes it."""
     yield outcome.tested  # every tested row must change to leave the claim untested
     if target is None:
         return
@@ -97,9 +98,9 @@ def _least_rows(outcome: ClaimResult, target: float | None, chance: float, early
 
 
 def _least(turns: Callable[[int], bool], most: int) -> Iterator[int]:
-    """Yield the least number from 1 to ``most`` for which ``turns`` is true, if it is true for ``most``.
+    """Yield the least number from 1 to ``most`` for which ``turns`` is true, if there is such a number.
 
-    ``turns`` must be monotone: once true, it stays true for every larger number.
+    ``turns`` must be monotone: if it is true for a number, it is true for every larger number.
     """
     least = 1
     if least <= most and turns(most):
@@ -116,6 +117,6 @@ def chance_to_miss(runs: int, altered: int, again: int) -> float:
 
 
 def runs_to_see(runs: int, altered: int, miss: float) -> int:
-    """Return how many of ``runs`` to repeat, so that they miss ``altered`` rows with chance ``miss`` only."""
+    """Return how many of ``runs`` to repeat so that they miss ``altered`` rows with chance ``miss`` only."""
     (again,) = _least(lambda again: chance_to_miss(runs, altered, again) <= miss, runs - altered + 1)
     return again

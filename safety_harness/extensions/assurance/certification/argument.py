@@ -1,15 +1,16 @@
-"""The assurance argument in goal structuring notation (GSN), by hazard, made from the evidence.
+"""The assurance argument in goal structuring notation (GSN), built from the evidence.
 
-The top goal is argued by hazard, claim and stratum, and by the stages of AMLAS if a part is learned.
+The argument for the top goal is divided by hazard, claim and stratum. If a part of the system is learned, a
+second argument follows the stages of AMLAS.
 
 - Goals are statements that should be true. Strategies divide a goal. Solutions are the evidence below it.
 - Contexts, assumptions and justifications stand beside an element.
-- Defeaters would undermine the top goal. Each leads to the answers to it: counter goals and counter solutions
-  of GSN's dialectic extension.
+- Defeaters would undermine the top goal. Below each defeater are its answers: counter goals and counter
+  solutions of GSN's dialectic extension.
 - A goal without support is undeveloped, and the picture marks it.
 
-All texts come from the evidence, so an argument with failed evidence shows the failure. An author's notes
-(``notes``) stand beside an element and change no state.
+All texts come from the evidence. Therefore the argument shows a failure if the evidence shows it. An author's
+notes (``notes``) appear beside an element and change no state.
 """
 
 from __future__ import annotations
@@ -42,11 +43,11 @@ STATE = {
     ClaimStatus.REFUTED: FAILS,
     ClaimStatus.ESTIMATED: OPEN,
 }
-MOST_STRATA = 4  # elements of a claim, the most severe first; one element has the rest
+MOST_STRATA = 4  # elements below a claim, the most severe strata first; the last sums up the rest
 
 
 class ElementKind(Enum):
-    """The kinds of elements in GSN; each value is the letter of the element's key."""
+    """The kinds of elements in GSN; the value of each kind is the letter with which a key begins."""
 
     GOAL = "G"
     STRATEGY = "S"
@@ -62,10 +63,10 @@ class ElementKind(Enum):
 class Element:
     """An element of the argument.
 
-    ``place`` is the id on the page that the element leads to. ``state`` is the colour of its statement.
-    ``below`` has the elements that support it, or that challenge it if they are defeaters or answers.
-    ``beside`` has its context. ``key`` has its kind and number, which may change from run to run. ``name``
-    stays the same, so notes refer to it.
+    ``place`` is the id on the page to which the element links. ``state`` is the colour of its statement.
+    ``below`` has the elements that support it; defeaters and answers among them challenge it instead.
+    ``beside`` has its context. ``key`` consists of its kind and number, which may change from run to run.
+    ``name`` stays the same, so that notes can refer to it.
     """
 
     kind: ElementKind
@@ -98,7 +99,7 @@ UNDEVELOPED = {
 
 
 def argument_of(evidence: Evidence) -> Element:
-    """Return the top goal of the whole argument; its leaves lead to the page's parts with their evidence."""
+    """Return the top goal of the whole argument; its leaves link to the evidence on the page."""
     plan, system = evidence.plan, evidence.system
     domain = "Domain: " + ", ".join(item.name for item in evidence.strata)
     sure = f"{percent(plan.confidence)} for all {plan.bounds} bounds together, {plan.world}"
@@ -141,7 +142,7 @@ def argument_of(evidence: Evidence) -> Element:
 
 
 def _noted(element: Element, notes: dict[str, str]) -> Element:
-    """Return ``element`` and everything below it, with the author's notes as justifications beside."""
+    """Return ``element`` and everything below it, each with its note in ``notes`` as a justification."""
     text = notes.get(element.name, "") if element.name else ""
     note = (Element(ElementKind.JUSTIFICATION, f"The author: {text}", element.place),) if text else ()
     below = tuple(_noted(child, notes) for child in element.below)
@@ -149,9 +150,9 @@ def _noted(element: Element, notes: dict[str, str]) -> Element:
 
 
 def _numbered(element: Element, counts: Counter[ElementKind]) -> Element:
-    """Return ``element`` with keys, counted by kind.
+    """Return ``element`` and everything below it with keys; elements of each kind are counted separately.
 
-    Elements beside an element count before the elements below it.
+    The elements beside an element get their numbers before the elements below it.
     """
     counts[element.kind] += 1
     key = f"{element.kind.value}{counts[element.kind]}"
@@ -162,7 +163,7 @@ def _numbered(element: Element, counts: Counter[ElementKind]) -> Element:
 
 
 def _hazards(evidence: Evidence) -> Iterator[Element]:
-    """Yield a goal for each hazard of the plan, then for each hazard text of the remaining claims."""
+    """Yield a goal for each hazard of the plan, then a goal for each hazard text of the remaining claims."""
     for hazard in evidence.hazards:
         claims = [item for item in evidence.claims if item.number in hazard.claims]
         yield _hazard(hazard, claims, rated=bool(hazard.met) and not evidence.plan.model_only)
@@ -177,9 +178,9 @@ def _hazards(evidence: Evidence) -> Iterator[Element]:
 
 
 def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool) -> Element:
-    """Return the goal of ``hazard``.
+    """Return the goal of ``hazard``, with the goals of its ``claims`` below it.
 
-    ``rated`` is true if its rates meet the limit, and not in the model alone.
+    ``rated`` is true if the hazard's rates meet the limit, and not only in a simplified world.
     """
     limit = "" if hazard.asked_an_hour is None else f", at most {hazard.asked_an_hour:g} an hour"
     rates = {
@@ -213,7 +214,7 @@ def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool)
 
 
 def _claim(claim: ClaimEvidence, rates: tuple[Element, ...]) -> Element:
-    """Return the goal of a claim: its ``rates``, and a solution for each stratum, the most severe first."""
+    """Return the goal of ``claim`` with a solution for each stratum, the most severe first, and ``rates``."""
     place, state = f"claim-{claim.number}", STATE[claim.standing]
     target = "" if claim.target is None else f", violated in at most {percent(claim.target)}"
     tested = sorted(
@@ -235,7 +236,7 @@ def _claim(claim: ClaimEvidence, rates: tuple[Element, ...]) -> Element:
 
 
 def _stratum(row: ClaimResult, place: str) -> Element:
-    """Return the solution for a claim in one stratum."""
+    """Return the solution that states the result of a claim in one stratum."""
     bound = "" if row.bound is None else f", at most {at_most(row.bound.upper)}"
     text = (
         f"{row.stratum}: {row.violated} of {row.tested} tested runs violate it{bound}: {row.standing.value}"
@@ -302,7 +303,7 @@ IN_THE_CELL = (
 
 
 def _deployment(evidence: Evidence) -> Answers:
-    """Yield how a changed network is noticed, and the outcome of each recorded cell."""
+    """Yield how a user notices a changed network, and the outcome of each recorded cell."""
     yield "Frozen and known by its hash: another network needs another report", "learned", OPEN
     for part in evidence.system.under_test:
         if part.gate is not None and "question" in part.gate.name:
@@ -318,7 +319,7 @@ Answers = Iterator[tuple[str, str, str]]  # text, place, state
 
 
 def _hunt(evidence: Evidence) -> Answers:
-    """Yield the size of the search, and how many counterexamples came from it and from declared runs."""
+    """Yield the size of the search, and how many counterexamples it and the declared runs found."""
     if evidence.search is not None:
         distinct = len(evidence.counterexamples)
         searched = sum(not example.independent for example in evidence.counterexamples)
@@ -327,14 +328,14 @@ def _hunt(evidence: Evidence) -> Answers:
 
 
 def _domain(evidence: Evidence) -> Answers:
-    """Yield how many cells of the coverage map have runs."""
+    """Yield the number of cells of the coverage map in which there are runs."""
     if evidence.coverage.runs:
         text = f"Coverage: {len(evidence.coverage.cells)} cells in {evidence.coverage.runs} runs"
         yield text, "coverage", OPEN
 
 
 def _credibility(evidence: Evidence) -> Answers:
-    """Yield each comparison of the simulator: other world, repeated runs, recorded cells, oracles."""
+    """Yield each comparison that tests the simulator: other world, repeated runs, recorded cells, oracles."""
     known = evidence.credibility
     if (agreement := known.agreement) is not None:
         state = DOUBT if agreement.optimistic or not agreement.present else DONE
@@ -356,7 +357,7 @@ def _credibility(evidence: Evidence) -> Answers:
 
 
 def _tools(evidence: Evidence) -> Answers:
-    """Yield how many seeded faults the self-test caught."""
+    """Yield how many seeded faults the self-test of the harness caught."""
     test = evidence.selftest
     if test is not None:
         every = 0 < len(test.faults) == test.caught and test.whole
@@ -366,20 +367,20 @@ def _tools(evidence: Evidence) -> Answers:
 
 
 def _declared(evidence: Evidence) -> Answers:
-    """Yield the declaration's hash, if there is a declaration."""
+    """Yield the hash of the declaration; nothing if there is no declaration."""
     if digest := evidence.record.declaration_sha256:
         yield f"Declared as {digest[:12]}, if that was lodged before the runs", "plan", OPEN
 
 
 def _calibration(evidence: Evidence) -> Answers:
-    """Yield the verdict on the avoider's intervals for each stratum."""
+    """Yield, for each stratum, the verdict on the avoider's intervals."""
     for check in evidence.calibration:
         decisions = count_words(check.decisions, "decision", "decisions")
         yield f"{check.stratum}: {decisions}, calibration {check.decided}", "calibration", check.decided
 
 
 def _altered(evidence: Evidence) -> Answers:
-    """Yield the root over all rows, which a seal outside of the report protects."""
+    """Yield the root over all rows, which only a seal outside of the report can protect."""
     yield f"Root over all rows {evidence.record.rows_sha256[:12]}, to be sealed elsewhere", "provenance", OPEN
 
 
@@ -395,7 +396,7 @@ DEFEATERS: tuple[tuple[str, str, str, Callable[[Evidence], Answers]], ...] = (
 
 
 def _defeaters(evidence: Evidence) -> Iterator[Element]:
-    """Yield each defeater of the top goal: green if all its answers are, and no finding on them is open."""
+    """Yield each defeater of the top goal, green only if its answers are green without an open finding."""
     for name, text, place, known in DEFEATERS:
         if name == "certain" and not evidence.system.asks:
             continue

@@ -1,12 +1,12 @@
 """Two files of the argument beside the page: for external tools, and for the author's notes.
 
-``argument.gsn.yaml`` is in the format of gsn2x (github.com/jonasthewolf/gsn2x), an open program that checks
-and draws goal structures. Its documentation has the keys ("Syntax in YAML", "Dialectic Extension"). The text
-is JSON, which is YAML as well.
+``argument.gsn.yaml`` has the format of gsn2x (github.com/jonasthewolf/gsn2x), an open program that checks and
+draws goal structures. The documentation of gsn2x lists the keys ("Syntax in YAML", "Dialectic Extension").
+The text is JSON, which is valid YAML.
 
-``argument.yaml`` has the author's notes, one for each goal, strategy and defeater. Their names stay the same
-from run to run. ``certify`` reads the notes, adds them as justifications, and writes the file again around
-them.
+``argument.yaml`` has the author's notes, one for each goal, strategy and defeater. The names of these
+elements stay the same from run to run. ``certify`` reads the notes and adds them as justifications. Then it
+writes the file again and keeps the notes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _BESIDE = (ElementKind.CONTEXT, ElementKind.ASSUMPTION, ElementKind.JUSTIFICATIO
 
 
 def gsn_text(evidence: Evidence, page: str) -> str:
-    """Return the argument of ``evidence`` as a file for gsn2x; elements link to their places on ``page``."""
+    """Return the argument of ``evidence`` in gsn2x's format; each element links to its place on ``page``."""
     elements: dict[str, dict[str, Any]] = {}
     for element, challenged in _walk(argument_of(evidence), ""):
         made: dict[str, Any] = {"text": element.text, "url": f"{page}#{element.place}"}
@@ -54,9 +54,9 @@ def gsn_text(evidence: Evidence, page: str) -> str:
 
 
 def _walk(element: Element, above: str) -> Iterator[tuple[Element, str]]:
-    """Yield every element below ``element``, each with the key of the element that it challenges.
+    """Yield ``element`` and everything below it, each with the key of the element that it challenges.
 
-    ``above`` is the key of the parent. The key is empty for an element that supports its parent.
+    ``above`` is the key of the parent. The yielded key is empty if the element supports its parent.
     """
     yield element, above if element.kind in _AGAINST else ""
     yield from ((child, "") for child in element.beside)
@@ -65,10 +65,10 @@ def _walk(element: Element, above: str) -> Iterator[tuple[Element, str]]:
 
 
 def read_notes(folder: Path) -> tuple[ArgumentNote, ...]:
-    """Return the author's notes in a report's ``folder``; an empty tuple without a file of notes.
+    """Return the author's notes in a report's ``folder``; empty if there is no file of notes.
 
     Raises:
-        ScenarioError: The file is too large, or its content is no mapping of elements to short texts.
+        ScenarioError: The file is too large, or it does not map elements to short texts.
 
     """
     file = folder / NOTES
@@ -88,9 +88,9 @@ def read_notes(folder: Path) -> tuple[ArgumentNote, ...]:
 
 
 def notes_text(evidence: Evidence) -> str:
-    """Return the file of notes: an entry for each element that may have one, and all notes of ``evidence``.
+    """Return the text of the file of notes, with an entry for each element that may have a note.
 
-    A note whose element no longer exists stays in the file, with a remark.
+    The text keeps all notes of ``evidence``. If the element of a note no longer exists, a remark states this.
     """
     elements = {element.name: element for element in argument_of(evidence).every() if element.name}
     notes = {note.element: note.text for note in evidence.notes}
@@ -105,7 +105,7 @@ def notes_text(evidence: Evidence) -> str:
 
 
 def _scalar(text: str) -> str:
-    """Return ``text`` as a YAML scalar; a text of several lines keeps its lines."""
+    """Return ``text`` as a YAML scalar that preserves line breaks."""
     if "\n" not in text:
         return f" {json.dumps(text, ensure_ascii=False)}"
     return " |2-\n" + "\n".join(f"  {line}" if line else "" for line in text.split("\n"))

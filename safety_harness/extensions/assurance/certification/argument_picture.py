@@ -15,11 +15,11 @@ from safety_harness.report.svg import plain
 WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 12.0
 LETTERS = 25  # in a line of a box
 _HASH = re.compile(r"\b([0-9a-f]{16})[0-9a-f]{48}\b")
-INDENT = 12.0  # of elements beside an element: the picture has them below it
+INDENT = 12.0  # of elements beside an element, which the picture draws below it
 
 
 class _Box:
-    """An element at its place: left upper corner and size in px. Its lines are escaped markup."""
+    """An element with its left upper corner and size in the picture, in px. Its lines are escaped markup."""
 
     def __init__(self, element: Element, x: float, y: float) -> None:
         kind = element.kind.name.lower()
@@ -32,18 +32,18 @@ class _Box:
 
 
 class _Layout:
-    """Places every element from left to right, and records the lines between them."""
+    """A layout that places every element from left to right, and records the connecting lines."""
 
     def __init__(self, top: Element) -> None:
         self.boxes: list[_Box] = []
-        self.arrows: list[tuple[list[tuple[float, float]], str]] = []  # a line, the marker at its end
+        self.arrows: list[tuple[list[tuple[float, float]], str]] = []  # a line's points, its end's marker
         self.height = self._place(top, GAP_X, GAP_X)[1] + GAP_X
         self.width = max(box.x for box in self.boxes) + WIDTH + GAP_X
 
     def _place(self, element: Element, x: float, y: float) -> tuple[_Box, float]:
         """Place ``element`` with its left upper corner at ``x``, ``y`` (px), and its whole subtree.
 
-        Elements beside it come below its box. Elements below it in the argument come to its right.
+        Elements beside it are drawn below its box. Elements below it in the argument are drawn to its right.
 
         Returns:
             The box of the element, and the lower end (px) of everything placed.
@@ -75,7 +75,7 @@ class _Layout:
 def argument_svg(top: Element, *, prefix: str) -> str:
     """Return the picture of the argument below ``top`` as an ``<svg>`` element.
 
-    Every element is a link to its place on the page. ``prefix`` begins all ids in the picture.
+    Every element links to its place on the page. All ids in the picture begin with ``prefix``.
     """
     drawn = templates("safety_harness.extensions.assurance").get_template("argument.svg.j2")
     return drawn.render(

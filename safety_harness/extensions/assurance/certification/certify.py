@@ -1,4 +1,4 @@
-"""Make a declared plan into a report: its campaign, its search, and the folder with the evidence."""
+"""Turn a declared plan into a report: run its campaign and its search, and write the folder of evidence."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ WatchCampaign = Callable[[Plan, Output], AbstractContextManager[Callable[[Campai
 class Certification:
     """A plan and the folder for its report.
 
-    ``command`` repeats the report. ``declaration_sha256`` is empty without a declaration. ``certified`` is
-    None without a proof.
+    ``command`` is the command that makes the report again. ``declaration_sha256`` is empty without a
+    declaration. ``certified`` is None without a proof.
     """
 
     plan: Plan
@@ -79,12 +79,12 @@ class Certification:
         pdf: bool,
         proof: Path | None = None,
     ) -> Certification:
-        """Return the certification of the plan in ``file``, after every check that needs no run.
+        """Return the certification of the plan in ``file``, after all checks that need no run.
 
         Args:
             file: The plan.
             folder: The folder of the report; None: reports/NAME of the plan.
-            command: The command that repeats the report.
+            command: The command that makes the report again.
             selftest: A selftest.json; None: no self-test.
             oracles: A file of independent oracles; None: no oracles.
             cells: Files compare-worlds.json.
@@ -94,8 +94,8 @@ class Certification:
 
         Raises:
             InputError: The plan differs from its declaration, or its runs cannot meet a target. Or: a file
-                cannot be read, the checker does not confirm the proof, the proof is of another network, or no
-                browser can print the PDF.
+                cannot be read, or no browser can print the PDF. Or: the checker does not confirm the proof,
+                or the proof is of another network.
             InstallationError: Two packages own one module.
 
         """
@@ -106,7 +106,7 @@ class Certification:
         if pdf:
             browser()
         folder = folder or Path("reports") / plan.name
-        read_notes(folder)  # the check: an unreadable file is refused before any run
+        read_notes(folder)  # refuse an unreadable file before any run
         certificate = proof or plan.proof
         certified = None if certificate is None else read_certified(certificate, plan)
         trials = HarnessTrials(
@@ -159,12 +159,12 @@ class Certification:
         return evidence, complete
 
     def search(self, output: Output, guard: ReportGuard) -> bool:
-        """Search each stratum for counterexamples; an unfinished search starts again from its beginning.
+        """Search each stratum for counterexamples; start an unfinished search again from its beginning.
 
-        ``output`` receives remarks. A search that fails becomes a finding of ``guard``.
+        ``output`` receives remarks. If a search fails, the failure becomes a finding of ``guard``.
 
         Returns:
-            False after Ctrl-C; True also if a search failed.
+            False after Ctrl-C; otherwise True, even if a search failed.
 
         """
         for stratum, searched in zip(self.plan.strata, searches_of(self.plan, self.folder), strict=False):
@@ -185,7 +185,7 @@ class Certification:
         return True
 
     def _searched(self, space: Path, searched: Searched, output: Output) -> SearchResult:
-        """Search one stratum and keep the findings in the folder of ``searched``."""
+        """Search one stratum, and write the findings to the folder of ``searched``."""
         findings = fuzz(
             read_space(space),
             avoider=self.plan.avoider_here,
@@ -200,9 +200,9 @@ class Certification:
 
 
 def refuse_shared_modules() -> None:
-    """Raise InstallationError if two installed packages own one module.
+    """Raise InstallationError if two installed packages own one module; the error names the packages.
 
-    The list of installed packages cannot tell which of the two ran. The error names the packages.
+    The list of installed packages cannot tell which package's module was imported.
     """
     for module, packages in shared_modules().items():
         expected = "one installed package that owns it"

@@ -1,9 +1,9 @@
 """Distinct violations: the worst of each kind from the declared runs, and the counterexamples of a search.
 
-A search has one folder for each stratum. Its findings.json is read once.
+The search of each stratum has its own folder. Its findings.json is read once.
 
-Two violations of a claim have the same kind if they share the stratum, the side that the hand came from, and
-the outcome of the most severe decision.
+Two violations of a claim are of the same kind if they agree in three things. These are the stratum, the side
+from which the hand came, and the outcome of the most severe decision.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from safety_harness.trace.unmeasured import refuse_not_simulated
 
 FOLDER = "counterexamples"
 LARGEST_SCENARIO_BYTES = 2**20
-MOST = 40  # with pictures on the page: the pictures of each take some 0.2 MB, 0.3 at most
+MOST = 40  # counterexamples with pictures, which take some 0.2 MB each, and 0.3 MB at most
 MOST_LINES = 14
 MOST_ASKED = 2  # the worst kinds of violation of each claim get an attribution
 FAULT = "whose fault: "
@@ -63,7 +63,7 @@ class Example:
 
 @dataclass(eq=False)
 class _Kind:
-    """Violations of one kind: their number, and the worst episode with a stored trace (or None)."""
+    """The violations of one kind: their number, and the worst episode whose trace is stored (or None)."""
 
     stratum: int
     words: str
@@ -79,8 +79,8 @@ def declared_counterexamples(plan: Plan, ledger: Ledger) -> Iterator[Example | s
         ledger: The ledger with the runs and their stored traces.
 
     Yields:
-        A counterexample. A text in its place gives the reason why the page cannot show it. The text is empty
-        if the ledger stored no trace of its kind.
+        A counterexample, or a text with the reason why the page cannot show it. The text is empty if the
+        ledger stored no trace of its kind.
 
     """
     for number, claim in enumerate(plan.claims):
@@ -124,7 +124,7 @@ def _kinds(ledger: Ledger, claim: int) -> list[_Kind]:
 
 
 def _circumstances(run: JudgedRun) -> tuple[str, ...]:
-    """Return lines on the circumstances of each decision, ``MOST_LINES`` at most."""
+    """Return at most ``MOST_LINES`` lines on the circumstances of the decisions in ``run``."""
     try:
         lines = circumstances(run.trace)
     except InputError:
@@ -139,13 +139,13 @@ SEARCH, FINDINGS = "search", "findings.json"
 
 
 class FaultsFound(Struct, frozen=True):
-    """The causes of a search's violations, in one line."""
+    """The causes of the violations that a search found, in one line."""
 
     words: str
 
 
 class Found(Struct, frozen=True, kw_only=True):
-    """A findings.json: runs tried and runs asked for, distinct violations, files of counterexamples."""
+    """The content of a findings.json: tried and requested runs, distinct violations, counterexample files."""
 
     tried: int
     budget: int
@@ -203,9 +203,9 @@ def read_findings(path: Path) -> Found:
 
 
 def searches_of(plan: Plan, folder: Path) -> tuple[Searched, ...]:
-    """Return the search of each stratum that gets a share of ``plan``'s search runs, in the plan's order.
+    """Return the searches of all strata that get a share of the search runs, in the order of ``plan``.
 
-    ``folder`` is the report's folder. The first strata get one run more if the shares are uneven.
+    ``folder`` is the report's folder. If the shares are uneven, the first strata get one run more.
     """
     each, more = divmod(plan.search_runs, len(plan.strata))
     shares = [each + (place < more) for place in range(len(plan.strata))]
@@ -213,7 +213,7 @@ def searches_of(plan: Plan, folder: Path) -> tuple[Searched, ...]:
 
 
 def _searched(plan: Plan, folder: Path, place: int, share: int) -> Searched:
-    """Return the search of the stratum number ``place``, with its findings if they belong to this plan."""
+    """Return the search of stratum number ``place``, with its findings if they belong to this plan."""
     stratum = plan.strata[place].name
     where = folder / SEARCH / f"{place + 1}-{_slug(stratum)}"
     file, findings, problem = where / FINDINGS, None, "was not made, or failed"
@@ -230,7 +230,7 @@ def _searched(plan: Plan, folder: Path, place: int, share: int) -> Searched:
 
 
 def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
-    """Return the summary of ``searches``; None if the plan asks for no search, or no findings are known."""
+    """Return a summary of ``searches``; None if the plan asks for no search, or if no findings are known."""
     known = [(item.stratum, item.found) for item in searches if item.found is not None]
     if not known:
         return None
@@ -251,7 +251,7 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
 
 
 def _slug(name: str) -> str:
-    """Return a stratum's name as a part of a folder's name."""
+    """Return a stratum's ``name`` in a form that a folder's name may contain."""
     kept = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in name.lower())
     return kept.strip("-")[:60] or "stratum"
 
@@ -259,7 +259,7 @@ def _slug(name: str) -> str:
 def searched_counterexamples(
     plan: Plan, searches: Sequence[Searched], folder: Path
 ) -> Iterator[Example | str]:
-    """Yield the counterexamples of the search: minimised, confirmed and explained scenarios with traces.
+    """Yield the counterexamples of the searches: minimised, confirmed and explained scenarios with traces.
 
     Args:
         plan: The plan of the report.
@@ -297,7 +297,7 @@ def searched_counterexamples(
 
 
 def _acted(scenario: Scenario) -> str:
-    """Return the text of a scenario without its title, description and claims, which a search changes."""
+    """Return ``scenario`` as text, without title, description and claims, because a search changes these."""
     return write_scenario(replace(scenario, title="-", about="", claims=()))
 
 
@@ -332,11 +332,11 @@ def _example(
 
 
 def told_whose_fault(plan: Plan, met: Sequence[Example | str]) -> tuple[Example | str, ...]:
-    """Return ``met`` with the attribution of the worst declared counterexamples of each claim.
+    """Return ``met``, with an attribution added to the worst declared counterexamples of each claim.
 
-    The attribution runs the scenarios again, and executes the programs that the plan names, as the runs did.
-    It covers ``MOST_ASKED`` counterexamples of each claim. Searched counterexamples have their attribution
-    already.
+    The attribution runs the scenarios again. Like the runs, it executes the programs that the plan names. It
+    covers ``MOST_ASKED`` counterexamples of each claim. Counterexamples of a search already have an
+    attribution.
     """
     attribution = SearchAttribution()
     counts: Counter[int] = Counter()
@@ -352,18 +352,18 @@ def told_whose_fault(plan: Plan, met: Sequence[Example | str]) -> tuple[Example 
 
 
 def with_fault(met: Example, lines: Sequence[str]) -> Example:
-    """Return the counterexample ``met`` with the attribution ``lines`` below its kind, the first line."""
+    """Return the counterexample ``met`` with the attribution ``lines`` after the first line, its kind."""
     return replace(met, shown=replace(met.shown, lines=(*met.shown.lines[:1], *lines, *met.shown.lines[1:])))
 
 
 def numbered(met: Sequence[Example | str]) -> tuple[Example, ...]:
-    """Return the counterexamples in ``met`` with numbers from 1, without the texts."""
+    """Return the counterexamples in ``met``, numbered from 1, and leave out the texts."""
     shown = [item for item in met if isinstance(item, Example)]
     return tuple(replace(item, shown=replace(item.shown, number=k)) for k, item in enumerate(shown, start=1))
 
 
 def write_traces(examples: Sequence[Example], folder: Path) -> None:
-    """Write the traces of the declared ``examples`` below ``folder``, in place of all earlier ones.
+    """Write the traces of the declared ``examples`` below ``folder``, and remove earlier traces of this kind.
 
     Raises:
         OSError: A trace cannot be written.
@@ -381,7 +381,7 @@ def write_traces(examples: Sequence[Example], folder: Path) -> None:
 
 
 def _comments_of(file: Path) -> tuple[str, list[str]]:
-    """Return the violated claim and the explanation in the comments of a counterexample's file.
+    """Return the violated claim and the explanation from the comments in a counterexample's file.
 
     The explanation begins below the first empty comment line.
     """

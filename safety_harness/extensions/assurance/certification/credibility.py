@@ -1,4 +1,4 @@
-"""Reasons to believe numbers from the simulator: repeated runs, agreement of the worlds, oracles."""
+"""Reasons to believe the simulator's numbers: repeated runs, agreement of the worlds, oracles."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ NO_CELL = "Nothing here was measured on a real cell."
 def credibility_of(
     stored: Sequence[Stored], trials: HarnessTrials, *, reruns: tuple[Rerun, ...] | None = None
 ) -> Credibility:
-    """Return the measured evidence on the simulator, and a reason for each missing part.
+    """Return the measured evidence on the simulator, and a reason for each measurement that is missing.
 
     Args:
         stored: The stored random runs. At most ``MOST_RERUNS`` of them, spread evenly, run again.
         trials: The oracles and the recorded cells.
-        reruns: Known results in place of new runs; None: run again here.
+        reruns: Known results that replace new runs; None: run again here.
 
     """
     complete = [item.trace for item in stored if item.trace.complete]
@@ -65,7 +65,7 @@ def credibility_of(
 
 
 def agreement_of() -> WorldAgreement:
-    """Return the agreement of the two worlds that ships with the package.
+    """Return the agreement of the two worlds, which was measured beforehand and ships with the package.
 
     Raises:
         OSError: The package has no measured agreement.
@@ -85,7 +85,7 @@ def agreement_of() -> WorldAgreement:
 
 
 def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
-    """Return the reason why no run is repeated here; an empty list if there is no such reason."""
+    """Return the reasons why no run can be repeated here; an empty list if runs can be repeated."""
     if not chosen:
         return [
             "The ledger stores no declared random run, so this report repeats no run with other step sizes."
@@ -96,7 +96,7 @@ def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
 
 
 def _reruns_of(chosen: Sequence[Trace]) -> tuple[Rerun, ...]:
-    """Repeat declared random runs with smaller physics steps, and in every remaining world."""
+    """Repeat declared random runs with smaller physics steps, and in every other world."""
     reruns, own = [], world_of_trace(chosen[0].provenance.world)
     if own.substeps:
         substeps = chosen[0].scenario.settings.clock.physics_substeps
@@ -125,9 +125,9 @@ def _rerun(
     *,
     change: Callable[[Scenario], Scenario] = lambda scenario: scenario,
 ) -> Rerun:
-    """Repeat ``traces`` in ``world`` after ``change``, and count the changed verdicts.
+    """Apply ``change`` to the scenarios of ``traces``, run them in ``world``, and count the changed verdicts.
 
-    A run that cannot be repeated counts all of its verdicts as changed.
+    If a run cannot be repeated, all of its verdicts count as changed.
     """
     verdicts = changed = optimistic = 0
     largest: dict[str, tuple[float, str]] = {}
@@ -156,7 +156,7 @@ def _rerun(
 
 
 def _note(largest: dict[str, tuple[float, str]], old: Evaluation, new: Evaluation) -> None:
-    """Record the change of a claim's margin in ``largest`` if it is the largest so far."""
+    """Record in ``largest`` how much the margin of a claim changed, if no earlier change was larger."""
     if old.margin is None or new.margin is None:
         return
     difference = new.margin - old.margin

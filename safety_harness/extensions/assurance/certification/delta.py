@@ -1,14 +1,15 @@
-"""The changes from an evidence report to a later one: regressions, and the runs that carry over.
+"""The changes from an evidence report to a later report: regressions, and the runs that carry over.
 
 These are regressions:
 
-- A claim with the status SHOWN in a stratum lost it; a claim that is gone counts too.
+- A claim lost the status SHOWN in a stratum, or a claim with this status is gone.
 - The confidence is lower.
-- A target is larger, and the earlier target is not met any more.
-- A claim whose status was neither SHOWN nor ESTIMATED is no longer in the plan, or has another space.
+- A target is larger, and the claim no longer meets the earlier target.
+- A claim had neither the status SHOWN nor ESTIMATED, and the later plan omits it or shows it in another
+  space.
 - A finding is new.
 - A proof is gone.
-- A hazard met its hourly limit and does not meet it any more.
+- A hazard met its hourly limit and no longer meets it.
 - The data show that a violation probability is larger. The interval of the difference, paired by episode,
   then lies above zero. If the two reports drew different episodes, their two intervals are disjoint instead.
 """
@@ -59,7 +60,7 @@ FORMAT = "safety-harness delta 1"
 class ClaimChange:
     """A claim with another status or another target; None stands for a claim that the plan does not have.
 
-    ``stratum`` is empty for the claim as a whole.
+    ``stratum`` is empty if the status is the status over all strata.
     """
 
     sentence: str
@@ -72,7 +73,7 @@ class ClaimChange:
 
 @dataclass(frozen=True)
 class BoundChange:
-    """A bound that changed.
+    """A bound that differs between two reports.
 
     ``worse`` or ``better`` is true if the data show it, by the method in ``how``. Both may be false.
     """
@@ -88,7 +89,7 @@ class BoundChange:
 
 @dataclass(frozen=True)
 class CarriedPart:
-    """A part of the earlier evidence, whether it also applies to the later system, and the reason ``why``."""
+    """A part of the earlier evidence: whether it also applies to the later system, and the reason ``why``."""
 
     what: str
     carries: bool
@@ -97,10 +98,10 @@ class CarriedPart:
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceDelta:
-    """The whole comparison.
+    """The comparison of two evidence reports.
 
-    ``before`` and ``after`` are the folders' names with the roots of their rows. ``bases`` are the reports'
-    basis lines. ``reworded`` has findings that are still open with other numbers: (before, after).
+    ``before`` and ``after`` have each folder's name and the root of its rows. ``bases`` are the basis lines
+    of both reports. ``reworded`` has each finding that is still open with other numbers, as (before, after).
     """
 
     format: str
@@ -123,7 +124,7 @@ class EvidenceDelta:
 
     @property
     def line(self) -> str:
-        """The result in one sentence."""
+        """The result of the comparison in one sentence."""
         if self.empty:
             return "nothing changed"
         if self.regressions:
@@ -144,7 +145,7 @@ class EarlierReport:
 
     @classmethod
     def read(cls, folder: Path) -> EarlierReport:
-        """Read the report in ``folder``.
+        """Read the report in ``folder``, and check its files against the manifest.
 
         Raises:
             InputError: The folder is no report, its runs are not finished, or a file was altered.
@@ -164,7 +165,7 @@ class EarlierReport:
 
 
 def delta_of(earlier: EarlierReport, later: EarlierReport) -> EvidenceDelta:
-    """Return all changes from the ``earlier`` report to the ``later`` one.
+    """Return all changes from the ``earlier`` report to the ``later`` report.
 
     Raises:
         InputError: A ledger cannot be read, both reports have the same runs, or ``later`` began first.
@@ -212,8 +213,9 @@ def delta_between(
         new: The evidence of the later report.
         names: The names of the two folders.
         identities: The inputs that the runs of each report depend on.
-        paired: (lower end, upper end, confidence) of the difference in the violation probability, later minus
-            earlier, by (claim, stratum).  A claim without an entry has its two intervals compared instead.
+        paired: For each (claim, stratum), the interval of the difference in the violation probability, later
+            minus earlier, as (lower end, upper end, confidence). Without an entry, the two intervals of the
+            claim are compared instead.
 
     Returns:
         The comparison.
@@ -251,7 +253,7 @@ def delta_between(
 
 
 def _named(evidence: Evidence, edition: int) -> Evidence:
-    """Return a report with its claims in today's words: edition 1 assumes that hands come at WALKING_MPS."""
+    """Return ``evidence`` with its claims in today's words; edition 1 assumed hands at WALKING_MPS."""
     kept = ProtectiveSeparation().sentence
     now = ProtectiveSeparation(hand_speed_mps=WALKING_MPS).sentence
 
@@ -267,7 +269,7 @@ def _claims_by(evidence: Evidence) -> dict[str, ClaimEvidence]:
 
 
 def _claims(old: Evidence, new: Evidence) -> Iterator[ClaimChange]:
-    """Yield each claim with another status, in a stratum or as a whole, or with another target."""
+    """Yield each claim whose target or whose status, in a stratum or as a whole, differs."""
     targets = [{claim.sentence: claim.target for claim in each.claims} for each in (old, new)]
     earlier, later = (_standings(each) for each in (old, new))
     for sentence, stratum in dict.fromkeys([*earlier, *later]):
@@ -278,7 +280,7 @@ def _claims(old: Evidence, new: Evidence) -> Iterator[ClaimChange]:
 
 
 def _standings(evidence: Evidence) -> dict[tuple[str, str], ClaimStatus]:
-    """Return the status of each claim as a whole (empty stratum) and in each stratum."""
+    """Return the status of each claim in each stratum, and as a whole (with an empty stratum)."""
     whole = {(claim.sentence, ""): claim.standing for claim in evidence.claims}
     return whole | {key: result.standing for key, result in _outcomes(evidence).items()}
 
@@ -307,8 +309,8 @@ def _lost(old: Evidence, new: Evidence) -> Iterator[str]:
 def _unasked(old: Evidence, new: Evidence) -> Iterator[tuple[tuple[str, str], str]]:
     """Yield, by (claim, stratum), each claim that was not shown before and that the later plan avoids.
 
-    Its status was neither SHOWN nor ESTIMATED. Its claim or its stratum is gone, or it has the status SHOWN
-    now in another space.
+    Before, its status was neither SHOWN nor ESTIMATED. Now its claim or its stratum is gone, or it has the
+    status SHOWN in another space.
     """
     later, claims = _outcomes(new), _claims_by(new)
     spaces = [{stratum.name: stratum.space_sha256 for stratum in each.strata} for each in (old, new)]
@@ -325,7 +327,7 @@ def _unasked(old: Evidence, new: Evidence) -> Iterator[tuple[tuple[str, str], st
 
 
 def _loosened(old: Evidence, new: Evidence) -> Iterator[str]:
-    """Yield a lower confidence, and each larger target whose earlier value the claim no longer meets."""
+    """Yield a lower confidence, and each larger target if the claim no longer meets its earlier target."""
     if new.plan.confidence < old.plan.confidence:
         lower, higher = percent(new.plan.confidence), percent(old.plan.confidence)
         yield f"the bounds hold with {lower} confidence, {higher} before"
@@ -340,7 +342,7 @@ def _loosened(old: Evidence, new: Evidence) -> Iterator[str]:
 
 
 def _paired(first: Ledger, second: Ledger) -> Paired:
-    """Return interval and confidence of each difference; empty if the ledgers hold different episodes."""
+    """Return interval and confidence of each paired difference; empty if the ledgers have other episodes."""
     try:
         compared = compare_ledgers(first, second)
     except (LedgerError, StatisticsError):
@@ -349,7 +351,7 @@ def _paired(first: Ledger, second: Ledger) -> Paired:
 
 
 def _bounds(old: Evidence, new: Evidence, paired: Paired) -> Iterator[BoundChange]:
-    """Yield each bound that changed, and whether the data show that it is worse or better."""
+    """Yield each bound that differs, and whether the data show that it got worse or better."""
     earlier, later = _outcomes(old), _outcomes(new)
     for key in dict.fromkeys([*earlier, *later]):
         was, now = (results[key].bound if key in results else None for results in (earlier, later))
@@ -371,7 +373,7 @@ def _bounds(old: Evidence, new: Evidence, paired: Paired) -> Iterator[BoundChang
 
 
 def _worse_words(row: BoundChange) -> str:
-    """Return the line of a bound that is worse."""
+    """Return the sentence on a bound that got worse."""
     return (
         f"{row.sentence}, {row.stratum}: {interval(row.before)} before, {interval(row.after)} now; {row.how}"
     )
@@ -383,14 +385,14 @@ def interval(bound: Bound | None) -> str:
 
 
 def _unproven(old: Evidence, new: Evidence) -> Iterator[str]:
-    """Yield each claim that was proven and is not any more."""
+    """Yield each claim that was proven before and is not proven now."""
     for name, was, now in both(proofs_in(old), proofs_in(new)):
         if was == "proven" != now:
             yield f"{name}: proven before, now {now or 'no proof is given'}"
 
 
 def _unrated(old: Evidence, new: Evidence) -> Iterator[str]:
-    """Yield each hazard whose rates met their limit and do not meet it any more."""
+    """Yield each hazard whose rates met their limit before and do not meet it now."""
     if old.plan.model_only:
         return
     earlier, later = ({hazard.name: hazard for hazard in each.hazards} for each in (old, new))
@@ -408,8 +410,8 @@ def _findings(
 ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str], ...]]:
     """Return the opened, the closed and the reworded findings.
 
-    A claim identifies its finding; the text without its numbers identifies any other finding. A finding on an
-    ``unasked`` claim, or on a stratum that is gone, does not count as closed.
+    A finding on a claim is identified by the claim. Any other finding is identified by its text without the
+    numbers. A finding on an ``unasked`` claim, or on a stratum that is gone, does not count as closed.
     """
     gone = {stratum.name for stratum in old.strata} - {stratum.name for stratum in new.strata}
     left = (*(f"claim {claim} " for claim, _ in unasked), *(f"{name}: " for name in gone))
@@ -430,7 +432,7 @@ def _findings(
 
 
 def _open_in(evidence: Evidence) -> dict[str, tuple[int, str]]:
-    """Return each finding by the part of it that stays when its numbers change: its severity and its text."""
+    """Return the severity and text of each finding, by a key that does not depend on its numbers."""
     claims = {f"claim-{item.number}": item for item in evidence.claims}
     strata = sorted((item.name for item in evidence.strata), key=len, reverse=True)
     findings: dict[str, tuple[int, str]] = {}
@@ -447,7 +449,7 @@ def _open_in(evidence: Evidence) -> dict[str, tuple[int, str]]:
 
 
 def _carried(old: Evidence, new: Evidence, was: Identity, now: Identity) -> Iterator[CarriedPart]:
-    """Yield whether the runs of each stratum, the proofs and the self-test carry over."""
+    """Yield whether each stratum's runs, the proofs and the self-test also apply to the later system."""
     earlier = {item.name: item for item in old.strata}
     everywhere = [
         f"the {name.replace('_', ' ')} changed"
@@ -479,9 +481,9 @@ def _carried(old: Evidence, new: Evidence, was: Identity, now: Identity) -> Iter
 
 
 def _of_stratum(identity: Identity, stratum: str, foreign: set[str]) -> Identity:
-    """Return the part of an identity that the runs of a stratum depend on.
+    """Return the part of ``identity`` on which the runs of ``stratum`` depend.
 
-    The plan's file and the files of other strata (``foreign``) are not part of it.
+    It excludes the ``foreign`` files: the plan's own file and the spaces of other strata.
     """
     mine = f"{SYSTEM} in {stratum}"
     return Identity(

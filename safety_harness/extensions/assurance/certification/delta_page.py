@@ -1,4 +1,4 @@
-"""The page and the JSON of the changes between two reports, beside the later report's folder."""
+"""The page and the JSON of the changes between two reports, which lie beside the later report's folder."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ PAGE, JSON = "delta.html", "delta.json"
 
 
 def folder_of_delta(report: Path) -> Path:
-    """Return the folder for a comparison, beside the report.
+    """Return the folder for a comparison, which lies beside the folder ``report``.
 
-    Inside the report it would be a file that the manifest lacks.
+    Inside the report, it would contain files that the manifest does not list.
     """
     return report.with_name(f"{report.name}.delta")
 
 
 def write_delta(folder: Path, delta: EvidenceDelta, *, command: str, generated_at: datetime) -> None:
-    """Write the page and the JSON, each whole or not at all.
+    """Write the page and the JSON of a comparison; a failure leaves no partial file.
 
     Args:
         folder: The folder of both files.
         delta: The comparison.
-        command: The command that repeats it, for the page.
-        generated_at: The time for the page.
+        command: The command that makes the comparison again, for the page.
+        generated_at: The time that the page states.
 
     Raises:
         OutputError: A file cannot be written.
@@ -45,7 +45,7 @@ def write_delta(folder: Path, delta: EvidenceDelta, *, command: str, generated_a
 
 
 def render(delta: EvidenceDelta, *, command: str, generated_at: datetime) -> str:
-    """Return the page of ``delta`` as text; it shows the ``command`` that repeats it and ``generated_at``."""
+    """Return the page of ``delta`` as text, with the ``command`` that makes it again and ``generated_at``."""
     return render_page(
         "delta.html.j2",
         package="safety_harness.extensions.assurance",

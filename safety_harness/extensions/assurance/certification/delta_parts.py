@@ -1,4 +1,4 @@
-"""Differences between two evidence reports beside results: software, system, settings, plan, space, files."""
+"""Differences between two evidence reports except results: software, system, settings, plan, space, files."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def both(old: Mapping[str, T], new: Mapping[str, T]) -> Iterator[tuple[str, T | 
 
 
 def proofs_in(evidence: Evidence) -> dict[str, str]:
-    """Return the verdict on each proven claim of ``evidence``, by its sentence and region."""
+    """Return the verdict on each proven claim of ``evidence``, by the claim's sentence and region."""
     claims = evidence.proven.claims if evidence.proven else ()
     return {f"{claim.claim}, {claim.region}": claim.verdict for claim in claims}
 
 
 def parts_changed(old: Evidence, new: Evidence) -> Iterator[PartChange]:
-    """Yield every changed part from ``old`` to ``new`` that is no result."""
+    """Yield every part that differs between ``old`` and ``new`` and is no result of runs."""
     for part, read in _PARTS.items():
         for name, was, now in both(read(old), read(new)):
             if was != now:
@@ -91,7 +91,7 @@ def _hazards(evidence: Evidence) -> dict[str, str]:
 
 
 def _learned(evidence: Evidence) -> dict[str, str]:
-    """Return the distance of each stratum from the training, and the statements on the learned part."""
+    """Return each stratum's distance from the training data, and the statements on the learned part."""
     if evidence.learned is None:
         return {}
     return dict(evidence.learned.life) | {row.stratum: _distance(row) for row in evidence.learned.strata}
@@ -107,7 +107,7 @@ def _distance(row: TrainingDistance) -> str:
 
 
 def _coverage(evidence: Evidence) -> dict[str, str]:
-    """Return the number of runs at each word of each axis of the coverage map."""
+    """Return the number of runs for each value of each axis of the coverage map."""
     cells, _ = cells_of(evidence.coverage)
     runs = {
         f"{axis}: {label}": f"{count} runs"
@@ -119,7 +119,7 @@ def _coverage(evidence: Evidence) -> dict[str, str]:
 
 
 def _only_earlier(old: Evidence, new: Evidence) -> Iterator[PartChange]:
-    """Yield the number of cells of the coverage map that only the earlier report has runs in."""
+    """Yield the number of cells of the coverage map in which only the earlier report has runs."""
     was, now = (cells_of(report.coverage)[0].counts.keys() for report in (old, new))
     if lost := len(was - now):
         yield PartChange("coverage", "cells of which only the earlier report has runs", str(lost), NONE)

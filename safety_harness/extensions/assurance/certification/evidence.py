@@ -1,8 +1,8 @@
-"""The whole content of the evidence report, as frozen data; the page and the JSON are written from it.
+"""The whole content of an evidence report as frozen data, from which the page and the JSON are written.
 
 The types define three things: the JSON, the reader of the JSON, and its schema.
 
-Numbers are in SI. A probability refers to a violation in a run that put the claim to the test. An unknown
+Numbers are in SI. Each probability refers to a violation in a run that put the claim to the test. An unknown
 value is None or an empty tuple, never a number.
 """
 
@@ -266,7 +266,7 @@ class SystemDescription:
 
     @property
     def tested(self) -> str:
-        """Avoiders and controllers, by name."""
+        """The names of all avoiders and controllers."""
         return " and ".join(dict.fromkeys(system.tested.name for system in self.under_test))
 
     @property
@@ -276,12 +276,12 @@ class SystemDescription:
 
     @property
     def asks(self) -> bool:
-        """True if there is an avoider."""
+        """True if an avoider is under test."""
         return any(system.avoider is not None for system in self.under_test)
 
     @property
     def facts(self) -> tuple[tuple[str, str], ...]:
-        """(part, name and hash), each pair once."""
+        """The distinct pairs of (part, name and hash)."""
         pairs = (pair for system in self.under_test for pair in system.parts.items())
         labels = (
             (name.capitalize(), f"{part.name}, sha256 {part.sha256}" if part.sha256 else part.name)
@@ -523,12 +523,12 @@ class Evidence:
 
     @property
     def unmade(self) -> list[str]:
-        """The parts of the report that failed after the runs, each with its reason."""
+        """The parts of the report that failed after the runs, each with the reason."""
         return [finding.text for finding in self.findings if f" {UNMADE}: " in finding.text]
 
     @property
     def basis(self) -> str:
-        """The basis of the verdicts: world, exercised runs, exclusions and assumptions."""
+        """What the verdicts rest on: world, exercised runs, exclusions and assumptions."""
         world = f"the {self.plan.world} world" if self.plan.model_only else self.plan.world
         counts = [
             (sum(row.tested - row.failed for row in claim.outcomes), sum(row.runs for row in claim.outcomes))
@@ -538,7 +538,7 @@ class Evidence:
 
     @property
     def full(self) -> bool:
-        """True if the command asked for the whole page on paper (``--full``)."""
+        """True if the user asked for a PDF of the whole page (``--full``)."""
         return "--full" in self.provenance.command.split()
 
 
@@ -588,9 +588,9 @@ def read_evidence(path: Path) -> Evidence:
 
 
 def _as_now(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON of an earlier version with the fields of this version.
+    """Return the JSON of an earlier version, converted to the fields of this version.
 
-    An earlier version noted only avoider and robot of the system.
+    An earlier version recorded only the avoider and the robot of the system.
     """
     whole = {name: getattr(Evidence, name) for name in LATER} | document
     known, system = whole.get("credibility"), whole.get("system")
@@ -615,7 +615,7 @@ _NOTED_THEN = {"avoider", "avoider_sha256", "robot", "robot_sha256"}
 def schema() -> dict[str, Any]:
     """Return the published schema of the JSON (draft 2020-12).
 
-    Every object has all of its fields and no further ones, apart from the fields in ``LATER``.
+    Every object must have all of its fields, apart from the fields in ``LATER``, and no further fields.
     """
     document = msgspec.json.schema(Evidence)
     for kind in document["$defs"].values():

@@ -28,7 +28,7 @@ TERM_INKS = {
 
 
 def bounds_figure(claim: ClaimEvidence) -> str:
-    """Return the SVG of a claim's target and of its bounds in each stratum; empty without any bound.
+    """Return the SVG of a claim's target and of its bounds in each stratum; empty if there is no bound.
 
     A bound is an interval of the violation probability.
     """
@@ -58,7 +58,7 @@ def bounds_figure(claim: ClaimEvidence) -> str:
 
 
 def _lanes(names: list[str]) -> tuple[Picture, Axes]:
-    """Return a picture, and axes with a lane for each name from the top down."""
+    """Return a picture, and its axes with a lane for each of ``names``, from the top down."""
     count = len(names)
     picture = Picture(WIDTH_PX, ABOVE_PX + LANE_PX * count + BELOW_PX)
     axes = picture.axes(LEFT_PX, ABOVE_PX, WIDTH_PX - LEFT_PX - 20.0, LANE_PX * count)
@@ -70,9 +70,9 @@ def _lanes(names: list[str]) -> tuple[Picture, Axes]:
 
 
 def _show_shares(axis: Axis, share: float) -> float:
-    """Make ``axis`` logarithmic for shares down to ``share``, and return its lower end.
+    """Make ``axis`` logarithmic from ``share`` or less up to 1, and return its lower end.
 
-    It begins at a tenth at most, so that it has a length.
+    The lower end is at most a tenth, so that the axis has a length.
     """
     decades = [10.0**k for k in range(min(int(np.floor(np.log10(share))), -1), 1)]
     axis.log, axis.ticks = True, [(decade, percent(decade)) for decade in decades]
@@ -81,7 +81,7 @@ def _show_shares(axis: Axis, share: float) -> float:
 
 
 def _least_shown(outcome: ClaimResult) -> float:
-    """Return the least positive value of a bar: the lower bound, the share, or a tenth of the upper bound."""
+    """Return the least positive value to draw: the lower bound, the share, or a tenth of the upper bound."""
     assert outcome.bound is not None
     share = outcome.violated / outcome.tested if outcome.tested else 0.0
     known = [value for value in (outcome.bound.lower, share) if value > 0.0]
@@ -89,9 +89,9 @@ def _least_shown(outcome: ClaimResult) -> float:
 
 
 def _interval(axes: Axes, lane: int, outcome: ClaimResult, low: float) -> None:
-    """Draw a bar from bound to bound and the share as a dot.
+    """Draw a bar from the lower to the upper bound, and a dot at the share of violations.
 
-    An arrow to the left stands for a lower bound below ``low``, the left end of the axis.
+    If the lower bound is below ``low``, the left end of the axis, an arrow points to the left.
     """
     assert outcome.bound is not None
     start, end = max(outcome.bound.lower, low), outcome.bound.upper
@@ -105,9 +105,9 @@ def _interval(axes: Axes, lane: int, outcome: ClaimResult, low: float) -> None:
 
 
 def margins_figure(claim: ClaimEvidence) -> str:
-    """Return the SVG of a claim's margins, one curve for each stratum; empty without margins.
+    """Return the SVG of a claim's margins, one curve for each stratum; empty if there are no margins.
 
-    A curve is the share of runs with no larger margin.
+    At each margin, a curve shows the share of runs with no larger margin.
     """
     rows = [outcome for outcome in claim.outcomes if outcome.margins_si]
     if not rows:
@@ -137,9 +137,9 @@ def margins_figure(claim: ClaimEvidence) -> str:
 
 
 def separation_figure(cases: tuple[SeparationCase, ...]) -> str:
-    """Return the SVG of the terms of the protective separation distance, and of the distance, in each case.
+    """Return the SVG of the protective separation distance in each case: its terms, and the real distance.
 
-    It is empty without ``cases``.
+    The text is empty if there are no ``cases``.
     """
     if not cases:
         return ""

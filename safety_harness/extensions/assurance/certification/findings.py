@@ -1,4 +1,4 @@
-"""The open findings of a report, derived from the rest of it: an assessor has to look at each."""
+"""The open findings of a report, derived from its other parts; an assessor has to look at each finding."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def findings_of(
 
 
 def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
-    """Yield every claim in ``claims`` without the status SHOWN."""
+    """Yield a finding for every claim that does not have the status SHOWN."""
     for claim in claims:
         if claim.standing in _PLAIN:
             text = f"{claim.sentence} {_PLAIN[claim.standing]}: {claim.why}"
@@ -79,9 +79,9 @@ def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
 
 
 def of_hazards(hazards: Sequence[HazardEvidence], *, model_only: bool) -> Iterator[OpenFinding]:
-    """Yield the ``hazards`` without a claim, without a required rate, or with a rate that does not meet it.
+    """Yield a finding for each hazard without a claim or required rate, or with a rate that does not meet it.
 
-    ``model_only`` is true if the world is not validated: no rate then meets it.
+    ``model_only`` is true if the world is not validated; then no rate meets the required rate.
     """
     for hazard in hazards:
         if not hazard.claims:
@@ -96,7 +96,7 @@ def of_hazards(hazards: Sequence[HazardEvidence], *, model_only: bool) -> Iterat
 
 
 def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenFinding]:
-    """Yield the ``strata`` with runs in ``ledger`` that could not finish, or with unanswered questions."""
+    """Yield a finding for each stratum with unfinished runs in ``ledger``, or with unanswered questions."""
     for place, stratum in enumerate(strata):
         if stratum.failed:
             reasons = ledger.all(
@@ -114,7 +114,7 @@ def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenF
 
 
 def of_searches(searches: Sequence[Searched], planned: int) -> Iterator[OpenFinding]:
-    """Yield missing, interrupted and unconfirmed searches; the plan has ``planned`` search runs."""
+    """Yield a finding for each missing, interrupted or unconfirmed search of ``planned`` search runs."""
     texts = [] if searches or not planned else ["the search that the plan asks for was not made"]
     for search in searches:
         if search.found is None:
@@ -130,7 +130,7 @@ def of_searches(searches: Sequence[Searched], planned: int) -> Iterator[OpenFind
 
 
 def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
-    """Yield the ``examples`` that the page cannot show, and how many no bound covers."""
+    """Yield findings on ``examples`` that the page cannot show, and on those that no bound covers."""
     shown = [item.shown for item in examples if isinstance(item, Example)]
     problems = [item for item in examples if isinstance(item, str)]
     texts = []
@@ -147,7 +147,7 @@ def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
 
 
 def of_worlds(credibility: Credibility, tested: Sequence[SystemUnderTest]) -> Iterator[OpenFinding]:
-    """Yield reasons to doubt the simulator: its ``credibility``, and cells of no ``tested`` system."""
+    """Yield a finding for each reason to doubt the simulator, such as a cell that is no ``tested`` system."""
     agreement = credibility.agreement
     if agreement is None or not agreement.present:
         text = "the agreement of the two worlds was not measured with this source"
@@ -174,7 +174,7 @@ def of_worlds(credibility: Credibility, tested: Sequence[SystemUnderTest]) -> It
 
 
 def of_selftest(selftest: SelfTest | None) -> Iterator[OpenFinding]:
-    """Yield reasons to doubt the judges: a missing or partial ``selftest``, false alarms, missed faults."""
+    """Yield findings on the harness: a missing or partial ``selftest``, false alarms, missed faults."""
     if selftest is None:
         yield OpenFinding("nothing is said of how well the harness notices faults", "tools")
         return

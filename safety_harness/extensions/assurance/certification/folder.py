@@ -1,4 +1,4 @@
-"""The folder of a report: page, JSON, JUnit XML, the plan's files, the ledger, and the hashes of them all."""
+"""The folder of a report: page, JSON, JUnit XML, the plan's files, the ledger, and hashes of all files."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ LOG = f"{LEDGER}-wal"
 PASSING = (LOG, f"{LEDGER}-shm", f"{LEDGER}.lock")
 LARGEST_MANIFEST_BYTES = 2**21  # some 20,000 files
 LARGEST_TRACE_BYTES = 2**26
-MOST_OPENED_BYTES = 2**26  # of all files that programs opened; a report has only the hashes of more
+MOST_OPENED_BYTES = 2**26  # of all files that programs opened; above this, a report has only their hashes
 
 
 def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Evidence:
-    """Write a report's folder without the PDF and the manifest.
+    """Write a report's folder, except its PDF and manifest.
 
-    It first removes the PDF, the manifest and the copies of an earlier report.
+    The function first removes the PDF, the manifest and the copies of an earlier report.
 
     Args:
         folder: The folder of the report, with its ledger.
@@ -81,7 +81,7 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
 
 
 def _pack_opened(folder: Path, ledger: Ledger) -> None:
-    """Copy the files that the plan's programs opened, each under its hash, if together they are small."""
+    """Copy the files that programs opened, each named by its hash, unless they are too large together."""
     own = ledger.declared.plan_file.parent
     there = {sha256: own / name for name, sha256 in ledger.opened.items() if is_file_of(own / name, sha256)}
     if there and sum(file.stat().st_size for file in there.values()) <= MOST_OPENED_BYTES:
@@ -96,19 +96,18 @@ def is_file_of(path: Path, sha256: str) -> bool:
 
 
 def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> None:
-    """Put the files that programs opened beside the unpacked ``plan``.
+    """Copy the files that programs opened during the runs to their places beside the unpacked ``plan``.
 
-    The files come from the report, or from a folder beside it that the user fills.
+    The files come from the report, or from a folder beside the report that the user fills.
 
     Args:
         report: The report's folder.
         plan: The plan's file, unpacked below ``root``.
-        root: The folder that may receive files.
+        root: The only folder that may receive files.
         ledger: The ledger, which has the names and hashes.
 
     Raises:
-        InputError: A file is missing, or another file is in its place; the error has its hash and the place
-            for it.
+        InputError: A file is missing, or another file is in its place; the error states its hash and place.
 
     """
     for name, sha256 in ledger.opened.items():
@@ -130,12 +129,12 @@ def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> Non
 
 
 def argument_texts(evidence: Evidence) -> dict[str, str]:
-    """Return the texts of the argument's files for ``evidence``, by their names."""
+    """Return the texts of the argument's files, by the names of the files."""
     return {GSN: gsn_text(evidence, PAGE), NOTES: notes_text(evidence)}
 
 
 def _clear(folder: Path) -> None:
-    """Remove the PDF of an earlier page, its manifest, and the copies that it lists."""
+    """Remove the PDF and the manifest of an earlier report, and the copies that the manifest lists."""
     try:
         earlier = read_manifest(folder)
     except InputError:
@@ -148,9 +147,9 @@ def _clear(folder: Path) -> None:
 
 
 def write_manifest(folder: Path, files: Iterable[StoredFile]) -> None:
-    """Write the hashes of all files in ``folder``, last of all, when the ledger is closed.
+    """Write the hashes of all files in ``folder``, as the last step, after the ledger is closed.
 
-    ``files`` have their hashes already.
+    ``files`` already have their hashes.
 
     Raises:
         OutputError: The manifest cannot be written.
@@ -167,7 +166,7 @@ def write_manifest(folder: Path, files: Iterable[StoredFile]) -> None:
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
-    """Return the path and the hash of every file of the report in ``folder``.
+    """Return the path and the hash of every file that the manifest in ``folder`` lists.
 
     Raises:
         InputError: The folder is no report, or its manifest has other fields or files outside of the folder.
@@ -190,7 +189,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def stored_files(folder: Path) -> Iterator[StoredFile]:
-    """Yield the files in ``folder`` that the evidence lists: all apart from those in ``MADE``."""
+    """Yield the files in ``folder`` that the evidence lists, which are all files except those in ``MADE``."""
     for name in names_in(folder):
         path = folder / name
         if name not in MADE:
@@ -198,9 +197,9 @@ def stored_files(folder: Path) -> Iterator[StoredFile]:
 
 
 def names_in(folder: Path) -> Iterator[str]:
-    """Yield every file below ``folder`` apart from the manifest, hidden files and passing files.
+    """Yield every file below ``folder`` except the manifest, hidden files and temporary files of the ledger.
 
-    Passing files come and go with the ledger (``PASSING``).
+    ``PASSING`` lists these temporary files, which come and go with the ledger.
     """
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -215,8 +214,8 @@ def junit_xml(evidence: Evidence) -> str:
     """Return the claims of ``evidence`` as JUnit XML, for machines that gate on tests.
 
     A stratum is a suite, and a claim is a case. Only a claim with the status SHOWN passes. A refuted claim is
-    a failure. So is a violated claim without a target; without a violation it is skipped. Every remaining
-    status is an error, so an open claim never looks green.
+    a failure. A claim without a target is a failure if it was violated, and is skipped otherwise. Every other
+    status is an error, so that an open claim never looks green.
     """
     name = evidence.plan.name + (f"; {evidence.fallback}" if evidence.fallback else "")
     root = ElementTree.Element("testsuites", name=_xml_text(name))
@@ -245,7 +244,7 @@ def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: ClaimResult
 
 
 def _not_passed(case: ElementTree.Element, outcome: ClaimResult) -> None:
-    """Add the failure, error or skipped element of a claim that does not pass."""
+    """Add the element failure, error or skipped to the case of a claim that does not pass."""
     untargeted = "failure" if outcome.violated else "skipped"
     tag = {ClaimStatus.REFUTED: "failure", ClaimStatus.ESTIMATED: untargeted}.get(outcome.standing, "error")
     element = ElementTree.SubElement(case, tag, message=_xml_text(f"{outcome.standing.value}: {outcome.why}"))
@@ -262,10 +261,10 @@ LIMIT_S = 180.0  # for the browser to print
 
 
 def browser() -> str:
-    """Return the path of an installed Chromium or Chrome, for printing.
+    """Return the path of an installed Chromium or Chrome, which prints the PDF.
 
     Raises:
-        InputError: The path has no such browser.
+        InputError: No such browser is installed.
 
     """
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
@@ -280,7 +279,7 @@ def browser() -> str:
 
 
 def write_pdf(page: Path, path: Path) -> None:
-    """Print ``page`` to ``path``.
+    """Print ``page`` to the file ``path``.
 
     Raises:
         InputError: No browser is installed.

@@ -1,7 +1,7 @@
 """Check whether a gate takes answers only to questions in the region of a certificate.
 
-It covers the strata that ask the network of the certificate.  It compares the boxes of
-``gate: {questions within: ...}`` exactly.
+The check covers the strata that ask the network of the certificate. It compares exactly the boxes under the
+key ``questions within`` of ``gate``.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ AXES = tuple(f"{who} {axis}" for who in ("hand", "TCP") for axis in "xyz")
 
 
 def gate_words(plan: Plan, network_sha256: str, region: ProofRegion) -> tuple[str, ...]:
-    """Return a line for each group of strata with the same result.
+    """Return a line for each group of strata that have the same result.
 
     A stratum that asks another network is in no group.
 
     Args:
         plan: The plan with the strata.
-        network_sha256: The hash of that network's file.
+        network_sha256: The hash of the file of the certificate's network.
         region: The region of the certificate.
 
     """
@@ -39,7 +39,7 @@ def gate_words(plan: Plan, network_sha256: str, region: ProofRegion) -> tuple[st
 
 
 def _of_stratum(stratum: Stratum, region: ProofRegion) -> str:
-    """Return the result for the gate of a stratum."""
+    """Return the result of the check for the gate of ``stratum``, in words."""
     gate = stratum.space.simplest.gate
     if any(parameter.name.startswith("gate") for parameter in stratum.space.parameters):
         return "the gate varies from run to run, and was not compared with this region."
@@ -52,9 +52,9 @@ def _of_stratum(stratum: Stratum, region: ProofRegion) -> str:
 
 
 def outside_words(allowed: AskedRegion, region: ProofRegion) -> str:
-    """Return the questions of a gate's region ``allowed`` that the proof's ``region`` lacks.
+    """Return which questions in a gate's region ``allowed`` lie outside of the proof's ``region``.
 
-    The text is empty if the proof's region has all of them. The function compares the boxes first, then the
+    The text is empty if there are no such questions. The function compares the boxes first, then the
     distances from hand to TCP.
     """
     low = np.array([*allowed.hand.low_m, *allowed.tcp.low_m])

@@ -1,4 +1,4 @@
-"""The evidence of a plan, put together from its ledger, its searches and measurements."""
+"""Gather the evidence of a plan from its ledger, its searches and measurements."""
 
 from __future__ import annotations
 
@@ -89,14 +89,14 @@ NO_SELFTEST = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GatheredEvidence:
-    """The evidence, and its counterexamples with their runs."""
+    """The evidence of a plan, and its counterexamples with their runs."""
 
     evidence: Evidence
     examples: tuple[Example, ...]
 
     @property
     def runs(self) -> dict[int, JudgedRun]:
-        """The runs of the counterexamples that have pictures, by their numbers."""
+        """The runs of those counterexamples that have pictures, by the counterexamples' numbers."""
         return {item.shown.number: item.run for item in self.examples if item.shown.number <= MOST}
 
 
@@ -110,13 +110,13 @@ def gather(
     declaration: str = "",
     guard: ReportGuard | None = None,
 ) -> GatheredEvidence:
-    """Return the evidence from the ledger, the searches, and some runs that are repeated here.
+    """Return the evidence from the ledger, the searches, and some runs that this function repeats.
 
     Args:
         plan: The plan.
         ledger: The open ledger of its runs.
         folder: The report's folder, with the searches below it.
-        command: The command that repeats the report.
+        command: The command that makes the report again.
         trials: The self-test, oracles and recorded cells; the default has no such file.
         declaration: The hash of the plan's declaration; empty without a declaration.
         guard: Has the findings of earlier failures; None: no earlier failure.
@@ -152,9 +152,9 @@ def put_together(
     explain: Explains = told_whose_fault,
     guard: ReportGuard | None = None,
 ) -> GatheredEvidence:
-    """Return the evidence that follows from the ledger and the searches, with the given parts.
+    """Return the evidence that follows from the ledger, the searches, and the given parts.
 
-    ``verify`` replaces the parts that only ``certify`` knows by the recorded ones.
+    For the parts that only ``certify`` knows, ``verify`` passes the recorded parts.
 
     Args:
         plan: The plan.
@@ -227,7 +227,7 @@ def put_together(
 
 
 def _files(stored: Sequence[Stored]) -> tuple[tuple[str, str], ...]:
-    """Return the compiled files that made the stored runs, with their hashes."""
+    """Return the compiled files that the stored runs executed, with their hashes."""
     files = dict.fromkeys(file for item in stored for file in item.trace.provenance.files)
     return tuple((name, f"sha256 {sha256}") for name, sha256 in files)
 
@@ -275,14 +275,14 @@ def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
 
 
 def libraries_of(ledger: Ledger) -> tuple[tuple[str, str], ...]:
-    """Return the libraries of the declared runs in ``ledger`` with their versions."""
+    """Return the libraries, with their versions, of the declared runs in ``ledger``."""
     prefix = "the library "
     parts = ledger.declared.identity.parts
     return tuple((name.removeprefix(prefix), text) for name, text in parts if name.startswith(prefix))
 
 
 def sessions_of(ledger: Ledger) -> tuple[str, str, float]:
-    """Return the first beginning, all machines, and the seconds in runs (s) of the sessions in ``ledger``."""
+    """Return when the first session in ``ledger`` began, all machines, and the total time of runs (s)."""
     sessions = list(ledger.all("SELECT began, machine, workers FROM session ORDER BY id"))
     ((spent_s,),) = ledger.all("SELECT coalesce(sum(seconds), 0.0) FROM episode")
     machines = dict.fromkeys(f"{machine}; {workers} workers" for _, machine, workers in sessions)

@@ -1,6 +1,6 @@
-"""A guard for the work after the runs: a part that fails becomes an open finding.
+"""A guard for the work after the runs, which turns a failed part of the report into an open finding.
 
-The report has all remaining parts.
+The report keeps all other parts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class ReportGuard:
-    """Collects ``findings``: the parts of a report that failed, and the reasons."""
+    """A guard that runs the parts of a report; ``findings`` has the failed parts and the reasons."""
 
     findings: list[OpenFinding] = field(default_factory=list)
 
@@ -25,7 +25,7 @@ class ReportGuard:
         """Return the result of ``make``; if it fails, record a finding on ``part`` and return ``otherwise``.
 
         Raises:
-            LedgerError: The ledger cannot be read.  Without it there is no report.
+            LedgerError: The ledger cannot be read, so that no report is possible.
 
         """
         try:

@@ -1,9 +1,9 @@
-"""The plan's hazards with their bounds: a rate an hour for each claim under each hazard.
+"""The plan's hazards with their hourly bounds: a rate for each claim under each hazard.
 
-A rate is the product of two upper bounds: on the approaches in an hour, and on a violation in a run. Every
-approach counts as a run that puts the claim to the test. The largest bound per run holds for every mixture of
-the strata in an hour's approaches.  ``extensions.assurance.statistics.rates`` explains how the bounds share
-the error.
+A rate is the product of two upper bounds. The first bounds the number of approaches in an hour, and the
+second the probability of a violation in a run. Every approach counts as a run that puts the claim to the
+test. The product uses the largest bound per run of all strata. So the rate holds for every mixture of strata
+in an hour. ``extensions.assurance.statistics.rates`` explains how the bounds share the error.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from safety_harness.extensions.assurance.certification.evidence import HazardEvi
 def hazards_of(plan: Plan, ledger: Ledger) -> tuple[HazardEvidence, ...]:
     """Return every hazard of ``plan`` with its rates from ``ledger``.
 
-    There is no rate while runs are missing, or without a rate of approaches.
+    There are no rates while runs are missing, or if the plan has no rate of approaches.
     """
     rated = {hazard.name for hazard in plan.risks.hazards if hazard.approaches is not None}
     worst = [_worst(plan, ledger, k, rated) for k in range(len(plan.claims))]
@@ -26,7 +26,7 @@ def hazards_of(plan: Plan, ledger: Ledger) -> tuple[HazardEvidence, ...]:
 
 
 def _worst(plan: Plan, ledger: Ledger, claim: int, rated: set[str]) -> tuple[float, str] | None:
-    """Return the largest upper bound of a claim over the strata, and its stratum; None without a bound."""
+    """Return the largest upper bound of ``claim`` over the strata, and its stratum; None without a bound."""
     rated_claims = [item for item in plan.claims if rated & set(item.hazards)]
     if plan.claims[claim] not in rated_claims or ledger.dependent:
         return None

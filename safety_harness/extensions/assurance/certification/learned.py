@@ -1,4 +1,4 @@
-"""The learned part in a report: its training, the distance of the strata from it, and its service."""
+"""The learned part of the system in a report: training, distance of the strata from it, and service."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ _CELLS = (
 def learned_of(plan: Plan, ledger: Ledger, stored: Sequence[Stored]) -> LearnedPart | None:
     """Return the learned part of a plan's system; None if no part under test can be learned.
 
-    Every program may have a learned part. A shipped avoider without a network has no such part.
+    Any user's program may have a learned part. A shipped avoider without a network has no learned part.
 
     Args:
         plan: The plan.
@@ -100,7 +100,7 @@ def _is_network(scenario: Scenario) -> bool:
 
 
 def _training_facts(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield a label and a text on the training of a part without a card."""
+    """Yield a label and a text on the training of a part that has no model card."""
     reference = scenario.under_test
     if is_a_program(reference):
         yield f"{reference}, whether learned", PROGRAM

@@ -1,14 +1,14 @@
-"""The hashes to lodge: the declaration of a plan before its runs, and the seal of its report.
+"""The hashes that an author lodges: the declaration of a plan before its runs, and the seal of its report.
 
-A declaration, which ``certify declare`` writes, holds plan, seed, avoider, targets and software, by name.
+``certify declare`` writes a declaration. It lists plan, seed, avoider, targets and software by name.
 
-Lodge its hash where its date cannot change. If a report's ledger gives the same hash, the plan was declared
-on that date at the latest. Runs repeat themselves, so a hash cannot show that the author never made the same
-runs before. A doubting reader therefore chooses the seed.
+Lodge the hash of the declaration where its date cannot change. If a report's ledger gives the same hash, the
+author declared the plan on that date or earlier. Runs repeat exactly. So a hash cannot show that the author
+had never made the same runs before. Therefore a doubting reader chooses the seed.
 
-A seal is one hash over the root of a report's rows, its declaration and all of its files. Lodge it where its
-content cannot change. It then shows that no file has changed since. Without it, whoever alters a row can
-compute every hash in the report anew.
+A seal is one hash over the root of a report's rows, its declaration and all of its files. Lodge the seal
+where it cannot change. It then shows that no file has changed since. Without a lodged seal, a person who
+alters a row can compute every hash in the report anew.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from safety_harness.scenario.typed_json import of_format, read_json, typed
 
 
 class Lodged(ABC):
-    """A content with exactly one text, and the hash of the text."""
+    """Content that can be written as exactly one text, and the hash of this text."""
 
     @property
     @abstractmethod
     def as_json(self) -> str:
-        """The text."""
+        """The only text of this content."""
 
     @property
     def sha256(self) -> str:
@@ -52,19 +52,19 @@ L = TypeVar("L", "PlanDeclaration", "Seal")
 
 
 def write_once(made: L, file: Path, read: Callable[[Path], L], *, expected: str) -> L:
-    """Write ``made`` to ``file``, if the file does not exist or has the same content.
+    """Write ``made`` to ``file``, unless the file exists with other content.
 
     Args:
         made: The declaration or the seal.
         file: The file.
         read: Reads an existing file.
-        expected: The text of the error for the expected file.
+        expected: The description of the expected file in the error.
 
     Returns:
         ``made``.
 
     Raises:
-        InputError: The file has another content, which may be lodged already.
+        InputError: The file has other content, which may be lodged already.
         OutputError: The file cannot be written.
 
     """
@@ -87,18 +87,18 @@ DECLARATION_FORMAT = "safety-harness declaration 1"
 
 @dataclass(frozen=True)
 class PlanDeclaration(Lodged):
-    """The declared ``parts`` by name, and their common hash."""
+    """The declaration of a plan: the declared ``parts`` by name, and their common hash."""
 
     parts: dict[str, Any]
 
     @property
     def as_json(self) -> str:
-        """The only text of this content: keys are sorted."""
+        """The only text of this content, with sorted keys."""
         document = {"format": DECLARATION_FORMAT, "declared": self.parts}
         return json.dumps(document, indent=1, sort_keys=True, ensure_ascii=True) + "\n"
 
     def changes(self, now: PlanDeclaration) -> Iterator[str]:
-        """Yield each difference of ``now`` from this declaration, in words."""
+        """Yield each difference between this declaration and ``now``, in words."""
         for name in sorted(self.parts.keys() | now.parts.keys()):
             then, new = (side.parts.get(name, "nothing") for side in (self, now))
             if then != new:
@@ -106,7 +106,7 @@ class PlanDeclaration(Lodged):
 
 
 def declaration_of(plan: Plan, identity: Identity | None = None) -> PlanDeclaration:
-    """Return the declaration of ``plan`` with the present software, or with the ``identity`` of a ledger."""
+    """Return the declaration of ``plan``, for the present software or for the ``identity`` of a ledger."""
     parts: dict[str, Any] = {
         "plan": plan.title,
         "avoider": plan.avoider or "what the spaces name",
@@ -125,9 +125,9 @@ def declaration_of(plan: Plan, identity: Identity | None = None) -> PlanDeclarat
 
 
 def declaration_file(plan: Path) -> Path:
-    """Return the default file for a plan's declaration, beside the plan.
+    """Return the default file for a plan's declaration, which lies beside the plan.
 
-    A plan that ships with an installed package has it in the working directory.
+    For a plan that ships with an installed package, the file lies in the working directory.
     """
     beside = located(plan).with_suffix(".declared.json")
     return Path(beside.name) if is_installed() and shipped_name(located(plan)) else beside
@@ -157,7 +157,7 @@ def read_declaration(file: Path) -> PlanDeclaration:
 
 
 def declared_sha256(plan: Plan, file: Path | None) -> str:
-    """Return the hash of the plan's declaration; empty without a declaration.
+    """Return the hash of the plan's declaration; empty if there is no declaration.
 
     Args:
         plan: The plan.
@@ -204,32 +204,32 @@ class Seal(Lodged):
         return json.dumps({"format": SEAL_FORMAT} | asdict(self), indent=1) + "\n"
 
     def changes(self, now: Seal) -> Iterator[str]:
-        """Yield each difference of ``now`` from this seal, in words."""
+        """Yield each difference between this seal and ``now``, in words."""
         for name, then in asdict(self).items():
             if then != getattr(now, name):
                 yield f"the {name} changed after the seal"
 
 
 def seal_of(folder: Path, ledger: Ledger) -> Seal:
-    """Return the seal of the report in ``folder``, with its open ``ledger``, in its present state."""
+    """Return the seal of the report in ``folder`` as it is now, with its open ``ledger``."""
     declaration = read_evidence(folder / JSON).record.declaration_sha256
     return Seal(root_of(ledger), declaration, sha256_of(folder / MANIFEST))
 
 
 def seal_file(folder: Path) -> Path:
-    """Return the file for the seal of the report in ``folder``, beside it.
+    """Return the file for the seal of a report, which lies beside the report's ``folder``.
 
-    A file in the folder would not be covered by the seal.
+    If the file lay in the folder, the seal could not cover it.
     """
     whole = folder.resolve()
     return whole.with_name(whole.name + ".seal.json")
 
 
 def write_seal(folder: Path) -> Seal:
-    """Write the seal of the report in ``folder`` beside the folder.
+    """Write the seal of the report in ``folder`` to a file beside the folder.
 
     Raises:
-        InputError: Another seal is there, which may be lodged already.
+        InputError: The file has another seal, which may be lodged already.
         OutputError: The file cannot be written.
 
     """

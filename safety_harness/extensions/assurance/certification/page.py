@@ -1,4 +1,4 @@
-"""The evidence as one self-contained HTML page, for a quick look and for a day of study."""
+"""The evidence as a self-contained HTML page, both for a quick look and for a day of study."""
 
 from __future__ import annotations
 
@@ -65,25 +65,25 @@ MEANINGS = {
 
 MOST_LED = 3  # findings in view; the page folds the rest
 MOST_OPEN = 2  # counterexamples that the page draws when it opens
-# Without --full a printed page has at most this number of each, the most severe first.
+# Without --full, a printed page has at most so many items of each kind, the most severe first.
 MOST_PRINTED, MOST_PRINTED_CLAIMS, MOST_PRINTED_ROWS = 3, 4, 25
 
 
 def _meanings(evidence: Evidence) -> dict[ClaimStatus, str]:
-    """Return the meaning of each status; the fallback is part of it if the system has an avoider."""
+    """Return the meaning of each status, and of the fallback if the system has an avoider."""
     stood_in = ", or about the fallback in the avoider's place" if evidence.system.asks else ""
     return MEANINGS | {ClaimStatus.DOUBTED: MEANINGS[ClaimStatus.DOUBTED] + stood_in}
 
 
 def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
-    """Return the page of ``drawn`` for ``evidence`` and ``runs``: equal arguments give equal bytes."""
+    """Return the page of ``evidence`` and ``runs`` from ``drawn``; equal arguments give equal bytes."""
     return drawn(evidence, runs)[0]
 
 
 def drawn(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> tuple[str, Evidence]:
     """Return the page as text, and the evidence with a finding for each part that could not be drawn.
 
-    The page loads no data over the network.  A page that fails as a whole has the JSON as its text.
+    The page loads no data over the network.  If the whole page fails, its text is the JSON.
 
     Args:
         evidence: The evidence.
@@ -100,7 +100,7 @@ def drawn(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> tuple[str, Evide
 
 
 def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard) -> str:
-    """Return the page; a picture that fails is empty and becomes a finding of ``guard``."""
+    """Return the page; if a picture fails, it is empty, and ``guard`` records a finding."""
 
     def picture(name: str, draw: Callable[[], str]) -> Markup:
         return Markup(guard.run(f"the picture of {name}", draw, ""))
@@ -161,7 +161,7 @@ def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard)
 
 
 def _counts(evidence: Evidence) -> list[tuple[str, str, list[ClaimEvidence]]]:
-    """Return (words, class, claims) for the four numbers at the top."""
+    """Return (words, class, claims) for each of the four numbers at the top of the page."""
     open_ones = (ClaimStatus.NOT_SHOWN, ClaimStatus.INCOMPLETE, ClaimStatus.ESTIMATED, ClaimStatus.DOUBTED)
     return [
         (label, css, [claim for claim in by_severity(evidence.claims) if claim.standing in statuses])
@@ -175,7 +175,7 @@ def _counts(evidence: Evidence) -> list[tuple[str, str, list[ClaimEvidence]]]:
 
 
 def _answer(evidence: Evidence) -> str:
-    """Return the result in one sentence, the most severe status first; the worst claim decides."""
+    """Return a sentence with the result; claims with the most severe status come first and decide."""
     standings = [claim.standing for claim in evidence.claims]
     parts = (f"{standings.count(kind)} {kind.value}" for kind in reversed(SEVERITY) if kind in standings)
     claims = "the plan's one claim" if len(standings) == 1 else f"{len(standings)} claims"
@@ -183,9 +183,9 @@ def _answer(evidence: Evidence) -> str:
 
 
 def _by_gravity(evidence: Evidence) -> list[OpenFinding]:
-    """Return the findings, the most severe first.
+    """Return the findings, the most severe finding first.
 
-    A finding that is not on a claim comes between the statuses NOT_SHOWN and DOUBTED.
+    A finding that concerns no claim comes between the statuses NOT_SHOWN and DOUBTED.
     """
     grave = {f"claim-{item.number}": SEVERITY.index(item.standing) for item in evidence.claims}
     beside = SEVERITY.index(ClaimStatus.NOT_SHOWN) - 0.5
@@ -204,7 +204,7 @@ def _proven(evidence: Evidence) -> list[tuple[CertifiedClaim, str, list[tuple[st
 def _counterexample(
     met: CounterexampleEvidence, run: JudgedRun | None, replays: Replays, guard: ReportGuard
 ) -> dict[str, object]:
-    """Return a counterexample with its pictures; without a stored trace it has no picture."""
+    """Return a counterexample with its pictures; if no trace is stored, there are no pictures."""
     none: dict[str, object] = {"run": None, "moment": ""}
     if run is None or len(run.trace.ticks) == 0:
         return {"one": met} | none

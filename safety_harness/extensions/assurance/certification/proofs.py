@@ -1,7 +1,7 @@
 """The proofs about the avoider's network, beside the results of runs: a certificate and its check.
 
-The certificate and the network lie in the report's folder. The report quotes the words of the independent
-checker (``extensions.lab.proof.check``).
+The certificate and the network are files in the report's folder. The report quotes the independent checker
+(``extensions.lab.proof.check``).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class CertifiedNetwork:
 
 
 def read_certified(file: Path, plan: Plan) -> CertifiedNetwork:
-    """Read a certificate of ``prove`` about a network of the plan's avoiders.
+    """Read a certificate that ``prove`` wrote about a network of the plan's avoiders.
 
     Raises:
         InputError: The file is no certificate, has another network, or the checker does not confirm it.
@@ -74,14 +74,14 @@ def read_certified(file: Path, plan: Plan) -> CertifiedNetwork:
 
 
 def networks_of(plan: Plan) -> list[bytes]:
-    """Return the files of the networks that the plan's strata ask."""
+    """Return the contents of the network files that the plan's strata ask."""
     scenarios = (plan.with_avoider(stratum.space.simplest) for stratum in plan.strata)
     files = dict.fromkeys(map(network_file_of, scenarios))
     return [_bytes(file) for file in files if file is not None]
 
 
 def stored_proof(folder: Path, plan: Plan) -> CertifiedProofs | None:
-    """Check the certificate in a report's ``folder`` again, and compare it with the gates of ``plan``.
+    """Check the certificate in a report's ``folder`` again, and compare its regions with the plan's gates.
 
     Returns:
         The confirmed proofs; None without a certificate.
@@ -108,9 +108,9 @@ def without_proof(folder: Path) -> None:
 
 @lru_cache(maxsize=2)
 def evidence_of(certified: CertifiedNetwork, file: Path) -> tuple[CertifiedProofs, tuple[ProofRegion, ...]]:
-    """Check the certificate in ``certified``, and return its claims and the region of each.
+    """Check the certificate in ``certified``, and return its claims and the region of each claim.
 
-    ``file`` is its origin, for errors.
+    Errors name ``file``, from which the certificate came.
 
     Raises:
         InputError: The checker does not confirm the certificate.

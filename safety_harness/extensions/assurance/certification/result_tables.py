@@ -37,7 +37,7 @@ from safety_harness.report.words import with_minus
 
 
 def margin_words(margin_si: float | None, claim: ClaimEvidence) -> str:
-    """Return ``margin_si`` (SI) with its sign, in the claim's unit; a dash for None."""
+    """Return ``margin_si`` (SI) with its sign, in the claim's unit; a dash if it is None."""
     if margin_si is None:
         return DASH
     return with_minus(shown_margin(margin_si * claim.per_si, claim.unit))
@@ -51,7 +51,7 @@ def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
 
 
 def verdicts(evidence: Evidence) -> CellTable:
-    """Return the table of the first page: every claim with verdict, bound, number of tests, and hazard."""
+    """Return the table on the first page: every claim with verdict, bound, number of tests, and hazard."""
     return table_of(
         "All claims over all strata of the plan, the gravest first: the largest upper bound, and the counts "
         "of all strata together. Each number leads to its rows. The report claims no performance level.",
@@ -75,12 +75,12 @@ def verdicts(evidence: Evidence) -> CellTable:
 
 
 def _row(claim: ClaimEvidence, stratum: int) -> str:
-    """Return the id of a claim's row for a stratum in the table of results."""
+    """Return the id of the row for a claim and a stratum in the table of results."""
     return f"row-{claim.number}-{stratum + 1}"
 
 
 def _upper(claim: ClaimEvidence) -> TableCell:
-    """Return the cell of the largest upper bound over the strata."""
+    """Return a cell with the largest upper bound of ``claim`` over the strata."""
     uppers = [outcome.bound.upper for outcome in claim.outcomes if outcome.bound is not None]
     if not uppers or len(uppers) < len(claim.outcomes):
         return number("not bounded")
@@ -88,14 +88,14 @@ def _upper(claim: ClaimEvidence) -> TableCell:
 
 
 def _tested(claim: ClaimEvidence) -> TableCell:
-    """Return the cell with the number of runs that put a claim to the test."""
+    """Return a cell with the number of runs that put ``claim`` to the test."""
     tested = sum(outcome.tested for outcome in claim.outcomes)
     runs = sum(outcome.runs for outcome in claim.outcomes)
     return number(f"{tested} of {runs} runs", tested, _row(claim, 0) if runs else "")
 
 
 def hazards(evidence: Evidence) -> CellTable:
-    """Return the table of the plan's hazards, with the risk graph's steps to the required rates."""
+    """Return the table of the plan's hazards, with the steps of the risk graph to the required rates."""
     return table_of(
         "The plan's hazards in its author's words, and the steps from them to the required rates.",
         evidence.hazards,
@@ -110,7 +110,7 @@ def hazards(evidence: Evidence) -> CellTable:
 
 
 def rates(evidence: Evidence) -> CellTable:
-    """Return the table of hourly bounds, for each claim under each hazard with a rate of approaches."""
+    """Return the table of hourly bounds for each claim under each hazard with a rate of approaches."""
 
     def asked_cell(row: HazardEvidence) -> TableCell:
         return number(DASH if row.asked_an_hour is None else f"{row.asked_an_hour:g}", row.asked_an_hour)
@@ -175,20 +175,20 @@ def results(evidence: Evidence) -> CellTable:
 
 
 def confidence_alone(evidence: Evidence) -> str:
-    """Return the confidence of each interval alone; the intervals share the error equally."""
+    """Return the confidence with which each interval holds alone; all intervals share the error equally."""
     bounds = (outcome.bound for claim in evidence.claims for outcome in claim.outcomes)
     return next((confidence_words(bound.confidence) for bound in bounds if bound), "")
 
 
 def _bounds(outcome: ClaimResult | OverrulingResult) -> TableCell:
-    """Return the cell with both ends of a bound."""
+    """Return a cell with both ends of a bound."""
     if outcome.bound is None:
         return number("none")
     return number(f"{at_least(outcome.bound.lower)} to {at_most(outcome.bound.upper)}", outcome.bound.upper)
 
 
 def quantiles(claim: ClaimEvidence) -> CellTable:
-    """Return the table of the margins of ``claim`` that most runs keep."""
+    """Return the table of the margins of ``claim`` that large shares of the runs keep."""
     return table_of(
         "Margins that most runs keep.",
         [(outcome.stratum, quantile) for outcome in claim.outcomes for quantile in outcome.quantiles],
@@ -203,7 +203,7 @@ def quantiles(claim: ClaimEvidence) -> CellTable:
 
 
 def strata(evidence: Evidence) -> CellTable:
-    """Return the table of the operational domain, part by part."""
+    """Return the table of the operational domain, with a row for each stratum."""
     return table_of(
         "Each run draws from its space with its own seed. A new draw replaces a draw that cannot run (such "
         "as a start out of reach), and the table counts it."

@@ -1,8 +1,9 @@
-"""The results of a report, from its ledger: claims with their bounds, strata with their counts.
+"""The results of a report, computed from its ledger: claims with their bounds, strata with their counts.
 
-The report has both ends of each bound, for each claim in each stratum. They hold together with the plan's
-confidence: ``ends_of`` ends share the error. *Shown* rests on upper ends, *refuted* on lower ends. Margins by
-order statistics do not share it: each holds alone with the confidence of one interval.
+The report has both ends of each bound, for each claim in each stratum. All ends hold together with the plan's
+confidence, because ``ends_of`` ends share the error. *Shown* depends on upper ends, and *refuted* on lower
+ends. The margins that come from order statistics do not share this error. Each of them holds alone, with the
+confidence of one interval.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ MOST_POINTS = 240  # points of a curve
 
 
 def refuse_hopeless(plan: Plan) -> None:
-    """Raise InputError for a target that the plan's runs cannot show; it has the required number of runs."""
+    """Raise InputError if the plan's runs cannot show a target; it states the required number of runs."""
     for claim in plan.claims:
         if claim.target is not None:
             for stratum in plan.strata:
@@ -60,7 +61,7 @@ def refuse_hopeless(plan: Plan) -> None:
 
 
 def bounds(plan: Plan) -> int:
-    """Return the number of bounds in the report of ``plan``."""
+    """Return the number of bounds in a report of ``plan``."""
     return ends_of(len(plan.claims), len(plan.strata))
 
 
@@ -69,8 +70,8 @@ def claims_of(plan: Plan, ledger: Ledger, stored: Sequence[Stored] = ()) -> tupl
 
     Args:
         plan: The plan.
-        ledger: The open ledger in its present state.
-        stored: The stored random runs, for the reason why no run tested a claim.
+        ledger: The open ledger, complete or not.
+        stored: The stored random runs, which explain why no run tested a claim.
 
     """
     return tuple(_claim(plan, ledger, stored, place, claim) for place, claim in enumerate(plan.claims))
@@ -79,7 +80,7 @@ def claims_of(plan: Plan, ledger: Ledger, stored: Sequence[Stored] = ()) -> tupl
 def _claim(
     plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, claim: PlannedClaim
 ) -> ClaimEvidence:
-    """Return the evidence on the claim number ``place``."""
+    """Return the evidence on ``claim``, which has the number ``place``."""
     entry, _ = entry_claimed(claim.sentence) or (None, None)
     tracing = traced(entry)
     prop = property_of(claim.claim, plan.strata[0].space.simplest)
@@ -166,9 +167,9 @@ def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, c
 
 
 def _bound(sample: IndependentSample, plan: Plan) -> Bound | None:
-    """Return the bound of ``sample``; None without a trial.
+    """Return the bound from ``sample``; None if there is no trial.
 
-    It shares the error with all bounds of the plan.
+    The bound shares the error with all other bounds of ``plan``.
     """
     (raw,) = bounds_of([sample], plan.confidence, Sides.BOTH, family=bounds(plan))
     if not raw.trials:
@@ -177,10 +178,10 @@ def _bound(sample: IndependentSample, plan: Plan) -> Bound | None:
 
 
 def _curve(margins: Floats, without: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return ascending margins, and for each the share of runs with no larger margin.
+    """Return ascending margins, and for each margin the share of runs with no larger margin.
 
-    A run without a verdict counts as the least margin of all. At most ``MOST_POINTS`` points stay, dense at
-    the least margins.
+    A run without a verdict counts as if it had the least margin. The function keeps at most ``MOST_POINTS``
+    points, which are dense near the least margins.
     """
     n = len(margins)
     if n == 0:
@@ -193,7 +194,7 @@ def _curve(margins: Floats, without: int) -> tuple[tuple[float, ...], tuple[floa
 
 
 def _quantiles(sample: IndependentSample, confidence: float) -> tuple[Quantile, ...]:
-    """Return the margins that shares of the runs keep; empty for a plan that may stop early."""
+    """Return the margins that certain shares of the runs keep; empty if the plan may stop early."""
     if sample.declaration.stop_early:
         return ()
     limits = (tolerance_bound(sample, content, confidence) for content in CONTENTS)
@@ -242,7 +243,7 @@ def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> 
 def overruling_of(ledger: Ledger) -> tuple[OverrulingResult, ...]:
     """Return how often the gate overruled the avoider in each stratum of ``ledger``.
 
-    Each has an interval of its own.
+    Each share has its own interval.
     """
     return tuple(_overruling(ledger, place, name) for place, name in enumerate(ledger.declared.strata))
 

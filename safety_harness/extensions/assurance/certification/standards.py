@@ -1,7 +1,8 @@
-"""The hazard of each claim of the catalogue, and the terms of the standards that the claim refers to.
+"""The hazard of each claim in the catalogue, and the terms of the standards to which the claim refers.
 
-These are terms only: they help an assessor to find the way, and state no conformity. ``standards.yaml`` has
-the standards, their editions, the requirements that this report addresses, and the hazards with their claims.
+These terms only help an assessor to find the way, and state no conformity. ``standards.yaml`` has the
+standards with their editions and the requirements that this report addresses. It also has the hazards with
+their claims.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ TABLE, QUESTIONS_FILE = (Path(__file__).with_name(name) for name in ("standards.
 class Requirement:
     """A requirement of a standard (``asks``).
 
-    ``here`` is the id of the page's part that addresses it, or empty. ``means`` is that part's answer, or the
-    missing work if ``here`` is empty.
+    ``here`` is the id of the page's part that addresses it; it is empty if no part does. ``means`` is the
+    answer of that part, or the missing work if ``here`` is empty.
     """
 
     asks: str
@@ -36,7 +37,7 @@ class Requirement:
 
 @dataclass(frozen=True, kw_only=True)
 class Standard:
-    """A document: ``name`` with its edition, its subject ``about``, and the ``source`` of this knowledge."""
+    """A document: ``name`` with its edition, subject ``about``, and the ``source`` of these statements."""
 
     id: str
     name: str
@@ -48,9 +49,9 @@ class Standard:
 
 @dataclass(frozen=True, kw_only=True)
 class Tracing:
-    """The hazard that claims are about, terms of the standards, and the keys of these claims.
+    """A hazard, the terms of standards that belong to it, and the keys of the claims about it.
 
-    In the table a term names the ``id`` of its standard, and in ``TRACED`` the name.
+    In the table, a term refers to its standard by ``id``; in ``TRACED`` it has the standard's name.
     """
 
     hazard: str
@@ -60,7 +61,7 @@ class Tracing:
 
 @dataclass(frozen=True, kw_only=True)
 class StandardsTable:
-    """All standards; ``checked`` is the year and month of the last check of each status."""
+    """All standards and hazards; ``checked`` is the year and month when each status was last checked."""
 
     checked: str
     standards: tuple[Standard, ...]
@@ -87,9 +88,9 @@ OWN = Tracing(hazard="not stated by the plan: the claim is a formula of its auth
 
 @dataclass(frozen=True, kw_only=True)
 class AssessorQuestion:
-    """An assessor's question (``asks``) by the standard ``of``.
+    """A question (``asks``) that an assessor by the standard ``of`` may have.
 
-    A Requirement explains ``here`` and ``means``.
+    ``here`` and ``means`` are as in ``Requirement``.
     """
 
     of: str
@@ -102,11 +103,11 @@ QUESTIONS = _table(QUESTIONS_FILE, tuple[AssessorQuestion, ...])
 
 
 def standards_of(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
-    """Yield the line that names the standards of the catalogue's ``entry``, for its description."""
+    """Yield a line with the standards of the catalogue's ``entry``, for the description of the entry."""
     terms = TRACED.get(entry.key, OWN).terms
     yield "standards", "; ".join(f"{term.standard}: {term.term}" for term in terms) or "none"
 
 
 def traced(entry: CatalogueEntry | None) -> Tracing:
-    """Return the hazard and the terms of a claim of the catalogue; of a formula, ``entry`` is None."""
+    """Return the hazard and the terms of a claim in the catalogue; ``entry`` is None for a formula."""
     return OWN if entry is None else TRACED.get(entry.key, OWN)

@@ -1,4 +1,4 @@
-"""The traces that a ledger keeps, and their content beside the plan's claims."""
+"""The traces that a ledger keeps, and what the report derives from them besides the plan's claims."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MOST_SUPPOSED = 100  # draws of a stratum for parts that no run tried
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """The trace of a declared run that the plan chose to keep before its outcome was known."""
+    """The trace of a declared run that the plan chose to keep before the run's outcome was known."""
 
     stratum: int
     episode: int
@@ -66,7 +66,7 @@ def random_traces(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
 
 
 def came_nearest(plan: Plan, stored: Sequence[Stored], stratum: int, claim: int) -> str:
-    """Return the reason why the stored run with the nearest hand did not test a claim.
+    """Return why the stored run in which a hand came nearest did not test a claim.
 
     Args:
         plan: The plan.
@@ -88,8 +88,8 @@ def came_nearest(plan: Plan, stored: Sequence[Stored], stratum: int, claim: int)
 def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
     """Return a line for each part of a stratum of ``plan`` that no ``stored`` run tried.
 
-    A part also counts as tried if one of ``MOST_SUPPOSED`` draws would try it beside an arm that stands
-    still.
+    The function also draws ``MOST_SUPPOSED`` scenarios, and supposes that the arm stands still. A part that
+    such a scenario would try counts as tried.
     """
     lines = []
     for number, stratum in enumerate(plan.strata):
@@ -107,14 +107,14 @@ def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
 
 
 def judged_run(trace: Trace) -> JudgedRun:
-    """Judge ``trace`` again by its scenario's claims."""
+    """Return ``trace``, judged again by the claims of its scenario."""
     return JudgedRun(trace=trace, evaluations=judge(trace), replay_command="")
 
 
 def separation_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[SeparationCase]:
     """Yield, for each stratum of ``plan``, the ``stored`` run with the least margin of protective separation.
 
-    The hands reach: the claim assumes the speed of a reaching hand.
+    For every hand, the claim assumes the speed of a reaching hand.
     """
     prop = property_of(
         replace(plan.claims[0].claim, sentence=ProtectiveSeparation().sentence), plan.strata[0].space.simplest
@@ -168,7 +168,7 @@ _CELLS = (
 
 
 def coverage_of(ledger: Ledger) -> CoverageOfRuns:
-    """Return the coverage by all runs in ``ledger``; a run with a hand is in one cell."""
+    """Return the coverage by all runs in ``ledger``; each run with a hand belongs to one cell."""
     rows = [(labels.split(", "), int(runs), int(bad)) for labels, runs, bad in ledger.all(_CELLS)]
     cells = tuple(
         CellCount(*labels, runs=runs, violating=bad) for labels, runs, bad in rows if len(labels) == len(AXES)
@@ -187,7 +187,7 @@ def coverage_of(ledger: Ledger) -> CoverageOfRuns:
 
 
 def cells_of(coverage: CoverageOfRuns) -> tuple[Cells, dict[CoverageCell, int]]:
-    """Return the cells of the coverage map with all runs, and the runs in each cell that violate a claim."""
+    """Return the cells of the coverage map with all runs, and the number of violating runs in each cell."""
     cells, violating = Cells(without=coverage.without_hand), {}
     for item in coverage.cells:
         cell = CoverageCell(item.direction, item.speed, item.distance, item.seen, item.outcome)

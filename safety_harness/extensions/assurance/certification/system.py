@@ -1,4 +1,4 @@
-"""The system under test in words: the avoider with its card, the gate, the settings, the robot, hashes."""
+"""A description of the system under test: avoider with its card, gate, settings, robot, hashes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ANSWERS = {
 def system_of(plan: Plan, opened: Mapping[str, str]) -> SystemDescription:
     """Return the description of the plan's system, from the simplest scenario of each stratum.
 
-    ``opened`` has the SHA-256 of the files that the user's own modules opened.
+    ``opened`` has the SHA-256 of each file that the user's own modules opened.
     """
     scenarios = [plan.with_avoider(stratum.space.simplest) for stratum in plan.strata]
     first = scenarios[0]
@@ -61,19 +61,19 @@ def system_of(plan: Plan, opened: Mapping[str, str]) -> SystemDescription:
 
 
 def _changed(scenario: Scenario) -> list[tuple[str, str, str]]:
-    """Return the differences from the defaults: settings, and the drives of an arm of the user."""
+    """Return what differs from the defaults: settings, and the drives of a user's arm."""
     drives = drives_as_modelled(scenario.robot, scenario.settings.clock.control_period_s)
     return changed_settings(scenario.settings) + drives
 
 
 def model_of(scenario: Scenario) -> Model | None:
-    """Return the network of a scenario's avoider; None if it is no file of this package's format."""
+    """Return the network of the avoider in ``scenario``; None if it is no file in this package's format."""
     file = network_file_of(scenario)
     return None if file is None else load_model(file)
 
 
 def card_of(model: Model) -> Iterator[tuple[str, str]]:
-    """Yield the statements on a model in its own file."""
+    """Yield the statements that the file of ``model`` makes about itself."""
     yield "Network", f"{model.kind}, {model.members} member(s), dropout {model.dropout.value}"
     if model.passes > 1:
         yield "Passes", f"{model.passes}, dropout probability {model.dropout_probability:g}"
@@ -95,9 +95,9 @@ def card_of(model: Model) -> Iterator[tuple[str, str]]:
 
 
 def _datasheet(data: Mapping[str, Any], recipe: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the content of the data set that ``train`` draws, and the content that it lacks.
+    """Yield what the data set drawn by ``train`` contains, and what it lacks.
 
-    A card that lacks the values of a line has no such line.
+    If a card lacks the values of a line, the line is omitted.
     """
     yield DATA + "a sample", "where one hand and the TCP are in the base frame; no image, person or motion"
     amount = "{tcps} TCPs, each with the same {hands} hands; split {split}, {training_samples} to learn from"
@@ -115,7 +115,7 @@ def _corner(point_m: tuple[float, ...]) -> str:
 
 
 def _plain(value: Any) -> str:
-    """Return a value of a card in words."""
+    """Return ``value``, from a card, in words."""
     if isinstance(value, Mapping):
         return ", ".join(f"{str(name).replace('_', ' ')} {_plain(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
@@ -124,7 +124,7 @@ def _plain(value: Any) -> str:
 
 
 def _gate(settings: Settings, model: Model | None, *, named: bool) -> Iterator[tuple[str, str]]:
-    """Yield the gate's checks and limits; ``named`` is true for an avoider that ships."""
+    """Yield the gate's checks and limits; ``named`` is true if the avoider ships with the package."""
     avoidance = settings.avoidance
     checks = "finite, reachable, above the table"
     if avoidance.gate.value == "full":

@@ -1,4 +1,4 @@
-"""A table of the evidence report and its cells, which one macro of the page draws."""
+"""The tables of the evidence report and their cells, which a single macro of the page draws."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ T = TypeVar("T")
 class TableCell:
     """A cell of a table.
 
-    Sorted columns compare ``sort``. ``state`` is the class and the icon of a verdict. ``href`` is the id that
-    the cell leads to. ``row`` is the id of the row that the cell begins.
+    A sorted column compares ``sort``. ``state`` is the class and the icon of a verdict. ``href`` is the id to
+    which the cell links. ``row`` is the id of the row that begins with this cell.
     """
 
     text: str
@@ -55,22 +55,22 @@ def table_of(caption: str, things: Iterable[T], columns: Mapping[str, Callable[[
 
 
 def text_cell(text: str, *, href: str = "", note: str = "", row: str = "") -> TableCell:
-    """Return a cell of ``text`` with a ``note``; ``href`` is its target, ``row`` the id of the row."""
+    """Return a cell of ``text`` with a ``note``; it links to ``href``, and ``row`` is the id of its row."""
     return TableCell(text=text, href=href, note=note, row=row)
 
 
 def number(text: str, sort: float | None = None, href: str = "") -> TableCell:
-    """Return a cell of the number ``text``, sorted by ``sort``; ``href`` leads to the counted items."""
+    """Return a cell of the number ``text``, sorted by ``sort``; it links to the counted items at ``href``."""
     return TableCell(text=text, number=True, sort="" if sort is None else repr(float(sort)), href=href)
 
 
 def count(value: int, href: str = "") -> TableCell:
-    """Return a cell of the whole number ``value`` that leads to ``href``; zero leads nowhere."""
+    """Return a cell of the whole number ``value``, which links to ``href`` unless the number is zero."""
     return number(f"{value:,}".replace(",", "\u202f"), value, href if value else "")
 
 
 def standing(value: ClaimStatus) -> TableCell:
-    """Return a cell of the status ``value`` of a claim."""
+    """Return a cell of the claim status ``value``."""
     return TableCell(text=value.value, state=STATE[value])
 
 

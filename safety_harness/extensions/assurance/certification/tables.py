@@ -1,4 +1,4 @@
-"""Every table of the evidence report by its name, and the tables that are not about results."""
+"""Every table of the evidence report by its name; this module defines the tables that show no results."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from safety_harness.search.coverage import AXES, SEEN
 
 
 def standards(evidence: Evidence) -> CellTable:
-    """Return the table of the documents with their status, and of the claims that refer to their terms."""
+    """Return the table of the standards with their status, and of the claims that refer to their terms."""
     claims: dict[tuple[str, str], list[int]] = {}
     for claim in evidence.claims:
         for term in claim.terms:
@@ -98,7 +98,7 @@ def spoken_to(_: Evidence) -> CellTable:
 
 
 def questions(_: Evidence) -> CellTable:
-    """Return the table of an assessor's questions with the places of their answers."""
+    """Return the table of an assessor's questions, with the place of each answer."""
     return table_of(
         f"{len(QUESTIONS)} questions, {sum(not row.here for row in QUESTIONS)} of them not covered here.",
         QUESTIONS,
@@ -112,7 +112,7 @@ def questions(_: Evidence) -> CellTable:
 
 
 def training(evidence: Evidence) -> CellTable:
-    """Return the table of the strata's distances from the network's training data."""
+    """Return the table of the distances of the strata from the network's training data."""
     return table_of(
         "All runs with a hand, by the place of hand and TCP at the gravest decision: in the training data or "
         "outside. Then the decisions of the stored random runs: the share of hands outside of the box of "
@@ -139,7 +139,7 @@ def _far(distance_m: float | None) -> TableCell:
 
 
 def separation(evidence: Evidence) -> CellTable:
-    """Return the table of the cases in the figure of protective separation."""
+    """Return the table of the cases that the figure of protective separation shows."""
     return table_of(
         "The stored run with least to spare in each stratum, at its worst moment. S_p is the sum of "
         "its terms; the margin is the distance less S_p.",
@@ -178,7 +178,7 @@ def calibration(evidence: Evidence) -> CellTable:
 
 
 def domain(evidence: Evidence) -> CellTable:
-    """Return the table of the operational domain: its tried and untested parts, and the parts outside."""
+    """Return the table of the operational domain: tried parts, untested parts, and parts outside."""
     cells, _ = cells_of(evidence.coverage)
     rows = [("stratum", stratum.name, stratum.made, "in, ") for stratum in evidence.strata]
     rows += [(axis, label, runs, "") for axis in AXES for label, runs in cells.along(axis).items()]
@@ -196,7 +196,7 @@ def domain(evidence: Evidence) -> CellTable:
 
 
 def whose_fault(evidence: Evidence) -> CellTable:
-    """Return the table of the single changes, each with the number of violations that it would avoid."""
+    """Return the table of single changes, with the number of violations that each change would avoid."""
     return table_of(
         "Single changes that would have helped",
         evidence.whose_fault.would_help,
@@ -235,7 +235,7 @@ def files(evidence: Evidence) -> CellTable:
 
 
 def agreement(known: WorldAgreement) -> CellTable:
-    """Return the table of the largest differences between the two worlds, from their ``known`` agreement."""
+    """Return the table of the largest differences between the two worlds, from the agreement ``known``."""
     present = "this very source" if known.present else f"another source, {known.source_hash}"
     return table_of(
         f"The two worlds on the same {known.scenarios} scenarios, measured with {present}: "
@@ -248,7 +248,7 @@ def agreement(known: WorldAgreement) -> CellTable:
 
 
 def cell_lines(known: RecordedCell) -> CellTable:
-    """Return the table of the differences between both worlds and the log of the cell ``known``."""
+    """Return the table of the differences between the log of the recorded cell ``known`` and both worlds."""
     cell = known.comparison
     source = "this very source" if known.present else f"another source, {cell.source_hash}"
     rows = [(world.world, line) for world in cell.worlds for line in world_lines(world, cell.usually)]
@@ -266,9 +266,9 @@ def cell_lines(known: RecordedCell) -> CellTable:
 
 
 def rerun(known: Rerun) -> CellTable:
-    """Return the table of the changes when declared random runs are repeated with another step or world.
+    """Return the table of what changes if declared random runs are repeated with another step or world.
 
-    ``known`` has their results.
+    ``known`` has the results of these runs.
     """
     return table_of(
         f"{count_words(known.runs, 'declared random run', 'declared random runs')} again "
@@ -280,7 +280,7 @@ def rerun(known: Rerun) -> CellTable:
 
 
 def oracles(known: Credibility) -> CellTable:
-    """Return the table of the parts that were checked against independent software, from ``known``."""
+    """Return the table of the parts that were compared with independent software, from ``known``."""
     return table_of(
         "Parts checked against independent software, with the largest disagreement seen "
         f"({known.oracles_measured_with}).",
@@ -294,7 +294,7 @@ def oracles(known: Credibility) -> CellTable:
 
 
 def kills(test: SelfTest) -> CellTable:
-    """Return the table of every seeded fault in ``test`` with the claim that caught it."""
+    """Return the table of every seeded fault in ``test``, with the claim that caught it."""
     survived = TableCell(text="survived", state="violated")
     return table_of(
         f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "

@@ -1,6 +1,6 @@
 """Evidence on the tools: agreement of the worlds, step sizes, oracles, seeded faults, coverage.
 
-The self-test on seeded faults and the independent oracles come from files.
+The results of the self-test (on seeded faults) and of the independent oracles come from files.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class RecordedCell:
     present: bool
 
     def foreign_to(self, tested: Sequence[SystemUnderTest]) -> str:
-        """Return the differences of the cell's system from the nearest system in ``tested``, by hash.
+        """Return the differences between the cell's system and the nearest system in ``tested``, by hash.
 
         The text is empty if the cell's system is in ``tested``.
         """
@@ -92,12 +92,12 @@ class RecordedCell:
 
     @property
     def decided(self) -> int:
-        """The number of verdicts that log and run both decide."""
+        """The number of verdicts that both the log and the run decide."""
         return sum(claim.decided for claim in self.comparison.claims)
 
     @property
     def differing(self) -> int:
-        """The number of decided verdicts that differ between log and run."""
+        """The number of decided verdicts in which log and run differ."""
         return sum(claim.differs for claim in self.comparison.claims)
 
     @property
@@ -122,7 +122,7 @@ class Credibility:
 
 
 class FaultState(Enum):
-    """The outcome of a fault in the self-test."""
+    """What happened to a seeded fault in the self-test."""
 
     CAUGHT = "caught"
     SURVIVES = "survives"
@@ -171,7 +171,7 @@ class SelfTest:
 
 @dataclass(frozen=True, kw_only=True)
 class HarnessTrials:
-    """The given files on the harness itself: self-test, oracles and recorded cells."""
+    """The files on the harness itself that the user gave: self-test, oracles and recorded cells."""
 
     selftest: SelfTest | None = None
     oracles: tuple[Oracle, ...] = ()
@@ -240,10 +240,10 @@ class _Oracle:
 
 
 def read_selftest(path: Path) -> SelfTest:
-    """Read the selftest.json in ``path``.
+    """Read the self-test in ``path``, a selftest.json.
 
     Raises:
-        InputError: The file is no selftest.json, or its trial has no fault; the error names the field.
+        InputError: The file is no selftest.json, or the self-test has no fault; the error names the field.
 
     """
     trial = typed(
@@ -270,7 +270,7 @@ def read_cell(path: Path) -> RecordedCell:
     """Read ``path``, a file that ``compare-worlds`` wrote.
 
     Raises:
-        InputError: The file is another.
+        InputError: The file is not from ``compare-worlds``.
 
     """
     comparison = read_comparison(path)
@@ -282,7 +282,7 @@ def read_oracles(path: Path) -> tuple[Oracle, ...]:
     """Read ``path``, the table that ``make oracles`` writes.
 
     Raises:
-        InputError: The file is another.
+        InputError: The file is not from ``make oracles``.
 
     """
     path = located(path)

@@ -1,14 +1,15 @@
-"""The status of a claim, from its bounds and its gaps.  Only one status is green.
+"""The status of a claim, derived from its bounds and from gaps in its evidence.  Only one status is green.
 
-In each stratum a claim is *refuted* if even the lower bound is above the target. It is *shown* if the upper
-bound is at or below the target. Runs without a verdict and runs that could not finish count as violations in
-the upper bound. Any of three conditions allows *shown with doubt* at best:
+In each stratum, a claim is *refuted* if even the lower bound exceeds the target. It is *shown* if the upper
+bound is at most the target. The upper bound counts runs without a verdict and unfinished runs as violations.
+Each of three conditions permits at best *shown with doubt*:
 
-- some run has no verdict
-- the runs are from the kinematic world only
-- the fallback stood in for the avoider throughout, or the plan has no claim on that
+- Some run has no verdict.
+- The runs are from the kinematic world only.
+- The fallback answered for the avoider throughout. Or it answered at times, and no claim of the plan covers
+  that.
 
-The claim has the most severe status of its strata.
+The status of a claim as a whole is the most severe status over its strata.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def standing_of(
 
     Args:
         target: The allowed violation probability; None: the plan sets no target.
-        bound: The interval of the violation probability; None: there is none.
+        bound: The interval of the violation probability; None: there is no bound.
         runs: The number of runs in the ledger.
         planned: The number of declared runs.
         tested: The number of runs that put the claim to the test.
@@ -57,8 +58,8 @@ def standing_of(
         world: The world of the runs.
         problem: The reason why there is no bound.
         fallback: How often the avoider did not answer; empty if it always answered.
-        stood_in: True if the fallback answered every question, or if it answered any and the plan has no
-            claim on it.
+        stood_in: True if the fallback answered every question. Or: it answered any, and the plan has no claim
+            on the fallback.
         dependent: The reason why the runs are not independent; empty if they are.
 
     """
@@ -94,12 +95,12 @@ def standing_of(
 
 
 def worst_status(standings: Iterable[ClaimStatus]) -> ClaimStatus:
-    """Return the most severe of ``standings``; UNTESTED without any."""
+    """Return the most severe of ``standings``; UNTESTED if there is no status."""
     return max(standings, key=SEVERITY.index, default=ClaimStatus.UNTESTED)
 
 
 def overall(outcomes: Sequence[ClaimResult]) -> tuple[ClaimStatus, str]:
-    """Return a claim's status over its ``outcomes``, with the reason of the most severe stratum."""
+    """Return the status of a claim over all ``outcomes``, with the reason from the most severe stratum."""
     standing = worst_status(outcome.standing for outcome in outcomes)
     if not outcomes:
         return standing, "the plan has no stratum"
@@ -125,12 +126,12 @@ def percent(share: float) -> str:
 
 
 def at_most(share: float) -> str:
-    """Return the upper bound ``share`` in per cent; its digits are never below it."""
+    """Return the upper bound ``share`` in per cent, rounded up."""
     return f"{100.0 * float(rounded_up(share)):.3g} %"
 
 
 def beside_target(bound: Bound, target: float) -> tuple[str, str]:
-    """Return a target and an upper bound in per cent, with enough digits to tell which is larger."""
+    """Return a target and an upper bound in per cent, with enough digits to show which number is larger."""
     limit, most = percent(target), at_most(bound.upper)
     shown, ends = float(limit[:-2]), (100.0 * bound.lower, float(most[:-2]))
     if (ends[0] > shown, ends[1] > shown) == (bound.lower > target, bound.upper > target):
@@ -139,22 +140,22 @@ def beside_target(bound: Bound, target: float) -> tuple[str, str]:
 
 
 def hourly(rate: float) -> str:
-    """Return the upper bound ``rate`` per hour; its digits are never below it."""
+    """Return the upper bound ``rate`` per hour, rounded up."""
     return f"{float(rounded_up(rate)):.3g}"
 
 
 def at_least(share: float) -> str:
-    """Return the lower bound ``share`` in per cent; its digits are never above it."""
+    """Return the lower bound ``share`` in per cent, rounded down."""
     return f"{100.0 * float(rounded_down(share)):.3g} %"
 
 
 def overruling_line(row: OverrulingResult) -> str:
-    """Return how often the gate overruled the avoider in the stratum of ``row``, and in how many runs."""
+    """Return how often the gate overruled proposals in the stratum of ``row``, and in how many runs."""
     bound = row.bound
     ends = "" if bound is None else f" ({at_least(bound.lower)} to {at_most(bound.upper)}, 95 % alone)"
     return f"{row.stratum}: {row.words}; in {row.runs_overruled} of {row.runs} runs with a proposal{ends}"
 
 
 def confidence_words(confidence: float) -> str:
-    """Return a confidence in per cent; its digits are never above it, since the error is rounded up."""
+    """Return a confidence in per cent, rounded down, because its error is rounded up."""
     return f"{100.0 * (1.0 - float(rounded_up(1.0 - confidence))):.9g} %"

@@ -1,8 +1,8 @@
-"""Check whether a report stands: files, plan, ledger, stored traces, numbers, pages, and repeated runs.
+"""Check whether a report is sound: files, plan, ledger, stored traces, numbers, pages, and repeated runs.
 
-Each examination states its subject and the differences. A later change of the software is no fault by itself,
-and the report of the check names it; a change of verdicts is a fault. A program in a report runs only with
-permission.
+Each examination states what it checked and which differences it found. A later change of the software is no
+fault by itself; the examination names it. A change of verdicts is a fault. ``verify`` runs a program in a
+report only with permission.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ _HASH = re.compile(r"[0-9a-f]{64}")
 
 
 def lodged_hash(text: str | None, field: str) -> str | Path | None:
-    """Return a lodged hash, or the file that has it; None for None.
+    """Return the lodged hash in ``text``, or the path of the file that has it; None for None.
 
     Raises:
         InputError: ``text`` is neither a hash nor a file; the error names the option ``field``.
@@ -81,7 +81,7 @@ def lodged_hash(text: str | None, field: str) -> str | Path | None:
 def check_lodged(
     report: ReportFolder, *, seal: str | Path | None, declared: str | Path | None
 ) -> Examination:
-    """Compare a report with its lodged seal and declaration; a missing one leaves a point unchecked.
+    """Compare a report with its lodged seal and declaration; if one is missing, a point stays unchecked.
 
     Args:
         report: The report.
@@ -110,7 +110,7 @@ def check_lodged(
 
 
 def _differs(lodged: str | Path, now: L, read: Callable[[Path], L], kind: str) -> list[str]:
-    """Return the differences from a lodged hash or file, in words; only a file shows which part differs."""
+    """Return how ``now`` differs from a lodged hash or file, in words; only a file shows which part does."""
     if isinstance(lodged, Path):
         return list(read(lodged).changes(now))
     return [] if lodged == now.sha256 else [f"the {kind} of this report is {now.sha256}, not the lodged hash"]
@@ -130,14 +130,14 @@ def verify(
     declared: str | None = None,
     on_progress: Callable[[str], None] = lambda text: None,
 ) -> Iterator[Examination]:
-    """Check a report, examination by examination.
+    """Check a report in several examinations.
 
-    A file that cannot be read is a fault of the report, and ends the check.
+    If a file cannot be read, this is a fault of the report and ends the check.
 
     Args:
         folder: The report's folder.
         runs: The number of runs to repeat; None: enough for ``miss``, but at most ``MOST_AGAIN``.
-        miss: The chance that the repeated runs miss altered rows that turn a verdict.
+        miss: The chance that the repeated runs miss all altered rows if these change a verdict.
         seed: Draws the runs to repeat.
         execute_programs: Allow the execution of programs in the report.
         seal: The lodged seal's hash or file; None: not lodged.
@@ -196,7 +196,7 @@ def verify(
 
 
 def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination]:
-    """Yield the examinations of a report whose plan is the declared one and whose rows belong to its runs."""
+    """Yield the examinations of a report with the declared plan, and with rows that belong to its runs."""
     plan, ledger, same = report.plan, report.ledger, report.same
     drawing.on_progress("stored traces, judged with the present code")
     stored = check_traces(plan, ledger, same=same)
@@ -224,7 +224,7 @@ _REST = "the rest, which cannot be checked without it"
 def _refuse_to_execute(plan: Plan, runs: int | None, execute_programs: bool) -> None:
     """Raise InputError if a repeated run would execute a program from the report without permission.
 
-    A report may come from a stranger.
+    The program may come from a stranger.
     """
     programs = programs_in(plan)
     if programs and runs != 0 and not execute_programs:

@@ -1,4 +1,4 @@
-"""Check that all files are there, that the plan is the declared one, and that the ledger records its runs."""
+"""Check that all files are present, that the plan is as declared, and that the ledger records its runs."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ MOST_NAMED = 10  # faults of an examination; a last line counts the rest
 
 @dataclass(frozen=True)
 class Examination:
-    """The subject of a check and the faults in it.
+    """The subject of a check, and the faults that it found.
 
-    ``notes`` are no faults.  ``unchecked`` has the points that the check could not decide; each may hide a
-    fault.
+    ``notes`` are no faults.  ``unchecked`` has the points that the check could not decide; each of them may
+    hide a fault.
     """
 
     name: str
@@ -52,12 +52,12 @@ class Examination:
 
     @property
     def stands(self) -> bool:
-        """True without a fault."""
+        """True if the check found no fault."""
         return not self.faults
 
 
 def few(faults: Sequence[str]) -> tuple[str, ...]:
-    """Return the first faults, and the number of the remaining ones."""
+    """Return the first ``faults``, and the number of all further faults."""
     more = len(faults) - MOST_NAMED
     return (*faults[:MOST_NAMED], *([f"and {more} more"] if more > 0 else []))
 
@@ -66,7 +66,7 @@ REQUIRED = (PAGE, JSON, JUNIT, LEDGER)
 
 
 def check_files(folder: Path, hashes: dict[str, str]) -> Examination:
-    """Check that the manifest's ``hashes`` match the files of the folder, and cover all of them."""
+    """Check that the manifest's ``hashes`` match the files in ``folder``, and that no file lacks a hash."""
     faults = [f"{name} is not in the manifest" for name in REQUIRED if name not in hashes]
     for name, digest in hashes.items():
         try:
@@ -134,7 +134,7 @@ def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:
 
 @dataclass(frozen=True, eq=False)
 class ReportFolder:
-    """A report under verification: folder, manifest's hashes, evidence, plan and ledger."""
+    """A report that ``verify`` checks: folder, manifest's hashes, evidence, plan and ledger."""
 
     folder: Path
     hashes: dict[str, str]
@@ -144,13 +144,13 @@ class ReportFolder:
 
     @property
     def same(self) -> bool:
-        """True if source, libraries, networks and platform are unchanged; the plan's files do not count."""
+        """True if source, libraries, networks and platform are unchanged; the plan's files may differ."""
         changes = self.ledger.declared.identity.changes(self.plan.identity)
         return all(change.startswith("the file ") for change in changes)
 
     @property
     def same_words(self) -> bool:
-        """True if the source of this package is unchanged: all words and pages depend on it alone."""
+        """True if the source of this package is unchanged, since all words and pages depend on it alone."""
         source = "the source of this package"
         return not any(
             item.startswith(source) for item in self.ledger.declared.identity.changes(self.plan.identity)
@@ -194,7 +194,7 @@ def _wrongly_stopped(known: Plan, ledger: Ledger) -> Iterator[str]:
 def check_rows(ledger: Ledger) -> Examination:
     """Check that every row of ``ledger`` belongs to a declared run, has the right types, and occurs once.
 
-    It comes before every computation, which relies on the rows.
+    This check precedes all computations, because they rely on the rows.
     """
     faults = list(_odd_rows(ledger))
     ((made,),) = ledger.all("SELECT count(*) FROM episode")
@@ -206,7 +206,7 @@ def check_rows(ledger: Ledger) -> Examination:
 
 
 def _odd_rows(ledger: Ledger) -> Iterator[str]:
-    """Yield each kind of wrong row with its number."""
+    """Yield each kind of wrong row with the number of such rows."""
 
     def counted(label: str, question: str, *values: object) -> Iterator[str]:
         yield from (f"{count} {label}" for (count,) in ledger.all(question, *values) if count)
@@ -237,7 +237,7 @@ def _odd_rows(ledger: Ledger) -> Iterator[str]:
 
 
 def _not(table: str, **kinds: str) -> str:
-    """Return an SQL query that counts the rows of ``table`` with a column of another type.
+    """Return an SQL query that counts the rows of ``table`` in which a column has a wrong type.
 
     ``kinds`` has the allowed SQLite types of each column, separated by spaces.
     """
@@ -298,7 +298,7 @@ _ODD = {
 
 
 def kept(known: Plan, ledger: Ledger) -> Iterator[str]:
-    """Yield wrong seeds in ``ledger``, and missing or wrongly marked traces, by the plan ``known``."""
+    """Yield wrong seeds in ``ledger``, and missing or wrongly marked traces, as the plan ``known`` shows."""
     distinct = "SELECT DISTINCT stratum, episode FROM judgement WHERE outcome = ?"
     violating = set(ledger.all(distinct, int(EpisodeOutcome.VIOLATED)))
     every = "SELECT stratum, episode FROM judgement GROUP BY 1, 2 HAVING min(outcome) = ?"

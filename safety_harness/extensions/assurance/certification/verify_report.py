@@ -1,11 +1,11 @@
 """Check that a report's statements follow from its ledger, and that its pages follow from its evidence.
 
-Some statements depend on the words of the catalogue, or on the last bits of a trace. They may differ if the
-software is not the report's: the check then reports the difference. Otherwise all must be equal.
+Some statements depend on the words of the catalogue, or on the last bits of a trace. These may differ if
+other software made the report; the check then states the difference. All other statements must be equal.
 
-The check compares text of the page exactly: between tags, in drawings, in texts for screen readers. In plots,
-only the numbers of places (``x``, ``y``, ``d``) may differ by a tenth of a pixel. Coordinates have one
-decimal, where the last bit of another processor shows.
+The check compares the text of the page exactly: between tags, in drawings, in texts for screen readers. In
+plots, only the numbers that place things (``x``, ``y``, ``d``) may differ, by a tenth of a pixel. These
+numbers have one decimal, and the last bit of another processor can change it.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ _ANSWERS = b'<ul class="answers">'  # on top: the bound and the verdict of each 
 _VERDICTS = re.compile(rb'<table class="[^"<>]*\bverdicts"[^<>]*>')
 _NUMBERS = re.compile(rb'<(td)[^<>]*class="number"[^<>]*>')
 _CLOSING = re.compile(rb"</(?:strong|td)>|(?<!</svg>)</span>")
-_HIDING = re.compile(rb"<!--|<template\b", re.IGNORECASE)  # no version writes any: they could hide a verdict
+_HIDING = re.compile(rb"<!--|<template\b", re.IGNORECASE)  # could hide a verdict, and no version writes it
 _LONGEST_BADGE = 2_000  # bytes, with its icon
 _MARKUP = re.compile(rb"<[^<>]*>")
 _TAG = re.compile(rb"<\w[^<>]*>")
@@ -90,9 +90,9 @@ _AROUND = 60  # letters shown before and after a difference
 
 
 def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination:
-    """Write the page and the JUnit XML again from the evidence, and compare them.
+    """Make the page and the JUnit XML again from the evidence, and compare them with the files.
 
-    A difference is no fault but unchecked if the software is not the report's.
+    If other software made the report, a difference is no fault, but an unchecked point.
 
     Args:
         report: The report.
@@ -130,9 +130,9 @@ def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination
 
 
 def differences(there: bytes, made: bytes) -> tuple[str, ...]:
-    """Return the lines in which the page ``there`` differs from its copy ``made`` here.
+    """Return the lines in which the report's page ``there`` differs from the page ``made`` here.
 
-    Places within the tolerance do not differ.
+    Numbers that place things may differ within the tolerance.
     """
     (text, places), (own_text, own_places) = _parted(there), _parted(made)
     if text != own_text:
@@ -168,7 +168,7 @@ def _parted(page: bytes) -> tuple[bytes, list[float]]:
 
 
 def passed_in(junit: bytes) -> list[tuple[str, str]] | None:
-    """Return stratum and claim of each case of ``junit`` that passes; None if it is no XML."""
+    """Return (stratum, claim) of each case in ``junit`` that passes; None if ``junit`` is no XML."""
     try:
         cases = ElementTree.fromstring(junit).iter("testcase")
         passed = (case for case in cases if _NOT_PASSED.isdisjoint(child.tag for child in case))
@@ -178,9 +178,9 @@ def passed_in(junit: bytes) -> list[tuple[str, str]] | None:
 
 
 def verdicts_in(page: bytes) -> list[bytes]:
-    """Return the verdicts on a page with their classes, and the numbers of their table and of their list.
+    """Return the verdicts on ``page`` with their classes, and the numbers in the table and list of verdicts.
 
-    Standings, counts and bounds follow from the evidence by rule, with any version of the software.
+    In every version of the software, these follow from the evidence by a rule.
     """
     badges = sorted(opening + text for opening, text in _texts(page, _VERDICT))
     table = _VERDICTS.search(page)
@@ -195,24 +195,24 @@ def verdicts_in(page: bytes) -> list[bytes]:
 
 
 def _answers(page: bytes) -> bytes:
-    """Return the list of answers on top of a page; empty without it."""
+    """Return the list of answers at the top of ``page``; empty if there is no such list."""
     begin = page.find(_ANSWERS)
     end = page.find(b"</ul>", begin)
     return b"" if begin < 0 else page[begin : end if end >= 0 else len(page)]
 
 
 def _texts(page: bytes, openings: re.Pattern[bytes]) -> Iterator[tuple[bytes, bytes]]:
-    """Yield each opening and the text up to its end; a text without an end is cut."""
+    """Yield each match of ``openings``, and the text from there to its end; a text without an end is cut."""
     for match in openings.finditer(page):
         some = page[match.end() : match.end() + _LONGEST_BADGE]
         yield match[1], _MARKUP.sub(b"", _CLOSING.split(some, maxsplit=1)[0])
 
 
 def _without_style(there: bytes, made: bytes) -> tuple[tuple[str, ...], bytes]:
-    """Return a line if the style sheet is another, and the page with the style sheet that is ``made`` here.
+    """Return a remark if the style sheets differ, and the page ``there`` with the style sheet of ``made``.
 
-    This holds only if all before it is the same. In another place a browser might not take it as a style
-    sheet, and show it.
+    The function replaces the style sheet only if everything before it is equal. In another place, a browser
+    might show the text instead of using it as a style sheet.
     """
     theirs, ours = _styled(there), _styled(made)
     if theirs is None or ours is None or theirs[0] != ours[0] or theirs[1] == ours[1]:
@@ -222,14 +222,14 @@ def _without_style(there: bytes, made: bytes) -> tuple[tuple[str, ...], bytes]:
 
 
 def _styled(page: bytes) -> tuple[bytes, bytes, bytes] | None:
-    """Return the parts of a page before, in and after its first style sheet; None without a style sheet."""
+    """Return the parts of ``page`` before, in and after its first style sheet; None if it has no sheet."""
     begin = page.find(b"<style>") + len(b"<style>")
     end = page.find(b"</style>", begin)
     return None if begin < len(b"<style>") or end < 0 else (page[:begin], page[begin:end], page[end:])
 
 
 def _shown(there: bytes, made: bytes) -> str:
-    """Return the letters around the first difference."""
+    """Return the text around the first difference, from both sides."""
     at = next((k for k, pair in enumerate(zip_longest(there, made)) if pair[0] != pair[1]), 0)
     theirs, ours = (
         line[max(at - _AROUND, 0) : at + _AROUND].decode("utf-8", "replace") for line in (there, made)
@@ -238,7 +238,7 @@ def _shown(there: bytes, made: bytes) -> str:
 
 
 def _traces(folder: Path, gathered: GatheredEvidence) -> Iterator[str]:
-    """Yield each declared counterexample whose file is not the ledger's trace."""
+    """Yield each declared counterexample whose file differs from the trace in the ledger."""
     for item in gathered.examples:
         if item.data is not None:
             file = folder / item.shown.trace_file
@@ -247,7 +247,7 @@ def _traces(folder: Path, gathered: GatheredEvidence) -> Iterator[str]:
 
 
 def bytes_of(path: Path) -> bytes:
-    """Return the bytes of ``path``, a file in a report that may come from a stranger.
+    """Return the content of ``path``, a file in a report that may come from a stranger.
 
     Raises:
         InputError: The file cannot be read, or is too large.
@@ -262,7 +262,7 @@ def written(text: str) -> bytes:
 
 
 def rewritten(text: bytes) -> str:
-    """Return a JSON text as every version writes it; it may have the fields of an earlier version."""
+    """Return a JSON text in the form that every version writes; its fields may be of an earlier version."""
     return json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
 
 
@@ -276,7 +276,7 @@ CLOSE = 1e-9  # relative: the last digits depend on the version of scipy
 
 
 def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, GatheredEvidence]:
-    """Compute again everything that follows from the ledger and the searches, and compare it.
+    """Compute everything that follows from the ledger and the searches again, and compare it with the report.
 
     Args:
         report: The report.
@@ -294,7 +294,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         return now if report.same_words else replace(now, agreement=then.agreement)
 
     oracles_with = then.oracles_measured_with if then.oracles else ""
-    # a declaration can only be of this plan with the ledger's software
+    # a declaration can only be about this plan and the ledger's software
     declared = recorded.record.declaration_sha256
     gathered = put_together(
         report.plan,
@@ -341,7 +341,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
 
 
 def _as_recorded(recorded: Evidence, plan: Plan, met: Sequence[Example | str]) -> Iterator[Example | str]:
-    """Yield the counterexamples with the report's own attribution, which only repeated runs can find."""
+    """Yield the counterexamples with the attribution in the report, which only repeated runs could find."""
     lines_of = {item.trace_file: item.lines for item in recorded.counterexamples}
     for item in met:
         if isinstance(item, Example):
@@ -352,7 +352,7 @@ def _as_recorded(recorded: Evidence, plan: Plan, met: Sequence[Example | str]) -
 
 
 def check_proof(report: ReportFolder) -> Examination | None:
-    """Check the certificate again with the independent checker; None for a report without a certificate."""
+    """Check the certificate again with the independent checker; None if the report has no certificate."""
     recorded = report.recorded.proven
     faults: list[str] = []
     unchecked: list[str] = []
@@ -374,7 +374,7 @@ def check_proof(report: ReportFolder) -> Examination | None:
 
 
 def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> EvidenceProvenance:
-    """Return the origin as the ledger has it; only the report has the time and the command."""
+    """Return the report's origin as the ledger states it; time and command come from ``recorded``."""
     parts = dict(ledger.declared.identity.parts)
     began_at, machine, spent_s = sessions_of(ledger)
     return replace(
@@ -391,7 +391,7 @@ def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> Evid
 
 
 def _differences(then: Any, now: Any, place: str) -> Iterator[tuple[str, Any, Any]]:
-    """Yield each place where two documents differ, as deep as possible."""
+    """Yield each place where two documents differ, with the path to the innermost difference."""
     if isinstance(then, dict) and isinstance(now, dict):
         for name in now:
             yield from _differences(then[name], now[name], f"{place}.{name}".lstrip("."))
@@ -406,7 +406,7 @@ def _differences(then: Any, now: Any, place: str) -> Iterator[tuple[str, Any, An
 
 
 def _is_close(then: object, now: object) -> bool:
-    """Return whether two margins with unit differ no more than another processor's last bits in a run."""
+    """Return whether two margins with units differ only by what another processor's last bits may cause."""
     if not (isinstance(then, str) and isinstance(now, str)):  # lists of different lengths
         return False
     (value, *unit), (own, *own_unit) = (text.replace("\u2212", "-").split(" ", 1) for text in (then, now))
@@ -417,7 +417,7 @@ def _is_close(then: object, now: object) -> bool:
 
 
 def _short(value: Any) -> str:
-    """Return a value in at most 80 letters."""
+    """Return ``value`` as text with at most 80 letters."""
     if isinstance(value, tuple):
         return f"{len(value)} of them"
     text = str(value)
@@ -425,7 +425,7 @@ def _short(value: Any) -> str:
 
 
 def _files(report: ReportFolder) -> Iterator[str]:
-    """Yield differences between the evidence's list of files and the manifest, and edits of the evidence."""
+    """Yield differences between the manifest and the evidence's list of files, and edits of the evidence."""
     folder, recorded = report.folder, report.recorded
     listed = {item.path: item.sha256 for item in recorded.files}
     sizes = {name: (folder / name).stat().st_size for name in listed if (folder / name).is_file()}
@@ -439,7 +439,7 @@ def _files(report: ReportFolder) -> Iterator[str]:
 
 
 def _origin_faults(origin: EvidenceProvenance) -> Iterator[str]:
-    """Yield faults in the statements that only the maker knows: they must at least have certify's form."""
+    """Yield faults in statements that only the maker can know; they must have the form of ``certify``."""
     for command in (origin.command, *origin.commands):
         if not _is_ours(command):
             yield f"provenance has a command that certify does not write: {command[:80]}"
@@ -459,7 +459,7 @@ def _origin_faults(origin: EvidenceProvenance) -> Iterator[str]:
 
 
 def _foreign(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
-    """Yield the files that no check reads."""
+    """Yield the files in the report that no check reads."""
     shown = {item.trace_file for item in evidence.counterexamples}
     for name in hashes:
         inside = Path(name).parts[0] in (PLAN, OPENED)
@@ -471,7 +471,7 @@ def _foreign(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
 def _is_ours(command: str) -> bool:
     """Return whether ``command`` is a single command of this package, with plain or quoted words.
 
-    Pasting it then has no further effect.
+    If so, a reader who pastes it into a shell runs nothing else.
     """
     try:
         argv = shlex.split(command)

@@ -1,4 +1,4 @@
-"""Check that stored traces and repeated runs give the results in the ledger."""
+"""Check that stored traces and repeated runs give the same results as the ledger."""
 
 from __future__ import annotations
 
@@ -32,17 +32,18 @@ from safety_harness.trace.compare import CLOSE, first_difference
 from safety_harness.trace.overruling import COUNTS as OVERRULED
 from safety_harness.trace.trace import Trace
 
-MOST_AGAIN = 1000  # unless --runs is higher: some minutes in PyBullet
+MOST_AGAIN = 1000  # repeated runs, unless --runs asks for more; they take some minutes in PyBullet
 MOST_TOGETHER = 32
 COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", "theorem")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """The number of runs to repeat: ``runs``, or enough to find altered rows except with chance ``miss``.
+    """The number of runs to repeat: ``runs``, or so many that the chance to miss altered rows is ``miss``.
 
-    The altered rows are the fewest that turn the weakest verdict. ``seed`` draws the runs; the maker of the
-    report cannot know it.  ``programs`` is true if programs in the report may run.
+    This is the chance to miss all altered rows, if a forger altered the fewest that change the weakest
+    verdict. ``seed`` draws the runs; the maker of the report cannot know it.  ``programs`` is true if
+    programs in the report may run.
     """
 
     runs: int | None
@@ -52,9 +53,9 @@ class Drawing:
     on_progress: Callable[[str], None] = lambda text: None
 
     def number(self, there: int, turns: Sequence[Turn]) -> int:
-        """Return the number of runs to repeat, out of the runs ``there``; at most ``MOST_AGAIN`` by default.
+        """Return how many of the runs ``there`` to repeat; by default, at most ``MOST_AGAIN``.
 
-        ``turns`` are all verdicts, the weakest first.
+        ``turns`` belong to all verdicts, the weakest verdict first.
         """
         if self.runs is not None:
             return min(self.runs, there)
@@ -63,16 +64,16 @@ class Drawing:
     def miss_chances(
         self, there: int, again: int, turns: Sequence[Turn], each_s: float
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return how many altered rows turn each verdict, the chance to miss them, and the open points.
+        """Return how many altered rows change each verdict, the chance to miss them, and the open points.
 
         Args:
             there: The number of runs in the ledger.
             again: The number of repeated runs.
-            turns: All verdicts, the weakest first.
-            each_s: The time of a repeated run, for the estimate of more runs.
+            turns: The turns of all verdicts, the weakest verdict first.
+            each_s: The time of a repeated run (s), to estimate the time of more runs.
 
         Returns:
-            Notes, and points that stay unchecked because the chance is above ``miss``.
+            Notes, and points that stay unchecked because the chance exceeds ``miss``.
 
         """
         lines = [
@@ -101,7 +102,7 @@ def drawn(there: int, again: int, seed: int) -> list[int]:
 
 
 def _needed(there: int, turns: Sequence[Turn], miss: float) -> int:
-    """Return the number of runs to repeat for the chance ``miss``; all of them without a verdict."""
+    """Return how many runs to repeat for the chance ``miss``; all runs if no verdict can change."""
     return runs_to_see(there, turns[0].rows, miss) if turns else there
 
 
@@ -114,7 +115,7 @@ def _span(time_s: float) -> str:
 
 
 def programs_in(plan: Plan) -> list[str]:
-    """Return the files that a run of the plan may execute, Python and ONNX, wherever its spaces name them."""
+    """Return the Python and ONNX files that a run of the plan may execute, wherever its spaces name them."""
     texts = [plan.avoider or ""]
     for stratum in plan.strata:
         texts += [stratum.space.simplest.under_test, *references_in(stratum.space.tree)]
@@ -125,14 +126,14 @@ SAMPLED = "repulsive ways clear of"  # begins claims on samples of a path
 
 
 class Compared:
-    """Compares rows with the rows of the ledger.
+    """A comparison of repeated runs with the rows of the ledger.
 
-    Outcomes must be equal, and margins equal within a tolerance. All else must be equal if the software is
-    the same.
+    Outcomes must be equal, and margins must be equal within a tolerance. Everything else must be equal if the
+    software is the same.
 
-    A ``program`` may import files that no hash covers. For its runs only two things must be equal: the
-    outcomes, and the number of questions without an answer, on which verdicts depend. Its further differences
-    stay unchecked.
+    A ``program`` may import files that no hash covers. Therefore its runs must agree in only two things, on
+    which verdicts depend: the outcomes, and the number of unanswered questions. Further differences stay
+    unchecked.
     """
 
     def __init__(self, plan: Plan, ledger: Ledger, *, same: bool, program: bool = False) -> None:
@@ -190,9 +191,9 @@ class Compared:
     def add_trace(self, stored: Trace, row: Row) -> None:
         """Compare a stored trace with the trace of the repeated run in ``row``, bit by bit.
 
-        Last bits of an engine's trace may differ on another machine.
+        On another machine, the last bits of a physics engine's trace may differ.
         """
-        if row.trace is None:  # the run fails here; its row shows it
+        if row.trace is None:  # the repeated run failed, as its row shows
             return
         again = trace_of(self.plan, row.stratum, row.trace)
         difference: object = first_difference(stored, again)
@@ -206,12 +207,12 @@ class Compared:
             self.faults.append(f"{self.where(row.stratum, row.episode)}, its stored trace: {difference}")
 
     def where(self, stratum: int, episode: int) -> str:
-        """Return the name of a run: its stratum and ``episode``."""
+        """Return a name for a run: its stratum and ``episode``."""
         return f"{self.plan.strata[stratum].name}, run {episode}"
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Differences that are no fault."""
+        """Differences that are no faults."""
         prefix = "with the same outcomes, but not the same"
         moved = self.moved - self.far if self.answers else self.moved
         otherwise = 0 if self.answers else self.otherwise
@@ -220,7 +221,7 @@ class Compared:
 
     @property
     def unchecked(self) -> tuple[str, ...]:
-        """Differences that come from another version of a program, or from altered rows."""
+        """Differences that may come from another version of a program, or from altered rows."""
         pairs = ((self.otherwise, "decisions"), (self.far, "margins")) if self.answers else ()
         why = "what the program imports is another here, or rows were altered"
         lines = [f"{count} runs with other {kind} than the ledger's: {why}" for count, kind in pairs if count]
@@ -233,7 +234,7 @@ class Compared:
         return tuple(lines)
 
     def _hidden_copies(self, row: Row) -> Iterator[str]:
-        """Yield a fault if the run repeats an earlier run, and the ledger counts them as different runs."""
+        """Yield a fault if the run repeats an earlier run, but the ledger counts both as different runs."""
         ((then,),) = self.ledger.all(_RUN, row.stratum, row.episode)
         episode, recorded = self._runs.setdefault((row.stratum, row.run), (row.episode, then))
         if row.run and then != recorded:
@@ -244,7 +245,7 @@ class Compared:
             yield f"{where}: the ledger has {number} for {row.run}"
 
     def _faults(self, row: Row, recorded: Mapping[int, ClaimJudgement]) -> Iterator[str]:
-        """Yield each claim with another outcome than ``recorded``, or with a margin beyond the tolerance."""
+        """Yield each claim whose outcome is not as ``recorded``, or whose margin exceeds the tolerance."""
         where = self.where(row.stratum, row.episode)
         for number, (claim, now) in enumerate(zip(self.plan.claims, row.judgements, strict=True)):
             then = recorded.get(number)
@@ -272,11 +273,12 @@ def _same(then: float, now: float) -> bool:
 
 
 def _is_close(sentence: str, then: float, now: float) -> bool:
-    """Return whether two margins (SI) of a claim differ by no more than another machine's arithmetic.
+    """Return whether two margins (SI) of a claim differ by no more than another machine's rounding.
 
-    Emulated machines move a margin by 1e-12 at most, and that of ``SAMPLED`` claims by 0.13 mm. A path of
-    such a claim ends at a sample; samples are 2.5 mm apart, and a last bit decides at which sample. The
-    tolerances are a tenth of a millimetre (1e-4 in SI units) and 2.5 mm.
+    On emulated machines, a margin moves by at most 1e-12. The margin of a ``SAMPLED`` claim moves by up to
+    0.13 mm, because its path ends at a sample. Samples are 2.5 mm apart, and a last bit decides which sample
+    is the end. The tolerances are a tenth of a millimetre (1e-4 in SI units), and 2.5 mm for a ``SAMPLED``
+    claim.
     """
     if math.isnan(then) or math.isnan(now):
         return math.isnan(then) and math.isnan(now)
@@ -284,7 +286,7 @@ def _is_close(sentence: str, then: float, now: float) -> bool:
 
 
 def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
-    """Check all stored traces: each must belong to its run, and the present code must judge it equally.
+    """Check that each stored trace belongs to its run, and that the present code judges it equally.
 
     Args:
         plan: The plan.
@@ -333,9 +335,9 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
 
 
 def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) -> Examination:
-    """Repeat the runs of the search's counterexamples.
+    """Repeat the runs of the counterexamples that the search found, and compare them with their traces.
 
-    The report has no record of them apart from their traces.
+    Apart from these traces, the report does not record the runs.
 
     Args:
         gathered: The evidence with the counterexamples.
@@ -370,15 +372,15 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
 def check_runs(
     plan: Plan, ledger: Ledger, turns: Sequence[Turn], drawing: Drawing, *, same: bool
 ) -> Examination:
-    """Repeat runs that verdicts depend on, drawn by the verifier, and all runs with a stored trace.
+    """Repeat the drawn runs and all runs with a stored trace, and compare them with the ledger.
 
-    It asks a program the runs' questions again: if the program remembers earlier questions, the ledger must
-    say so.
+    If the runs ask a program, the function asks it the same questions again. If the program remembers earlier
+    questions, the ledger must state this.
 
     Args:
         plan: The plan.
         ledger: The open ledger.
-        turns: All verdicts, the weakest first.
+        turns: The turns of all verdicts, the weakest verdict first.
         drawing: The number of runs and the seed.
         same: True if software, libraries, networks and platform are those of the report.
 

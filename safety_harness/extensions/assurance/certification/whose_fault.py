@@ -1,4 +1,4 @@
-"""The causes of the violations in the declared runs: the first of each claim, drawn and run again."""
+"""The causes of violations in the declared runs: the first violations of each claim, drawn and run again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST = 20  # the first violations of each claim
 def whose_fault(plan: Plan, ledger: Ledger) -> WhoseFault:
     """Attribute violations of ``plan`` in ``ledger`` by kinematic replays.
 
-    It executes the programs that the plan names, as the runs did.
+    Like the runs, the function executes the programs that the plan names.
     """
     violated = ViolatedEpisodes.first(ledger, MOST)
     tally = AttributionTally.from_attributions(

@@ -54,7 +54,7 @@ _HELP = "Run a declared plan of up to millions of episodes into a ledger that su
 
 
 class RareWay(StrEnum):
-    """The method that counts rare violations."""
+    """The method that estimates the probability of rare violations."""
 
     IMPORTANCE = "importance"
     SPLITTING = "splitting"
@@ -195,7 +195,7 @@ def resume(
 def _run_episodes(
     plan: Plan, path: Path, workers: int | None, cluster: str | None, part: str, require_shown: bool = False
 ) -> int:
-    """Run the rest of a plan into its ledger, print its state, and return the exit code.
+    """Run the missing episodes of ``plan`` into its ledger, print the state, and return the exit code.
 
     Args:
         plan: The plan.
@@ -230,14 +230,14 @@ def _run_episodes(
         stopped = interrupted()
     result(*tested_lines(plan))
     with Ledger.open(path, check=False) as ledger:
-        finished = kind_of(path.parent) is FileKind.REPORT  # its manifest allows no further file
+        finished = kind_of(path.parent) is FileKind.REPORT  # a report's manifest allows no further file
         state, drawn = _say_ledger(ledger), True
         try:
             if not finished:
                 _write_page(ledger, state, path.with_suffix(".html"))
         except SafetyHarnessError:
             raise
-        except Exception as error:  # the runs count although the page failed
+        except Exception as error:  # the runs stay valid if the page fails
             say(f"error: the page cannot be written ({described(error)}); the ledger has all runs")
             drawn = False
         tally, targets = state.tally, {claim.sentence: claim.target for claim in plan.claims}
@@ -257,9 +257,9 @@ def _run_episodes(
 
 
 def _say_ledger(ledger: Ledger, page: Path | None = None) -> LedgerState:
-    """Print the state of a ledger as lines or as JSON, and return it.
+    """Print the state of ``ledger`` as lines or as JSON, and return the state.
 
-    It also writes the state as a page to the file ``page``, if there is one.
+    If ``page`` is not None, the function also writes the state as a page to this file.
     """
     from safety_harness.extensions.assurance.campaign.summary import state_of
     from safety_harness.extensions.assurance.commands.campaign_lines import ledger_data, ledger_lines
@@ -275,10 +275,10 @@ def _say_ledger(ledger: Ledger, page: Path | None = None) -> LedgerState:
 
 
 def _numbers(part: str, plan: Plan) -> tuple[int, int]:
-    """Return K/N as (K - 1, N).
+    """Return (K - 1, N) for the text K/N in ``part``.
 
     Raises:
-        ScenarioError: The text is no K/N, or the plan may stop early, so that it has no fixed parts.
+        ScenarioError: The text is no K/N, or the plan may stop early and therefore has no fixed parts.
 
     """
     k, _, n = part.partition("/")

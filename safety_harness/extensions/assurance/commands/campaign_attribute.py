@@ -1,4 +1,4 @@
-"""``safety-harness campaign attribute``: whose fault the violations in a ledger are."""
+"""The command ``safety-harness campaign attribute``, which finds the causes of a ledger's violations."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from safety_harness.report.attribution_job import attribute_all
 
 
 def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, confirm: bool) -> int:
-    """Attribute the violations in a ledger, print the result, write it, and return the exit code.
+    """Attribute the violations in a ledger, print and write the result, and return the exit code.
 
     Args:
         path: The ledger.
-        most: The number of violations of each claim, from the first one.
+        most: The number of violations to attribute for each claim, from the first violation on.
         execute: Allow the execution of programs that the campaign names.
         out: The folder for the attribution; None: no files.
         confirm: Repeat the runs in PyBullet too.

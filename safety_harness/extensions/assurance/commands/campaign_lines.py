@@ -1,4 +1,4 @@
-"""The printed lines on a campaign's ledger, and on two ledgers."""
+"""The lines that the commands print on a campaign's ledger, and on two ledgers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _MOST_REASONS = 5
 def tested_lines(plan: Plan) -> list[str]:
     """Return a line for each system under test, with the names of its strata.
 
-    It has the avoider or controller, the shield, and each value that is not the default.
+    The line names the avoider or controller, the shield, and each value that is not the default.
     """
     tested: dict[str, list[str]] = {}
     for stratum in plan.strata:
@@ -44,7 +44,7 @@ def tested_lines(plan: Plan) -> list[str]:
 
 
 def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:
-    """Yield the lines on a campaign's state; a complete campaign has its bounds."""
+    """Yield the lines on the state of a campaign; only a complete campaign has lines on bounds."""
     declared, tally = ledger.declared, state.tally
     yield f"{ledger.path}: {declared.title}"
     yield _summary(declared, tally)
@@ -60,7 +60,7 @@ def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:
 
 
 def ledger_data(ledger: Ledger, state: LedgerState) -> dict[str, object]:
-    """Return the same for programs: margins in SI, null for a missing value."""
+    """Return the content of ``ledger_lines`` as data: margins in SI, null for a missing value."""
     declared, tally = ledger.declared, state.tally
     whole = tally.complete
     strata = zip(declared.strata, tally.strata, strict=True)
@@ -109,7 +109,7 @@ def _claims_data(declared: Declared, claims: Sequence[ClaimCounts]) -> list[dict
 
 
 def _summary(declared: Declared, tally: CampaignTally) -> str:
-    """Return a line with the finished episodes of each stratum."""
+    """Return a line with the number of finished episodes in each stratum."""
     parts = []
     for name, stratum in zip(declared.strata, tally.strata, strict=True):
         text = f"{name} {stratum.done}/{stratum.planned}"
@@ -122,7 +122,7 @@ def _summary(declared: Declared, tally: CampaignTally) -> str:
 
 
 def worst_lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: CampaignTally) -> list[str]:
-    """Return a line for each claim over all strata: its worst margin, and the numbers of each outcome."""
+    """Return a line for each claim over all strata: its worst margin, and the number of each outcome."""
     lines = []
     for k, (claim, unit) in enumerate(zip(claims, units, strict=True)):
         claim_tally = tally.of_claim(k)
@@ -139,7 +139,7 @@ def worst_lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: Campaig
 
 
 def _failure_lines(ledger: Ledger) -> list[str]:
-    """Return the reasons of failed and incomplete episodes, the most frequent first."""
+    """Return the reasons why episodes failed or are incomplete, the most frequent reason first."""
     question = (
         "SELECT count(*), failure, stratum, min(episode) FROM episodes WHERE failure IS NOT NULL "
         "GROUP BY failure ORDER BY 1 DESC, 2"
@@ -162,7 +162,7 @@ def _fallback_lines(ledger: Ledger) -> list[str]:
 
 
 def _overruled_lines(ledger: Ledger) -> list[str]:
-    """Return the gate's overruling, and its share in each of several strata; empty without proposals."""
+    """Return how often the gate overruled proposals, also by stratum; empty if there were no proposals."""
     strata = ledger.declared.strata
     each = [(name, overruling_in(ledger, k)) for k, name in enumerate(strata) if len(strata) > 1]
     shares = ", ".join(f"{name} {share_words(part.overruled, part.proposals)}" for name, part in each)
@@ -171,7 +171,7 @@ def _overruled_lines(ledger: Ledger) -> list[str]:
 
 
 def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[str]:
-    """Return the bounds of each violation probability, as a report has them: all hold together."""
+    """Return the bounds of each violation probability, which all hold together, as in a report."""
     if ledger.dependent:
         return [ledger.dependent]
     declared = ledger.declared
@@ -196,7 +196,7 @@ def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[st
 
 
 def rare_line(rate: RareViolation) -> str:
-    """Return the line on a claim in a stratum: the estimate, and the bound of the plain draws."""
+    """Return the line on a rare violation: the estimate, and the upper end from the plain draws."""
     estimate, where = rate.estimate, f"{rate.stratum}: {rate.claim.sentence}"
     ran = f"{estimate.evaluations:,} draws{', model only' if estimate.model_only else ''}"
     most = f"at most {rate.high:.3g} by its {estimate.plain_draws:,} plain draws alone"
@@ -211,7 +211,7 @@ def rare_line(rate: RareViolation) -> str:
 def difference_lines(rows: Sequence[PairedComparison], confidence: float) -> list[str]:
     """Return a line for each claim in each stratum: the second campaign minus the first, with its interval.
 
-    ``confidence`` is that of all intervals together.
+    All intervals hold together with ``confidence``.
     """
     each = confidence_words(rows[0].confidence)
     head = (
@@ -234,7 +234,7 @@ def _difference_line(row: PairedComparison) -> str:
 
 
 def csv_line(values: Sequence[object]) -> str:
-    """Return a row as CSV."""
+    """Return ``values`` as one line of CSV."""
     text = io.StringIO()
     csv.writer(text, lineterminator="").writerow("" if value is None else value for value in values)
     return text.getvalue()

@@ -1,4 +1,4 @@
-"""``safety-harness certify`` and ``verify``: a plan's evidence as a report, and the check of a report."""
+"""The commands ``safety-harness certify`` and ``verify``: report a plan's evidence, and check a report."""
 
 from __future__ import annotations
 
@@ -19,10 +19,13 @@ if TYPE_CHECKING:
 
 
 class _PlanOrCommand(TyperGroup):
-    """``certify PLAN`` beside ``certify declare PLAN``: a word that is no command is a plan or an option."""
+    """A command group in which ``certify PLAN`` works beside ``certify declare PLAN``.
+
+    If the first word names no command, the group takes it as a plan or an option.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Insert the command ``plan`` if the first word is no command.
+        """Insert the command ``plan`` if the first word of ``args`` is no command.
 
         A shell that completes the first word gets all commands instead.
         """
@@ -30,11 +33,11 @@ class _PlanOrCommand(TyperGroup):
         return super().parse_args(ctx, args if named else ["plan", *args])
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the commands that a user has to name."""
+        """Return the names of the commands, without ``plan``, which a user does not type."""
         return [name for name in super().list_commands(ctx) if name != "plan"]
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
-        """Return the command without its name ``plan``, which a user never reads."""
+        """Return the command, but hide the name ``plan``, which a user should not read."""
         name, command, rest = super().resolve_command(ctx, args)
         return (None if name == "plan" else name), command, rest
 
@@ -174,7 +177,7 @@ def certify(
 
 
 def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
-    """Return how much shields slowed the arm, in the stored random runs of each stratum."""
+    """Return how much shields slowed the arm in the stored random runs of each stratum."""
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.certification.guard import ReportGuard
     from safety_harness.extensions.assurance.certification.stored import random_traces
@@ -305,7 +308,7 @@ def seal_report(
 
 
 def _chance(given: str | float) -> float:
-    """Return a chance between 0 and 1, from per cent or a number."""
+    """Return a chance between 0 and 1 from ``given``, which is in per cent or a number."""
     text = str(given)
     try:
         value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
@@ -373,7 +376,7 @@ def verify(
         for check in verify_report(
             report,
             runs=runs,
-            miss=_chance(miss),  # the default is a text, as the help shows it
+            miss=_chance(miss),  # its default is a text, which the help shows
             seed=secrets.randbelow(2**31) if seed is None else seed,
             execute_programs=execute_programs,
             seal=seal,

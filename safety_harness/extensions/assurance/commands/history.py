@@ -1,4 +1,4 @@
-"""``safety-harness history``: the reports of many revisions as one page."""
+"""The command ``safety-harness history``, which shows the reports of many revisions on one page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plans before their runs: the best possible result of a plan, and a draft from a scenario space."""
+"""Work on plans before their runs: the best result that a plan can have, and a draft from a space."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from safety_harness.extensions.assurance.statistics.planning import Aim, allowed
 from safety_harness.scenario.model import Verdict
 from safety_harness.space.read import read_space
 
-TARGET = 0.02  # of a draft; its author replaces it, knowing the hazard
+TARGET = 0.02  # of a draft; the author, who knows the hazard, replaces it
 
 
 def explain_plan(path: Path) -> int:
-    """Print the results that the runs of the plan in ``path`` can show, and return the exit code."""
+    """Print what the runs of the plan in ``path`` can show at best, and return the exit code."""
     plan = read_plan(path)
     family = ends_of(len(plan.claims), len(plan.strata))
     result(f"{plan.file}: {plan.title}; {plan.world}, seed {plan.seed}")
@@ -66,10 +66,10 @@ def explain_plan(path: Path) -> int:
 
 
 def draft_plan(space: Path | None, file: Path | None) -> int:
-    """Write a plan for a space's claims, with the fewest runs that can show ``TARGET``.
+    """Write a plan for the claims of a space, with the fewest runs that can show ``TARGET``.
 
     Args:
-        space: The space; None is an error that asks for one.
+        space: The space; None raises an error that asks for a space.
         file: The plan to write; None: NAME-plan.yaml in the working directory.
 
     Returns:
@@ -124,5 +124,5 @@ def draft_plan(space: Path | None, file: Path | None) -> int:
 
 
 def _scalar(text: str) -> str:
-    """Return ``text`` as a YAML scalar, in quotes if a reader might take it for another type."""
+    """Return ``text`` as a YAML scalar, in quotes if YAML could read it as another type."""
     return text if re.fullmatch(r"[A-Za-z][\w .,/-]*", text) else json.dumps(text, ensure_ascii=False)

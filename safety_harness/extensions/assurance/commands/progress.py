@@ -16,7 +16,7 @@ from safety_harness.extensions.assurance.commands.campaign_lines import worst_li
 def watching_campaign(plan: Plan, output: Output) -> Iterator[Callable[[CampaignRunner], None]]:
     """Yield a function that displays the progress: rate, remaining time, worst margins, violations.
 
-    It warns once of each claim that the planned runs will not show, judged by the first runs.
+    Judging by the first runs, it warns once of each claim that the planned runs will not show.
 
     Args:
         plan: The plan of the campaign.

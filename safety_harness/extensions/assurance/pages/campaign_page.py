@@ -1,4 +1,4 @@
-"""The ledger of a campaign as one self-contained page: bounds, worst episodes, and failed episodes."""
+"""The ledger of a campaign as a self-contained page: bounds, worst episodes, and failed episodes."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from safety_harness.report.words import with_minus
 from safety_harness.scenario.files import display_path
 from safety_harness.trace.store import load_trace
 
-MOST_EPISODES = 1000  # with violations; the ledger has all
-MOST_SHOWN = 5  # as replays
+MOST_EPISODES = 1000  # episodes with violations on the page; the ledger has all
+MOST_SHOWN = 5  # violations shown as replays
 SHOWN, REFUTED, NOT_SHOWN, NO_TARGET = "shown", "refuted", "not shown", "no target"
 CSS = {SHOWN: "holds", REFUTED: "violated", NOT_SHOWN: "inconclusive", NO_TARGET: "none"}
 _WORST = (
@@ -50,14 +50,14 @@ Cells = tuple[Any, ...]
 def write_page(
     path: Path, ledger: Ledger, state: LedgerState, *, command: str, generated_at: datetime
 ) -> None:
-    """Write the page of a ledger, whole or not at all.
+    """Write the page of ``ledger``; a failure leaves no partial page.
 
     Args:
-        path: The page.
+        path: The file of the page.
         ledger: The open ledger.
-        state: Its state.
-        command: The command that repeats the page.
-        generated_at: The time for the page.
+        state: The state of the ledger.
+        command: The command that makes the page again.
+        generated_at: The time that the page states.
 
     Raises:
         OSError: The page cannot be written.
@@ -165,7 +165,7 @@ def _worst(
 
 
 def _shown(ledger: Ledger, worst: Iterable[Cells]) -> Iterator[dict[str, object]]:
-    """Yield the worst violations with a stored trace, as replays."""
+    """Yield replays of the worst violations that have a stored trace."""
     kept, replays = [row for row in worst if row[-1]], Replays()
     with TemporaryDirectory() as folder:
         for number, (stratum, episode, claim, margin, *_) in enumerate(kept[:MOST_SHOWN], start=1):

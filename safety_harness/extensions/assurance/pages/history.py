@@ -1,4 +1,4 @@
-"""The results over many revisions: turned verdicts, margins, and growth of overruling."""
+"""The results of many revisions: changed verdicts, margins, and whether the gate overrules more and more."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from safety_harness.report.svg import HANDS
 from safety_harness.report.words import count_words, with_minus
 
 REPORT = "report.json"
-LIKELY_TREND = 0.05  # level of the test: a less likely trend counts as growth
+LIKELY_TREND = 0.05  # level of the test; a trend with a smaller p-value counts as growth
 WIDTH_PX, HEIGHT_PX, EDGE_PX = 960.0, 240.0, 60.0
 _UNITS = {si: unit for unit, si in SI_UNITS.items() if si != "1"}
 Claimed = tuple[str, str, str]  # scenario, avoider, claim
@@ -32,9 +32,9 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Revision:
-    """A report: its folder's name, the claims of its runs, and (overruled, proposals) of each avoider.
+    """A report of a revision: folder's name, claims of its runs, and (overruled, proposals) of each avoider.
 
-    ``made_at`` is ISO 8601 in UTC, empty if the report does not state it.
+    ``made_at`` is ISO 8601 in UTC, and empty if the report does not state it.
     """
 
     name: str
@@ -47,14 +47,14 @@ class Revision:
 
 @dataclass(frozen=True)
 class Course:
-    """A claim over the revisions that judged it, in their order."""
+    """The verdicts of one claim in all revisions that judged it, in the order of the revisions."""
 
     claimed: Claimed
     found: tuple[tuple[str, Row], ...]  # revision, outcome
 
     @property
     def turns(self) -> list[tuple[str, str, str]]:
-        """(revision, verdict before, verdict) for each verdict that differs from its predecessor."""
+        """(revision, verdict before, verdict) for each revision with another verdict than before."""
         return [
             (name, last["verdict"], now["verdict"])
             for (_, last), (name, now) in zip(self.found, self.found[1:], strict=False)
@@ -63,14 +63,14 @@ class Course:
 
     @property
     def unlike(self) -> bool:
-        """True if the newest verdict is not the expected one, and an earlier verdict was another."""
+        """True if the newest verdict is not the expected verdict, and the verdict has ever changed."""
         newest = self.found[-1][1]
         return newest["verdict"] != newest["expected"] and bool(self.turns)
 
 
 @dataclass(frozen=True)
 class History:
-    """All revisions and claims; ``growing`` has the avoiders that the gate overrules more and more."""
+    """All revisions and claims; ``growing`` names the avoiders that the gate overrules more and more."""
 
     revisions: tuple[Revision, ...]
     courses: tuple[Course, ...]
@@ -78,12 +78,12 @@ class History:
 
     @property
     def unlike(self) -> list[Course]:
-        """The claims that turned and are not as expected now."""
+        """The claims whose verdict has changed, and is now not the expected verdict."""
         return [course for course in self.courses if course.unlike]
 
     @property
     def sentence(self) -> str:
-        """The result in a sentence."""
+        """A sentence on all claims and revisions."""
         turned = [course for course in self.courses if course.turns]
         size = f"{count_words(len(self.courses), 'claim', 'claims')} over {len(self.revisions)} revisions"
         text = f"Result of {size}: {len(turned)} turned, {len(self.unlike)} to an unexpected verdict"
@@ -93,10 +93,10 @@ class History:
 def read_history(folder: Path) -> History:
     """Read every report.json below ``folder``, in the order of their dates.
 
-    Reports of earlier versions have no date: they come first, in the order of their folders' names.
+    Reports of earlier versions have no date. They come first, in the order of their folders' names.
 
     Raises:
-        InputError: There are fewer than two, or a file is no report of this version.
+        InputError: There are fewer than two reports, or a file is no report of this version.
 
     """
     files = sorted(
@@ -151,13 +151,13 @@ def _tested(system: Row) -> str:
 
 
 def shares_of(revisions: Sequence[Revision], avoider: str) -> list[tuple[int, int, int]]:
-    """Return (number of the revision, overruled, proposals) where ``avoider`` proposed a position."""
+    """Return (number of the revision, overruled, proposals) for each revision where ``avoider`` proposed."""
     rows = ((k, *row.overruling.get(avoider, (0, 0))) for k, row in enumerate(revisions, start=1))
     return [row for row in rows if row[2]]
 
 
 def _grows(shares: list[tuple[int, int, int]]) -> bool:
-    """Return whether the shares rise with the revisions, by a one-sided test of Kendall's tau."""
+    """Return whether the gate's share of overruled proposals rises, by a one-sided test of Kendall's tau."""
     from scipy.stats import kendalltau
 
     if len(shares) < 2 or len({overruled / proposed for _, overruled, proposed in shares}) == 1:
@@ -167,13 +167,13 @@ def _grows(shares: list[tuple[int, int, int]]) -> bool:
 
 
 def write_page(path: Path, history: History, *, command: str, generated_at: datetime) -> None:
-    """Write the page of ``history``, whole or not at all.
+    """Write the page of ``history``; a failure leaves no partial page.
 
     Args:
-        path: The page.
-        history: The revisions.
-        command: The command that repeats the page.
-        generated_at: The time for the page.
+        path: The file of the page.
+        history: The revisions and claims.
+        command: The command that makes the page again.
+        generated_at: The time that the page states.
 
     Raises:
         OSError: The page cannot be written.
@@ -213,7 +213,7 @@ def _margin_words(row: Row) -> str:
 
 
 def _picture(shares: dict[str, list[tuple[int, int, int]]], revisions: int) -> str:
-    """Return the SVG of the share of proposals that the gate overruled, over the revisions."""
+    """Return an SVG plot of the share of proposals that the gate overruled in each revision."""
     picture = Picture(WIDTH_PX, HEIGHT_PX)
     axes = picture.axes(EDGE_PX, 30.0, WIDTH_PX - 2 * EDGE_PX, HEIGHT_PX - 80.0)
     for number, (name, points) in enumerate((name, row) for name, row in shares.items() if row):

@@ -1,10 +1,10 @@
-"""Exact bounds of the probability that a run violates a claim, given that it exercises the claim.
+"""Exact bounds of the probability that a run violates a claim, given that the run exercises the claim.
 
 Upper bounds count inconclusive and failed runs as violations; lower bounds do not. Untested runs are no
-trials, and have a count of their own.
+trials; the sample counts them separately.
 
-A stream of fixed length has Clopper and Pearson's (1934) bounds. A stream that may stop early has the
-bounds of ``sequential``.
+A stream of fixed length has Clopper and Pearson's (1934) bounds. A stream that may stop early has the bounds
+of ``sequential``.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from safety_harness.extensions.assurance.statistics.sequential import anytime_lo
 
 
 class Sides(Enum):
-    """The ends of an interval that are bounds; the value counts them."""
+    """Which ends of an interval are bounds; the value of each member is the number of these ends."""
 
     UPPER = 1  # the greatest probability; the lower end is 0 and states nothing
     BOTH = 2
 
 
 class Method(Enum):
-    """The source of a bound."""
+    """The method by which a bound was computed."""
 
     EXACT = "Clopper-Pearson"
     ANYTIME = "at every time (mixture martingale)"
@@ -39,14 +39,14 @@ class Method(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class ProbabilityBounds:
-    """The violation probability of one claim in one stratum, from ``low`` to ``high``.
+    """The violation probability of a claim in a stratum, which lies between ``low`` and ``high``.
 
-    This interval holds with ``confidence`` at least. A ``family`` of bounds holds together with
-    ``joint_confidence``, and includes these; each end that is a bound counts.
+    This interval alone holds with at least ``confidence``. It belongs to a ``family`` of bounds, which hold
+    together with ``joint_confidence``. The family counts each end of an interval that is a bound.
 
-    The tested runs are the ``trials``. ``violations`` counts certain violations among them;
-    ``inconclusive`` and ``failed`` count runs that may have violated the claim. ``model_only`` marks bounds
-    from a simplified world.
+    The tested runs are the ``trials``. ``violations`` counts the certain violations among them.
+    ``inconclusive`` and ``failed`` count runs that may have violated the claim. ``model_only`` is true if the
+    runs come from a simplified world.
     """
 
     stratum: str
@@ -68,14 +68,14 @@ class ProbabilityBounds:
 
     @property
     def share(self) -> float | None:
-        """The share of the tested runs with a certain violation; None without a tested run."""
+        """The share of the tested runs that certainly violated the claim; None if no run tested it."""
         return self.violations / self.trials if self.trials else None
 
     def shows(self, target: float) -> bool:
-        """Return whether the bound shows a target in the reference world.
+        """Return whether the upper bound shows ``target`` in the reference world.
 
         Args:
-            target: The greatest share of tested runs that may violate the claim, 0 to 1.
+            target: The largest share of tested runs that may violate the claim, 0 to 1.
 
         Returns:
             True if there are tested runs, the world is not simplified, and ``high`` is at most ``target``.
@@ -91,16 +91,16 @@ def bounds_of(
     *,
     family: int | None = None,
 ) -> tuple[ProbabilityBounds, ...]:
-    """Return one bound per sample, in the order of the samples; all hold together with ``confidence``.
+    """Return one bound per sample, in the order of ``samples``; all bounds hold together with ``confidence``.
 
-    The method is Bonferroni's: each of m bounds may fail with the chance (1 - confidence) / m. The samples
-    may depend on each other.
+    The method is Bonferroni's: each of m bounds may fail with the chance (1 - confidence) / m. It also holds
+    if the samples are dependent.
 
     Args:
         samples: At least one sample.
         confidence: The joint confidence, between 0 and 1.
         sides: The ends that are bounds. Without a lower bound, ``low`` is 0.
-        family: The number m, if a report shows further bounds (of samples that are still missing, say).
+        family: The number m, if a report shows further bounds, for example of samples that are still missing.
             None: the number of bounds of these samples.
 
     Raises:
@@ -137,7 +137,7 @@ def violation_bounds(
 
     Args:
         sample: The sample.
-        confidence: The confidence, between 0 and 1. Two-sided bounds hold together with it.
+        confidence: The confidence, between 0 and 1. Two-sided bounds hold together with this confidence.
         sides: The ends that are bounds.
 
     Raises:
@@ -149,7 +149,7 @@ def violation_bounds(
 
 
 def chance_of_each(confidence: float, family: int) -> float:
-    """Return the chance with which each of several bounds may fail, so that all hold with ``confidence``.
+    """Return the chance with which each bound of a family may fail so that all hold with ``confidence``.
 
     Args:
         confidence: The joint confidence, between 0 and 1.

@@ -1,10 +1,10 @@
-"""Bounds of a margin's quantiles that assume no distribution.
+"""Bounds of the quantiles of a margin, without an assumption about its distribution.
 
-A tested run without a margin counts as minus infinity, since it may have had any margin. Untested runs do
-not count. The samples have a fixed length.
+A tested run without a margin counts as minus infinity, because it may have had any margin. Untested runs do
+not count. The samples must have a fixed length.
 
-The margin is the claim's: for "hand distance never below 50 mm" the minimum hand distance is the margin
-plus 50 mm.
+The margin is the margin of the claim. For "hand distance never below 50 mm", the least hand distance of a run
+is its margin plus 50 mm.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from safety_harness.extensions.assurance.statistics.sample import (
 class QuantileBound:
     """The margin ``at_least`` (SI) that a share ``content`` of all tested runs keeps, with ``confidence``.
 
-    This margin has the position ``rank`` among the ``trials`` margins in ascending order. If too few runs
-    allow no statement, ``at_least`` is -inf and ``rank`` is 0. ``seen`` is the quantile of the sample
+    If the margins of the ``trials`` runs ascend, this margin has the position ``rank``. If the runs are too
+    few for a statement, ``at_least`` is -inf and ``rank`` is 0. ``seen`` is the quantile of the sample
     itself.
     """
 
@@ -44,11 +44,11 @@ class QuantileBound:
 
 
 def tolerance_bound(sample: IndependentSample, content: float, confidence: float = 0.95) -> QuantileBound:
-    """Return the greatest margin that a share ``content`` of all runs keeps (Wilks, 1941).
+    """Return the largest margin that a share ``content`` of all runs keeps, by Wilks (1941).
 
-    The bound is the r-th smallest of n margins, with the greatest r for which P(Bin(n, 1 - content) >= r)
-    >= confidence. It is exact for continuous margins and cautious for discrete margins. It is also a lower
-    bound of the quantile 1 - content.
+    The bound is the r-th smallest of n margins. Here r is the largest number with P(Bin(n, 1 - content) >= r)
+    >= confidence. The bound is exact for continuous margins, and cautious for discrete margins. It is also a
+    lower bound of the quantile 1 - content.
 
     Args:
         sample: A sample of fixed length.
@@ -56,8 +56,8 @@ def tolerance_bound(sample: IndependentSample, content: float, confidence: float
         confidence: The confidence of this bound alone, between 0 and 1.
 
     Raises:
-        StatisticsError: The content or the confidence is not between 0 and 1, no run is tested, or the
-            stream may stop early.
+        StatisticsError: The content or the confidence is not between 0 and 1, no run is tested, or the stream
+            may stop early.
 
     """
     _check_content(content)
@@ -69,7 +69,7 @@ def tolerance_bound(sample: IndependentSample, content: float, confidence: float
         content=content,
         at_least=float(margins[rank - 1]) if rank else -math.inf,
         rank=rank,
-        # (1 - 0.9) n is a little below 0.1 n in floating point: the 1e-9 makes up for that.
+        # In floating point, (1 - 0.9) n is a little below 0.1 n; the 1e-9 makes up for that.
         seen=float(margins[min(math.floor((1.0 - content) * n + 1e-9), n - 1)]),
         trials=n,
         confidence=confidence,
@@ -83,7 +83,7 @@ def _check_content(content: float) -> None:
 
 
 def _rank(n: int, share: float, confidence: float) -> int:
-    """Return the greatest r with P(Bin(n, share) >= r) >= confidence; 0 without such an r."""
+    """Return the largest r with P(Bin(n, share) >= r) >= confidence; 0 if there is no such r."""
     ranks = np.arange(1, n + 1)
     return int(np.count_nonzero(beta_share(ranks, n - ranks + 1.0, share) >= confidence))  # it falls with r
 

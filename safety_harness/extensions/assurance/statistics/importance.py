@@ -1,29 +1,30 @@
-"""Rare violations by importance sampling: weighted draws from the regions of violations.
+"""Rare violations by importance sampling: weighted draws from the regions where violations occur.
 
-The cube is the image of a space with the standard normal density phi. For any other density q
+The unit cube of a space is mapped to R^d, where its points have the standard normal density phi. For any
+other density q, whose draws have the weights w:
 
     P(margin < 0) = E_q[ 1{margin < 0} w ],   w = phi / q,   q = a phi + (1 - a) sum p_k N(mu_k, diag s_k^2).
 
-A pilot fits the mixture in steps. Each step fits the draws with the least margins of the step before, by
-their weights. This is the cross-entropy method (Rubinstein and Kroese, 2004); expectation maximisation fits
-mixtures (Cappe, Douc, Guillin, Marin and Robert, 2008).
+A pilot fits this mixture in steps. Each step takes the draws with the least margins of the previous step, and
+fits the mixture to them by their weights. This is the cross-entropy method (Rubinstein and Kroese, 2004).
+Expectation maximisation fits each mixture (Cappe, Douc, Guillin, Marin and Robert, 2008).
 
-No s_k is below 1: in a direction that does not matter, draws stay as wide as before, and weights stay
-small. A share a of plain draws keeps w at most 1/a (Hesterberg, 1995). Then R replications, each with draws
-of its own, give unbiased estimates.
+No s_k is below 1. Thus in a direction that does not matter, draws stay as wide as before and weights stay
+small. A share a of plain draws, from phi, keeps w at most 1/a (Hesterberg, 1995). Then R replications, each
+with its own draws, give unbiased estimates.
 
-A pilot sees only the regions that its margins lead to. If it ends among violations, restarts follow it. A
-restart is a pilot to which points count as far away if the mixture already draws them more often than phi.
-Its region joins the mixture. The search ends with the first restart without a violation; ``still_found``
-says that the last allowed restart had one.
+A pilot sees only the regions to which its margins lead. If a pilot ends among violations, restarts follow. A
+restart is another pilot. In it, a point counts as far away if the mixture already draws it more often than
+phi does. If a restart finds violations, its region joins the mixture. The search ends with the first restart
+that finds no violation. ``still_found`` is true if even the last allowed restart found violations.
 
-In many dimensions, a few draws may carry most of the weight; the replications then agree on far too little.
-A generalised Pareto distribution, fitted to the largest weights of violations, shows it (Zhang and
-Stephens, 2009). Above a shape of 0.7 the estimate is not reliable (Vehtari, Simpson, Gelman, Yao and Gabry,
-2024).
+In many dimensions, a few draws may carry most of the weight. Then the replications agree on a value that is
+far too low. To notice this, the method fits a generalised Pareto distribution to the largest weights of
+violations (Zhang and Stephens, 2009). If its shape exceeds 0.7, the estimate is not reliable (Vehtari,
+Simpson, Gelman, Yao and Gabry, 2024).
 
-The weights do not show a region without draws. So plain draws alone give the upper end, as in splitting:
-the first step of the first pilot, and the plain share of the replications.
+A region without draws leaves no sign in the weights. Therefore, as in splitting, only plain draws give the
+upper end. These draws are the first step of the first pilot, and the plain share of the replications.
 """
 
 from __future__ import annotations
@@ -47,22 +48,23 @@ from safety_harness.extensions.assurance.statistics.rare import (
 )
 from safety_harness.extensions.assurance.statistics.sample import Floats, refusal
 
-FEWEST_WEIGHTS = 25  # whose tail has a shape
+FEWEST_WEIGHTS = 25  # the fewest weights whose tail can be fitted
 _COMPONENTS, _ROUNDS, _MOST_LEVELS, _MOST_RESTARTS = 3, 20, 30, 16
-_MORE_LEVELS = 6  # that a restart may take beyond those of the pilot
+_MORE_LEVELS = 6  # steps that a restart may take beyond the pilot's number
 _LEAST_SHARE = 0.05  # of a component, so that its region has draws
 _LARGEST_EXPONENT = 700.0  # exp overflows above 709; such a weight is practically 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Importance:
-    """Settings: ``pilot`` draws in each step, then ``runs`` draws in ``replications`` equal parts.
+    """The settings: ``pilot`` draws in each step, then ``runs`` draws in ``replications`` equal parts.
 
-    A step fits the share ``best`` of the draws of the step before. The share of plain draws is ``plain``.
+    A step fits the mixture to the share ``best`` of the previous draws. ``plain`` is the share of plain
+    draws.
 
     Raises:
-        StatisticsError: There are fewer draws than replications, fewer than two replications, no pilot
-            draw, or a share that is not between 0 and 1.
+        StatisticsError: There are fewer draws than replications, fewer than two replications, no pilot draw,
+            or a share that is not between 0 and 1.
 
     """
 
@@ -92,15 +94,15 @@ def weigh(
     """Estimate P(margin < 0) for a uniform point of the cube [0, 1)^d, by importance sampling.
 
     Args:
-        margins: Points (n, d) of the cube -> margins (n,), which may be random.
+        margins: A function from points (n, d) of the cube to margins (n,), which may be random.
         dimensions: The number d.
         seed: The root of all draws.
-        how: The settings; None: those of ``Importance()``.
+        how: The settings; None: the default settings ``Importance()``.
         confidence: The confidence of the interval, between 0 and 1.
         model_only: Whether the margins come from a simplified world.
 
     Raises:
-        StatisticsError: A margin is NaN, or there is not one margin for each point.
+        StatisticsError: A margin is NaN, or the function does not return one margin for each point.
 
     """
     judged, settings = JudgedMargins(margins), how or Importance()
@@ -118,7 +120,7 @@ def weigh(
 
 @dataclass(frozen=True, eq=False)
 class _Mixture:
-    """Normal components: ``shares`` (k,), ``means`` and ``deviations`` (k, d)."""
+    """A mixture of normal components: ``shares`` (k,), ``means`` and ``deviations`` (k, d)."""
 
     shares: Floats
     means: Floats
@@ -127,9 +129,9 @@ class _Mixture:
     def draw(
         self, count: int, plain: float, rng: np.random.Generator
     ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Return points (n, d) of normal space, their weights (n,), and which points are plain (n,).
+        """Return points (n, d) of normal space, their weights (n,), and whether each point is plain (n,).
 
-        A point is plain with the chance ``plain``, independently of the rest.
+        Each point is plain with the chance ``plain``, independently of all other points.
         """
         chosen = rng.choice(len(self.shares), count, p=self.shares)
         points: Floats = standard_normal(rng, (count, self.means.shape[1]))
@@ -140,14 +142,14 @@ class _Mixture:
         return points, 1.0 / (plain + (1.0 - plain) * ratio), ~fitted
 
     def log_ratio(self, points: Floats) -> Floats:
-        """Return the log of the mixture's density at ``points`` (n, d) over that of phi, (n,)."""
+        """Return the logarithms (n,) of the mixture's density over phi at ``points`` (n, d)."""
         ratio: Floats = log_sum_exp(self.log_densities(points), axis=1) + 0.5 * (points * points).sum(axis=1)
         return ratio
 
     def log_densities(self, points: Floats) -> Floats:
         """Return the log densities (n, k) of the weighted components at ``points`` (n, d).
 
-        They lack the constant -d/2 log(2 pi), which phi has too.
+        The function omits the constant -d/2 log(2 pi), which phi contains too.
         """
         far = (points[:, None] - self.means) / self.deviations
         logs: Floats = log(self.shares) - log(self.deviations).sum(axis=1) - 0.5 * (far * far).sum(axis=2)
@@ -157,7 +159,7 @@ class _Mixture:
 def _explored(
     judged: JudgedMargins, dimensions: int, how: Importance, rng: np.random.Generator
 ) -> tuple[_Mixture, list[float], bool]:
-    """Return the mixture of all regions, the pilot's levels, and whether the last restart had violations."""
+    """Return the mixture of all regions, the pilot's levels, and whether the last restart met violations."""
     mixture, levels = _pilot(judged, dimensions, how, rng)
     regions = [mixture]
     violates = bool(levels) and levels[-1] == 0.0
@@ -173,7 +175,7 @@ def _explored(
 def _balanced(
     judged: JudgedMargins, regions: Sequence[_Mixture], how: Importance, rng: np.random.Generator
 ) -> _Mixture:
-    """Return the components of all ``regions``, each with its share of the violations that they draw."""
+    """Return the components of all ``regions``, each weighted by the share of violations that it draws."""
     means, deviations = (
         np.vstack([getattr(region, name) for region in regions]) for name in ("means", "deviations")
     )
@@ -188,7 +190,7 @@ def _balanced(
 
 
 def _at_least(shares: Floats) -> Floats:
-    """Return ``shares`` (k,) that sum to 1, with small shares raised towards ``_LEAST_SHARE``."""
+    """Return ``shares`` (k,) that sum to 1, after raising each small share towards ``_LEAST_SHARE``."""
     raised = np.maximum(shares, min(_LEAST_SHARE, 0.25 / len(shares)))
     balanced: Floats = raised / raised.sum()
     return balanced
@@ -202,9 +204,9 @@ def _pilot(
     known: _Mixture | None = None,
     most_levels: int = _MOST_LEVELS,
 ) -> tuple[_Mixture, list[float]]:
-    """Return the mixture fitted to violations, or to the nearest points, and the levels on the way.
+    """Return a mixture fitted to violations, or to the nearest points, and the levels of the steps.
 
-    Points that ``known`` draws more often than phi count as far away.
+    A point counts as far away if ``known`` draws it more often than phi does.
     """
     mixture = _Mixture(np.ones(1), np.zeros((1, dimensions)), np.ones((1, dimensions)))
     levels: list[float] = []
@@ -228,7 +230,7 @@ def _pilot(
 def _fitted(points: Floats, weights: Floats, rng: np.random.Generator) -> _Mixture:
     """Return a mixture fitted to ``points`` (n, d) by expectation maximisation; ``weights`` (n,) sum to 1.
 
-    The first means are draws far from each other.
+    The first means are points that lie far apart.
     """
     means = points[rng.choice(len(points), 1, p=weights)]
     for _ in range(_COMPONENTS - 1):
@@ -248,10 +250,10 @@ def _fitted(points: Floats, weights: Floats, rng: np.random.Generator) -> _Mixtu
 
 
 def pareto_shape(weights: Floats) -> float:
-    """Return the shape k of a generalised Pareto distribution of the largest ``weights`` (n,).
+    """Return the shape k of a generalised Pareto distribution, fitted to the largest ``weights`` (n,).
 
-    The estimator is that of Zhang and Stephens (2009), for the min(n / 5, 3 sqrt(n)) largest weights, less
-    the next smaller weight.
+    The estimator is Zhang and Stephens' (2009). It takes the min(n / 5, 3 sqrt(n)) largest weights, and
+    subtracts the next smaller weight from each.
 
     Args:
         weights: The positive weights of violations (n,).

@@ -1,10 +1,10 @@
-"""Two avoiders on the same episodes: the difference in how often they violate a claim.
+"""The difference in how often two avoiders violate a claim, from runs on the same episodes.
 
-Episode k is the same scenario for both (common random numbers), so only the avoiders cause a difference.
-Shares are of all episodes, tested or not, because an avoider may influence whether a run exercises the
-claim.
+Episode k is the same scenario for both avoiders (common random numbers), so that only the avoiders can cause
+a difference. A share refers to all episodes, tested or not, because an avoider may influence whether a run
+exercises the claim.
 
-An inconclusive or failed run may have violated the claim; each number here holds in either case.
+An inconclusive or failed run may have violated the claim or not. Each number here holds in both cases.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _SAME_STREAM = "only runs of the same stream can be compared in pairs"
 
 @dataclass(frozen=True, kw_only=True)
 class PairedComparison:
-    """First minus second: the difference in violation probability is from ``low`` to ``high``.
+    """The difference in violation probability, first avoider minus second, from ``low`` to ``high``.
 
-    This interval holds with ``confidence``. ``only_first`` and ``only_second`` count the episodes that for
-    certain only this avoider violates; ``both`` counts the violations of both. ``unclear`` counts the
-    episodes whose difference depends on a run without a verdict.
+    This interval holds with ``confidence``. ``only_first`` counts the episodes that certainly only the first
+    avoider violates, and ``only_second`` likewise. ``both`` counts the episodes that both violate.
+    ``unclear`` counts the episodes whose difference depends on a run without a verdict.
 
-    ``seen`` is the mean difference over the clear episodes. ``p_value`` belongs to the hypothesis that both
-    violate equally often (McNemar's exact test).
+    ``seen`` is the mean difference over all episodes that are not unclear. ``p_value`` tests the hypothesis
+    that both avoiders violate the claim equally often (McNemar's exact test).
     """
 
     claim: str
@@ -58,11 +58,12 @@ class PairedComparison:
 def compare(
     first: IndependentSample, second: IndependentSample, confidence: float = 0.95
 ) -> PairedComparison:
-    """Return the exact interval of the difference in violation probability.
+    """Return the exact interval of the difference in violation probability, ``first`` minus ``second``.
 
-    The difference is D = t (2 s - 1). Here t is the probability that exactly one avoider violates, and s
-    the probability that it is the first. Both have Clopper and Pearson's intervals, each with half of the
-    error. D lies between its extremes over both intervals, usually with more than the stated confidence.
+    The difference is D = t (2 s - 1). Here t is the probability that exactly one avoider violates the claim.
+    Given such an episode, s is the probability that this is the first avoider. Both t and s have Clopper and
+    Pearson's intervals, each with half of the error. While t and s vary within these intervals, D varies
+    within its own interval. This usually holds with more than the stated confidence.
 
     Args:
         first: A sample of fixed length.
@@ -121,17 +122,17 @@ def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
 
 
 def _difference(first: IndependentSample, second: IndependentSample) -> tuple[Ints, Ints]:
-    """Return the greatest and the least possible difference (n,), first minus second: -1, 0 or 1 each."""
+    """Return the largest and the least possible differences (n,), first minus second, each -1, 0 or 1."""
     sure = [(run.outcomes == EpisodeOutcome.VIOLATED).astype(np.int64) for run in (first, second)]
     perhaps = [own | np.isin(run.outcomes, PERHAPS) for own, run in zip(sure, (first, second), strict=True)]
     return perhaps[0] - sure[1], sure[0] - perhaps[1]
 
 
 def _extreme(more: int, fewer: int, n: int, chance: float) -> float:
-    """Return the upper end of t (2 s - 1), for ``more`` and ``fewer`` discordant episodes of n.
+    """Return the upper end of t (2 s - 1), if the first sample alone violates ``more`` of n episodes.
 
-    The maximum has s at its upper end. It has t at its upper end if 2 s - 1 is positive, else at its lower
-    end.
+    The second sample alone violates ``fewer`` episodes. At the maximum, s is at its upper end. If 2 s - 1 is
+    positive, t is at its upper end too; otherwise t is at its lower end.
     """
     discordant = more + fewer
     lean = 2.0 * (upper_bound(more, discordant, chance) if discordant else 1.0) - 1.0
@@ -140,8 +141,8 @@ def _extreme(more: int, fewer: int, n: int, chance: float) -> float:
 
 
 def _mcnemar(worst: Ints, best: Ints) -> float:
-    """Return the two-sided p-value; unclear episodes count as they least support a difference."""
-    more, fewer = int(np.sum(best == 1)), int(np.sum(best == -1))  # at the least for the first
+    """Return the two-sided p-value, counting unclear episodes so that they least support a difference."""
+    more, fewer = int(np.sum(best == 1)), int(np.sum(best == -1))  # counts of the least possible differences
     if more <= fewer:
         fewer, more = int(np.sum(worst == 1)), int(np.sum(worst == -1))
         if more <= fewer:

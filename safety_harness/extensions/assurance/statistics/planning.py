@@ -1,8 +1,8 @@
-"""The number of runs that show a target, and the probability that a plan succeeds.
+"""The number of runs that a target needs, and the probability that a plan shows its target.
 
 Each function evaluates the bound itself, so that a plan and its result agree. ``family`` is the number of
-bounds that hold together (``ends_of`` a plan). ``allowed`` is the number of violations that may occur, with
-inconclusive and failed runs.
+bounds that hold together (``ends_of`` a plan). ``allowed`` is the number of violations that may occur;
+inconclusive and failed runs count as violations.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from safety_harness.extensions.assurance.statistics.binomial import chance_of_ea
 from safety_harness.extensions.assurance.statistics.sample import refusal
 from safety_harness.extensions.assurance.statistics.sequential import evidence_below
 
-MOST_RUNS = 10**12  # where a search for a number of runs gives up
+MOST_RUNS = 10**12  # a search for a number of runs stops here
 _TAIL = 1e-12  # probability that the sum over tested runs omits at each end
 _TARGET = "violated in at most"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Aim:
-    """A goal: with ``confidence``, at most a share ``target`` of the tested runs violates a claim.
+    """The aim to show that at most a share ``target`` of tested runs violates a claim, with ``confidence``.
 
-    ``stop_early`` says that the runs may stop at any time.
+    ``stop_early`` states that the runs may stop at any time.
 
     Raises:
         StatisticsError: The target or the confidence is not between 0 and 1, or the family is empty.
@@ -47,10 +47,10 @@ class Aim:
         chance_of_each(self.confidence, self.family)
 
     def shown_by(self, violations: int, trials: int) -> bool:
-        """Return whether the upper bound meets the target.
+        """Return whether the upper bound from these counts is at most the target.
 
         Args:
-            violations: Violations, with inconclusive and failed runs.
+            violations: The number of violations; inconclusive and failed runs count as violations.
             trials: The number of tested runs.
 
         """
@@ -66,11 +66,11 @@ def runs_needed(aim: Aim, *, allowed: int = 0) -> int:
     """Return the least number of tested runs that shows ``aim`` in spite of ``allowed`` violations.
 
     Args:
-        aim: The goal.
+        aim: The aim.
         allowed: The number of violations among these runs.
 
     Raises:
-        StatisticsError: ``MOST_RUNS`` runs cannot show the target.
+        StatisticsError: Even ``MOST_RUNS`` runs cannot show the target.
 
     """
     least = most = allowed + 1
@@ -85,14 +85,14 @@ def runs_needed(aim: Aim, *, allowed: int = 0) -> int:
 
 
 def allowed_violations(aim: Aim, trials: int) -> int | None:
-    """Return the greatest number of violations that still shows a goal.
+    """Return the largest number of violations with which ``trials`` tested runs still show ``aim``.
 
     Args:
-        aim: The goal.
+        aim: The aim.
         trials: The number of tested runs.
 
     Returns:
-        The number; None if so few runs cannot show the goal even without a violation.
+        The number; None if so few runs cannot show the aim even without a violation.
 
     """
     if not aim.shown_by(0, trials):
@@ -105,15 +105,15 @@ def allowed_violations(aim: Aim, trials: int) -> int | None:
 
 
 def power(aim: Aim, runs: int, *, probability: float, tested: float = 1.0) -> float:
-    """Return the probability that a number of runs shows a goal.
+    """Return the probability that ``runs`` planned runs show ``aim``.
 
-    If the stream may stop early, this is the probability at its planned end, a lower bound.
+    If the stream may stop early, the function returns the probability at its planned end, a lower bound.
 
     Args:
-        aim: The goal.
+        aim: The aim.
         runs: The number of planned runs.
         probability: The true probability that a tested run violates the claim.
-        tested: The share of runs that exercise the claim. Their number is binomial.
+        tested: The share of runs that exercise the claim. The number of tested runs is binomial.
 
     Raises:
         StatisticsError: ``probability`` is not in [0, 1], or ``tested`` not in (0, 1].
@@ -131,16 +131,16 @@ def power(aim: Aim, runs: int, *, probability: float, tested: float = 1.0) -> fl
 
 
 def runs_for_power(aim: Aim, *, probability: float, wanted: float = 0.9, most_allowed: int = 2000) -> int:
-    """Return the least number of tested runs that shows a goal with the chance ``wanted``.
+    """Return the least number of tested runs that shows ``aim`` with the chance ``wanted``.
 
     Args:
-        aim: The goal.
+        aim: The aim.
         probability: The true probability that a tested run violates the claim.
         wanted: The probability of success.
-        most_allowed: The greatest number of violations to consider.
+        most_allowed: The largest number of violations to consider.
 
     Raises:
-        StatisticsError: The true probability is too near to the target, or above.
+        StatisticsError: The true probability exceeds the target, or is too near to it.
 
     """
     for allowed in range(most_allowed + 1 if probability < aim.target else 0):
@@ -153,7 +153,7 @@ def runs_for_power(aim: Aim, *, probability: float, wanted: float = 0.9, most_al
 
 
 def runs_for_tested(tested: int, *, share: float, wanted: float = 0.9) -> int:
-    """Return the least number of runs that exercise a claim often enough.
+    """Return the least number of runs of which ``tested`` exercise a claim with the chance ``wanted``.
 
     The runs are independent, so that the number of tested runs is binomial.
 
@@ -183,13 +183,13 @@ def runs_for_tested(tested: int, *, share: float, wanted: float = 0.9) -> int:
 
 
 def refuse_if_impossible(aim: Aim, planned: int, *, tested: float = 1.0, place: Place | None = None) -> None:
-    """Refuse a plan whose runs cannot show its goal even without a violation.
+    """Raise StatisticsError if the runs of a plan cannot show ``aim`` even without a violation.
 
     Args:
-        aim: The goal.
+        aim: The aim.
         planned: The number of planned runs.
         tested: The expected share of runs that exercise the claim.
-        place: The place in the plan that has the number of runs; None: the field ``runs``.
+        place: The place of the number of runs in the plan; None: the field ``runs``.
 
     Raises:
         StatisticsError: The plan has too few runs; the error states the sufficient number.

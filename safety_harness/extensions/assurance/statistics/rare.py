@@ -1,22 +1,24 @@
-"""Rare violations by multilevel splitting: steps towards violations, each of a probability that is not small.
+"""Rare violations by multilevel splitting: steps towards violations, each with a moderate probability.
 
 The margin has levels l_1 > l_2 > ... > l_m = 0:
 
     P(margin < 0) = P(margin < l_1) P(margin < l_2 | margin < l_1) ... .
 
-N particles below the level before estimate each factor. The particles below the next level survive. N draws
-from the survivors, with replacement, continue. Metropolis steps move them and keep the distribution. The
-sources are Kahn and Harris (1951), Au and Beck (2001), and Cerou, Del Moral, Furon and Guyader (2012).
+N particles with margins below the previous level estimate each factor. The particles below the next level
+survive. From the survivors, N particles are drawn with replacement. Metropolis steps move these particles and
+keep their distribution. The sources are Kahn and Harris (1951), Au and Beck (2001), and Cerou, Del Moral,
+Furon and Guyader (2012).
 
-A move in standard normal space is z' = sqrt(1 - b^2) z + b x with x standard normal; a move above the level
-is refused. The point of the cube is the normal distribution function of z.
+A move in standard normal space is z' = sqrt(1 - b^2) z + b x. Here b is the step length, and x is standard
+normal. A move to a margin above the level is refused. The normal distribution function maps z to a point of
+the unit cube.
 
-A pilot run fixes levels and step lengths. Then come R independent replications. They do not adapt, so that
-the expectation of each estimate is the probability, however badly the moves mix.
+A pilot run fixes the levels and the step lengths. Then come R independent replications. These do not adapt.
+Therefore the expectation of each estimate is the probability, however badly the moves mix.
 
-The lower end of the interval is Student's. The replications cannot give an upper end: a region without a
-particle leaves no sign in their spread. So the upper end comes from the plain draws at the beginning of
-each replication and of the pilot, by Clopper and Pearson. It is exact, and as wide as so few draws make it.
+The lower end of the interval is Student's. The replications cannot give an upper end, because a region
+without a particle leaves no sign in their spread. Therefore the upper end comes from plain draws by Clopper
+and Pearson: the first draws of each replication and of the pilot. It is exact, but so few draws make it wide.
 """
 
 from __future__ import annotations
@@ -46,13 +48,13 @@ _MOST_LEVELS = 60
 
 @dataclass(frozen=True, kw_only=True)
 class Splitting:
-    """Settings: ``particles`` N, ``steps`` of moving on each level, ``replications`` R.
+    """The settings: ``particles`` N, ``steps`` of moves on each level, and ``replications`` R.
 
-    ``survivors`` is the share of the particles that passes each level of the pilot.
+    ``survivors`` is the share of the pilot's particles that pass each level.
 
     Raises:
-        StatisticsError: There are no particles or steps, fewer than two replications, or a share that is
-            not between 0 and 1.
+        StatisticsError: There are no particles or steps, fewer than two replications, or a share that is not
+            between 0 and 1.
 
     """
 
@@ -70,17 +72,17 @@ class Splitting:
 
 @dataclass(frozen=True, kw_only=True)
 class RareEstimate:
-    """The probability of a violation, within the regions that the method reached.
+    """The estimated probability of a violation, within the regions that the method reached.
 
     ``low`` is approximate; docs/results/intervals.md has its coverage on problems with known answers.
-    ``high`` is exact: it comes from ``plain_draws`` alone, with ``plain_violations`` violations.
+    ``high`` is exact: it comes from ``plain_draws`` alone, which had ``plain_violations`` violations.
 
-    ``replicates`` are the estimates of the replications, and ``reached`` counts the positive ones.
-    ``levels`` are the margins of the steps (SI). ``evaluations`` counts the judged points. ``model_only``:
-    the margins come from a simplified world.
+    ``replicates`` are the estimates of the replications, and ``reached`` counts the positive estimates.
+    ``levels`` are the margins of the steps (SI). ``evaluations`` counts the judged points. ``model_only`` is
+    true if the margins come from a simplified world.
 
-    ``pareto_shape`` is the shape of the weights of importance sampling; None for splitting.
-    ``still_found``: the last restart of importance sampling met a new region.
+    ``pareto_shape`` is the shape of the largest weights in importance sampling; None for splitting.
+    ``still_found`` is true if the last restart of importance sampling found a new region.
     """
 
     value: float
@@ -99,7 +101,7 @@ class RareEstimate:
 
     @property
     def no_estimate(self) -> str:
-        """Return the reason why the estimate of the replications is not reliable; empty without a reason."""
+        """The reason why the estimate of the replications is not reliable; empty if it is reliable."""
         if self.reached < len(self.replicates):
             return f"{self.reached} of {len(self.replicates)} replications found a violation"
         if max(self.replicates) >= _MOST_OF_SUM * sum(self.replicates):
@@ -131,15 +133,15 @@ def split(
     """Estimate P(margin < 0) for a uniform point of the cube [0, 1)^d, by splitting.
 
     Args:
-        margins: Points (n, d) of the cube -> margins (n,), which may be random.
+        margins: A function from points (n, d) of the cube to margins (n,), which may be random.
         dimensions: The number d.
         seed: The root of all draws.
-        how: The settings; None: those of ``Splitting()``.
+        how: The settings; None: the default settings ``Splitting()``.
         confidence: The confidence of the interval, between 0 and 1.
         model_only: Whether the margins come from a simplified world.
 
     Raises:
-        StatisticsError: A margin is NaN, or there is not one margin for each point.
+        StatisticsError: A margin is NaN, or the function does not return one margin for each point.
 
     """
     judged = JudgedMargins(margins)
@@ -161,12 +163,12 @@ def estimate_of(
     *,
     model_only: bool,
 ) -> RareEstimate:
-    """Return the estimate of the replications and the plain draws.
+    """Return the estimate from ``replicates``, with the upper end from the plain draws.
 
     Args:
         replicates: The estimates of the replications (n,).
         levels: The margins of the steps (SI).
-        judged: The margins, which counted the points and the plain draws.
+        judged: The function of margins, which has counted the points and the plain draws.
         confidence: The confidence of the interval, between 0 and 1; each end has half of its error.
         model_only: Whether the margins come from a simplified world.
 
@@ -188,14 +190,17 @@ def estimate_of(
 
 
 class JudgedMargins:
-    """Margins of points in standard normal space: checks and counts them, and has a count of plain draws."""
+    """A function of margins at points in standard normal space, which checks and counts them.
+
+    It also counts the plain draws that ``count_plain`` receives.
+    """
 
     def __init__(self, margins: Margins) -> None:
         self._margins = margins
         self.count = self.plain_draws = self.plain_violations = 0
 
     def __call__(self, normal: Floats) -> Floats:
-        """Return the margins (n,) of points ``normal`` (n, d); StatisticsError for NaN or a wrong shape."""
+        """Return the margins (n,) at points ``normal`` (n, d); StatisticsError for NaN or a wrong shape."""
         margins = np.asarray(self._margins(np.minimum(lower_tail(normal), _BELOW_ONE)), np.float64)
         self.count += len(normal)
         if margins.shape != (len(normal),) or np.isnan(margins).any():
@@ -204,17 +209,17 @@ class JudgedMargins:
         return margins
 
     def count_plain(self, margins: Floats) -> None:
-        """Count the ``margins`` (n,) of draws from the distribution of the cube's points."""
+        """Count plain draws with the ``margins`` (n,), drawn from the distribution of the cube's points."""
         self.plain_draws += len(margins)
         self.plain_violations += int(np.count_nonzero(margins < 0.0))
 
 
 def lower_end(replicates: Floats, chance: float) -> float:
-    """Return Student's lower end for a mean.
+    """Return Student's lower end for the mean of ``replicates``.
 
     Args:
         replicates: The estimates of the replications (n,).
-        chance: The probability that the end is above the truth.
+        chance: The probability that the end exceeds the truth.
 
     Returns:
         The end, within [0, 1]; 0 if all estimates are equal.
@@ -228,7 +233,7 @@ def lower_end(replicates: Floats, chance: float) -> float:
 
 
 def _student(freedom: int, chance: float) -> float:
-    """Return the quantile that Student's t exceeds with a ``chance`` below a half."""
+    """Return the quantile that Student's t exceeds with probability ``chance``, which is below a half."""
 
     def rarer(t: Floats) -> Floats:
         return np.asarray(0.5 * beta_share(0.5 * freedom, 0.5, freedom / (freedom + t * t)) <= chance)
@@ -239,7 +244,8 @@ def _student(freedom: int, chance: float) -> float:
 def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[float]]:
     """Return the levels down to 0, and the step length for each level before the last.
 
-    The particles suggest each level. On a plateau that no quantile gets below, the next level is 0.
+    The particles' margins suggest each level. If no quantile of the margins gets below a plateau, the next
+    level is 0.
     """
     levels: list[float] = []
     lengths: list[float] = []
@@ -258,7 +264,7 @@ def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[flo
 
 
 def next_level(margins: Floats, survivors: float) -> float:
-    """Return the margin that a share of the particles is below.
+    """Return the level below which a share ``survivors`` of the margins lies.
 
     Args:
         margins: The margins of the particles (n,).
@@ -275,7 +281,7 @@ def next_level(margins: Floats, survivors: float) -> float:
 
 
 def _replication(particles: _Particles, steps: int, levels: list[float], lengths: list[float]) -> float:
-    """Return the product of the shares that survive each level; 0 after a level without a survivor."""
+    """Return the product of the shares that survive each level; 0 if no particle survives a level."""
     product = 1.0
     for number, level in enumerate(levels):
         product *= float((particles.margins < level).mean())
@@ -288,7 +294,7 @@ def _replication(particles: _Particles, steps: int, levels: list[float], lengths
 
 
 class _Particles:
-    """Points (n, d) of standard normal space, first drawn from its distribution, and their margins (n,)."""
+    """Points (n, d) of standard normal space and their margins (n,); the first points are plain draws."""
 
     def __init__(self, judged: JudgedMargins, shape: tuple[int, int], rng: np.random.Generator) -> None:
         self._judged, self._rng = judged, rng
@@ -297,14 +303,14 @@ class _Particles:
         judged.count_plain(self.margins)
 
     def resample(self, level: float) -> None:
-        """Replace the particles by draws from the particles below the level, with replacement."""
+        """Replace all particles by draws, with replacement, from the particles below ``level``."""
         chosen = self._rng.choice(np.flatnonzero(self.margins < level), len(self.points))
         self.points, self.margins = self.points[chosen], self.margins[chosen]
 
     def move(self, level: float, length: float) -> float:
-        """Move each particle by a Metropolis step below the level, and return the share that moved.
+        """Move each particle by a Metropolis step that stays below ``level``; return the share that moved.
 
-        A point z goes to sqrt(1 - b^2) z + b x, with b the ``length``.
+        A point z moves to sqrt(1 - b^2) z + b x, where b is ``length`` and x is standard normal.
         """
         drawn = standard_normal(self._rng, self.points.shape)
         proposed = math.sqrt(1.0 - length * length) * self.points + length * drawn

@@ -1,11 +1,11 @@
-"""Bounds per hour from bounds per run and from the rate of approaches.
+"""Bounds of violations an hour, from bounds of violations per run and from the rate of approaches.
 
-Approaches are a Poisson process with a rate r. Each approach is at worst a run that violates with the
-probability p. Then violations come at the rate r p, however approaches follow each other.
+Approaches are a Poisson process with a rate r. At worst, each approach is a run that violates a claim with
+the probability p. Then violations occur at the rate r p, whatever the pattern of the approaches.
 
-If r exceeds its bound R with a chance of a, and p its bound P with a chance of b, then r p exceeds R P with
-a chance of a + b at most (Boole). The two need not be independent. The rates of approaches share one half
-of the error, and the bounds per run the other half.
+Suppose that r exceeds its bound R with a probability of at most a, and p its bound P with at most b. Then r p
+exceeds R P with a probability of at most a + b (Boole). The two errors need not be independent. The rates of
+approaches share one half of the error, and the bounds per run share the other half.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from safety_harness.extensions.assurance.statistics.sample import IndependentSam
 
 
 def most_an_hour(count: int, hours: float, chance: float) -> float:
-    """Return the upper bound of a Poisson rate an hour (Garwood, 1936).
+    """Return the upper bound of a Poisson rate an hour, by Garwood (1936).
 
-    At this rate, ``count`` events or fewer have the probability ``chance``.
+    At this rate, ``count`` events or fewer occur with the probability ``chance``.
 
     Args:
         count: The number of events.
-        hours: The time of observation; without any, the bound is infinite.
-        chance: The probability that the true rate exceeds the bound, at most.
+        hours: The time of observation; if it is 0, the bound is infinite.
+        chance: The largest probability that the true rate exceeds the bound.
 
     """
     if not hours > 0.0:  # without observation any rate is possible
@@ -38,14 +38,14 @@ def most_an_hour(count: int, hours: float, chance: float) -> float:
 
 @dataclass(frozen=True)
 class SharedError:
-    """The allowed error of a ``confidence``, shared among ``rates`` of approaches and the bounds per run."""
+    """The error that ``confidence`` allows: half for the ``rates`` of approaches, half for bounds per run."""
 
     confidence: float
     rates: int
 
     @property
     def of_each_rate(self) -> float:
-        """The probability with which one rate of approaches may exceed its bound."""
+        """The probability with which a single rate of approaches may exceed its bound."""
         return (1.0 - self.confidence) / 2.0 / self.rates
 
     @property
@@ -54,7 +54,7 @@ class SharedError:
         return 1.0 - (1.0 - self.confidence) / 2.0
 
     def worst_run(self, samples: Sequence[IndependentSample], claims: int = 1) -> ProbabilityBounds:
-        """Return the largest upper bound per run of one claim over the strata.
+        """Return the largest upper bound per run of a claim over all strata.
 
         Args:
             samples: One sample of the claim per stratum.

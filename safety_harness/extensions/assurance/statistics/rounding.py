@@ -1,4 +1,4 @@
-"""Bounds with three digits, which never look better than they are."""
+"""Round bounds to three digits so that they never look better than they are."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def rounded_down(share: float) -> str:
 
 
 def _rounded(share: float, to_whole: Callable[[float], int]) -> str:
-    """Return three digits; a number within 1e-9 of three digits keeps them."""
+    """Return ``share`` rounded to three digits; a number within 1e-9 of three digits takes these digits."""
     if not 0.0 < share < 1.0:
         return f"{share:g}"
-    digit = float(f"1e{int(f'{share:.17e}'.split('e')[1]) - 2}")  # a power may differ between C libraries
+    digit = float(f"1e{int(f'{share:.17e}'.split('e')[1]) - 2}")  # 10**k may differ between C libraries
     nearest = round(share / digit)
     whole = nearest if abs(share / digit - nearest) < 1e-9 else to_whole(share / digit)
     return f"{min(whole * digit, 1.0):.3g}"

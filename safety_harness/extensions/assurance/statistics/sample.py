@@ -1,8 +1,8 @@
-"""Samples for estimates: a whole declared stream of independent episodes.
+"""Samples for estimates: the whole declared stream of independent episodes.
 
-A search chooses its runs, so that they are no sample. Therefore each estimator of this package takes an
-``IndependentSample``. Its only constructor is ``of_stream``, which requires an earlier declaration and all
-episodes from the first on. Each episode appears once and has its own seed.
+The runs of a search are no sample, because the search chooses them. Therefore each estimator of this package
+requires an ``IndependentSample``. Only ``of_stream`` constructs it. It requires an earlier declaration, and
+all episodes from the first on. Each episode must appear once and have its own seed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _OF_STREAM = object()
 
 
 class EpisodeOutcome(IntEnum):
-    """The result of one episode for one claim. Files store the numbers: never reuse one."""
+    """The result of one episode for one claim. Files store the numbers, so never reuse a number."""
 
     HOLDS = 0
     VIOLATED = 1
@@ -41,14 +41,14 @@ PERHAPS = (EpisodeOutcome.INCONCLUSIVE, EpisodeOutcome.FAILED)  # possible viola
 
 @dataclass(frozen=True, kw_only=True)
 class Declaration:
-    """The terms of a stream, fixed before its first run.
+    """The terms of a stream of episodes, fixed before its first run.
 
-    ``plan_sha256`` stands for the plan and all that its results depend on. ``draws_sha256`` stands for all
-    that determines the scenarios, whichever avoider runs. ``planned`` is the number of episodes, and
-    ``world`` is the world of the runs.
+    ``plan_sha256`` identifies the plan and all that its results depend on. ``draws_sha256`` identifies all
+    that determines the scenarios, whatever avoider runs. ``planned`` is the number of episodes, and ``world``
+    is the world of the runs.
 
-    ``stop_early`` says that the runs may stop at any time. Only bounds that hold at every time
-    (``sequential``) allow that.
+    ``stop_early`` states that the runs may stop at any time. This needs bounds that hold at every time
+    (``sequential``).
 
     Raises:
         StatisticsError: No episode is planned, or a hash is no SHA-256.
@@ -79,9 +79,9 @@ class Declaration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IndependentSample:
-    """Outcomes, margins and seeds (n,) of one claim in the order of the episodes; ``of_stream`` makes it.
+    """Outcomes, margins and seeds (n,) of one claim, in the order of the episodes, made by ``of_stream``.
 
-    Margins are SI, NaN without a verdict's margin. The arrays are read-only.
+    Margins are SI, and NaN if there is no margin. The arrays are read-only.
 
     Raises:
         TypeError: The caller is not ``of_stream``.
@@ -111,20 +111,20 @@ class IndependentSample:
         exercised: ArrayLike,
         claim: str = "",
     ) -> IndependentSample:
-        """Return the sample of a stream.
+        """Return the sample of a declared stream, after checking that the stream is whole.
 
         Args:
             declaration: The terms of the stream.
             episodes: The numbers of the episodes (n,), in any order.
             outcomes: The ``EpisodeOutcome`` of each episode (n,).
-            margins: The margin of each episode (n,) in SI, NaN without a margin.
+            margins: The margin of each episode (n,) in SI, NaN if there is no margin.
             seeds: The root seed of each episode (n,).
             exercised: The number of occasions on which each episode exercised the claim (n,).
             claim: The claim, for messages and comparisons.
 
         Raises:
-            StatisticsError: The episodes are not 0 to n - 1, once each; their number is not the planned
-                number (fewer episodes are allowed with ``stop_early``); two share a seed; or an outcome
+            StatisticsError: The episodes are not 0 to n - 1, once each. Their number is not the planned
+                number (with ``stop_early``, it may be smaller). Two episodes share a seed. An outcome
                 contradicts its margin or its occasions.
 
         """
@@ -139,17 +139,17 @@ class IndependentSample:
         )
 
     def count(self, outcome: EpisodeOutcome) -> int:
-        """Return the number of episodes with an ``outcome``."""
+        """Return the number of episodes with the result ``outcome``."""
         return int(np.count_nonzero(self.outcomes == outcome))
 
     @property
     def judged(self) -> Flags:
-        """Whether each episode has a verdict (n,). A margin counts only with a verdict."""
+        """Whether each episode (n,) has a verdict; without a verdict, its margin does not count."""
         return np.isin(self.outcomes, JUDGED)
 
     @property
     def trials(self) -> int:
-        """The number of episodes that exercised the claim, or may have: all except the untested."""
+        """The number of episodes that exercised the claim or may have done so: all except the untested."""
         return len(self.outcomes) - self.count(EpisodeOutcome.UNTESTED)
 
     @property
@@ -164,7 +164,7 @@ class IndependentSample:
 
     @property
     def name(self) -> str:
-        """Stratum and claim, for messages."""
+        """The stratum and the claim, for messages."""
         return f"{self.declaration.stratum}: {self.claim}" if self.claim else self.declaration.stratum
 
 
@@ -175,7 +175,7 @@ def independent(sample: object) -> IndependentSample:
         sample: Any object.
 
     Raises:
-        TypeError: It is something else, such as the runs of a search.
+        TypeError: The object is something else, such as the runs of a search.
 
     """
     if not isinstance(sample, IndependentSample):
@@ -193,8 +193,8 @@ def fixed_length(sample: object) -> IndependentSample:
         sample: Any object.
 
     Raises:
-        TypeError: It is no IndependentSample.
-        StatisticsError: Its stream may stop early.
+        TypeError: The object is no IndependentSample.
+        StatisticsError: The stream of the sample may stop early.
 
     """
     known = independent(sample)
@@ -252,7 +252,7 @@ def checked_stream(
 
 
 def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> None:
-    """Refuse episodes that are not 0 to n - 1, once each, or not as many as declared."""
+    """Raise StatisticsError unless the episodes are 0 to n - 1, once each, and as many as declared."""
     n, planned = len(numbers), declaration.planned
     where = f"of stratum {declaration.stratum!r}"
     wanted = f"the {planned} planned episodes {where}"
@@ -272,7 +272,7 @@ def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> N
 
 
 def _check_seeds(declaration: Declaration, numbers: NDArray[np.integer], seeds: NDArray[np.integer]) -> None:
-    """Refuse a seed of several runs: the same run again is no further evidence."""
+    """Raise StatisticsError if two runs share a seed, because a repeated run is no further evidence."""
     distinct, times = np.unique(seeds, return_counts=True)
     if len(distinct) < seeds.size:
         twice = distinct[np.argmax(times > 1)]
@@ -284,7 +284,7 @@ def _check_seeds(declaration: Declaration, numbers: NDArray[np.integer], seeds: 
 
 
 def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> None:
-    """Refuse unknown outcomes, and ``margins`` (n,) or (n, k) that contradict them."""
+    """Raise StatisticsError for unknown outcomes, or for ``margins`` (n,) or (n, k) that contradict them."""
     where = f"in stratum {declaration.stratum!r}"
     unknown = ~np.isin(codes, [int(outcome) for outcome in EpisodeOutcome])
     if unknown.any():
@@ -311,7 +311,7 @@ def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> N
 
 
 def _check_occasions(declaration: Declaration, codes: Ints, occasions: NDArray[np.integer]) -> None:
-    """Refuse untested runs with an occasion, and runs that hold without an occasion."""
+    """Raise StatisticsError if an untested run has an occasion, or a run holds without an occasion."""
     tested = occasions > 0
     for contradicted, expected in (
         (occasions < 0, "numbers of occasions"),
@@ -328,15 +328,15 @@ def _check_occasions(declaration: Declaration, codes: Ints, occasions: NDArray[n
 
 
 def _first(having: Flags) -> tuple[int, ...]:
-    """Return the index of the first true element."""
+    """Return the index of the first true element in ``having``."""
     return tuple(int(k) for k in np.argwhere(having)[0])
 
 
 def refusal(field: str, expected: str, got: str, hint: str = "") -> StatisticsError:
-    """Return an error for the caller to raise.
+    """Return a StatisticsError for the caller to raise.
 
     Args:
-        field: The argument or declared field at fault.
+        field: The argument or declared field with the error.
         expected: The expected value, in words.
         got: The actual value, in words.
         hint: The advice; empty: no advice.

@@ -1,17 +1,18 @@
 """Bounds of a probability that hold after every trial at once, so that a stream may stop at any time.
 
-For each share p a martingale compares the trials so far, k of n, with a mixture of alternatives q:
+For each share p, a martingale compares p with a mixture of alternatives q. After n trials, of which k are
+successes, it is
 
     M_n(p) = E_q[ q^k (1 - q)^(n - k) ] / ( p^k (1 - p)^(n - k) )
 
-If p is the truth, M stays below 1/a for ever with a chance of 1 - a at least (Ville, 1939). So the shares
-whose M is below 1/a contain the truth, at all times together (Robbins, 1970).
+If p is the truth, M stays below 1/a for ever with a probability of at least 1 - a (Ville, 1939). Thus the
+shares with M below 1/a contain the truth, at all times together (Robbins, 1970).
 
-* Upper bound: q = u p with u ~ Beta(1/2, 1). All alternatives are below p, so that M is a supermartingale
-  under all greater shares too. M grows with p, and the bound is the p at which M reaches 1/a. The mixture
-  has no scale, and needs no guess of p. Without a violation, 3,787 trials bound 1e-3 at 95 % (2,995 if
-  their number is fixed).
-* Lower bound: q ~ Beta(1/2, 1/2). log M is convex in p; the bound is the end below k/n.
+- Upper bound: q = u p with u ~ Beta(1/2, 1). All alternatives are below p, so that M is a supermartingale
+  under all larger shares too. M grows with p, and the bound is the p at which M reaches 1/a. The mixture has
+  no scale, and needs no guess of p. Without a violation, 3,787 trials give the bound 1e-3 at 95 % (2,995
+  trials if their number is fixed).
+- Lower bound: q ~ Beta(1/2, 1/2). log M is convex in p; the bound is the p below k/n at which M reaches 1/a.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from safety_harness.base.elementary import log, log1p
 from safety_harness.base.special import beta_share, log_beta, settled
 from safety_harness.extensions.assurance.statistics.sample import Floats
 
-_SCALE = 0.5  # of the upper bound's mixture, Beta(_SCALE, 1) of p
-_JEFFREYS = 0.5  # of the lower bound's, Beta(_JEFFREYS, _JEFFREYS)
+_SCALE = 0.5  # for the upper bound: q / p has the distribution Beta(_SCALE, 1)
+_JEFFREYS = 0.5  # for the lower bound: q has the distribution Beta(_JEFFREYS, _JEFFREYS)
 
 
 @lru_cache(maxsize=4096)
@@ -36,7 +37,7 @@ def anytime_upper(count: int, trials: int, chance: float) -> float:
     Args:
         count: The number of successes so far.
         trials: The number of trials so far.
-        chance: The probability that the truth ever exceeds the bound, at most.
+        chance: The largest probability that the truth ever exceeds the bound.
 
     """
     if count >= trials:
@@ -52,7 +53,7 @@ def anytime_lower(count: int, trials: int, chance: float) -> float:
     Args:
         count: The number of successes so far.
         trials: The number of trials so far.
-        chance: The probability that the truth is ever below the bound, at most.
+        chance: The largest probability that the truth is ever below the bound.
 
     """
     if count <= 0:
