@@ -1,9 +1,9 @@
-"""Distributions for a scenario space, fitted to samples, with a goodness of fit and intervals.
+"""The fit of distributions to samples, for scenario spaces, with a test of the fit and intervals.
 
 A normal distribution has the parameters of greatest likelihood within known bounds. A uniform distribution
 reaches beyond the sample by its mean gap. The Anderson-Darling distance measures the misfit of both. A
-parametric bootstrap estimates how this distance is distributed if the family is right: it draws samples of
-the same size from the fit, and fits each again (Stute, Gonzalez Manteiga and Presedo Quindimil, 1993). A
+parametric bootstrap estimates how this distance is distributed if the family is right (Stute, Gonzalez
+Manteiga and Presedo Quindimil, 1993). It draws samples of the same size from the fit, and fits each again. A
 table for known parameters would hardly ever reject a family.
 """
 
@@ -43,7 +43,7 @@ class Family:
 
 
 def _normal(samples: Floats, low: float, high: float) -> Floats:
-    """Return mean and std of the normal distributions, cut off at the bounds, with the samples' moments.
+    """Return mean and std of the normal distributions, cut off at the bounds, that have the samples' moments.
 
     Let y run from -1 to 1 between the bounds. The density is proportional to exp(a y + b y^2). Newton's
     method finds a and b, since the log-likelihood is concave in both. A solution with b >= 0 is no normal
@@ -176,7 +176,7 @@ def _fit(family: Family, own: Floats, low: float, high: float, rng: np.random.Ge
 
 
 def _distances(family: Family, samples: Floats, parameters: Floats, low: float, high: float) -> Floats:
-    """Return the Anderson-Darling distances A^2 (b,) of ``samples`` (b, n) from their distributions."""
+    """Return the Anderson-Darling distances A^2 (b,) of ``samples`` (b, n) from their fits."""
     below, n = family.below(np.sort(samples, axis=1), parameters, low, high), samples.shape[1]
     below = np.clip(below, _LEAST_TAIL, 1.0 - _LEAST_TAIL)
     weights = 2.0 * np.arange(1, n + 1) - 1.0

@@ -1,7 +1,7 @@
 """A scenario space made from recorded hands, with distributions that are fitted to their approaches.
 
 Each quantity has the family of distributions that fits its sample best (``fitting``). If no family fits, the
-space draws one of the recorded values, all with equal probability.
+space draws recorded values with equal probability.
 """
 
 from __future__ import annotations

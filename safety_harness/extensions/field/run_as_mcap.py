@@ -124,7 +124,7 @@ def _log_text(trace: Trace, path: Path) -> str:
     """Return the text of the LOG.yaml that describes the file ``path``.
 
     The text omits streams that the controller does not report. It also omits the decisions if one of them
-    takes effect after the tick of its question, since a log has a single time for both.
+    takes effect after the tick of its question. A log has a single time for both.
     """
     tree, decisions = tree_of(as_seen_from(path.parent, trace.scenario)), trace.decisions
     streams = [name for name in REPORTED_COLUMNS if measured(trace, name).all()]
@@ -143,7 +143,7 @@ def _log_text(trace: Trace, path: Path) -> str:
 def _bounds(trace: Trace) -> tuple[float, float, float]:
     """Return the largest speed [rad/s] and acceleration [rad/s2] of a joint, and speed [m/s] of a hand.
 
-    A joint's speed may change at any moment of a tick, so its acceleration is bounded by twice the change of
+    A joint's speed may change at any moment of a tick. So its acceleration is bounded by twice the change of
     speed in a period. A hand may exceed its mean speed between two samples by the change of this speed.
     """
     true, period_s = true_motion(trace), trace.scenario.settings.clock.control_period_s

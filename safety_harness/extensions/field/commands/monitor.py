@@ -164,7 +164,7 @@ def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, a
 def _cell(
     file: Path | None, claims: list[str], robot: str | None, hands: list[str] | None, period: str | None
 ) -> WatchedCell:
-    """Return the cell that ``file`` describes, or without a file the cell that the options describe."""
+    """Return the cell that ``file`` describes, or if it is None, the cell that the options describe."""
     from safety_harness.base.exceptions import InputError, SettingsError
     from safety_harness.extensions.field.monitoring.cell import cell_taken, read_cell
     from safety_harness.scenario.robots import Robot
@@ -197,7 +197,7 @@ def _cell(
 def lines_of(stream: IO[bytes], patience_s: float) -> Iterator[bytes | None]:
     """Yield each line of ``stream`` when it comes, and None after every ``patience_s`` [s] without data.
 
-    Cut a line that is too long at the largest usable length, and drop the rest.
+    If a line is longer than the largest usable length, cut it there, and drop the rest.
     """
     from safety_harness.extensions.field.monitoring.sample import MOST_CHARACTERS
 

@@ -2,11 +2,11 @@
 
 A hand moves while its mean speed over a tenth of a second is at least 100 mm/s. A path shorter than 50 mm is
 no move, and a stand below 100 ms does not separate two moves. An approach is a move that ends at least 100 mm
-nearer to the TCP than it began, and at most 600 mm from the TCP.
+nearer to the TCP than it began. It also ends at most 600 mm from the TCP.
 
-The number of approaches is counted separately, as an upper bound. Each time that a hand comes 100 mm nearer
-within a move counts, even if the hand turns back without a stand. A move that a gap cuts also counts, and so
-does a gap across which the hand came nearer. The observed time is the time for which the log shows any hand.
+A separate count of approaches is an upper bound. It includes every motion by 100 mm towards the TCP within a
+move, even if the hand turns back without a stand. A move that a gap cuts also counts, and so does a gap
+across which the hand came nearer. The observed time is the time for which the log shows any hand.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Approach:
 
     ``start_from_tcp_m`` (3,) is the start relative to the TCP at that time, in the base frame.
     ``end_distance_m`` is the final distance from the TCP. ``dwell_s`` is the time for which the hand then
-    stood, or None if the log does not show it. ``pause_s`` is the time for which the hand stood before, or
-    None if the log does not show it or if the move before was an approach too.
+    stood, or None if the log does not show it. ``pause_s`` is the time for which the hand stood before this
+    approach. It is None if the log does not show it, or after another approach.
     """
 
     speed_mps: float

@@ -18,8 +18,8 @@ A_FRAME = "a bag whose headers name it, with frame: {tf: FILE#/tf}; or a marker 
 class Assumption:
     """One assumption, ``what``.
 
-    ``confirmed_by`` is the evidence in the log, and empty if there is none. ``would`` is the column that
-    would be evidence.
+    ``confirmed_by`` is the evidence in the log, or an empty text. ``would`` is the column that would be
+    evidence.
     """
 
     what: str

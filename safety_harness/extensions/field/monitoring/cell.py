@@ -86,7 +86,7 @@ class WatchedCell:
         return self.period_ns / NS
 
     def log_text(self, joints: str, hands: Sequence[str], claims: Sequence[str]) -> str:
-        """Return a LOG.yaml that judges the tables ``joints`` and ``hands`` of samples by ``claims``."""
+        """Return the text of a LOG.yaml with ``claims`` for the sample tables ``joints`` and ``hands``."""
         tree = _tree_of(self.said.node)
         assert isinstance(tree, dict)
         file = log_file(self.said)

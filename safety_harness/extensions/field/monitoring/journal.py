@@ -3,7 +3,7 @@
     OUT/0001/{LOG.yaml, joints.csv, hand-1.csv}, OUT/0002/...
 
 The journal writes each row whole, as soon as it comes, so ``judge`` can read the log of a killed process.  A
-new folder begins with the last sample of each table, so one folder has both samples around every motion.
+new folder begins with the last sample of each table, so that no motion between two samples is missing.
 """
 
 from __future__ import annotations

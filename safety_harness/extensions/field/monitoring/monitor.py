@@ -197,7 +197,7 @@ class Monitor:
         return f"no joints that can be used came for {gap_s * 1e3:g} ms" if self._silent else ""
 
     def verdicts(self) -> list[VerdictLine]:
-        """Return the present line of every claim; during a silence the verdicts allow for unknown joints."""
+        """Return the present line of every claim; during a silence, the present state is unknown."""
         return [self._change(claim, self._silence) for claim in self.claims]
 
     def _use(self, number: int, sample: Sample) -> Iterator[VerdictLine]:
@@ -300,7 +300,7 @@ class Monitor:
             raise Jump(self._frozen(frozen_ns))
 
     def _frozen(self, since_ns: int) -> str:
-        """Return the message that a body repeats its numbers since ``since_ns``, on the joints' clock."""
+        """Return the message that a stream repeats its numbers since ``since_ns`` on the joints' clock."""
         assert self._origin_ns is not None
         since_s = (self._origin_ns + since_ns) / NS
         return (
@@ -320,7 +320,7 @@ class Monitor:
             self.counts.lost += self._moments[-1].lost
 
     def _judge_again(self, *, grown: bool = False) -> Iterator[VerdictLine]:
-        """Judge the ticks on which samples have come since; ``grown`` states that the last one is new."""
+        """Judge the ticks about which new samples tell more; ``grown`` states that the last tick is new."""
         moments = [moment for moment in self._moments if moment.tick >= self._stale]
         if not moments:
             return
@@ -362,7 +362,7 @@ class Monitor:
                 yield self._change(claim, silence)
 
     def _change(self, claim: WatchedClaim, silence: str = "") -> VerdictLine:
-        """Return the line of ``claim`` at the latest tick; ``silence`` is the reason of unknown verdicts."""
+        """Return the line of ``claim`` at the latest tick; ``silence`` is a reason for unknown verdicts."""
         part = claim.deciding
         verdict, latest = _verdicts_of(claim, silence)
         signals = self._moments[-1].signals if self._moments else None

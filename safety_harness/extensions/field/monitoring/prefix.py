@@ -3,8 +3,8 @@
 ``semantics`` computes the margins of a complete run.  Here the run grows by one tick at a time, and the code
 computes the margin again as if the run ended there.  If every operator has a window, the margin at tick k
 depends only on the ticks that the windows reach.  ``semantics`` evaluates these ticks; older ticks are final.
-The margin v of an operator without a window follows from the margins a and b of its parts, beginning at the
-end of the run:
+The margin v of an operator without a window follows from the margins a and b of its parts, tick by tick from
+the end of the run:
 
     v[k] = max(b[k], min(a[k], v[k + 1]))        always: min(a[k], v[k + 1]), eventually: max(b[k], v[k + 1])
 
@@ -183,7 +183,7 @@ class _Node:
         return worst(lows), worst(highs)
 
     def forget(self, oldest: NDArray[np.float64]) -> None:
-        """Keep the effect of the oldest tick, with margins ``oldest`` (nodes, 2), before it is dropped."""
+        """Keep the effect of the oldest tick, with margins ``oldest`` (nodes, 2), and forget this tick."""
         for part in self.parts if self._over else ():
             part.forget(oldest)
         lasts, ends = self.step(oldest)

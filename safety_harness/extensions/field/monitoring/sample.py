@@ -5,7 +5,7 @@
                          "elbow_position_in_base_m": [1.0, -0.6, 0.25]},
                "left": null}}
 
-Every part except ``time_s`` may be missing if it was not measured.  The tracker sends null for a lost hand.
+Every part except ``time_s`` may be missing if it was not measured.  The value null stands for a lost hand.
 """
 
 from __future__ import annotations

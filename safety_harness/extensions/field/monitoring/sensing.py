@@ -1,7 +1,7 @@
 """The signals of the latest ticks, from joints and hands, with the same bounds as for a log.
 
 The functions of ``claims.signals.bounds`` run here in compiled code, since a live cell has a tick every 8 ms.
-Here they use the uncertainty of each tick and hand. For some signals of a log they use its largest value.
+They use the uncertainty of each tick and hand. For some signals of a log, they use its maximum over the run.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class Sensing:
 
         Args:
             moments: The ticks. The method sets their ``signals``.
-            fresh: The index of the first tick on which samples have come since.
+            fresh: The index of the first tick about which new samples tell more.
             errors: The errors of joints and of their speeds from ``fresh`` on; None where the arm is lost.
 
         """
@@ -275,12 +275,12 @@ def _put_speed(
 def _put(
     known: Values, value: Values, at: Values, low: Values, high: Values, below: Values, above: Values
 ) -> None:
-    """Write the bounds of a signal to ``known`` (m, 6), or those of a hand that is nearer than the others.
+    """Write the bounds of a signal to ``known`` (m, 6), or merge the distance of one more hand into it.
 
     ``value`` (m,) has the error ``at`` (m,) at the ticks.  Until the next tick the signal is at least ``low -
     below``, and at most ``high + above``, where ``low``, ``high``, ``below`` and ``above`` are of shape (m,).
-    NaN stands for unknown.  If the distance of one hand is unknown, the lower bound of the nearest hand is
-    unknown too, but the other hands still give its upper bound.
+    NaN stands for unknown.  If the distance of one hand is unknown, the lower bound for the nearest hand is
+    unknown too.  Its upper bound still follows from the known hands.
     """
     value = np.where(np.isnan(at), np.nan, value)
     known[:, VALUE] = np.fmin(known[:, VALUE], value)

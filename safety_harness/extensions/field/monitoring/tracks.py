@@ -1,6 +1,6 @@
-"""Tracks of bodies and joints: the samples so far, straight lines between them, and the errors of these.
+"""Tracks of bodies and joints: their samples so far, the lines between samples, and the errors of the lines.
 
-The bounds are updated with each sample, and equal those of ``extensions.field.logs.certain`` for a log that
+Each sample updates the bounds. They equal the bounds from ``extensions.field.logs.certain`` for a log that
 ends now. ``extensions.field.logs.reach`` computes the bounds between two samples. After the last sample they
 use the greatest speed, up to half of the longest gap. Times are in nanoseconds since the first joints.
 """
@@ -45,7 +45,7 @@ class WithinByTick:
         self.oldest = 0
 
     def add(self, begin_ns: int, end_ns: int, error: float, *, lost: bool = False) -> None:
-        """Add the ``error`` between two samples; if ``lost`` or in a gap, the ticks between are unknown."""
+        """Add the ``error`` between two samples; ``lost`` or a gap makes the ticks between them unknown."""
         first, last = begin_ns // self._period_ns, -(-end_ns // self._period_ns)
         if lost or end_ns - begin_ns > self._longest_ns:
             self._lost |= dict.fromkeys(range(max(first + (last - first > 1), self.oldest), last))

@@ -121,8 +121,8 @@ class WatchedPart:
         def prefix(formula: Formula, least: int, most: int) -> Prefix:
             """Return the Prefix whose ``least`` and ``most`` margins read bounds at ticks, or in cells.
 
-            A cell is the time from one tick to the next. The low bound of a comparison decides the least
-            margin of ``formula``. Below a "not" or in a trigger, it decides the largest margin.
+            A cell is the time from one tick to the next. The low bound of a comparison's margin decides the
+            least margin of ``formula``. Below a "not" or in a trigger, it decides the largest margin.
             """
 
             def columns(atom: Comparison | Truth) -> tuple[int, int, int]:
@@ -190,13 +190,13 @@ class WatchedPart:
 
     @property
     def exercised(self) -> bool:
-        """Return whether the run exercised the part; it did not if the first tick may meet its goal."""
+        """Return whether the run exercised the part; False if the first tick may already meet its goal."""
         if self._end is not None and self._end.most >= 0.0:
             return False
         return self._asked and not self._untried
 
     def reason(self, now: Values) -> str:
-        """Return the signals ``now`` (signals, 6) as text, and whether the run never exercised the part."""
+        """Return the signals ``now`` (signals, 6) as text, which says if the run never exercised the part."""
         values = ", ".join(
             _value_text(signal, now[k]) for k, signal in zip(self._read, self._signals, strict=True)
         )
@@ -206,10 +206,10 @@ class WatchedPart:
 
 
 def _directions(formula: Formula, sign: int = 1) -> dict[Comparison | Truth, set[int]]:
-    """Return for each comparison the signs with which the formula's margin depends on its margin.
+    """Return for each comparison whether the formula's margin rises or falls with the comparison's margin.
 
-    The sign is 1 where the formula's margin rises with it, and -1 where it falls. A trigger has the sign -1,
-    because the formula's least margin depends on the trigger's largest.
+    The sign 1 means that it rises, and -1 that it falls. A trigger has the sign -1, because the formula's
+    least margin depends on the trigger's largest margin.
     """
     if isinstance(formula, Comparison | Truth):
         return {formula: {sign}}

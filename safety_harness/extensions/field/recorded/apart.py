@@ -24,7 +24,7 @@ LEAST_RADPS = 0.01  # least root mean square of the joints' speeds about their m
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A value with its interval ``low`` to ``high`` at about CONFIDENCE, or None without an interval."""
+    """A value with its interval ``low`` to ``high`` at about CONFIDENCE; both are None if there is none."""
 
     value: float
     low: float | None
@@ -153,7 +153,7 @@ def _at(time_s: Floats, known_s: Floats, values: Floats) -> Floats:
 
 
 def _normal(total: Floats, joints: int) -> Floats:
-    """Return (1 + j,) a further delay d and offsets o: the least squares of difference = o - d rate.
+    """Return (1 + j,) a further delay d and offsets o, from the least squares of difference = o - d rate.
 
     ``total`` has the sums of differences, rates and their products over the samples.
     """

@@ -237,7 +237,7 @@ def _simulated(trace: Trace, name: str, time_s: Floats) -> Floats:
 
 
 def _tcp(recorded: Trace, simulated: Trace, shared: NDArray[np.bool_]) -> Difference | None:
-    """Return the statistics of the distance between the recorded and the simulated TCP, without a sign."""
+    """Return the statistics of the unsigned distance between the recorded and the simulated TCP."""
     there = shared & recorded.known.measured(TCP, recorded.ticks)
     time_s, off_by = recorded.time_s[there], recorded.known.uncertainty_of(TCP, len(recorded.ticks))[there]
     way_m = _simulated(simulated, TCP, time_s)[:, :3, 3] - recorded.ticks[TCP][there][:, :3, 3]
@@ -288,7 +288,7 @@ def as_json(comparison: CellComparison) -> str:
 
 
 def read_comparison(path: Path) -> CellComparison:
-    """Return the comparison in a file of ``compare-worlds``; raise InputError if the file is none."""
+    """Return the comparison in a file that ``compare-worlds`` wrote; raise InputError for another file."""
     content = of_format(read_json(path, "what compare-worlds wrote"), FORMAT, path)
     del content["format"]
     return typed(content, CellComparison, path)

@@ -82,9 +82,9 @@ class FromLog:
 
 @dataclass(frozen=True, kw_only=True)
 class Around:
-    """The variations of a space: hands shift by up to ``shift_m`` along each axis, at other speeds.
+    """The variations of a space: shifts by up to ``shift_m`` along each axis, and ``speeds`` of the hands.
 
-    ``speeds`` (low, high) are the least and the largest factor of a hand's recorded speed.
+    ``speeds`` (low, high) are the least and the largest factor on a hand's recorded speed.
     """
 
     shift_m: float | None = None
@@ -170,7 +170,7 @@ def usual_cell(log: CellLog, desired_tcp_in_base_m: Vector3 | None = None) -> Sc
 
 
 def _elbow_towards(cell: Scenario, name: str) -> Vector3 | None:
-    """Return the point at which the forearm of the hand ``name`` in ``cell`` points, or of its only hand."""
+    """Return the point of the forearm from the hand ``name`` in ``cell``, or from the only hand there."""
     hands = [hand for hand in cell.hands if hand.name == name] or list(cell.hands)
     if len(hands) != 1 or isinstance(hands[0], JoinedHand):
         return None
