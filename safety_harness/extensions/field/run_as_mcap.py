@@ -124,7 +124,7 @@ def _log_text(trace: Trace, path: Path) -> str:
     """Return the text of the LOG.yaml that describes the file ``path``.
 
     The text omits streams that the controller does not report. It also omits the decisions if one of them
-    takes effect after the tick of its question. A log has a single time for both.
+    takes effect after the tick of its question. A log has a single time for question and effect.
     """
     tree, decisions = tree_of(as_seen_from(path.parent, trace.scenario)), trace.decisions
     streams = [name for name in REPORTED_COLUMNS if measured(trace, name).all()]

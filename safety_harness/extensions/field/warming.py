@@ -13,7 +13,7 @@ WATCHED = (
 
 
 def warm_monitor() -> None:
-    """Compile the monitor's code by watching a short run with claims with and without windows."""
+    """Watch a short run, so that the monitor's code is compiled for operators with and without windows."""
     own = Monitor(cell=cell_taken("UR10", ["hand"], "8 ms", WATCHED))
     places = HandSample((0.9, 0.2, 0.4), (1.2, 0.2, 0.5))
     for tick in range(60):

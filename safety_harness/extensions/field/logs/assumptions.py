@@ -16,7 +16,7 @@ A_FRAME = "a bag whose headers name it, with frame: {tf: FILE#/tf}; or a marker 
 
 @dataclass(frozen=True)
 class Assumption:
-    """One assumption, ``what``.
+    """One assumption about a cell: ``what`` is assumed.
 
     ``confirmed_by`` is the evidence in the log, or an empty text. ``would`` is the column that would be
     evidence.

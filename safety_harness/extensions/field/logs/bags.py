@@ -159,7 +159,7 @@ def _opened(source: LogSource) -> Iterator[Bag]:
 def messages(source: LogSource) -> Iterator[Message]:
     """Yield every message of the stream's topic, in the order of receipt.
 
-    Raise LogError for a missing topic, damage, or fewer messages than the bag states.
+    Raise LogError if the topic is missing, the bag is damaged, or the bag states another number of messages.
     """
     with _opened(source) as reader:
         connections = [link for link in reader.connections if link.topic == source.topic]

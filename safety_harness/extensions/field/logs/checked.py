@@ -219,7 +219,7 @@ def refuse_contradicting_speeds(
     hardest = np.minimum(shown, HARDEST_TAKEN) if hard is None else hard
     allowed = np.broadcast_to(step_s * (known[1] + hardest * step_s / 4.0), by_speed.shape)
     conflicts: list[tuple[int, int, int]] = []
-    for sign in (1.0, -1.0):  # the way exceeds, or falls short of, the way by the speeds and its tolerance
+    for sign in (1.0, -1.0):  # positions ahead of, then behind, the way by the speeds and its tolerance
         more = np.zeros(places.shape)
         more[1:] = np.cumsum(sign * (np.diff(places, axis=0) - by_speed) - allowed, axis=0)
         since = np.minimum.accumulate(more, axis=0)

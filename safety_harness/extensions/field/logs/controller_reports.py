@@ -272,7 +272,7 @@ class _Reading:
         return self.timed(samples), names
 
     def refuse_no_decision(self, samples: LogSamples, at: Mapping[str, int]) -> None:
-        """Raise LogError for a decision that lacks numbers; only a stop has no chosen position."""
+        """Raise LogError for missing or impossible numbers; only a stop may lack a chosen position."""
         values = samples.values
         stops = np.zeros(len(values), np.bool_)
         if OUTCOME in at:

@@ -26,7 +26,7 @@ BASE = "base"
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """The fixed transforms of a bag: ``parents`` maps a frame to its parent, and its pose (4, 4) there."""
+    """The fixed transforms of a bag: ``parents`` maps a frame to its parent and its pose (4, 4) in that."""
 
     source: LogSource
     parents: dict[str, tuple[str, NDArray[np.float64]]]
@@ -79,7 +79,7 @@ def read_tree(source: LogSource, frame: str, base: str) -> Tree:
                 was, first = parents[child]
                 by_m = float(length(pose[:3, 3] - first[:3, 3]))
                 chord = float(length(pose[:3, :3] - first[:3, :3]))
-                by_rad = 2.0 * np.arcsin(min(chord / 8.0**0.5, 1.0))  # of two rotations |A - B| is 8^0.5 sin
+                by_rad = 2.0 * np.arcsin(min(chord / 8.0**0.5, 1.0))  # |A - B| = 8^0.5 sin(by_rad / 2)
                 if (was != parent or by_m > STILL_M or by_rad > STILL_RAD) and child not in moved:
                     moved[child] = message, topic, by_m, by_rad
     tree = Tree(source, parents)
@@ -138,7 +138,7 @@ def moved_by(transform: NDArray[np.float64]) -> Callable[[Sequence[float]], Sequ
 def by_header(
     base: str, source: LogSource, transform_base: NDArray[np.float64], tf: LogSource | None
 ) -> ToBase:
-    """Return the transforms for the frames in headers, each of them ``base`` or connected to it in ``tf``.
+    """Return the transform to base for the frame in each header: ``base``, or a frame that ``tf`` connects.
 
     Args:
         base: The name of the base frame in the bag.
@@ -198,7 +198,7 @@ def by_given(transform: NDArray[np.float64], name: str | None, base: str, source
 
 
 def given_transform(frame: Field) -> NDArray[np.float64]:
-    """Return the transform (4, 4) from the frame of the positions to the base frame that LOG.yaml states."""
+    """Return the transform (4, 4) that LOG.yaml states, from the frame of the positions to the base frame."""
     if isinstance(frame.node, Scalar):
         frame.one_of({BASE: None})
         return np.eye(4)

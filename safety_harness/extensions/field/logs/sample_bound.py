@@ -13,7 +13,7 @@ from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import NUMBER
 
 KEYS = ("field", "times")
-COVARIANCES = (9, 36)  # of a position, or of a pose, row by row
+COVARIANCES = (9, 36)  # counts of numbers in the covariance of a position, or of a pose, row by row
 
 
 @dataclass(frozen=True)

@@ -193,7 +193,7 @@ class Collector:
     _unstamped: int = 0
 
     def unstamped(self, refused: LogError) -> None:
-        """Count a sample without a valid time; raise ``refused`` unless it may be before the window."""
+        """Count a sample without a valid time; raise ``refused`` unless it may precede the window."""
         if not self.unstamped_before or self._time:
             raise refused
         self._unstamped += 1

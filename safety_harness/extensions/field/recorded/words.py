@@ -38,7 +38,7 @@ def world_lines(world: WorldBeside, usually: float) -> Iterator[str]:
 
 
 def difference_words(row: Difference, usually: float) -> str:
-    """Return the mean difference with its interval, its usual and largest size, and the log's uncertainty."""
+    """Return the mean difference with its interval, the usual and largest size, and the log's uncertainty."""
     return (
         f"mean {estimate(row.mean, row.unit)}; {usually:.0%} of the time within "
         f"{shown(row.usually, row.unit)}, at most {shown(row.largest, row.unit)} at {row.at_s:.3f} s; "
