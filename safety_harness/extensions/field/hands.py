@@ -89,9 +89,9 @@ class FittedQuantity:
 class Direction:
     """The direction of approaches: the mean (3,) in the base frame, and the agreement of the directions.
 
-    ``resultant`` r is the length of the mean of the n unit vectors, from 0 to 1 (all directions are the
-    same). ``concentration`` is the kappa of a von Mises-Fisher distribution (Sra, 2012). ``any_p_value`` is
-    that of Rayleigh's test for uniform directions, in which 3 n r^2 is chi-square with 3 degrees of freedom.
+    ``resultant`` r is the length of the mean of the n unit vectors; it is 1 if all directions are the same.
+    ``concentration`` is the kappa of a von Mises-Fisher distribution (Sra, 2012). ``any_p_value`` is the
+    p-value of Rayleigh's test for uniform directions: 3 n r^2 is chi-square with 3 degrees of freedom.
     """
 
     mean: tuple[float, float, float]

@@ -63,7 +63,7 @@ _HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
 
 @dataclass(frozen=True, eq=False)
 class LoggedTrace:
-    """The trace of a log, the paths of its hands as bytes by SHA-256, and notes for the reader."""
+    """The trace of a log, a map from SHA-256 to the bytes of its hands' paths, and notes for the reader."""
 
     trace: Trace
     recordings: dict[str, bytes]

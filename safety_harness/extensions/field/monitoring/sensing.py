@@ -82,7 +82,7 @@ class TickSeen:
 class HandTracks(NamedTuple):
     """The tracks of a hand and of its elbow.
 
-    ``elbow`` is None if it is not measured. For a hand without a forearm it is the hand's own track.
+    ``elbow`` is None if no elbow is measured. For a hand without a forearm, ``elbow`` is the hand's track.
     """
 
     hand: BodyTrack

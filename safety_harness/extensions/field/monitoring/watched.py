@@ -119,7 +119,7 @@ class WatchedPart:
         rising = {atom for atom in directions if 1 in directions[atom]}
 
         def prefix(formula: Formula, least: int, most: int) -> Prefix:
-            """Return the Prefix whose ``least`` and ``most`` margins read bounds at ticks, or in cells.
+            """Return the Prefix of ``formula``, with ``least`` and ``most`` read at ticks or in cells.
 
             A cell is the time from one tick to the next. The low bound of a comparison's margin decides the
             least margin of ``formula``. Below a "not" or in a trigger, it decides the largest margin.
@@ -182,7 +182,7 @@ class WatchedPart:
 
     @staticmethod
     def _tries(own: Values, near_m: float) -> NDArray[np.bool_]:
-        """Return where (m,) a signal ``own`` (m, 6) exercises a claim, or is certainly below ``near_m``."""
+        """Return the ticks (m,) at which a signal ``own`` (m, 6) is exercised, or surely below ``near_m``."""
         tries: NDArray[np.bool_] = (own[:, EXERCISED] > 0.0) | (
             ~np.isnan(own[:, VALUE]) & (own[:, HIGH] < near_m)
         )
