@@ -122,7 +122,7 @@ FAMILIES = (NORMAL, UNIFORM)
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """The fit of one family to one sample: its goodness, and intervals (CONFIDENCE) of its parameters."""
+    """The fit of one family to one sample, with a test, and with intervals (CONFIDENCE) of its parameters."""
 
     family: str
     parameters: dict[str, float]

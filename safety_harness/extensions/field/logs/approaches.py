@@ -73,7 +73,7 @@ class Watched:
 
 
 def approaches_of(log: CellLog) -> Watched:
-    """Return the approaches of all hands in ``log``; a gap longer than allowed begins a new piece."""
+    """Return the approaches of all hands in ``log``, from the pieces between gaps longer than allowed."""
     watched, facts = Watched(), log.hand_facts
     if facts is None:
         return watched
@@ -102,7 +102,7 @@ def approaches_of(log: CellLog) -> Watched:
 
 
 def _reaches(log: CellLog, arm: ArmModel, time_s: Floats, hand_m: Floats) -> int:
-    """Return how often ``hand_m`` (n, 3) comes NEARER_M nearer to the TCP, to within NEAR_M of it."""
+    """Return how often the hand at ``hand_m`` (n, 3) comes NEARER_M nearer to the TCP, to within NEAR_M."""
     tcp_m = np.array([_tcp_m(log, arm, at_s) for at_s in time_s.tolist()])
     count, away, least_m, most_m = 0, True, np.inf, -np.inf
     for distance_m in np.linalg.norm(hand_m - tcp_m, axis=1).tolist():

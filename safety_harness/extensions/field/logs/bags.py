@@ -369,7 +369,7 @@ def _frame_of(header: Any) -> str:
 
 
 def _add(collector: Collector, message: Message, time: str, header: Any, values: Iterable[float]) -> None:
-    """Give the sample of a message to ``collector``, or count it there if it has no valid time."""
+    """Add the sample of a message to ``collector``, which counts it if it has no valid time."""
     try:
         time_ns = _time_ns(message, collector.source, time, header)
     except LogError as refused:

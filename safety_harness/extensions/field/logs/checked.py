@@ -96,7 +96,7 @@ def refuse_the_same(streams: list[LogSamples]) -> None:
 
 
 def the_short_way(joints: LogSamples, facts: JointFacts, arm: ArmModel) -> LogSamples:
-    """Return ``joints`` without wraps: a joint without ends goes the short way if its angle jumps a turn."""
+    """Return ``joints`` without wraps: where its angle jumps, a joint without ends goes the short way."""
     count, step_s = len(arm.joint_names), np.diff(joints.time_ns)[:, None] / NS
     turned_rad = wrapped_rad(np.diff(joints.values[:, :count], axis=0), step_s, facts, arm)
     if not (wraps := turned_rad != 0.0).any():
@@ -134,7 +134,7 @@ def noted_beyond_ends(joints: LogSamples, arm: ArmModel) -> LogSamples:
 
 
 def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
-    """Raise LogError where a joint's speed or acceleration from sample to sample exceeds its limit."""
+    """Raise LogError if a joint's speed or acceleration between samples certainly exceeds its limit."""
     step_s = np.diff(joints.time_ns) / NS
     moved = np.abs(np.diff(joints.values[:, : len(names)], axis=0))
     allowed = step_s[:, None] * facts.move_at_most_radps + 2.0 * facts.known_to_rad

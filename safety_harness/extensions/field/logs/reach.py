@@ -33,7 +33,9 @@ class Reach:
 
 
 def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floats | float) -> Floats:
-    """Return how far (m,) a body may be from the lines between samples ``way_m`` and ``step_s`` (m,) apart.
+    """Return how far (m,) a body may be from the lines between its samples.
+
+    Successive samples are ``way_m`` (m,) and ``step_s`` (m,) apart.
 
     Let x and y be the true places at two samples, T the time between them, and v the largest speed, so
     |x - y| <= v T. After the fraction w of T, the body is within v w T of x and within v (1 - w) T of y. So
@@ -49,7 +51,7 @@ def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floa
 def joint_off_rad(
     slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample_rad: float
 ) -> Floats:
-    """Return how far (m,) joints may be from the lines between samples, the largest of all joints.
+    """Return how far (m,) joints may be from the lines between samples, as the largest value of all joints.
 
     ``slope`` (m, j) are the mean speeds s, ``step_s`` (m,) the times T, ``most`` (j,) the largest speeds v.
 
@@ -66,7 +68,7 @@ def joint_off_rad(
 def rate_off(
     slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample: float
 ) -> Floats:
-    """Return how far (m,) a joint's speed may be from its mean between samples, the largest of all joints.
+    """Return how far (m,) a joint's speed may be from its mean between samples; largest value of all joints.
 
     ``slope`` (m, j) are the mean speeds s, ``step_s`` (m,) the times T, ``most`` (j,) the largest speeds v.
 

@@ -33,7 +33,10 @@ NEAREST, TCP = "predicted_distance_m", "transform_tcp_to_base"
 
 
 def with_reports(trace: Trace, log: CellLog, columns: dict[str, Measurement]) -> Trace:
-    """Return ``trace``, which has TCP and hands, with the reports; add their accuracy to ``columns``."""
+    """Return ``trace`` with the reports, and add the accuracy of the reports to ``columns``.
+
+    ``trace`` must already have the TCP and the hands.
+    """
     reports, ticks = log.told, trace.ticks.copy()
     for name, stream in (("mode", reports.mode), ("limits", reports.limits)):
         if stream is not None:

@@ -81,8 +81,8 @@ class Prefix:
     """The ``least`` and largest (``most``) possible margin of ``formula`` at the run's first tick.
 
     Later samples may narrow the bounds of signals at the latest tick and at ``revisable`` ticks before it.
-    If the outermost operator is "always" or "whenever", ``latest`` has the margins of its demand at the
-    latest tick whose windows have passed.
+    If the outermost operator is "always" or "whenever", ``latest`` has the margins of its demand. They are
+    the margins at the latest tick whose windows have passed.
 
     Args:
         formula: The part of a claim.  ``refuse_endless`` raises FormulaError for some formulas.

@@ -31,7 +31,7 @@ Values = NDArray[np.float64]
 
 
 class Jump(ValueError):
-    """A sample that cannot follow the sample before it: too far away, or frozen."""
+    """The error for a sample that cannot follow the sample before it: it is too far away, or frozen."""
 
 
 class WithinByTick:

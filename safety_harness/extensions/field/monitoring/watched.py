@@ -182,7 +182,7 @@ class WatchedPart:
 
     @staticmethod
     def _tries(own: Values, near_m: float) -> NDArray[np.bool_]:
-        """Return the ticks (m,) at which a signal ``own`` (m, 6) is exercised, or surely below ``near_m``."""
+        """Return at which ticks (m,) a signal ``own`` (m, 6) exercises a claim, or is within ``near_m``."""
         tries: NDArray[np.bool_] = (own[:, EXERCISED] > 0.0) | (
             ~np.isnan(own[:, VALUE]) & (own[:, HIGH] < near_m)
         )
@@ -208,8 +208,8 @@ class WatchedPart:
 def _directions(formula: Formula, sign: int = 1) -> dict[Comparison | Truth, set[int]]:
     """Return for each comparison whether the formula's margin rises or falls with the comparison's margin.
 
-    The sign 1 means that it rises, and -1 that it falls. A trigger has the sign -1, because the formula's
-    least margin depends on the trigger's largest margin.
+    The sign 1 means that the formula's margin rises, and -1 that it falls. A trigger has the sign -1, because
+    the formula's least margin depends on the trigger's largest margin.
     """
     if isinstance(formula, Comparison | Truth):
         return {formula: {sign}}

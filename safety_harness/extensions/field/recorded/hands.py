@@ -155,7 +155,7 @@ def _part_begins_s(log: CellLog) -> float:
 
 
 def _csv(tracks: dict[str, _Track]) -> bytes:
-    """Return ``tracks`` as one CSV table, with empty cells at times at which a track has no sample."""
+    """Return ``tracks`` as one CSV table, whose cells are empty where a track has no sample at that time."""
     times = np.unique(np.concatenate([track.time_ns for track in tracks.values()]))
     header = ["time_s", *(f"{name}_{axis}_m" for name in tracks for axis in "xyz")]
     cells: list[Sequence[str]] = [[f"{time / NS:.9f}" for time in times.tolist()]]
