@@ -1,9 +1,10 @@
-"""Distributions for a scenario space, fitted to samples, with a goodness of fit and intervals.
+"""The fit of distributions to samples, for scenario spaces, with a test of the fit and intervals.
 
-The parameters have the greatest likelihood within known bounds. The Anderson-Darling distance judges the fit.
-A parametric bootstrap gives its distribution under the family: it draws samples of the same size from the
-fit, and fits each anew (Stute, Gonzalez Manteiga and Presedo Quindimil, 1993). A table for known parameters
-would hardly ever reject.
+A normal distribution has the parameters of greatest likelihood within known bounds. A uniform distribution
+reaches beyond the sample by its mean gap. The Anderson-Darling distance measures the misfit of both. A
+parametric bootstrap estimates how this distance is distributed if the family is right (Stute, Gonzalez
+Manteiga and Presedo Quindimil, 1993). It draws samples of the same size from the fit, and fits each again. A
+table for known parameters would hardly ever reject a family.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ REJECTED_BELOW = 0.05  # the p-value below which a family is rejected
 CONFIDENCE = 0.95  # of the parameters' intervals, from the bootstrap's quantiles
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(240)  # for the moments of a cut normal distribution
 _STEPS, _CLOSE = 60, 1e-10  # of Newton's method: the most steps, and the largest error of a moment
-# Bounds beyond 9 std cut nothing off; a fit has at least this mass between the bounds; floor of logarithms
+# Bounds beyond so many std cut nothing off; least mass of a fit between the bounds; floor of probabilities
 _FAR_STDS, _LEAST_MASS, _LEAST_TAIL = 9.0, 1e-3, 1e-12
 
 
 @dataclass(frozen=True)
 class Family:
-    """A family with two ``parameters`` by name, for many samples at once, within known bounds (low, high).
+    """A family of distributions between known bounds (low, high), with the names of its two ``parameters``.
 
-    ``fitted`` maps (b, n) samples to (b, 2) parameters, NaN for a sample without a fit. ``below`` maps (b, n)
-    values and (b, 2) parameters to (b, n), the probability of a smaller value. ``values`` is the inverse of
-    ``below``.
+    Each function handles b samples at once. ``fitted`` maps samples (b, n) to parameters (b, 2), which are
+    NaN for a sample without a fit. ``below`` maps values (b, n) and parameters (b, 2) to the probabilities
+    (b, n) of smaller values. ``values`` is the inverse of ``below``.
     """
 
     name: str
@@ -42,10 +43,11 @@ class Family:
 
 
 def _normal(samples: Floats, low: float, high: float) -> Floats:
-    """Return mean and std of a normal distribution cut off at the bounds, with the moments of the samples.
+    """Return mean and std of the normal distributions, cut off at the bounds, that have the samples' moments.
 
-    The density is exp(a y + b y^2) for y from -1 to 1. Newton's method solves for a and b, in which the
-    likelihood is concave. A solution with b >= 0 is no normal distribution.
+    Let y run from -1 to 1 between the bounds. The density is proportional to exp(a y + b y^2). Newton's
+    method finds a and b, since the log-likelihood is concave in both. A solution with b >= 0 is no normal
+    distribution.
     """
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     y = (samples - middle) / half
@@ -97,7 +99,7 @@ def _normal_values(share: Floats, parameters: Floats, low: float, high: float) -
 
 
 def _even(samples: Floats, low: float, high: float) -> Floats:
-    """Return the ends of each sample, widened on both sides by the mean gap between its values."""
+    """Return the least and largest value of each sample, moved outwards by the mean gap between values."""
     least, most = samples.min(axis=1), samples.max(axis=1)
     gap = (most - least) / (samples.shape[1] - 1)
     return np.column_stack([np.maximum(least - gap, low), np.minimum(most + gap, high)])
@@ -120,7 +122,7 @@ FAMILIES = (NORMAL, UNIFORM)
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """One family for one sample: its goodness of fit, and intervals (CONFIDENCE) of its parameters."""
+    """The fit of one family to one sample, with a test, and with intervals (CONFIDENCE) of its parameters."""
 
     family: str
     parameters: dict[str, float]
@@ -130,12 +132,12 @@ class Fit:
 
     @property
     def rejected(self) -> bool:
-        """Does the test reject the family?"""
+        """Return whether the test rejects the family."""
         return self.p_value < REJECTED_BELOW
 
 
 def fit(values: Floats, *, low: float, high: float, rng: np.random.Generator) -> tuple[Fit, ...]:
-    """Return each family that fits ``values``, the best first; empty where all values are equal.
+    """Return the fits of all families to ``values``, the best first; empty if all values are equal.
 
     Args:
         values: The sample (n,).
@@ -151,7 +153,7 @@ def fit(values: Floats, *, low: float, high: float, rng: np.random.Generator) ->
 
 
 def _fit(family: Family, own: Floats, low: float, high: float, rng: np.random.Generator) -> Fit | None:
-    """Return the fit to the one sample ``own`` (1, n); None if the family has no fit."""
+    """Return the fit of ``family`` to the sample ``own`` (1, n), or None if it has no fit."""
     parameters = family.fitted(own, low, high)
     if not np.isfinite(parameters).all():
         return None
@@ -174,7 +176,7 @@ def _fit(family: Family, own: Floats, low: float, high: float, rng: np.random.Ge
 
 
 def _distances(family: Family, samples: Floats, parameters: Floats, low: float, high: float) -> Floats:
-    """Return (b,) A^2 of each sample's distribution function from the family's; ``samples`` (b, n)."""
+    """Return the Anderson-Darling distances A^2 (b,) of ``samples`` (b, n) from their fits."""
     below, n = family.below(np.sort(samples, axis=1), parameters, low, high), samples.shape[1]
     below = np.clip(below, _LEAST_TAIL, 1.0 - _LEAST_TAIL)
     weights = 2.0 * np.arange(1, n + 1) - 1.0

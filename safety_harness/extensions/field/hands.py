@@ -1,7 +1,7 @@
-"""Recorded hands as a scenario space: their approaches as distributions that a space can have.
+"""A scenario space made from recorded hands, with distributions that are fitted to their approaches.
 
-A quantity takes a family that fits its sample (``fitting``). Without a family that fits, its recorded values
-stand for themselves with equal probability.
+Each quantity has the family of distributions that fits its sample best (``fitting``). If no family fits, the
+space draws recorded values with equal probability.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from safety_harness.scenario.files import display_path
 from safety_harness.scenario.write import text_of
 
 LEAST_APPROACHES = 5  # fewer are refused; a quantity with fewer values is not fitted
-HARD = 0.5  # of the speed over the window: from there on an acceleration comes out too small, by a tenth
-WEAK_BELOW = 30  # values, with which a wrong family is seldom found
-MOST_VALUES = 100  # that stand for themselves in a space
+HARD = 0.5  # times speed / window; the log shows a larger acceleration too small by a tenth or more
+WEAK_BELOW = 30  # with fewer values, the test seldom rejects a wrong family
+MOST_VALUES = 100  # the most recorded values that a space lists
 LONGEST_S, FARTHEST_M, LEAST_MPS2, HARDEST_MPS2 = 60.0, 2.0, 0.1, 50.0
 ELBOW_BEHIND_M = 0.4  # from the mean start of a hand, along the mean direction
 AXES = ("x", "y", "z")
@@ -57,16 +57,16 @@ class FittedQuantity:
 
     @property
     def chosen(self) -> Fit | None:
-        """The best fit that is not rejected; None where the values stand for themselves."""
+        """The best fit that is not rejected, or None if the space lists the recorded values instead."""
         return next((f for f in self.fits if not f.rejected), None)
 
     @property
     def text(self) -> str:
-        """The quantity as text of a space."""
+        """The text of the quantity in the file of a space."""
         return self.beside(0.0)
 
     def beside(self, place: float) -> str:
-        """Return the text with ``place`` added to all values."""
+        """Return the text of the quantity with ``place`` added to all values."""
         unit, per_si = FORMS[self.unit]
 
         def written(value: float) -> str:
@@ -89,9 +89,9 @@ class FittedQuantity:
 class Direction:
     """The direction of approaches: the mean (3,) in the base frame, and the agreement of the directions.
 
-    ``resultant`` is the length of the mean of their unit vectors, from 0 (any) to 1 (all the same).
-    ``concentration`` is the kappa of a von Mises-Fisher distribution (Sra, 2012). ``any_p_value`` comes from
-    Rayleigh's test of uniform directions over the sphere (3 n r^2 is chi-square with 3 degrees).
+    ``resultant`` r is the length of the mean of the n unit vectors; it is 1 if all directions are the same.
+    ``concentration`` is the kappa of a von Mises-Fisher distribution (Sra, 2012). ``any_p_value`` is the
+    p-value of Rayleigh's test for uniform directions: 3 n r^2 is chi-square with 3 degrees of freedom.
     """
 
     mean: tuple[float, float, float]
@@ -102,7 +102,7 @@ class Direction:
 
 @dataclass(frozen=True, kw_only=True)
 class HandsFit:
-    """All fits, their recordings (name and SHA-256), and notes for the reader."""
+    """The fits of all quantities, the recordings (name, SHA-256), and notes for the reader."""
 
     quantities: tuple[FittedQuantity, ...]
     direction: Direction
@@ -117,7 +117,7 @@ class HandsFit:
 
 
 def fit_hands(logs: Sequence[CellLog], *, seed: int) -> HandsFit:
-    """Return the fits to the approaches of the hands in ``logs``; LogError for too few approaches.
+    """Return the fits to the approaches of hands in ``logs``; raise LogError for too few approaches.
 
     Args:
         logs: The logs, all with hands.
@@ -162,7 +162,7 @@ def fit_hands(logs: Sequence[CellLog], *, seed: int) -> HandsFit:
 def _samples(
     approaches: Sequence[Approach], fastest_mps: float
 ) -> list[tuple[str, str, float, float, list[float]]]:
-    """Return (name, unit, low, high, values) of each quantity, without values beyond its bounds."""
+    """Return (name, unit, low, high, values) for each quantity, without the values beyond its bounds."""
     starts = np.array([a.start_from_tcp_m for a in approaches])
     dwells = [a.dwell_s for a in approaches if a.dwell_s is not None]
     pauses = [a.pause_s for a in approaches if a.pause_s is not None]
@@ -200,9 +200,9 @@ def _rate_interval(count: int, hours: float) -> tuple[float, float]:
 
 
 def _recordings(logs: Sequence[CellLog]) -> tuple[tuple[str, str], ...]:
-    """Return the files and hashes of the logs.
+    """Return the (file, hash) pairs of all logs.
 
-    Raise LogError for a file that two logs share, since its time would count twice.
+    Raise LogError if two logs share a file, since its time would count twice.
     """
     hashes: dict[Path, str] = {}
     for log in logs:
@@ -244,7 +244,7 @@ def _notes(watched: Watched, quantities: Sequence[FittedQuantity]) -> list[str]:
 
 
 def space_text(fitted: HandsFit) -> str:
-    """Return a scenario space with hands that approach as recorded, and an arm at its desired pose."""
+    """Return the text of a space in which hands approach as recorded, and the arm is at its desired pose."""
     by_name = {item.name: item for item in fitted.quantities}
     tcp = Settings().cell.desired_tcp_position_in_base_m
     starts = [by_name[f"start {axis}"].beside(place) for axis, place in zip(AXES, tcp, strict=True)]
@@ -288,7 +288,7 @@ def space_text(fitted: HandsFit) -> str:
 
 
 def _comments(fitted: HandsFit) -> list[str]:
-    """Return the file's comments about itself."""
+    """Return the comments at the beginning of the space's file."""
     low, high = fitted.per_hour_interval
     lines = [
         f"Written by: safety-harness hands fit --seed {fitted.seed}",
@@ -301,7 +301,7 @@ def _comments(fitted: HandsFit) -> list[str]:
 
 
 def quantity_lines(quantity: FittedQuantity) -> list[str]:
-    """Return the fits to one quantity, a family a line."""
+    """Return the fits to ``quantity``, with one line for each family."""
     unit, per_si = FORMS[quantity.unit]
     lines = []
     for each in quantity.fits:
@@ -316,7 +316,7 @@ def quantity_lines(quantity: FittedQuantity) -> list[str]:
 
 
 def direction_line(trend: Direction) -> str:
-    """Return the direction of approaches, in words."""
+    """Return a line of text about the direction of approaches."""
     at = ", ".join(f"{x:+.2f}" for x in trend.mean)
     return (
         f"from the direction ({at}) of the TCP, in the base frame: resultant {trend.resultant:.2f}, kappa "

@@ -1,4 +1,4 @@
-"""Logs of a real cell as recorded runs, for ``judge``, ``view`` and pytest."""
+"""The kind of input file that lets ``judge``, ``view`` and pytest read the log of a real cell as a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read and judge the log of a real cell: ``safety_harness.read_log``, and its result."""
+"""The function ``safety_harness.read_log``, which reads the log of a real cell, and its result."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ class LogResult:
 
     @property
     def assumptions(self) -> tuple[Assumption, ...]:
-        """The assumptions of verdicts on the log, and the evidence that confirms each."""
+        """The assumptions on which verdicts on the log depend, each with the evidence that confirms it."""
         return tuple(assumptions_of(self.log))
 
     def judge(self, *claims: str) -> JudgedRun:
         """Judge the log.
 
         Args:
-            claims: Sentences that should hold; if empty, the claims of the log's own file.
+            claims: Sentences that should hold. If there are none, the claims of the log's own file.
 
         Raises:
             InputError: There is no claim, or a claim cannot be read.

@@ -1,7 +1,7 @@
 """A run as an MCAP file of ROS 2 messages, with its LOG.yaml, for Foxglove, RViz and our own log reader.
 
 Hands, arm and obstacles use Foxglove's schemas for drawing. Joints, transforms and places are standard
-messages. Stamps are the run's times plus a second, since a zero stamp means a missing stamp.
+messages. A stamp is the time in the run plus one second, since a stamp of zero means that it is missing.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> t
     """Write ``trace`` and the ``evaluations`` of its claims to ``path``, and LOG.yaml beside it.
 
     Returns:
-        Both files.
+        The paths of both files.
 
     Raises:
         TraceError: The trace was not simulated.
@@ -85,15 +85,15 @@ def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> t
 
 
 def _stamps(at_s: Any) -> Any:
-    """Return (n,) the stamps [ns] of times in the run."""
+    """Return the stamps (n,) [ns] of the times ``at_s`` (n,) in the run."""
     return NS + np.round(np.asarray(at_s) * NS).astype(np.int64)
 
 
 def _hand_samples(trace: Trace, hand: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return (n,) stamps [ns] and (n, 2, 3) places of a hand and its elbow in the base frame [m].
+    """Return the stamps (n,) [ns] and the places (n, 2, 3) of a hand and its elbow in the base frame [m].
 
-    Samples are at the ticks, at turns between ticks, and at parts of a tick, so that little is open in
-    between.
+    There are samples at the ticks, at turns between ticks, and at parts of a tick, so that little is unknown
+    between two samples.
     """
     paths, period_s = finer_paths(trace), trace.scenario.settings.clock.control_period_s
     own = paths.corner_hand == hand
@@ -103,7 +103,7 @@ def _hand_samples(trace: Trace, hand: int) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def _limit_words(flags: int) -> str:
-    """Return the limits that acted, in the form of LOG.yaml: "tcp speed and braking"."""
+    """Return the limits in ``flags`` as LOG.yaml writes them, such as "tcp speed and braking"."""
     return " and ".join(_spaced(limit.name) for limit in Limit if limit & flags) or "none"
 
 
@@ -116,15 +116,15 @@ def _most(values: Any) -> float:
 
 
 def _quoted(path: Path) -> str:
-    """Return the file's name as it stands between double quotes, in JSON and YAML."""
+    """Return the name of the file with the escapes that it needs between double quotes in JSON and YAML."""
     return json.dumps(path.name, ensure_ascii=False)[1:-1]
 
 
 def _log_text(trace: Trace, path: Path) -> str:
-    """Return the LOG.yaml of the file ``path``.
+    """Return the text of the LOG.yaml that describes the file ``path``.
 
-    It omits streams that the controller does not report. It also omits decisions that count later than their
-    question, since a log has one time for both.
+    The text omits streams that the controller does not report. It also omits the decisions if one of them
+    takes effect after the tick of its question. A log has a single time for question and effect.
     """
     tree, decisions = tree_of(as_seen_from(path.parent, trace.scenario)), trace.decisions
     streams = [name for name in REPORTED_COLUMNS if measured(trace, name).all()]
@@ -143,8 +143,8 @@ def _log_text(trace: Trace, path: Path) -> str:
 def _bounds(trace: Trace) -> tuple[float, float, float]:
     """Return the largest speed [rad/s] and acceleration [rad/s2] of a joint, and speed [m/s] of a hand.
 
-    Within a tick a joint's speed may change at any moment, so the bound is twice its change in a period. A
-    hand may exceed its speed from sample to sample by the change of that speed.
+    A joint's speed may change at any moment of a tick. So its acceleration is bounded by twice the change of
+    speed in a period. A hand may exceed its mean speed between two samples by the change of this speed.
     """
     true, period_s = true_motion(trace), trace.scenario.settings.clock.control_period_s
     means, excess = np.diff(true.joints_rad, axis=0) / period_s, 2.0 * _most(trace.overshoot_radps)
@@ -160,7 +160,7 @@ def _bounds(trace: Trace) -> tuple[float, float, float]:
 
 
 class _Messages:
-    """The messages of a trace."""
+    """A builder of the messages for a trace."""
 
     def __init__(self, trace: Trace) -> None:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -170,11 +170,11 @@ class _Messages:
         self.arm = arm_model(trace.scenario.robot)
         upright = np.array_equal(self.arm.transform_seat, np.eye(4))
         self.base = self.arm.link_names[0] if upright else "base"
-        self.frames = (*self.arm.link_names, "tcp")  # of forward kinematics
+        self.frames = (*self.arm.link_names, "tcp")  # in the order of forward kinematics
         self.stamps = _stamps(trace.time_s).tolist()
 
     def all_of(self, evaluations: Sequence[Evaluation]) -> Iterator[Message]:
-        """Yield every message, in any order of time."""
+        """Yield every message, although not in the order of time."""
         yield self._still_scene()
         for at_ns, tick in zip(self.stamps, self.trace.ticks, strict=True):
             yield from self._tick(at_ns, tick)
@@ -210,7 +210,7 @@ class _Messages:
         return at_ns, "/events", kind, self._new(kind, self._time(at_ns), level, text, name, "", 0)
 
     def _tick(self, at_ns: int, tick: Any) -> Iterator[Message]:
-        """Yield joints, transforms, the controller's state and perception, and the drawn hands."""
+        """Yield a tick's messages: joints, transforms, the controller's state, tracked and drawn hands."""
         names, joints_rad = list(self.arm.joint_names), tick["joint_position_rad"]
         turning, demanded = tick["joint_velocity_radps"], tick["demanded_joint_velocity_radps"]
         yield self._stamped(at_ns, "/joint_states", JOINTS, names, joints_rad, turning, NONE)
@@ -240,7 +240,7 @@ class _Messages:
         return self._new(f"{GEOMETRY}TransformStamped", self._header(at_ns), frame, moved)
 
     def _still_scene(self) -> Message:
-        """Return the arm's capsules, which follow /tf, and the obstacles."""
+        """Return the message that draws the obstacles and the arm's capsules, which move with /tf."""
         capsules, at_ns, drawn = capsules_of(self.trace), self.stamps[0], []
         for k, name in enumerate(capsules.names):
             ends, radii_m = (capsules.start_in_link[k], capsules.end_in_link[k]), [capsules.radius_m[k]] * 2
@@ -261,7 +261,7 @@ class _Messages:
         return self._new(f"{FOXGLOVE}{kind}Primitive", self._pose(at, turn), *painted)
 
     def _capsule(self, at_ns: int, frame: str, name: str, ends: Any, radii_m: Any, colour: Any) -> Any:
-        """Return a sphere of its own radius at each end, and a line as thick as the second sphere."""
+        """Return a drawn capsule: a sphere at each of its ``ends``, and a line as thick as the second one."""
         balls = [self._shape("Sphere", ends[k], UPRIGHT, [2.0 * radii_m[k]] * 3, colour) for k in range(2)]
         points, paint = [self._of_numbers("Point", at) for at in ends], self._new(f"{FOXGLOVE}Color", *colour)
         at, thick_m, none = self._pose((0.0,) * 3), 2.0 * float(radii_m[1]), np.zeros(0, np.uint32)
@@ -284,7 +284,7 @@ class _Messages:
             yield self._event(at_ns, INFO, ", ".join(filter(None, texts)), "decision")
 
     def _images(self) -> Iterator[Message]:
-        """Yield the object camera's rendered images, rendered again since a trace stores no images."""
+        """Render the object camera's images again, since a trace stores no images, and yield them."""
         scenario, kind = self.trace.scenario, f"{FOXGLOVE}CompressedImage"
         if scenario.settings.camera.source is not ImageSource.RENDERED:
             return
@@ -297,9 +297,9 @@ class _Messages:
                 yield at_ns, "/camera", kind, self._new(kind, self._time(at_ns), "camera", png.ravel(), "png")
 
     def _claim(self, number: int, own: Evaluation) -> Iterator[Message]:
-        """Yield the limited quantity at every tick, an event at the worst moment, and the verdict at the end.
+        """Yield the claim's quantity at every tick, an event at the worst moment, and the verdict at the end.
 
-        Only the distance of hands and the TCP's speed have a value at every tick.
+        Only claims on the distance of hands or on the TCP's speed have a value at every tick.
         """
         prop = property_of(self.trace.scenario.claims[number], self.trace.scenario)
         topic, kind, rows, limit, sign = f"/claim_{number + 1}", f"{OURS}Claim", NONE, np.nan, 1.0

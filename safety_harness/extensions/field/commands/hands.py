@@ -1,4 +1,4 @@
-"""``safety-harness hands``: the approaches of recorded hands, as a space of scenarios."""
+"""The command ``safety-harness hands``, which makes a scenario space from approaches of recorded hands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ commands = Typer(name="hands", no_args_is_help=True, help=_HELP, short_help=_HEL
 
 @commands.callback()
 def _group() -> None:
-    """Keep ``fit`` a command of a group, as long as it is the only one."""
+    """Make ``fit`` a command of the group ``hands``, although the group has no other command."""
 
 
 @command(commands, "fit", then="safety-harness fuzz {out}")

@@ -1,4 +1,4 @@
-"""``safety-harness log``: checks of a log before it can be judged."""
+"""The commands ``safety-harness log``, which check a log and its clocks before ``judge`` uses them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``safety-harness monitor``: claims on a live cell, from the stream of its joints and hands."""
+"""The command ``safety-harness monitor``, which watches claims on the stream of a live cell."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from safety_harness.extensions.field.monitoring.monitor import Monitor, VerdictLine
 
 commands = Typer()
-OPTIONS = {"robot": "--robot", "log.hands": "--hand", "log.period": "--period"}  # by what their text reads
-REFUSED_TOLD = 5  # lines that cannot be used; the others are counted
+OPTIONS = {"robot": "--robot", "log.hands": "--hand", "log.period": "--period"}  # by the field that each sets
+REFUSED_TOLD = 5  # unusable lines that are explained; further ones are only counted
 CHUNK = 65_536
 MOST_WAIT_S = 10.0
 
@@ -127,14 +127,14 @@ def monitor(
 
 
 def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, as_json: bool) -> bool:
-    """Feed every line of a stream to the monitor; return whether the last line could be used.
+    """Feed every line of ``stream`` to the monitor, and return whether the last line was usable.
 
-    A feeder that died leaves a cut last line. A stream without joints for ``patience_s`` counts as silent,
-    even while other lines come.
+    If the program that writes the stream dies, its last line may be cut. A stream without joints for
+    ``patience_s`` is silent, even if other lines come.
 
     Args:
         own: The monitor.
-        stream: The lines; None after ``patience_s`` without a line.
+        stream: The lines, and None after every ``patience_s`` without a line.
         patience_s: The longest time without joints [s].
         as_json: True to print JSON lines.
 
@@ -164,7 +164,7 @@ def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, a
 def _cell(
     file: Path | None, claims: list[str], robot: str | None, hands: list[str] | None, period: str | None
 ) -> WatchedCell:
-    """Return the cell of a file, or a cell from the options alone."""
+    """Return the cell that ``file`` describes, or if it is None, the cell that the options describe."""
     from safety_harness.base.exceptions import InputError, SettingsError
     from safety_harness.extensions.field.monitoring.cell import cell_taken, read_cell
     from safety_harness.scenario.robots import Robot
@@ -182,7 +182,7 @@ def _cell(
         named = hands or (["hand"] if any("hand" in claim for claim in claims) else [])
         try:
             watched = cell_taken(name, named, period or "8 ms", claims)
-        except InputError as error:  # of the text that the options make
+        except InputError as error:  # an error in the text that is made from the options
             field = error.place.field or ""
             option_name = next((option for key, option in OPTIONS.items() if field.startswith(key)), None)
             if option_name is None:
@@ -195,9 +195,9 @@ def _cell(
 
 
 def lines_of(stream: IO[bytes], patience_s: float) -> Iterator[bytes | None]:
-    """Yield the lines of a stream as they come; None after ``patience_s`` [s] without data.
+    """Yield each line of ``stream`` when it comes, and None after every ``patience_s`` [s] without data.
 
-    A line above the largest usable length is cut there, and the rest of it is dropped.
+    If a line is longer than the largest usable length, cut it there, and drop the rest.
     """
     from safety_harness.extensions.field.monitoring.sample import MOST_CHARACTERS
 
@@ -205,7 +205,7 @@ def lines_of(stream: IO[bytes], patience_s: float) -> Iterator[bytes | None]:
         source = stream.fileno()
         waiting = selectors.DefaultSelector()
         waiting.register(source, selectors.EVENT_READ)
-    except (OSError, ValueError):  # of a test, or a regular file, which never lets one wait
+    except (OSError, ValueError):  # the stream of a test, or a regular file, whose lines are all there
         yield from (line for line in stream if line.strip())
         return
     rest, cut = b"", False
@@ -230,7 +230,7 @@ def lines_of(stream: IO[bytes], patience_s: float) -> Iterator[bytes | None]:
 
 
 def _say(change: VerdictLine, as_json: bool) -> None:
-    """Print a change of a verdict."""
+    """Print the line of a changed verdict."""
     if as_json:
         result(json.dumps(change.as_dict))
         return
@@ -240,7 +240,7 @@ def _say(change: VerdictLine, as_json: bool) -> None:
 
 
 def _ended(own: Monitor, *, as_json: bool, interrupted: bool) -> int:
-    """Print the result, and return the exit code."""
+    """End the monitor ``own``, print its counts and final verdicts, and return the exit code."""
     from safety_harness.base.exceptions import StreamError
     from safety_harness.claims.properties.tally import UNWATCHED_IN_LOGS, basis
     from safety_harness.scenario.model import Verdict

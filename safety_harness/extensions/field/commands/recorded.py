@@ -1,4 +1,4 @@
-"""``safety-harness scenario from`` and ``compare-worlds``: a cell's log in simulation."""
+"""The commands ``scenario from`` and ``compare-worlds``, which simulate the cell of a log."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _NUMBER, _UNIT = re.compile(r"[+-]?[0-9.]+(e[+-]?[0-9]+)?"), re.compile(r"[a-z]{
 
 
 class _Quantities(TyperGroup):
-    """A group that accepts ``--around 100 mm`` as ``--around "100 mm"``: a shell splits off the unit."""
+    """A group of commands that accepts ``--around 100 mm`` without quotes, as ``--around "100 mm"``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments, with a unit after an option's number joined to it."""
+        """Join an option's number and the unit after it into one argument, then parse all arguments."""
         joined: list[str] = []
         for arg in args:
             number = len(joined) > 1 and joined[-2].startswith("--") and _NUMBER.fullmatch(joined[-1])
@@ -62,7 +62,7 @@ ElbowTowards = Annotated[
 
 @of_scenarios.callback()
 def _group() -> None:
-    """Keep ``from`` a command of a group, as long as it is the only one."""
+    """Make ``from`` a command of the group ``scenario``, although the group has no other command."""
 
 
 @command(of_scenarios, "from")

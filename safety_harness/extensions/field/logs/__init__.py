@@ -1,1 +1,1 @@
-"""Logs of real cells: the reader puts them on one clock, and makes traces of all that is certain."""
+"""The reader for logs of real cells, which puts their streams on one clock and makes a trace of them."""

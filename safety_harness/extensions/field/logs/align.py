@@ -1,9 +1,9 @@
 """The lead of the hands' clock over the joints' clock, from a body that both streams show.
 
-Such a body moves with the tool while the arm moves: a marker on the flange, or a hand that holds on to the
-tool. With the offset d, the places p(t + d) of the body in the base frame are R(t) c + x(t). The joints give
-the tool's pose, R and x. The place c of the body on the tool is unknown and constant. d and c are the
-least-squares solution.
+Such a body moves with the tool: a marker on the flange, or a hand that holds on to the tool. Its place in the
+base frame is p(t + d) = R(t) c + x(t), with the lead d. The joints determine the rotation R and the position
+x of the tool. The place c of the body on the tool is constant but unknown. d and c are the least-squares
+solution.
 """
 
 from __future__ import annotations
@@ -22,22 +22,23 @@ from safety_harness.cell.robot.robots import arm_model
 from safety_harness.extensions.field.logs.model import Body, CellLog
 
 Floats = NDArray[np.float64]
-GRID_S = 0.01  # of the search for peaks, before the least squares
-NEAR_S = 0.1  # of a peak, within which the least squares look
-PEAKS = 16  # that are tried, the best correlated ones
-ALIKE = 2.0  # of two offsets: the one leaves at most so many times as much as the other, root mean square
-PARTS, LEVEL = 8, 0.99  # of the recording, each of which has an offset of its own; of their interval
-LEAST_S, FEWEST = 4.0, 100  # of what both show
-LEAST_EXPLAINED = 0.95  # of the body's variance, by the arm's motion; a body that stands still has none
-LEAST_MOVED_M = 0.05  # root mean square about its mean
+GRID_S = 0.01  # the step of the search for peaks, before the least squares
+NEAR_S = 0.1  # the distance from a peak within which the least squares search
+PEAKS = 16  # the number of peaks that are tried, the best correlated first
+ALIKE = 2.0  # two offsets fit alike if their root mean square errors differ by at most this factor
+PARTS, LEVEL = 8, 0.99  # parts of the recording with an estimate each; level of the estimates' interval
+LEAST_S, FEWEST = 4.0, 100  # the shortest time of joints and body; the fewest samples of the body
+LEAST_EXPLAINED = 0.95  # the least share of the body's variance that the arm's motion explains
+LEAST_MOVED_M = 0.05  # the least root mean square of the body's places about their mean
 
 
 @dataclass(frozen=True, kw_only=True)
 class Offset:
-    """``hands_ahead_s`` is known to ``known_to_s``, which covers every part's own estimate and the interval.
+    """The lead ``hands_ahead_s`` of the hands' clock over the joints' clock, known to ``known_to_s``.
 
-    ``parts_s`` are these estimates in the order of time. ``off_m`` is the root mean square of the rest that
-    no offset explains. ``explained`` is the share of the body's variance that the arm's motion explains.
+    This uncertainty covers the estimates ``parts_s`` from each part of the recording, and their interval.
+    ``off_m`` is the root mean square error that no offset explains. ``explained`` is the share of the body's
+    variance that the arm's motion explains.
     """
 
     hands_ahead_s: float
@@ -48,7 +49,7 @@ class Offset:
 
 
 def align(log: CellLog, body: Body) -> Offset:
-    """Return the offset of the hands' clock.
+    """Return the lead of the hands' clock over the joints' clock.
 
     Args:
         log: The log.
@@ -83,7 +84,7 @@ def align(log: CellLog, body: Body) -> Offset:
         got = f"a body of whose motion the joints explain {max(explained, 0.0):.0%}"
         hint = "a marker on the tool, or a hand that holds on to it; in the base frame, by the key frame"
         raise _refused(body, "a body that moves with the tool", got, hint)
-    # one that ends where it may look no farther is no least of its own, but on the way to another
+    # an offset at the edge of its search range is no minimum, since the error falls beyond the edge
     own = [(peak, left) for start_s, peak, left in fits if abs(peak - start_s) < NEAR_S - GRID_S]
     alike = [peak for peak, left in own if left < ALIKE**2 * residual and abs(peak - ahead_s) > NEAR_S]
     if alike:
@@ -119,12 +120,12 @@ class _Fit:
     places: Floats  # (m, 3)
 
     def there(self, ahead_s: float, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return those of the ``chosen`` (m,) samples of the body at which the joints are known."""
+        """Return which of the ``chosen`` (m,) samples of the body have a time at which joints are known."""
         at = self.body_s - ahead_s
         return np.asarray(chosen & (at >= self.joints_s[0]) & (at <= self.joints_s[-1]))
 
     def residual(self, ahead_s: float, chosen: NDArray[np.bool_]) -> float:
-        """Return the least sum of squares [m2] over all places on the tool; infinity below 10 samples."""
+        """Return the sum of squares [m2] for the best place on the tool; infinity below 10 samples."""
         there = self.there(ahead_s, chosen)
         if there.sum() < 10:
             return float("inf")
@@ -151,7 +152,7 @@ class _Fit:
 def _peaks_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -> list[float]:
     """Return the offsets at which the speeds of tool and body correlate, the best first.
 
-    At least half of the shorter series overlaps at each.
+    At each offset the two series overlap by at least half of the shorter one.
     """
     tool, body = _speed(joints_s, tool_m), _speed(body_s, places)
     products = scipy.signal.correlate(body, tool, method="fft")
@@ -168,10 +169,10 @@ def _peaks_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -
 
 
 def _speed(time_s: Floats, places: Floats) -> Floats:
-    """Return the speed on a grid, minus its mean."""
+    """Return the speed of ``places`` on a grid of times, minus its mean."""
     grid_s = np.arange(time_s[0], time_s[-1], GRID_S)
     path = np.column_stack([np.interp(grid_s, time_s, column) for column in places.T])
-    window = np.ones(9) / 9.0  # of 90 ms, since noise would be all that a difference shows
+    window = np.ones(9) / 9.0  # a mean over 90 ms, since single differences would show only noise
     smooth = np.column_stack([np.convolve(column, window, mode="same") for column in path.T])
     speed = np.linalg.norm(np.gradient(smooth, GRID_S, axis=0), axis=1)
     speed[:9] = speed[-9:] = np.median(speed)  # the window reaches over the ends
@@ -184,6 +185,6 @@ def _refused(body: Body, expected: str, got: str, hint: str = "") -> LogError:
 
 
 def clock_line(offset: Offset) -> str:
-    """Return the line of LOG.yaml, rounded up."""
-    known_ms = np.ceil(offset.known_to_s * 1e4) / 10.0 + 0.1  # for the rounding of the offset
+    """Return the line ``clock`` for LOG.yaml, with the uncertainty rounded up."""
+    known_ms = np.ceil(offset.known_to_s * 1e4) / 10.0 + 0.1  # 0.1 ms for the rounding of the offset
     return f"clock: {{hands are ahead by: {offset.hands_ahead_s * 1e3:.1f} ms, known to: {known_ms:.1f} ms}}"

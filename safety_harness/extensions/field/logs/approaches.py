@@ -1,12 +1,12 @@
-"""The moves of hands in a log: speed, acceleration, start, and the time for which the hand stands.
+"""The moves of hands in a log: their speed, acceleration and start, and how long the hand then stands.
 
-A hand moves while its speed, over a tenth of a second, is at least 100 mm/s. A path shorter than 50 mm is no
-move, and a stand below 100 ms does not separate two moves. An approach is a move that ends 100 mm nearer to
-the TCP than it began, and within 600 mm of it.
+A hand moves while its mean speed over a tenth of a second is at least 100 mm/s. A path shorter than 50 mm is
+no move, and a stand below 100 ms does not separate two moves. An approach is a move that ends at least 100 mm
+nearer to the TCP than it began. It also ends at most 600 mm from the TCP.
 
-The count of arrivals is more cautious, for an upper bound. A move counts as often as it comes so much nearer,
-also where it turns back without a stand. A move that a gap cuts counts, and so does a gap across which the
-hand came nearer. The time runs on the clock while the log shows any hand.
+A separate count of approaches is an upper bound. It includes every motion by 100 mm towards the TCP within a
+move, even if the hand turns back without a stand. A move that a gap cuts also counts, and so does a gap
+across which the hand came nearer. The observed time is the time for which the log shows any hand.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from safety_harness.extensions.field.logs.streams import NS, LogSamples
 Floats = NDArray[np.float64]
 WINDOW_S, MOVES_MPS, LEAST_WAY_M, LEAST_STAND_S = 0.1, 0.1, 0.05, 0.1  # these define a move
 NEARER_M, NEAR_M = 0.1, 0.6  # these define an approach
-SHARE = 0.9  # of the greatest speed, up to which the acceleration is taken
+SHARE = 0.9  # of the greatest speed, at which the measurement of the acceleration ends
 
 
 @dataclass(frozen=True, kw_only=True)
 class Approach:
-    """One approach: its greatest speed, its mean acceleration up to nine tenths of that, its start and end.
+    """One approach, with its greatest speed and its mean acceleration up to nine tenths of this speed.
 
-    ``start_from_tcp_m`` (3,) is its start relative to the TCP at that time, in the base frame.
-    ``end_distance_m`` is its final distance from the TCP. ``dwell_s`` is the time for which the hand then
-    stood, None if the log does not show the end. ``pause_s`` is the time for which it stood before, None if
-    the log does not show it, or after another approach.
+    ``start_from_tcp_m`` (3,) is the start relative to the TCP at that time, in the base frame.
+    ``end_distance_m`` is the final distance from the TCP. ``dwell_s`` is the time for which the hand then
+    stood, or None if the log does not show it. ``pause_s`` is the time for which the hand stood before this
+    approach. It is None if the log does not show it, or after another approach.
     """
 
     speed_mps: float
@@ -50,9 +50,9 @@ class Approach:
 
 @dataclass(eq=False)
 class Watched:
-    """The approaches of some hands, the time for which the log shows any, and counts of all other moves.
+    """The approaches of hands, the time for which the log shows any hand, and the numbers of moves and gaps.
 
-    ``counted`` is the number of times that hands may have come; it serves only as an upper bound.
+    ``counted`` is an upper bound on the number of approaches.
     """
 
     approaches: list[Approach] = field(default_factory=list)
@@ -61,7 +61,7 @@ class Watched:
     moves: int = 0
     cut: int = 0  # moves whose beginning or end was not seen
     gaps: int = 0
-    fastest_mps: float = 0.0  # that anybody said that a hand may be
+    fastest_mps: float = 0.0  # the largest of the hands' speed limits in the LOG.yaml files
 
     def add(self, more: Watched) -> None:
         """Add the approaches and counts of another log."""
@@ -73,7 +73,7 @@ class Watched:
 
 
 def approaches_of(log: CellLog) -> Watched:
-    """Return the approaches of every hand of a log; a gap above the longest allowed begins a new piece."""
+    """Return the approaches of all hands in ``log``, from the pieces between gaps longer than allowed."""
     watched, facts = Watched(), log.hand_facts
     if facts is None:
         return watched
@@ -89,7 +89,7 @@ def approaches_of(log: CellLog) -> Watched:
         for begin, end in pairwise(bounds):
             part = time_s[begin:end]
             cut, cut_after = _piece(watched, part, hand.values[begin:end], log, arm)
-            if not (cut_before or cut):  # nothing moved where the gap began, or where it ended
+            if not (cut_before or cut):  # the gap cut no move, neither where it began nor where it ended
                 across = slice(begin - 1, begin + 1)
                 watched.counted += _reaches(log, arm, time_s[across], hand.values[across])
             cut_before = cut_after
@@ -102,7 +102,7 @@ def approaches_of(log: CellLog) -> Watched:
 
 
 def _reaches(log: CellLog, arm: ArmModel, time_s: Floats, hand_m: Floats) -> int:
-    """Return how often ``hand_m`` (n, 3) comes NEARER_M nearer to the TCP, and within NEAR_M of it."""
+    """Return how often the hand at ``hand_m`` (n, 3) comes NEARER_M nearer to the TCP, to within NEAR_M."""
     tcp_m = np.array([_tcp_m(log, arm, at_s) for at_s in time_s.tolist()])
     count, away, least_m, most_m = 0, True, np.inf, -np.inf
     for distance_m in np.linalg.norm(hand_m - tcp_m, axis=1).tolist():
@@ -115,9 +115,9 @@ def _reaches(log: CellLog, arm: ArmModel, time_s: Floats, hand_m: Floats) -> int
 
 
 def _piece(seen: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: ArmModel) -> tuple[bool, bool]:
-    """Add the moves of a hand without gaps, ``hand_m`` (n, 3) at ``time_s`` (n,).
+    """Add to ``seen`` the moves in a piece without gaps, ``hand_m`` (n, 3) at ``time_s`` (n,).
 
-    Return whether a move was cut at the beginning, and at the end.
+    Return whether the piece cuts a move at its beginning, and whether it cuts a move at its end.
     """
     inside = (time_s >= 0.0) & (time_s <= log.seconds(log.joints)[-1])
     time_s, hand_m = time_s[inside], hand_m[inside]
@@ -160,7 +160,7 @@ def _piece(seen: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: Arm
 
 
 def _speed(time_s: Floats, hand_m: Floats) -> Floats:
-    """Return (n,) the speed over a window about each sample, or the part of it within the piece."""
+    """Return the mean speed (n,) over a window about each sample, cut off at the ends of the piece."""
     ends = [
         np.column_stack([np.interp(at, time_s, column) for column in hand_m.T])
         for at in (
@@ -175,7 +175,7 @@ def _speed(time_s: Floats, hand_m: Floats) -> Floats:
 
 
 def _moves(time_s: Floats, hand_m: Floats, speed_mps: Floats) -> list[tuple[int, int, float | None, bool]]:
-    """Return for each move: first and last sample, the stand after it [s], and whether all of it shows."""
+    """Return (first sample, last sample, stand after it [s], whether the log shows all of it) per move."""
     state = np.concatenate([[False], speed_mps >= MOVES_MPS, [False]])
     change = np.diff(state.astype(np.int8))
     spans = list(
@@ -202,7 +202,7 @@ def _moves(time_s: Floats, hand_m: Floats, speed_mps: Floats) -> list[tuple[int,
 
 
 def _tcp_m(log: CellLog, arm: ArmModel, time_s: float) -> Floats:
-    """Return (3,) the place of the TCP."""
+    """Return the place (3,) of the TCP in the base frame at ``time_s``."""
     joints: LogSamples = log.joints
     at_s, count = (joints.time_ns - log.origin_ns) / NS, len(arm.joint_names)
     q = np.array([np.interp(time_s, at_s, column) for column in joints.values.T[:count]])

@@ -1,4 +1,4 @@
-"""The assumptions of verdicts on a log about its cell, with the evidence that confirms each."""
+"""The assumptions about a cell on which verdicts on its log depend, each with its evidence."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from safety_harness.extensions.field.logs.model import CellLog
 from safety_harness.scenario.nodes import Scalar
 
 A_TCP = "a track of the TCP: log: {tcp: FILE#TRACK}"
-LIKELY = ("tcp", "tool", "flange", "effector", "eef")  # in the name of a column or topic that has the TCP
+LIKELY = ("tcp", "tool", "flange", "effector", "eef")  # words in names of columns and topics with a TCP
 A_FRAME = "a bag whose headers name it, with frame: {tf: FILE#/tf}; or a marker on the tool, by log align"
 
 
 @dataclass(frozen=True)
 class Assumption:
-    """One assumption.
+    """One assumption about a cell: ``what`` is assumed.
 
-    ``confirmed_by`` is empty where the log has no evidence. ``would`` gives the column that would be
+    ``confirmed_by`` is the evidence in the log, or an empty text. ``would`` is the column that would be
     evidence.
     """
 
@@ -28,7 +28,7 @@ class Assumption:
 
 
 def assumptions_of(log: CellLog) -> tuple[Assumption, ...]:
-    """Return all assumptions of verdicts on ``log`` about the arm and the frame of the hands."""
+    """Return all assumptions about the arm and the hands on which verdicts on ``log`` depend."""
     tcp, evidence = log.tcp, ""
     likely = [item for item in log.unused if any(name in item.partition("#")[2].lower() for name in LIKELY)]
     would = A_TCP + f", perhaps {', '.join(likely[:3])}" * bool(likely)
@@ -64,6 +64,6 @@ def assumptions_of(log: CellLog) -> tuple[Assumption, ...]:
 
 
 def unconfirmed_note(log: CellLog) -> str:
-    """Return the line about unconfirmed assumptions that stands beside the verdicts."""
+    """Return the note on unconfirmed assumptions, which reports print beside the verdicts."""
     names = [a.what for a in assumptions_of(log) if not a.confirmed_by]
     return f"the log does not confirm {'; '.join(names)} (safety-harness log check lists missing evidence)"

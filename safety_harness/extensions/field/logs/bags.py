@@ -1,8 +1,8 @@
-"""Streams from MCAP files and ROS 2 bags (sqlite3 and MCAP), by message, without a ROS installation.
+"""The reader of streams in MCAP files and ROS 2 bags (sqlite3 and MCAP), without a ROS installation.
 
-The reader knows standard messages by their type. It reads any other type by the definition in its bag and the
-path of the wanted field. Lengths and angles are metres and radians by REP 103, unless the file states another
-unit. Memory does not grow with the rest of the bag.
+The reader knows where standard messages have their values. For another type it needs the definition in the
+bag and the path of the wanted field. Lengths are metres and angles are radians by REP 103, unless LOG.yaml
+states another unit. The memory that a stream needs does not depend on the rest of the bag.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ class Message:
 
 @dataclass(frozen=True)
 class Part:
-    """A field of each message by its ``path``: ``width`` numbers, or a word that ``words`` maps to a number.
+    """A field of each message at ``path``: ``width`` numbers, or a word that ``words`` maps to a number.
 
-    ``si`` is the unit in SI. With ``names``, that field lists the things to which the numbers belong, as in a
-    ``JointState``.
+    ``si`` is the unit of the numbers in SI. ``names``, unless empty, is the path of a field that names the
+    joint of each number, as in a ``JointState``.
     """
 
     path: str
@@ -75,15 +75,15 @@ def read_parts(
     time: str,
     framed: Callable[[str, Message], object] | None = None,
 ) -> None:
-    """Read a program's reports: the ``parts`` of each message, NaN for a missing part.
+    """Read the ``parts`` of each message with a program's reports, with NaN for a missing part.
 
     Args:
         source: The topic.
         collector: The collector of the samples.
         parts: The fields to read.
-        names: The things whose numbers are wanted, for parts with ``names``.
+        names: The joints whose numbers are wanted, for parts with ``names``.
         time: STAMP or RECEIVED.
-        framed: A function that raises for a message in another frame than stated. None: no check.
+        framed: A function that raises LogError for a message in another frame than stated, or None.
 
     """
     for message in messages(source):
@@ -109,7 +109,7 @@ def read_parts(
 def _part_numbers(
     part: Part, value: Any, names: Sequence[str], source: LogSource, message: Message
 ) -> Sequence[float]:
-    """Return the numbers of one part of a message."""
+    """Return the numbers of ``part`` from its ``value`` in a message."""
     if value is None:
         return [math.nan] * part.width
     if part.width == 1:
@@ -133,7 +133,7 @@ def _part_numbers(
 
 @contextmanager
 def _opened(source: LogSource) -> Iterator[Bag]:
-    """Open the bag of a stream; any failure of its reader becomes a LogError."""
+    """Open the bag of a stream, and raise LogError for any failure of the bag's reader."""
     with LOGS.needed("logs in MCAP files and bags of ROS", source.file):
         import rosbags.rosbag1
         import rosbags.rosbag2  # noqa: F401
@@ -149,7 +149,7 @@ def _opened(source: LogSource) -> Iterator[Bag]:
         expected, error = f"a definition of the messages of {source.topic} that can be read", unreadable
     except ModuleNotFoundError as missing:
         expected, error, hint = "a package that decodes these messages", missing, "pip install protobuf"
-    except Exception as damage:  # of the storage, its compression, a message: whatever damage provokes
+    except Exception as damage:  # a damaged storage, compression or message may raise anything
         expected, error = "a bag, whole", damage
         hint = "for a cut-off recording: mcap recover FILE.mcap, or ros2 bag reindex FOLDER"
     got = " ".join(f"{type(error).__name__}: {error}".split())
@@ -159,7 +159,7 @@ def _opened(source: LogSource) -> Iterator[Bag]:
 def messages(source: LogSource) -> Iterator[Message]:
     """Yield every message of the stream's topic, in the order of receipt.
 
-    Raise LogError for a missing topic, damage, or fewer messages than the bag states.
+    Raise LogError if the topic is missing, the bag is damaged, or the bag states another number of messages.
     """
     with _opened(source) as reader:
         connections = [link for link in reader.connections if link.topic == source.topic]
@@ -202,19 +202,19 @@ def topics_of(source: LogSource) -> dict[str, str]:
 def read_joints(
     source: LogSource, collector: Collector, names: Sequence[str], *, time: str, angle: float
 ) -> None:
-    """Read (position, velocity) of the joints ``names``, in this order; NaN for missing velocities.
+    """Read the positions of the joints ``names``, then their velocities, with NaN for a missing velocity.
 
     Args:
         source: The topic.
         collector: The collector of the samples.
-        names: The joints in the log's words, in the arm's order.
+        names: The log's names of the joints, in the arm's order.
         time: STAMP or RECEIVED.
         angle: The unit of angles [rad].
 
     """
     wanted, places = tuple(names), dict[tuple[str, ...], list[int]]()
-    skipped: dict[tuple[str, ...], int] = {}  # how many messages of a gripper, or another arm
-    first: Message | None = None  # of them
+    skipped: dict[tuple[str, ...], int] = {}  # numbers of messages from a gripper, or another arm
+    first: Message | None = None  # the first of the skipped messages
     for message in messages(source):
         content = message.content
         if message.kind != JOINT_STATE and not source.path:
@@ -273,19 +273,17 @@ def read_positions(
     bound: SampleBound | None = None,
     speeds: str | None = None,
 ) -> None:
-    """Read positions in the base frame; NaN for a body that a message lacks.
+    """Read the positions of a body and move them to the base frame; NaN if a message lacks the body.
 
     Args:
         source: The topic.
         collector: The collector of the samples.
         time: STAMP or RECEIVED.
         length: The unit of lengths [m].
-        to_base: From the name of a message's frame to the function that moves positions to the base frame.
-        halves: May a position have only some of its numbers? Otherwise it raises LogError.
-        bound: The field with the uncertainty of each sample, which follows the position [m]. None: no such
-            field.
-        speeds: The path of the velocity's field in the same frame, which comes last [m/s]. None: no such
-            field.
+        to_base: Returns the function that moves positions from the frame of a message to the base frame.
+        halves: True if a position may have only some of its numbers. Otherwise such a one raises LogError.
+        bound: The field with the uncertainty [m] of each sample, which is put after the position, or None.
+        speeds: The path of the field with the velocity [m/s] in the same frame, which is put last, or None.
 
     """
     for message in messages(source):
@@ -312,7 +310,7 @@ def read_positions(
                 raise _unknown(message, source, "a position", ", ".join((*POSITIONS, POSE_ARRAY, TF)))
             where = _follow(content, source, message, path)
         place = [math.nan] * 3 if where is None else _xyz(where, source, message)
-        if not any(place):  # what trackers write for a body that they do not see
+        if not any(place):  # trackers write zeros for a body that they do not see
             place = [math.nan] * 3
         _refuse_infinite(place, source, message)
         if not halves and 0 < sum(map(math.isnan, place)) < 3:
@@ -330,7 +328,7 @@ def read_positions(
 
 
 def _bodies(source: LogSource, message: Message) -> Iterator[str]:
-    """Yield the other bodies of a message: all of its list, or all frames below the same parent."""
+    """Yield the names of all bodies in a message: those in its list, or the frames with the same parent."""
     content = message.content
     if message.kind == TF:
         parents = {item.child_frame_id.lstrip("/"): item.header.frame_id for item in content.transforms}
@@ -346,7 +344,7 @@ def _bodies(source: LogSource, message: Message) -> Iterator[str]:
 
 
 def _bound(bound: SampleBound, content: Any, source: LogSource, message: Message) -> float:
-    """Return the uncertainty of a position, in its unit; NaN where the message lacks it."""
+    """Return the uncertainty of a position, in the position's unit; NaN if the message lacks it."""
     value = _follow(content, source, message, bound.field)
     if value is None:
         return math.nan
@@ -356,7 +354,7 @@ def _bound(bound: SampleBound, content: Any, source: LogSource, message: Message
 
 
 def error(source: LogSource, message: Message, expected: str, got: str, hint: str = "") -> LogError:
-    """Return a LogError at one message."""
+    """Return a LogError with the place of ``message``."""
     place = Place(file=source.file, field=f"message {message.number} of {source.topic}")
     return LogError(place=place, expected=expected, got=got, hint=hint)
 
@@ -371,7 +369,7 @@ def _frame_of(header: Any) -> str:
 
 
 def _add(collector: Collector, message: Message, time: str, header: Any, values: Iterable[float]) -> None:
-    """Hand the sample of a message to ``collector``."""
+    """Add the sample of a message to ``collector``, which counts it if it has no valid time."""
     try:
         time_ns = _time_ns(message, collector.source, time, header)
     except LogError as refused:
@@ -392,7 +390,7 @@ def _time_ns(message: Message, source: LogSource, time: str, header: Any) -> int
 
 
 def _follow(content: Any, source: LogSource, message: Message, path: str = "") -> Any:
-    """Return the value at the end of a path of fields, such as ``markers[2].pose.position``."""
+    """Return the value at a path such as ``markers[2].pose.position``, or None if a list is too short."""
     for step in (path or source.path).split("."):
         match = _STEP.fullmatch(step)
         fields = fields_of(content)
@@ -408,7 +406,7 @@ def _follow(content: Any, source: LogSource, message: Message, path: str = "") -
 
 
 def _xyz(where: Any, source: LogSource, message: Message) -> list[float]:
-    """Return the numbers of a point, a pose, or a list of three numbers."""
+    """Return x, y and z of a point, of a pose, or of a list of three numbers."""
     where = getattr(where, "position", where)
     try:
         if all(hasattr(where, axis) for axis in "xyz"):

@@ -1,8 +1,8 @@
-"""A log becomes a trace that states the source, the uncertainty and the time of each measured column.
+"""The trace of a log, which states the source and uncertainty of each measured column, and its gaps.
 
-Joints and hands go straight between their samples, on one grid of ticks and one clock. The uncertainty of
-every number covers all that the thing can have done between two samples. docs/explanation/verdicts.md derives
-why each verdict is certain.
+The trace interpolates joints and hands linearly between samples, at the ticks of one clock. The uncertainty
+of every number covers all motions that the joint or hand can have made between two samples.
+docs/explanation/verdicts.md derives why each verdict is certain.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ from safety_harness.trace.system import Component, SystemUnderTest, system_of
 from safety_harness.trace.trace import Provenance, Trace
 from safety_harness.trace.unmeasured import knowing
 
-RECORDED = "recorded"  # the world of such a trace, and its avoider, which nobody knows
+RECORDED = "recorded"  # the name for the world of such a trace, and for its unknown avoider
 HAND, ELBOW, PRESENT = "hand_position_in_base_m", "elbow_position_in_base_m", "hand_present"
-RECORDERS_APART_S = 0.25  # of two recorders that are started and stopped together
-UNUSED_NAMED = 12  # columns, topics and joints
+RECORDERS_APART_S = 0.25  # the time between the ends of two recordings that are made together
+UNUSED_NAMED = 12  # the most unread columns, topics and joints that a note names
 _LONGEST_STEP_S = 5.0  # between rows of a stored path
 _PASSED_ON = ("robot", "obstacles", "camera")
 _HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
@@ -63,7 +63,7 @@ _HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
 
 @dataclass(frozen=True, eq=False)
 class LoggedTrace:
-    """A log's trace, the bytes of its hands' paths by their SHA-256, and notes for the reader."""
+    """The trace of a log, a map from SHA-256 to the bytes of its hands' paths, and notes for the reader."""
 
     trace: Trace
     recordings: dict[str, bytes]
@@ -76,7 +76,7 @@ Recorded = LoggedTrace  # deprecated: the old name, for one release
 def trace_from_log(log: CellLog) -> LoggedTrace:
     """Return the trace of a log.
 
-    Raise LogError for a hand that is faster than stated, or for data that no scenario can hold.
+    Raise LogError if a hand is faster than stated, or if no scenario can contain the data.
     """
     count = log.ticks
     paths = [_path(log, body) for body in log.hands]
@@ -110,9 +110,9 @@ def trace_from_log(log: CellLog) -> LoggedTrace:
 
 
 def _beyond_joints(log: CellLog) -> tuple[list[Gap], list[str]]:
-    """Return the end ticks beyond which hands go on without joints, as gaps, with notes on both ends.
+    """Return gaps and notes for the ends of the log at which hands have samples beyond the joints' samples.
 
-    An end that ``from`` or ``to`` chooses is intended; the hands beyond it are left out.
+    A gap is the first or the last tick. An end that ``from`` or ``to`` chooses has only a note.
     """
     gaps, notes = [], []
     chosen = dict(dict(log.said.entries("a log"))["log"].entries("streams"))
@@ -136,7 +136,7 @@ def _beyond_joints(log: CellLog) -> tuple[list[Gap], list[str]]:
 
 
 def _with_hands(trace: Trace) -> Trace:
-    """Return the trace with the hands at the ticks, from their recorded paths."""
+    """Return the trace with the places of the hands at the ticks, from their recorded paths."""
     ticks, moved = trace.ticks.copy(), hand_paths(trace).positions_in_base_m
     ticks[HAND][:, : moved.shape[1]] = moved[:, :, 0]
     ticks[ELBOW][:, : moved.shape[1]] = moved[:, :, 1]
@@ -172,7 +172,7 @@ def _derived(trace: Trace, columns: dict[str, Measurement]) -> Trace:
 
 
 def _outside(off_by: NDArray[np.float64], gaps: tuple[Gap, ...]) -> NDArray[np.float64]:
-    """Return (n,) the uncertainty with zeros in gaps of all hands, where no code reads it."""
+    """Return the uncertainty (n,) with zeros in the gaps that concern all hands, where no code reads it."""
     outside = off_by.copy()
     for gap in gaps:
         if gap.hand is None:
@@ -181,7 +181,7 @@ def _outside(off_by: NDArray[np.float64], gaps: tuple[Gap, ...]) -> NDArray[np.f
 
 
 def _joints(log: CellLog) -> tuple[NDArray[np.float64], NDArray[np.float64], Source, Source, Reach, Reach]:
-    """Return positions and speeds at the ticks, their sources, and their uncertainties."""
+    """Return the joints' positions and speeds at the ticks, their sources, and their uncertainties."""
     joints, facts, count = log.joints, log.joint_facts, log.ticks
     time_s, tick_s = log.seconds(joints), np.arange(count) * log.period_s
     number, frozen = joints.values.shape[1] // 2, joints.frozen
@@ -217,7 +217,7 @@ def _joints(log: CellLog) -> tuple[NDArray[np.float64], NDArray[np.float64], Sou
 def _bends(
     time_ns: NDArray[np.int64], slope: NDArray[np.float64], period_ns: int, count: int
 ) -> NDArray[np.float64]:
-    """Return (count,) how far samples lie from the line between the ticks: dt/4 per change of speed."""
+    """Return how far (count,) samples are off the line between ticks: period / 4 times the speed's change."""
     cells = np.zeros(max(count, 1))
     turned = np.abs(np.diff(slope, axis=0)).max(axis=1) if len(slope) > 1 else np.zeros(0)
     inner = time_ns[1:-1]
@@ -240,7 +240,7 @@ class _Path:
 
 
 def _path(log: CellLog, body: Body) -> _Path:
-    """Return hand and elbow as a recording, straight between their samples from tick 0 on."""
+    """Return the path of a hand and its elbow as a recording from tick 0 on, linear between samples."""
     assert log.hand_facts is not None
     reaches, tracks, times = [], [], [np.zeros(1, np.int64)]
     for samples in (body.hand, body.elbow):
@@ -269,7 +269,7 @@ def _path(log: CellLog, body: Body) -> _Path:
 
 
 def _filled(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the times, with more between any two that are too far apart for a recording."""
+    """Return ``time_ns`` with further times between any two that are too far apart for a recording."""
     most = round(_LONGEST_STEP_S * NS)
     if len(time_ns) == 1:
         time_ns = np.append(time_ns, time_ns + most)
@@ -282,7 +282,7 @@ def _filled(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _body_reach(log: CellLog, samples: LogSamples, time_ns: NDArray[np.int64]) -> Reach:
-    """Return the uncertainty of a body on its path; LogError where it is faster than stated."""
+    """Return the uncertainty of a body's path; raise LogError if the body is faster than stated."""
     facts = log.hand_facts
     assert facts is not None
     most_mps, known_to_m = facts.moves_at_most_mps, samples.known_to_m
@@ -313,7 +313,7 @@ def _body_reach(log: CellLog, samples: LogSamples, time_ns: NDArray[np.int64]) -
 
 
 def _of_hands(log: CellLog, paths: list[_Path]) -> dict[str, Measurement]:
-    """Return the measurements of hands and elbows."""
+    """Return the columns of hands and elbows with their sources, uncertainties and gaps."""
     if not paths:
         return {}
     assert log.hand_facts is not None
@@ -374,12 +374,12 @@ def _hand(log: CellLog, path: _Path) -> Node:
 
 
 def settings_with(period_s: float, given: Field | None, lead: float | None = None) -> Node:
-    """Return the given settings with the period, and with the horizon by which detections lead.
+    """Return the settings in LOG.yaml with the control period and the horizon of the detections.
 
     Args:
         period_s: The period of the ticks [s].
-        given: The settings in LOG.yaml. None: no settings.
-        lead: The horizon [s]. None: the log has no detections.
+        given: The settings in LOG.yaml, or None if it has none.
+        lead: The horizon [s] by which detections are predicted, or None if the log has no detections.
 
     Raises:
         InputError: The settings contain a clock, or another horizon.
@@ -408,7 +408,7 @@ def settings_with(period_s: float, given: Field | None, lead: float | None = Non
 
 
 def claims_of(given: Field | None) -> Node:
-    """Return claims as a mapping of a scenario; a list of sentences means that each is expected to hold."""
+    """Return the claims with expected verdicts, as in a scenario; claims in a list are expected to hold."""
     if given is None:
         return Mapping((), 1)
     if isinstance(given.node, Mapping):
@@ -429,7 +429,7 @@ def claims_of(given: Field | None) -> Node:
 
 
 def log_file(field: Field) -> Path | None:
-    """Return the file that contains a value."""
+    """Return the file that contains ``field``."""
     return field.origin or field.file
 
 
@@ -452,7 +452,7 @@ def _system(scenario: Scenario) -> SystemUnderTest:
 
 
 def _provenance(log: CellLog) -> Provenance:
-    """Return the provenance of our software, with the files of the log by their hashes."""
+    """Return the provenance of this package, with the hashes of the log's files."""
     ours = provenance(RECORDED)
     return replace(
         ours, files=(*ours.files, *((str(display_path(file)), sha256_of(file)) for file in log.files))
@@ -460,7 +460,7 @@ def _provenance(log: CellLog) -> Provenance:
 
 
 def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
-    """Yield notes for the reader on how the log became a trace."""
+    """Yield notes that tell the reader how the log became a trace."""
     origin = log.origin_ns / NS
     tail_s = (int(log.joints.time_ns[-1]) - log.origin_ns) / NS - (log.ticks - 1) * log.period_s
     yield (

@@ -16,14 +16,14 @@ from safety_harness.extensions.field.logs.model import JointFacts
 from safety_harness.extensions.field.logs.sample_bound import SampleBound, refuse_unbounded
 from safety_harness.extensions.field.logs.streams import NS, LogSamples
 
-FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi  # a sample beyond these has another unit, or shows nothing
-MOST_APART = 0.3  # of the way, of speeds that lead along it in another unit
-LEAST_INTERVALS = 10  # of which that is asked: in fewer, noise at rest may do so
-HARDEST_TAKEN = 40.0  # rad/s2 or m/s2, where no acceleration is said
+FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi  # a sample beyond these has another unit, or is none
+MOST_APART = 0.3  # the largest relative difference of speeds and way that shows another unit
+LEAST_INTERVALS = 10  # the fewest intervals for this test: in fewer, noise at rest may look so
+HARDEST_TAKEN = 40.0  # rad/s2 or m/s2, the most that is assumed if LOG.yaml states no acceleration
 
 
 def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
-    """Return the samples in which every joint has an angle; LogError for an angle that no joint can have."""
+    """Return the samples in which every joint has an angle; raise LogError for an impossible angle."""
     values = joints.values[:, : len(names)]
     far = np.abs(values) > FARTHEST_RAD
     if far.any():
@@ -36,14 +36,14 @@ def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
 
 
 def positions_checked(positions: LogSamples, keep: bool) -> LogSamples:
-    """Return the samples that show a position, or all with ``keep``.
+    """Return the samples that have a position, or all samples with ``keep``.
 
-    Raise LogError for a position that is far away.
+    Raise LogError for a position too far away. Several such positions at one place mean a lost body.
     """
     far = np.abs(positions.values) > FARTHEST_M
     distant = far.any(axis=1)
     if np.count_nonzero(distant) > 1 and (positions.values[distant] == positions.values[distant][0]).all():
-        positions.values[distant] = np.nan  # one place, again and again: a tracker's word for not seen
+        positions.values[distant] = np.nan  # trackers repeat one far place for a body that they do not see
     elif far.any():
         index = int(np.argmax(far.any(axis=1)))
         got = f"{', '.join(f'{value:.6g}' for value in positions.values[index])} m"
@@ -53,7 +53,7 @@ def positions_checked(positions: LogSamples, keep: bool) -> LogSamples:
 
 
 def _measured(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
-    """Return the samples in which something was measured; LogError for fewer than two."""
+    """Return the samples that ``there`` (n,) marks as measured; raise LogError for fewer than two."""
     if np.count_nonzero(there) < 2:
         raise LogError(
             place=samples.source.place,
@@ -70,9 +70,10 @@ def _measured(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
 
 
 def with_bounds(samples: LogSamples, bound: SampleBound | None = None, *, speeds: bool = False) -> LogSamples:
-    """Split the extra columns from the positions: the uncertainty by ``bound``, or in metres, and speeds.
+    """Return the samples with the columns of uncertainty and speeds split off from the positions.
 
-    With ``speeds`` the last three columns are speeds.
+    ``bound`` computes the uncertainty from its columns; without it there is one column [m]. ``speeds`` states
+    that the last three columns are speeds.
     """
     if speeds:
         samples = replace(samples, values=samples.values[:, :-3], speeds_mps=samples.values[:, -3:])
@@ -86,7 +87,7 @@ def with_bounds(samples: LogSamples, bound: SampleBound | None = None, *, speeds
 
 
 def refuse_the_same(streams: list[LogSamples]) -> None:
-    """Raise LogError for two hands or elbows with the same samples, whatever file they are in."""
+    """Raise LogError if two hands or elbows have the same samples, in one file or in two."""
     for a, b in combinations(streams, 2):
         if np.array_equal(a.time_ns, b.time_ns) and np.array_equal(a.values, b.values):
             got = f"the samples of {a.source.name} twice"
@@ -95,7 +96,7 @@ def refuse_the_same(streams: list[LogSamples]) -> None:
 
 
 def the_short_way(joints: LogSamples, facts: JointFacts, arm: ArmModel) -> LogSamples:
-    """Return ``joints`` whose joints without ends go the short way where their angles wrap at a turn."""
+    """Return ``joints`` without wraps: where its angle jumps, a joint without ends goes the short way."""
     count, step_s = len(arm.joint_names), np.diff(joints.time_ns)[:, None] / NS
     turned_rad = wrapped_rad(np.diff(joints.values[:, :count], axis=0), step_s, facts, arm)
     if not (wraps := turned_rad != 0.0).any():
@@ -122,7 +123,7 @@ def wrapped_rad(
 
 
 def noted_beyond_ends(joints: LogSamples, arm: ArmModel) -> LogSamples:
-    """Return ``joints`` with a note on joints that the log shows beyond their ends."""
+    """Return ``joints`` with a note on each joint that the log shows beyond its ends."""
     angles = joints.values[:, : len(arm.joint_names)]
     excess = np.fmax(angles - arm.position_upper_rad, arm.position_lower_rad - angles)
     for k in np.flatnonzero((excess > 0.0).any(axis=0)):
@@ -133,7 +134,7 @@ def noted_beyond_ends(joints: LogSamples, arm: ArmModel) -> LogSamples:
 
 
 def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
-    """Raise LogError where a joint's speed or acceleration from sample to sample exceeds its limit."""
+    """Raise LogError if a joint's speed or acceleration between samples certainly exceeds its limit."""
     step_s = np.diff(joints.time_ns) / NS
     moved = np.abs(np.diff(joints.values[:, : len(names)], axis=0))
     allowed = step_s[:, None] * facts.move_at_most_radps + 2.0 * facts.known_to_rad
@@ -171,7 +172,7 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
 
 
 def refuse_another_unit(joints: LogSamples, names: Sequence[str]) -> None:
-    """Raise LogError where speeds (n, j), of all joints or one, fit their angles only with 1 rad as 1 deg."""
+    """Raise LogError if speeds, of all joints or of one, fit the angles only with rad and deg exchanged."""
     angles, speeds = np.split(joints.values, 2, axis=1)
     steps, step_s = np.diff(angles, axis=0), np.diff(joints.time_ns)[:, None] / NS
     both, every = np.stack([steps, (speeds[1:] + speeds[:-1]) / 2.0 * step_s]), [*range(len(names))]
@@ -193,19 +194,19 @@ def refuse_contradicting_speeds(
     names: Sequence[str],
     unit: tuple[str, float],
 ) -> None:
-    """Raise LogError for the first interval in which ``speeds`` (n, k) do not lead along ``places`` (n, k).
+    """Raise LogError at the first interval in which ``speeds`` (n, k) contradict ``places`` (n, k).
 
-    Let T be the time between two samples, and a the acceleration. The mean speed then lies within a T/4 of
-    the mean of both speeds. The check skips samples without speeds.
+    Let T be the time between two samples, and a the largest acceleration. Then the mean speed differs from
+    the mean of the two measured speeds by at most a T/4. The check skips samples without speeds.
 
     Args:
         samples: The samples, for times and errors.
         places: The positions (n, k).
         speeds: The speeds (n, k).
         known: The uncertainties of places and of speeds.
-        hard: The largest acceleration a. None: twice the acceleration that the speeds show.
+        hard: The largest acceleration a. None: twice what the speeds show, but at most HARDEST_TAKEN.
         names: The names of the columns.
-        unit: The unit of messages, and its number in 1 of SI.
+        unit: The unit of positions in messages, and its number per SI unit.
 
     """
     there = np.flatnonzero(np.isfinite(speeds).all(axis=1))
@@ -218,7 +219,7 @@ def refuse_contradicting_speeds(
     hardest = np.minimum(shown, HARDEST_TAKEN) if hard is None else hard
     allowed = np.broadcast_to(step_s * (known[1] + hardest * step_s / 4.0), by_speed.shape)
     conflicts: list[tuple[int, int, int]] = []
-    for sign in (1.0, -1.0):  # more, or less, than is allowed since the sample at which that begins
+    for sign in (1.0, -1.0):  # positions ahead of, then behind, the way by the speeds and its tolerance
         more = np.zeros(places.shape)
         more[1:] = np.cumsum(sign * (np.diff(places, axis=0) - by_speed) - allowed, axis=0)
         since = np.minimum.accumulate(more, axis=0)

@@ -1,4 +1,4 @@
-"""Bags as files: the topics of a bag, and each message decoded by the definition of its own type alone.
+"""The files of bags: their topics, and their messages, each decoded by the definition of its own type.
 
 ``rosbags`` reads ROS 1 and ROS 2 bags. ``safety_harness.extensions.field.logs.mcap`` reads MCAP files of any
 other profile, with messages in ROS 2's encoding, JSON or Protobuf.
@@ -24,14 +24,14 @@ class UnreadableDefinitionError(Exception):
 
 
 class Bag:
-    """An open bag with its ``connections``, one or more a topic, in the form of ``rosbags``."""
+    """An open bag with its ``connections`` in the form of ``rosbags``, at least one for each topic."""
 
     def __init__(self, storage: Any, *, ros1: bool) -> None:
         self._storage, self._ros1 = storage, ros1
         self.connections: list[Any] = list(storage.connections)
 
     def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, Any]]:
-        """Yield the connection, the time of receipt [ns] and the content of each message, by that time."""
+        """Yield (connection, time of receipt [ns], content) of each message, in the order of receipt."""
         decoders: dict[int, Decode] = {}
         for connection, received_ns, raw in self._storage.messages(connections):
             if connection.id not in decoders:
@@ -39,7 +39,7 @@ class Bag:
             yield connection, received_ns, decoders[connection.id](raw)
 
     def _decoder(self, connection: Any) -> Decode:
-        """Return the decoder of a connection's messages; UnreadableDefinitionError for an unusable type."""
+        """Return the decoder of a connection's messages; raise UnreadableDefinitionError if there is none."""
         encoding = getattr(connection.ext, "serialization_format", "cdr")
         try:
             if encoding == "json":
@@ -51,13 +51,13 @@ class Bag:
             return _ros(connection, ros1=self._ros1 or encoding == "ros1")
         except ModuleNotFoundError:
             raise
-        except Exception as error:  # whatever a definition provokes
+        except Exception as error:  # a wrong definition may raise anything
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise UnreadableDefinitionError(f"{connection.msgtype}: {reason}") from error
 
 
 def _ros(connection: Any, *, ros1: bool) -> Decode:
-    """Return the decoder by the bag's definition of this type, or by the standard definition without it."""
+    """Return the decoder from the bag's definition of the type, or from the standard one if it has none."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     kind, (form, text) = connection.msgtype, connection.msgdef
@@ -75,7 +75,7 @@ def _ros(connection: Any, *, ros1: bool) -> Decode:
 
 
 def _protobuf(name: str, definition: bytes) -> Decode:
-    """Return the decoder by the file descriptors in the channel's schema."""
+    """Return the decoder from ``definition``, the file descriptors in the channel's schema."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     pool = descriptor_pool.DescriptorPool()
@@ -89,7 +89,7 @@ def _protobuf(name: str, definition: bytes) -> Decode:
 def opened(file: Path) -> Iterator[Bag]:
     """Open the bag in a file or folder.
 
-    Raise ImportError without ``rosbags``, or any error that damage provokes.
+    Raise ImportError if ``rosbags`` is missing, or any error that a damaged bag causes.
     """
     storage, ros1 = _storage(file), file.suffix.lower() == ROS1
     storage.open()
@@ -102,7 +102,7 @@ def opened(file: Path) -> Iterator[Bag]:
 def _storage(file: Path) -> Any:
     """Return the reader of a bag.
 
-    If a folder's metadata names no storage, the ending of its files decides.
+    If the metadata of a folder names no storage, the ending of its files selects the storage.
     """
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
@@ -117,6 +117,6 @@ def _storage(file: Path) -> Any:
     ending = file.suffix.lower()
     if ending == MCAP:
         with file.open("rb") as data:
-            if data.read(25)[17:] != b"\4\0\0\0ros2":  # its profile
+            if data.read(25)[17:] != b"\4\0\0\0ros2":  # the profile of the file
                 return McapFile(file)
     return Reader1(file) if ending == ROS1 else Reader2.STORAGE_PLUGINS[ending](file)

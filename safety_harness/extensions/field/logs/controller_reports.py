@@ -1,8 +1,8 @@
-"""A log's reports of its controller: mode, limits, commands, predicted hands, decisions.
+"""The controller's reports in a log: mode, limits, commands, predicted hands and decisions.
 
-A program's report is no measurement: it is exact, and stands from its stamp until the next one. Two things
-are uncertain. The stamp has the uncertainty that the log's owner states. A report may be lost where none came
-for longer than the longest gap.
+A program's report is exact, unlike a measurement, and is valid from its stamp until the next report. Its
+stamp has the uncertainty that LOG.yaml states. If no report comes for longer than the longest gap, a report
+may be lost.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ FASTEST_RADPS, FARTHEST_M, LARGEST_SPREAD_M = 8.0 * np.pi, 10.0, 10.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReportedStream:
-    """One stream: ``time_ns`` (n,) on the clock of the joints, each stamp within ``off_ns`` of the truth."""
+    """One stream of reports, with stamps ``time_ns`` (n,) on the joints' clock, each known to ``off_ns``."""
 
     samples: LogSamples
     time_ns: NDArray[np.int64]
@@ -85,19 +85,19 @@ class ReportedStream:
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """The numbers (n, k)."""
+        """The numbers (n, k) in the n reports."""
         return self.samples.values
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ControllerReports:
-    """All reports in a log; ``decisions`` have the columns of ``fields``, in this order."""
+    """All reports in a log; ``fields`` names the columns of ``decisions``, in this order."""
 
     mode: ReportedStream | None = None
     limits: ReportedStream | None = None
     commands: ReportedStream | None = None
     tracks: tuple[ReportedStream, ...] = ()
-    ahead: Field | None = None  # by how much the told hands are predicted
+    ahead: Field | None = None  # the horizon by which the reported hands are predicted
     decisions: ReportedStream | None = None
     fields: tuple[str, ...] = ()
 
@@ -110,8 +110,8 @@ class ReportClock:
     hands_known_to_ns: int
 
 
-Positions = Callable[[Field, Fields], LogSamples]  # a stream of positions in the base frame, NaN kept
-Places = Callable[[Field, LogSamples, int], LogSamples]  # column k and the next two, from a frame to the base
+Positions = Callable[[Field, Fields], LogSamples]  # reads positions in the base frame, and keeps NaN
+Places = Callable[[Field, LogSamples, int], LogSamples]  # moves columns k to k + 2 from a frame to base
 
 
 def read_reports(
@@ -124,17 +124,17 @@ def read_reports(
     placed: Places,
     to_base: Callable[[LogSource, Field], ToBase],
 ) -> ControllerReports:
-    """Return every stream below ``log`` that is one of ``STREAMS``.
+    """Return the controller's reports from the streams below ``log`` that ``STREAMS`` lists.
 
     Args:
         given: The keys of LOG.yaml.
         streams: The keys below ``log``.
-        joints: The joints in the log's words, in the arm's order.
+        joints: The log's names of the joints, in the arm's order.
         clock: The lead of the hands' clock.
-        source_of: Return the stream that a field names.
-        positions: Read a stream of positions in the base frame, with NaN.
-        placed: Move three columns of samples from a frame to the base frame.
-        to_base: Return the transforms of a stream's messages from a stated frame.
+        source_of: Returns the stream that a field names.
+        positions: Reads a stream of positions in the base frame, with NaN.
+        placed: Moves three columns of samples from a frame to the base frame.
+        to_base: Returns the transforms of a stream's messages from a stated frame to the base frame.
 
     Raises:
         LogError: A stream or key cannot be used; the error has its place.
@@ -172,7 +172,7 @@ class _Reading:
     source_of: Callable[[Field], LogSource]
 
     def codes_of(self, table: Field, ours: Mapping[str, int]) -> dict[str, float]:
-        """Return the log's words, or numbers, with their codes; "and" joins several flags."""
+        """Return the code of each word or number in the log; "and" joins several flags in LOG.yaml."""
         meanings = {}
         for term, entry in table.entries("the log's words with ours, such as RETREAT: repulsing"):
             text = entry.scalar("a word of ours")
@@ -184,14 +184,14 @@ class _Reading:
         return meanings
 
     def stream(self, codes: dict[str, float]) -> ReportedStream:
-        """Return a stream of one word a sample."""
+        """Return a stream with the code of one word in each sample."""
         source = self.source_of(self.field)
         if source.is_bag:
             return self.timed(self.read_bag(source, [Part(self.path(source), 1, 1.0, codes)]))
         return self.timed(self.read(source, [TableColumn(self.column(source), 1.0, codes)]))
 
     def commands(self, joints: tuple[str, ...]) -> ReportedStream:
-        """Return (n, j) speeds of the joints."""
+        """Return the stream of the commanded joint speeds (n, j)."""
         source, unit = self.source_of(self.field), self.keys.optional("unit")
         angle = None if unit is None else unit.one_of({item: item for item in ANGLE_UNITS})
         if source.is_bag:
@@ -223,7 +223,7 @@ class _Reading:
     def decisions(
         self, placed: Places, to_base: Callable[[LogSource, Field], ToBase]
     ) -> tuple[ReportedStream, tuple[str, ...]]:
-        """Return a decision a sample: the numbers of each mapped field, in the order of ``FIELDS``."""
+        """Return the stream of decisions, and the names of its mapped fields in the order of ``FIELDS``."""
         mapped = self.keys.required("fields").fields(tuple(FIELDS))
         table_keys = self.keys.optional("words")
         given = None if table_keys is None else table_keys.fields((OUTCOME, TRIGGER))
@@ -272,7 +272,7 @@ class _Reading:
         return self.timed(samples), names
 
     def refuse_no_decision(self, samples: LogSamples, at: Mapping[str, int]) -> None:
-        """Raise LogError for a decision without numbers: only a stop has no chosen position."""
+        """Raise LogError for missing or impossible numbers; only a stop may lack a chosen position."""
         values = samples.values
         stops = np.zeros(len(values), np.bool_)
         if OUTCOME in at:
@@ -283,7 +283,7 @@ class _Reading:
                 none = np.asarray(~np.isfinite(here).all(axis=1))
                 if name == "chosen":
                     none &= ~stops
-                elif name == "proposed" and OUTCOME in at:  # one that was no answer was not used
+                elif name == "proposed" and OUTCOME in at:  # only a proposal that was used needs numbers
                     none &= values[:, at[OUTCOME]] == DecisionOutcome.PROPOSED
                 elif name == "opposite":
                     none[:] = False
@@ -298,18 +298,18 @@ class _Reading:
     def refuse(
         self, samples: LogSamples, bad: NDArray[np.bool_], expected: str, got: str, hint: str = ""
     ) -> None:
-        """Raise LogError at the first sample that is ``bad`` (n, ...)."""
+        """Raise LogError at the first sample where ``bad`` (n, ...) is true."""
         if bad.any():
             index = int(np.argmax(bad.reshape(len(bad), -1).any(axis=1)))
             numbers = ", ".join(f"{value:.6g}" for value in samples.values[index])
             raise samples.error(index, f"{self.name}: {expected}", f"{got} ({numbers})", hint)
 
     def path(self, source: LogSource) -> str:
-        """Return the field of a message that has the word."""
+        """Return the path of the field with the word in a message."""
         return source.path or "data"
 
     def column(self, source: LogSource, name: str | None = None) -> str:
-        """Return a column by its whole name; LogError if it is missing."""
+        """Return the name of a column; raise LogError if the table has no such column."""
         wanted, header = source.what if name is None else name, header_of(source)
         if wanted not in header:
             columns = f"the columns: {', '.join(header)}"
@@ -319,7 +319,7 @@ class _Reading:
         return wanted
 
     def read(self, source: LogSource, columns: list[TableColumn], least: int = 1) -> LogSamples:
-        """Return the samples of a table."""
+        """Return the samples in ``columns`` of a table."""
         time_key = self.keys.optional("time")
         time = time_column(
             source, header_of(source), None if time_key is None else time_key.sentence("the name of a column")
@@ -336,7 +336,7 @@ class _Reading:
         least: int = 1,
         framed: ToBase | None = None,
     ) -> LogSamples:
-        """Return the samples of a topic's messages."""
+        """Return the samples in ``parts`` of a topic's messages."""
         time_key = self.keys.optional("time")
         time = STAMP if time_key is None else time_key.one_of({stamp: stamp for stamp in (STAMP, RECEIVED)})
         collector = Collector(source, sum(part.width for part in parts), least=least)
@@ -344,7 +344,7 @@ class _Reading:
         return collector.samples()
 
     def timed(self, samples: LogSamples) -> ReportedStream:
-        """Return the samples as a stream on the clock of the joints."""
+        """Return the samples as a stream of reports on the clock of the joints."""
         clock, by_ns = self.keys.optional("clock"), 0
         off_ns = round(self.keys.required("known to").quantity(TIME, least=0.0, most=LATEST_S) * NS)
         if clock is not None and clock.one_of({OF_JOINTS: False, OF_HANDS: True}):
@@ -362,10 +362,10 @@ class _Reading:
 
 
 def width_of(name: str) -> int:
-    """Return how many numbers a field of a decision has."""
+    """Return the number of columns that a field of a decision has."""
     return 3 if name in POSITIONS or name == SPREAD else 1
 
 
 def ahead_s(reports: ControllerReports) -> float | None:
-    """Return the horizon [s] of the reported hands' predictions, None without any."""
+    """Return the horizon [s] by which reported hands are predicted, or None without reported hands."""
     return None if reports.ahead is None else reports.ahead.quantity(TIME, least=0.0, most=2.0)

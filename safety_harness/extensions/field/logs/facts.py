@@ -37,7 +37,7 @@ OF_HANDS = (
 
 
 def said_of_joints(given: Fields) -> Fields:
-    """Return the keys below "joints", empty if the file lacks it."""
+    """Return the keys below "joints" in LOG.yaml, or no keys if LOG.yaml has no "joints"."""
     field = given.optional("joints")
     return Fields(given.whole, {}) if field is None else field.fields(OF_JOINTS)
 
@@ -62,7 +62,7 @@ def facts_of_joints(keys: Fields, arm: ArmModel) -> JointFacts:
 def facts_of_hands(keys: Fields, *, each: bool = False) -> HandFacts:
     """Return the facts on hands from the keys below "hands".
 
-    With ``each``, every sample may have its own uncertainty.
+    ``each`` states that every sample may have its own uncertainty.
     """
     known = keys.required("known to")
     by_sample = each and isinstance(known.node, Mapping)

@@ -1,4 +1,4 @@
-"""Messages in Foxglove's schemas as the equivalent ROS messages, and stamps in each encoding."""
+"""The conversion of messages in Foxglove's schemas to ROS messages, and of stamps to nanoseconds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PREFIXES = ("foxglove.", "foxglove_msgs/msg/")
 
 
 def as_standard(kind: str, content: Any) -> tuple[str, Any]:
-    """Return the type and content of a message, with Foxglove's poses, frames and joints in ROS's form."""
+    """Return the type and content of a message; Foxglove's poses, frames and joints become ROS messages."""
     prefix = next((item for item in _PREFIXES if kind.startswith(item)), None)
     name = "" if prefix is None else kind.removeprefix(prefix)
     if name == "JointStates":
@@ -35,7 +35,7 @@ def as_standard(kind: str, content: Any) -> tuple[str, Any]:
 def nanoseconds(stamp: Any) -> int:
     """Return the time [ns] of a stamp.
 
-    Its fields are ROS's (sec, nanosec), JSON's (sec, nsec) or Protobuf's (seconds, nanos).
+    The stamp has the fields of ROS (sec, nanosec), of JSON (sec, nsec) or of Protobuf (seconds, nanos).
     """
     whole, rest = (
         next((int(getattr(stamp, name)) for name in names if hasattr(stamp, name)), 0)
@@ -54,7 +54,7 @@ def fields_of(content: Any) -> list[str]:
 
 
 def _number(joint: Any, name: str) -> float:
-    """Return a number that a joint may lack, NaN in that case."""
+    """Return the number ``name`` of a joint, or NaN if the joint lacks it."""
     there = joint.HasField(name) if hasattr(joint, "HasField") else getattr(joint, name, None) is not None
     return float(getattr(joint, name)) if there else math.nan
 

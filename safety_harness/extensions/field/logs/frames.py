@@ -1,4 +1,4 @@
-"""Transforms from the frame of logged positions to the base frame: given, or from ``/tf`` of a bag."""
+"""Transforms from the frame of logged positions to the base frame, from LOG.yaml or from ``/tf`` of a bag."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from safety_harness.scenario.nodes import Scalar
 from safety_harness.scenario.units import shown
 
 ToBase = Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]]
-STILL_M, STILL_RAD = 1e-6, 1e-6  # of a transform in /tf, up to which its frame stands still
+STILL_M, STILL_RAD = 1e-6, 1e-6  # a frame stands still if its transform in /tf changes by no more
 BASE = "base"
 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """Fixed transforms: ``parents`` has for each frame its parent and its pose (4, 4) there."""
+    """The fixed transforms of a bag: ``parents`` maps a frame to its parent and its pose (4, 4) in that."""
 
     source: LogSource
     parents: dict[str, tuple[str, NDArray[np.float64]]]
 
     def transform(self, frame: str, base: str) -> NDArray[np.float64]:
-        """Return (4, 4) from ``frame`` to ``base``; LogError if no chain connects them."""
+        """Return the transform (4, 4) from ``frame`` to ``base``; raise LogError if no chain joins them."""
         (root, root_of_frame), (base_root, root_of_base) = self._to_root(frame), self._to_root(base)
         if root != base_root:
             known = sorted({*self.parents, *(parent for parent, _ in self.parents.values())})
@@ -61,10 +61,10 @@ class Tree:
 
 
 def read_tree(source: LogSource, frame: str, base: str) -> Tree:
-    """Return the transforms of a topic of ``TFMessage``, and of ``/tf_static`` beside it.
+    """Return the transforms in a topic of ``TFMessage``, and in ``/tf_static`` of the same bag.
 
-    Raise LogError for a moving transform between ``frame`` and ``base``: between two of its messages, the
-    pose of a moving frame is unknown.
+    Raise LogError if a frame between ``frame`` and ``base`` moves, since its pose between two messages is
+    unknown.
     """
     parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
     moved: dict[str, tuple[Message, LogSource, float, float]] = {}
@@ -79,7 +79,7 @@ def read_tree(source: LogSource, frame: str, base: str) -> Tree:
                 was, first = parents[child]
                 by_m = float(length(pose[:3, 3] - first[:3, 3]))
                 chord = float(length(pose[:3, :3] - first[:3, :3]))
-                by_rad = 2.0 * np.arcsin(min(chord / 8.0**0.5, 1.0))  # of two rotations |A - B| is 8^0.5 sin
+                by_rad = 2.0 * np.arcsin(min(chord / 8.0**0.5, 1.0))  # |A - B| = 8^0.5 sin(by_rad / 2)
                 if (was != parent or by_m > STILL_M or by_rad > STILL_RAD) and child not in moved:
                     moved[child] = message, topic, by_m, by_rad
     tree = Tree(source, parents)
@@ -104,7 +104,7 @@ def _topics(source: LogSource) -> list[LogSource]:
 
 
 def _pose(transform: object, source: LogSource, message: Message) -> NDArray[np.float64]:
-    """Return (4, 4) of a transform with a quaternion."""
+    """Return the matrix (4, 4) of a transform with a quaternion."""
     at, turn = transform.translation, transform.rotation  # type: ignore[attr-defined]
     x, y, z, w = float(turn.x), float(turn.y), float(turn.z), float(turn.w)
     norm = x * x + y * y + z * z + w * w
@@ -138,13 +138,13 @@ def moved_by(transform: NDArray[np.float64]) -> Callable[[Sequence[float]], Sequ
 def by_header(
     base: str, source: LogSource, transform_base: NDArray[np.float64], tf: LogSource | None
 ) -> ToBase:
-    """Return the transforms by each header's frame, which must be ``base`` or lead there in ``tf``.
+    """Return the transform to base for the frame in each header: ``base``, or a frame that ``tf`` connects.
 
     Args:
         base: The name of the base frame in the bag.
         source: The stream of positions.
         transform_base: (4, 4) from that frame to the scenario's base frame.
-        tf: The stream of transforms. None: headers must have ``base``.
+        tf: The stream of transforms, or None if every header must have ``base``.
 
     """
     known: dict[str, Callable[[Sequence[float]], Sequence[float]]] = {base: moved_by(transform_base)}
@@ -164,11 +164,11 @@ def by_header(
 
 
 def by_given(transform: NDArray[np.float64], name: str | None, base: str, source: LogSource) -> ToBase:
-    """Return the given ``transform`` (4, 4) for all messages.
+    """Return the stated ``transform`` (4, 4) as the transform of all messages.
 
     Args:
         transform: (4, 4) from the frame of the positions to the base frame.
-        name: The name of that frame. None: the name in the first header.
+        name: The name of that frame, or None for the name in the first header.
         base: The name of the base frame. A transform that moves positions cannot start there.
         source: The stream of positions.
 
@@ -198,7 +198,7 @@ def by_given(transform: NDArray[np.float64], name: str | None, base: str, source
 
 
 def given_transform(frame: Field) -> NDArray[np.float64]:
-    """Return (4, 4) from the frame of the positions to the base frame, as the file states it."""
+    """Return the transform (4, 4) that LOG.yaml states, from the frame of the positions to the base frame."""
     if isinstance(frame.node, Scalar):
         frame.one_of({BASE: None})
         return np.eye(4)
@@ -209,7 +209,7 @@ def given_transform(frame: Field) -> NDArray[np.float64]:
 
 
 def frame_name(frame: Field, base: str) -> str | None:
-    """Return the name of the stated frame; None for a pose of a frame without a name."""
+    """Return the name of the stated frame, or None if LOG.yaml states a pose without a name."""
     if isinstance(frame.node, Scalar):
         return base
     name = frame.fields(("at", "turned", "of")).optional("of")

@@ -1,8 +1,8 @@
-"""Streams that repeat their values to the last bit, although noise changes each sample elsewhere.
+"""The detection of frozen streams, which repeat their values to the last bit although they have noise.
 
-A recorder that lost its sensor, or a driver that hangs, repeats the last values. A stream without noise, or
-with noise below its resolution, may repeat them at rest. So only a stream counts whose numbers go to and fro,
-by more than their resolution, also where they hardly move.
+A recorder that lost its sensor repeats the last values, and so does a driver that hangs. A stream without
+noise, or with noise below its resolution, may also repeat them at rest. So the check applies only to a stream
+whose numbers rise and fall by more than their resolution, even while they hardly move.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from safety_harness.extensions.field.logs.streams import NS, LogSamples
 from safety_harness.scenario.fields import Fields
 
 Values = NDArray[np.float64]
-BLOCK, NOISY_BLOCKS = 10, 3  # samples that are asked for noise together, and how many such blocks it takes
-FEWEST, BY_CHANCE = 4, 1e-3  # repetitions in a row, and how often a stream may show so many by chance
+BLOCK, NOISY_BLOCKS = 10, 3  # samples in a block, and the fewest blocks with noise that make a stream noisy
+FEWEST, BY_CHANCE = 4, 1e-3  # the fewest repetitions in a row, and the largest probability of so many
 TURNS = (
-    0.2  # of the squared steps, by which those that follow each other turn back: noise without motion has 0.5
+    0.2  # least share of the squared steps by which successive steps turn back; noise without motion has 0.5
 )
-RESOLUTIONS = 2.5  # of the least step in a block, that its steps have, root mean square
-LEAST_NOISE = 1e-7  # rad or m: rounding of a computation is less
+RESOLUTIONS = 2.5  # least root mean square of the steps in a block, in terms of its smallest step
+LEAST_NOISE = 1e-7  # rad or m; the rounding of a computation is smaller
 INTERVALS_TOLD = 3
 REPEATS, AT_REST = "repeats", "at rest"
 
 
 def at_rest(keys: Fields) -> bool:
-    """Does the file state that repeated values come from a thing at rest?"""
+    """Return whether LOG.yaml states that repeated values come from a body at rest."""
     field = keys.optional(REPEATS)
     return field is not None and field.one_of({AT_REST: True})
 
 
 def noisy(blocks: Values) -> NDArray[np.bool_]:
-    """Return (b,) true for ``blocks`` (b, BLOCK, k) whose noise exceeds their motion and their resolution."""
+    """Return in which (b,) of ``blocks`` (b, BLOCK, k) the noise exceeds the motion and the resolution."""
     steps = np.diff(blocks, axis=1)
     size = np.abs(steps)
     least = np.where(size > 0.0, size, np.inf).min(axis=1)
@@ -47,17 +47,17 @@ def noisy(blocks: Values) -> NDArray[np.bool_]:
 
 
 def _is_frozen(row: int, repeated: int, blocks: int, samples: int) -> bool:
-    """Are ``row`` repetitions in a row, among all ``repeated``, too many for chance?
+    """Return whether ``row`` repetitions in a row, of ``repeated`` in all, are too many for chance.
 
-    Chance is the share of repetitions elsewhere, among samples that hardly move: the samples of noisy
-    ``blocks``.
+    The probability of one repetition is estimated from the samples that hardly move, without this row. These
+    are the other repetitions and the samples of noisy ``blocks``.
     """
     share = (repeated - row + 1) / (BLOCK * blocks + repeated - row + 1)
     return row >= FEWEST and blocks >= NOISY_BLOCKS and samples * share**row < BY_CHANCE
 
 
 def frozen(values: Values) -> NDArray[np.bool_]:
-    """Return (n,) true where ``values`` (n, k) repeat the previous sample too often for their noise."""
+    """Return where (n,) ``values`` (n, k) repeat the previous sample too often for their noise."""
     same, flags = np.zeros((2, len(values)), np.bool_)
     same[1:] = np.all(values[1:] == values[:-1], axis=1)
     whole = len(values) // BLOCK * BLOCK
@@ -70,7 +70,10 @@ def frozen(values: Values) -> NDArray[np.bool_]:
 
 
 def with_frozen(samples: LogSamples, things: Sequence[Values], keys: Fields) -> LogSamples:
-    """Mark and note where any of the ``things``, each (n, k), repeats; the ``keys`` may declare rest."""
+    """Return the samples with a mark and a note where any of ``things``, each (n, k), is frozen.
+
+    If ``keys`` state that the body was at rest, there is only a note.
+    """
     flags = np.any([frozen(thing) for thing in things], axis=0)
     if not flags.any():
         return samples
@@ -87,7 +90,7 @@ def with_frozen(samples: LogSamples, things: Sequence[Values], keys: Fields) -> 
 
 @dataclass
 class Repeats:
-    """``frozen`` for a live stream, sample by sample."""
+    """The check of ``frozen`` for a live stream, one sample at a time."""
 
     _block: list[tuple[float, ...]] = field(default_factory=list)
     _last: tuple[float, ...] = ()
@@ -96,12 +99,12 @@ class Repeats:
     _repeated: int = 0
     _row: int = 0
     _since_ns: int = 0
-    _longest: tuple[int, int] = 0, 0  # row, and when it began, that was not told
+    _longest: tuple[int, int] = 0, 0  # the longest row that was not reported yet, and its begin
 
     def since(self, time_ns: int, values: tuple[float, ...]) -> int | None:
-        """Return when the stream began to repeat ``values``, which came at ``time_ns``; None if not frozen.
+        """Add ``values`` at ``time_ns``; return the time since which the stream is frozen, or None.
 
-        A stream may repeat values before its noise is known. The first call after that reports it once.
+        If the stream repeated values before its noise was known, the first call afterwards reports it once.
         """
         self._samples += 1
         if values == self._last:

@@ -1,4 +1,4 @@
-"""A log as one judged run, for commands and tests."""
+"""The log of a cell as a recorded run that commands and tests can judge."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def recorded(path: str | Path, claims: Sequence[Claim] = ()) -> LoggedTrace:
 
     Args:
         path: The LOG.yaml.
-        claims: The claims to judge in place of the log's own. Empty: its own.
+        claims: The claims that replace the log's own, unless there are none.
 
     Raises:
-        InputError: Any part of it cannot be used; the error has its place.
+        InputError: A part of the log cannot be used; the error has the place.
 
     """
     log = read_log(path)

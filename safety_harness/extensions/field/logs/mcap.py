@@ -1,6 +1,6 @@
-"""MCAP files of any profile besides ROS 2's: their channels, and the bytes of their messages, in order.
+"""The reader of MCAP files with any profile but ROS 2's: their channels, and their messages as bytes.
 
-The functions of ``rosbags`` read the pieces of a file.
+It reads the parts of a file with functions of ``rosbags``.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ FORMATS = {"ros2msg": "MSG", "ros1msg": "MSG", "ros2idl": "IDL", "omgidl": "IDL"
 
 
 class McapFile:
-    """A reader like the readers of ``rosbags``: ``connections`` once it is open, and ``messages``."""
+    """A reader with the interface of ``rosbags``: ``messages``, and ``connections`` after ``open``."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
         self.connections: list[Any] = []
 
     def open(self) -> None:
-        """Read the channels, and count their messages; ValueError for a file that was cut off."""
+        """Read the channels, and count their messages; raise ValueError if the file was cut off."""
         self._data = self._file.open("rb")
         try:
             self._read_channels()

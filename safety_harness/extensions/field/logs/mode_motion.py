@@ -1,4 +1,4 @@
-"""A controller's reports of its mode, against the motion of the arm."""
+"""The check of the mode that a controller reports against the motion of the arm."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from safety_harness.trace.trace import Trace
 
 TCP, HAND = "transform_tcp_to_base", "hand_position_in_base_m"
 OF_THE_GOAL = (GAIN_SWITCH, GAIN_SWITCH_WITHIN, GAIN_SWITCH_ITERATIONS, CONVERGED)
-CAUSE_REACH = 1.5  # critical distances, within which a hand may be the cause: a retreat goes beyond one
-RETREATED_M = 0.01  # farther from the desired position; braking after a retreat takes less than 1 mm of it
+CAUSE_REACH = 1.5  # a hand may cause a retreat within so many critical distances; a retreat ends beyond one
+RETREATED_M = 0.01  # least way of a retreat from the desired position; braking after one takes below 1 mm
 
 
 def refuse_retreat_while_servoing(trace: Trace, log: CellLog) -> None:
     """Raise LogError where the arm retreats from a near hand while its reported mode is servoing.
 
-    The check applies only with a claim on the desired pose, which assumes that the arm is on its way there.
-    Servoing brings the TCP nearer to the desired position. A TCP that certainly moves away from it, and from
-    a hand at about the critical distance, retreats.
+    The check applies only if a claim is about the desired pose, and so assumes that the arm approaches this
+    pose. Servoing brings the TCP nearer to the desired position. The arm retreats if the TCP certainly moves
+    away from this position, and from a hand at about the critical distance.
     """
     known, ticks, stream = trace.known, trace.ticks, log.told.mode
     aims = any(entry.understands(claim.sentence) for claim in trace.scenario.claims for entry in OF_THE_GOAL)

@@ -19,9 +19,10 @@ JOINTS_LONGEST_GAP_S = 0.1  # without a statement in LOG.yaml
 
 @dataclass(frozen=True, kw_only=True)
 class JointFacts:
-    """The statements on the joints; ``move_at_most_radps`` is (joints,), and None means no statement.
+    """The statements of LOG.yaml on the joints, with None for no statement.
 
-    ``at_rest`` is true if values that repeat to the last bit come from a joint that stands still.
+    ``move_at_most_radps`` is of shape (joints,). ``at_rest`` is true if values that repeat to the last bit
+    come from a joint that stands still.
     """
 
     known_to_rad: float
@@ -34,7 +35,7 @@ class JointFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class HandFacts:
-    """The statements on all hands; ``known_to_m`` is inf where each sample has its own uncertainty."""
+    """The statements of LOG.yaml on hands; ``known_to_m`` is inf if each sample has its own uncertainty."""
 
     known_to_m: float
     moves_at_most_mps: float
@@ -58,10 +59,10 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class TcpCheck:
-    """The TCP's own samples, at most ``apart_m`` from the TCP by the joints, where ``within_m`` is allowed.
+    """The result of the check of the log's own TCP ``samples`` against the TCP that the joints determine.
 
-    A wrong zero position of the ``unseen`` joints would not have shown. ``unit`` is true if a wrong unit of
-    angles would have shown.
+    Both are at most ``apart_m`` apart, where ``within_m`` is allowed. The check cannot detect a wrong zero
+    position of the ``unseen`` joints. ``unit`` is true if the check would detect a wrong unit of angles.
     """
 
     samples: LogSamples
@@ -73,12 +74,12 @@ class TcpCheck:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellLog:
-    """A log after reading.
+    """The content of a log: its data, and the statements of its LOG.yaml.
 
     Args:
         name: The name of the log.
         file: The LOG.yaml, None if it is not a file.
-        said: The file's tree, from which the reader still takes the scenario's own keys.
+        said: The file's tree, with the keys of a scenario, which the code for the trace reads.
         robot: The arm.
         joints: Values (n, 2 j), positions and then velocities of the arm's joints [rad, rad/s], NaN for a
             missing value. Their clock is the reference.
@@ -90,8 +91,8 @@ class CellLog:
         period_ns: The period of the trace's ticks.
         files: All files that were read.
         told: The controller's own reports.
-        left_out: Bodies beside the hands in their streams that the file leaves out.
-        unmapped: Bodies beside the hands without a statement in the file. Another hand may be among them.
+        left_out: Other bodies in the hands' streams that LOG.yaml leaves out.
+        unmapped: Other bodies in the hands' streams that LOG.yaml does not mention; some may be hands.
         tcp: The check of the log's own TCP, None without one.
         unused: The columns, topics and joints in the files that the reader does not use.
 
@@ -117,7 +118,7 @@ class CellLog:
 
     @property
     def origin_ns(self) -> int:
-        """The beginning of the trace on the clock of the joints: their first sample."""
+        """The beginning of the trace on the joints' clock, which is the time of the joints' first sample."""
         return int(self.joints.time_ns[0])
 
     @property
@@ -135,7 +136,7 @@ class CellLog:
 
         Args:
             samples: The samples.
-            of_hands: True if they are on the hands' clock.
+            of_hands: True if the samples are on the hands' clock.
 
         """
         by_ns = self.hands_ahead_ns if of_hands else 0

@@ -1,7 +1,7 @@
-"""Bounds on the distance between a thing and the line between its samples (docs/explanation/verdicts.md).
+"""Bounds on how far a body or joint is from the line between its samples (docs/explanation/verdicts.md).
 
-Every function takes the samples of one thing on the trace's clock. It gives the bound at each tick, for the
-time from the tick before to the tick after.
+The functions take the samples of one body, or of the arm's joints, on the trace's clock. The bound at a tick
+holds from the tick before it to the tick after it.
 """
 
 from __future__ import annotations
@@ -17,29 +17,31 @@ from safety_harness.trace.known import Gap
 
 Floats = NDArray[np.float64]
 FloatOrFloats = TypeVar("FloatOrFloats", float, Floats)
-ROUNDING_M = 1e-5  # of stored paths, in micrometres and nanoseconds
+ROUNDING_M = 1e-5  # the rounding of stored paths, whose units are micrometres and nanoseconds
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """The bound ``within`` (n,) at each tick, up to its neighbours; 0 in the unknown ``gaps``."""
+    """The bound ``within`` (n,) at each tick, which holds up to both neighbours; 0 in unknown ``gaps``."""
 
     within: Floats
     gaps: tuple[tuple[int, int], ...]
 
     def known_gaps(self, hand: int | None = None) -> tuple[Gap, ...]:
-        """Return the gaps in the form of a trace."""
+        """Return the gaps as a trace states them, for ``hand`` or for all."""
         return tuple(Gap(first=first, after=end, hand=hand) for first, end in self.gaps)
 
 
 def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floats | float) -> Floats:
-    """Return (m,) how far a body may be from the line between samples, ``way_m`` and ``step_s`` (m,) apart.
+    """Return how far (m,) a body may be from the lines between its samples.
 
-    Let x and y be the true places, T the time between them, and v the largest speed, so |x - y| <= v T. At
-    the fraction w of the time the body is within v w T of x and within v (1 - w) T of y. So it is within (w
-    (1 - w) (v^2 T^2 - |x - y|^2))^(1/2) of the point at w of the straight line, which is largest in the
-    middle. That line is within ``sample_m`` (m,) of the line between the samples, and |x - y| is at least
-    their distance less 2 ``sample_m``.
+    Successive samples are ``way_m`` (m,) and ``step_s`` (m,) apart.
+
+    Let x and y be the true places at two samples, T the time between them, and v the largest speed, so
+    |x - y| <= v T. After the fraction w of T, the body is within v w T of x and within v (1 - w) T of y. So
+    it is off the point at w on the line from x to y by at most (w (1 - w) (v^2 T^2 - |x - y|^2))^(1/2).
+    This is largest for w = 1/2. The line from x to y is within ``sample_m`` (m,) of the line between the
+    samples. |x - y| is at least ``way_m`` - 2 ``sample_m``.
     """
     true_m = np.maximum(way_m - 2.0 * sample_m, 0.0)
     slack2 = np.maximum((most_mps * step_s) ** 2 - true_m**2, 0.0)
@@ -49,12 +51,13 @@ def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floa
 def joint_off_rad(
     slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample_rad: float
 ) -> Floats:
-    """Return (m,) the same for joints that turn evenly from sample to sample, the largest of all joints.
+    """Return how far (m,) joints may be from the lines between samples, as the largest value of all joints.
 
-    ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).
+    ``slope`` (m, j) are the mean speeds s, ``step_s`` (m,) the times T, ``most`` (j,) the largest speeds v.
 
-    A bound a on the acceleration gives a T^2/8. A bound v on the speed gives T (v^2 - s^2)/(2 v), with the
-    mean speed s: as fast as possible in one direction, then back.
+    If a = ``hardest`` bounds the acceleration, the distance is at most a T^2/8. Otherwise it is at most
+    T (v^2 - s^2)/(2 v), if the joint turns as fast as possible in one direction, then back. Both bounds grow
+    by ``sample_rad``.
     """
     if hardest is not None:
         return np.asarray(hardest * step_s**2 / 8.0 + sample_rad)
@@ -65,12 +68,13 @@ def joint_off_rad(
 def rate_off(
     slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample: float
 ) -> Floats:
-    """Return (m,) how far a joint's speed may be from its mean between samples, the largest of all joints.
+    """Return how far (m,) a joint's speed may be from its mean between samples; largest value of all joints.
 
-    ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).
+    ``slope`` (m, j) are the mean speeds s, ``step_s`` (m,) the times T, ``most`` (j,) the largest speeds v.
 
-    At the ends of T it is a T/2, since at worst the speed is a line about its mean. Both samples may be off
-    too.
+    If a = ``hardest`` bounds the acceleration, the difference is at most a T/2, since at worst the speed
+    changes evenly about its mean. Otherwise it is at most |s| + v. Both samples may be off by ``sample``,
+    which adds 2 ``sample`` / T.
     """
     off_by = 2.0 * sample / step_s
     if hardest is not None:
@@ -91,8 +95,8 @@ def over_ticks(
 
     A tick has the largest bound of all intervals that touch the period before or after it. An interval is
     lost if it is longer than ``longest_ns`` or ends at a ``frozen`` sample. The ticks within a lost interval
-    are lost. If a lost interval contains no tick, the tick before it is lost, as the way from a lost tick is
-    lost too. A tick with a sample between two lost intervals is lost as well.
+    are lost, since a lost tick also means that the motion to the next tick is unknown. If a lost interval
+    contains no tick, the tick before it is lost. So is a tick with a sample between two lost intervals.
 
     Args:
         time_ns: The times (m + 1,) of the samples since tick 0.
@@ -100,7 +104,7 @@ def over_ticks(
         longest_ns: The longest allowed gap.
         period_ns: The period of the ticks.
         count: The number of ticks.
-        frozen: (m + 1,) true for a sample that repeats the previous one. None: all false.
+        frozen: (m + 1,) true for a sample that repeats the previous one, or None if no sample does.
 
     """
     reached, bounded, lost = np.zeros(count), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
@@ -126,14 +130,14 @@ def over_ticks(
 
 
 def known_beyond_ns(longest_ns: int) -> int:
-    """Return how long before its first and after its last sample a thing is known."""
+    """Return the time before the first and after the last sample for which a body is still known."""
     return longest_ns // 2
 
 
 def beyond_end(away_ns: FloatOrFloats, *, most: float, sample: float, period_ns: int) -> FloatOrFloats:
-    """Return how far a thing may be at ticks ``away_ns`` from its first or last sample.
+    """Return how far a body may be from its first or last sample at ticks that are ``away_ns`` from it.
 
-    The tick beside the end is as far off as the sample can be from it, and so is its neighbour.
+    The bound at a tick also covers one more ``period_ns``, since it holds up to the next tick.
     """
     return most * (away_ns + period_ns) / 1e9 + sample
 
@@ -141,7 +145,10 @@ def beyond_end(away_ns: FloatOrFloats, *, most: float, sample: float, period_ns:
 def from_ends(
     reach: Reach, first_ns: int, last_ns: int, *, most: float, sample: float, longest_ns: int, period_ns: int
 ) -> Reach:
-    """Return the bounds with ticks before the first and after the last sample, up to half the longest gap."""
+    """Return ``reach`` with bounds up to half the longest gap before the first and after the last sample.
+
+    Ticks farther away become gaps.
+    """
     count, reached, gaps = len(reach.within), reach.within.copy(), list(reach.gaps)
     ticks = np.arange(count) * period_ns
     away_ns = np.maximum(first_ns - ticks, ticks - last_ns)

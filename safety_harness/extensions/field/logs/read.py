@@ -1,7 +1,7 @@
-"""LOG.yaml: the streams, their clocks, frames and units, and their uncertainties.
+"""The reader of LOG.yaml, which states the streams, their clocks, frames and units, and their uncertainties.
 
-The keys that a scenario has too (robot, settings, obstacles, claims) are read like a scenario's, when the
-trace is made.
+LOG.yaml also has keys of a scenario (robot, settings, obstacles, claims). The code that makes the trace reads
+these keys as in a scenario.
 """
 
 from __future__ import annotations
@@ -107,10 +107,10 @@ def read_log(path: str | Path, *, align: bool = False) -> CellLog:
 
     Args:
         path: The LOG.yaml.
-        align: True to read all of its hands, without a stated clock.
+        align: True to read the hands at all times, without a stated clock.
 
     Raises:
-        InputError: Any part of it cannot be used; the error has its place.
+        InputError: A part of the file cannot be used; the error has the place.
 
     """
     file = Path(path)
@@ -118,7 +118,7 @@ def read_log(path: str | Path, *, align: bool = False) -> CellLog:
 
 
 def said_in(file: Path) -> Field:
-    """Return the tree of a LOG.yaml before any of it is read; LogError for another file."""
+    """Return the unchecked tree of a LOG.yaml; raise LogError if ``file`` is of another kind."""
     refuse_other_kind(file, FileKind.LOG, error=LogError)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=LogError)
     text = decode(data, most=MAX_BYTES, file=file, error=LogError)
@@ -191,7 +191,7 @@ def log_of(tree: Field, *, name: str, align: bool = False) -> CellLog:
 
 @dataclass
 class _Reading:
-    """A reader of the streams that a file names, the joints first."""
+    """A reader of the streams that LOG.yaml names, which reads the joints first."""
 
     given: Fields
     streams: Fields
@@ -203,7 +203,7 @@ class _Reading:
         self.bodies_seen: set[str] = set()
 
     def joints(self) -> LogSamples:
-        """Return (n, 2 j) positions and velocities."""
+        """Return the positions and velocities (n, 2 j) of the joints."""
         source = self._source(self.streams.required("joints"))
         keys = said_of_joints(self.given)
         names = _names(keys.optional("names"), self.arm)
@@ -234,7 +234,7 @@ class _Reading:
         return joints_checked(with_frozen(samples, [*samples.values.T[: len(names), :, None]], keys), names)
 
     def with_facts(self, joints: LogSamples) -> tuple[LogSamples, JointFacts]:
-        """Check the joints against their facts; return both, with the joints' wraps removed."""
+        """Check the joints against the facts in LOG.yaml; return the joints, without wraps, and the facts."""
         facts = facts_of_joints(said_of_joints(self.given), self.arm)
         joints = noted_beyond_ends(the_short_way(joints, facts, self.arm), self.arm)
         refuse_jumping_joints(joints, facts, self.arm.joint_names)
@@ -255,7 +255,7 @@ class _Reading:
             joints: The joints, for the window of time.
             of_hands: The keys below "hands".
             ahead_ns: The lead of the hands' clock.
-            slack_ns: The time before and after the joints that is read too. None: all of it.
+            slack_ns: The time before and after the joints for which hands are read. None: all times.
 
         """
         window = (None, None)
@@ -306,7 +306,7 @@ class _Reading:
         return checked_tcp(samples, known_to_m, joints, facts, robot)
 
     def unused(self, bodies: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the unused parts of the files, without ``bodies``, which have their own notes."""
+        """Return the columns, topics and joints that no key uses, except ``bodies``, which have own notes."""
         seen, used = (
             {f"{item.file.name}#{name}" for item in self.sources for name in (item.seen, item.used)[k]}
             for k in range(2)
@@ -341,7 +341,7 @@ class _Reading:
         bound: SampleBound | None = None,
         speeds: Fields | None = None,
     ) -> LogSamples:
-        """Return the positions of a body in the base frame; ``keep`` samples without a position."""
+        """Return the positions of a body in the base frame; with ``keep`` also samples without a position."""
         source = self._source(field)
         width = 3 + (bound is not None) + 3 * (speeds is not None)
         collector = Collector(source, width, *window, least=2 - keep, unstamped_before=self._chooses_begin)
@@ -396,7 +396,7 @@ class _Reading:
         into.width = len(at)
         read_table(Table(*time, tuple(at)), into)
         samples = with_bounds(into.samples(), bound, speeds=speeds is not None)
-        samples.values[~samples.values.any(axis=1)] = np.nan  # zeros: what trackers write for not seen
+        samples.values[~samples.values.any(axis=1)] = np.nan  # trackers write zeros if they see no body
         gone = np.isnan(samples.values)
         half = gone.any(axis=1) & ~gone.all(axis=1)
         if keep and half.any():
@@ -410,15 +410,15 @@ class _Reading:
         return replace(samples, values=product(samples.values, transform[:3, :3].T) + transform[:3, 3])
 
     def _saw(self, source: LogSource, mapped: str, bodies: set[str]) -> None:
-        """Record a stream's body, and all bodies of its messages or columns, by the names of streams."""
+        """Record that a stream uses the body ``mapped``, and that its messages or columns show ``bodies``."""
         links = {f"/tf:{name}" for name in self.arm.link_names}
         self.mapped.add(f"{source.file.name}#{mapped}")
         self.bodies_seen |= {f"{source.file.name}#{body}" for body in bodies - links}
 
     def neither(self, of_hands: Fields, bodies: tuple[Body, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the unmapped bodies: those that the file leaves out, and those without a statement.
+        """Return the unmapped bodies that LOG.yaml leaves out, and those that it does not mention.
 
-        Elbows are left out where the file states that a forearm is not measured.
+        Elbows count as left out if LOG.yaml states that a forearm is not measured.
         """
         beside, field = sorted(self.bodies_seen - self.mapped), of_hands.optional("left out")
         items = () if field is None else field.items("streams that no hand is in, such as hands.csv#marker")
@@ -430,7 +430,7 @@ class _Reading:
         return tuple(sorted(left)), tuple(name for name in beside if name not in left)
 
     def _to_base(self, source: LogSource, frame: Field | None) -> ToBase:
-        """Return the transform of a bag's positions to the base frame."""
+        """Return the transform from the frame of a bag's positions to the base frame."""
         base = self.arm.link_names[0]
         seat = self.arm.transform_seat
         if frame is None:
@@ -455,7 +455,7 @@ class _Reading:
 
     @property
     def _chooses_begin(self) -> bool:
-        """Does the file choose the beginning of the log?"""
+        """Return whether LOG.yaml chooses the beginning of the log."""
         return "from" in self.streams
 
     def _seconds(self, key: str) -> float | None:
@@ -464,7 +464,7 @@ class _Reading:
 
 
 def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
-    """Return the log's names of the arm's joints, in their order."""
+    """Return the log's names of the joints, in the arm's order."""
     if field is None:
         return arm.joint_names
     keys = field.fields(arm.joint_names)
@@ -480,7 +480,7 @@ def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
 
 
 def _period_ns(streams: Fields, joints: LogSamples) -> int:
-    """Return the stated period, or the joints' median interval, rounded to a tenth of a millisecond."""
+    """Return the period [ns] in LOG.yaml, or else the joints' median interval, rounded to 0.1 ms."""
     field = streams.optional("period")
     if field is not None:
         return round(field.quantity(TIME, least=SHORTEST_PERIOD_NS / NS, most=LONGEST_PERIOD_NS / NS) * NS)
@@ -490,7 +490,7 @@ def _period_ns(streams: Fields, joints: LogSamples) -> int:
 
 
 def _is_of_rtde(keys: Fields, source: LogSource) -> bool:
-    """Is it the table of UR's recorder? LogError for a bag, which cannot be one."""
+    """Return whether ``source`` is a table of UR's recorder; raise LogError if it is stated for a bag."""
     field = keys.optional(FORMAT)
     if field is not None and field.one_of({"rtde": True}) and source.is_bag:
         raise field.error("a table of the UR recorder", got=source.name)
@@ -506,6 +506,6 @@ def _time_text(field: Field | None) -> str | None:
 
 
 def _time(keys: Fields) -> str:
-    """Return the clock of a bag: the stamp of each message, or the time of its receipt."""
+    """Return which times of a bag's messages are used: their stamps, or their times of receipt."""
     field = keys.optional("time")
     return STAMP if field is None else field.one_of({clock: clock for clock in (STAMP, RECEIVED)})

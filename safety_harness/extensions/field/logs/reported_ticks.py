@@ -1,7 +1,7 @@
-"""A controller's reports at the ticks of a trace: each report stands until the next one.
+"""The controller's reports at the ticks of a trace, each of which is valid until the next report.
 
-Stamps have an uncertainty, so at a tick every report counts that may stand then. The uncertainty of a number
-covers the farthest of them. Any other value has a gap where they differ.
+Because stamps are uncertain, several reports may be valid at a tick. The uncertainty of a number covers all
+these reports. A value that is no number has a gap where these reports differ.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ NEAREST, TCP = "predicted_distance_m", "transform_tcp_to_base"
 
 
 def with_reports(trace: Trace, log: CellLog, columns: dict[str, Measurement]) -> Trace:
-    """Return ``trace``, which has TCP and hands, with the reports; add their measurements to ``columns``."""
+    """Return ``trace`` with the reports, and add the accuracy of the reports to ``columns``.
+
+    ``trace`` must already have the TCP and the hands.
+    """
     reports, ticks = log.told, trace.ticks.copy()
     for name, stream in (("mode", reports.mode), ("limits", reports.limits)):
         if stream is not None:
@@ -60,7 +63,10 @@ def with_reports(trace: Trace, log: CellLog, columns: dict[str, Measurement]) ->
 
 @dataclass(frozen=True, eq=False)
 class _Standing:
-    """For each tick (n,): the standing report, the first and last that may stand, and whether any does."""
+    """For each tick (n,): the valid report ``at`` it, and the ``first`` and ``last`` that may be valid.
+
+    ``known`` is false where no report is valid.
+    """
 
     at: NDArray[np.int64]
     first: NDArray[np.int64]
@@ -68,15 +74,15 @@ class _Standing:
     known: Truths
 
     def same(self, values: Floats) -> Truths:
-        """Return (n,) true where all reports that may stand have the same ``values`` (k, c)."""
+        """Return the ticks (n,) at which all reports that may be valid have the same ``values`` (k, c)."""
         changes = (np.diff(values, axis=0) != 0.0) & ~(np.isnan(values[1:]) & np.isnan(values[:-1]))
         kept = np.concatenate([[0], np.cumsum(changes.any(axis=1))])
         return np.asarray(self.known & (kept[self.first] == kept[self.last]))
 
     def off_by(self, values: Floats, *, each: bool = False) -> Floats:
-        """Return (n,) how far any report that may stand is from the standing report.
+        """Return how far (n,) the reports that may be valid at a tick are from the report ``at`` the tick.
 
-        This is a distance, or the largest difference of any number with ``each``.
+        This is a Euclidean distance, or with ``each`` the largest difference of a single number.
         """
         farthest = np.zeros(len(self.at))
         for step in range(int((self.last - self.first).max(initial=0)) + 1):
@@ -90,7 +96,7 @@ class _Standing:
         return tuple(Gap(first=int(a), after=int(b)) for a, b in zip(*runs_of(~known), strict=True))
 
     def either_gaps(self, codes: Floats) -> tuple[Gap, ...]:
-        """Return the gaps of ``codes`` (k, 1): where no report stands, and where any of several may."""
+        """Return the gaps of ``codes`` (k, 1): ticks without a valid report, and ticks with several codes."""
         gaps = [Gap(first=gap.first, after=gap.after) for gap in self.gaps(self.known)]
         for gap in self.gaps(self.same(codes) | ~self.known):
             ticks = slice(gap.first, gap.after)
@@ -100,9 +106,9 @@ class _Standing:
 
 
 def _standing(stream: ReportedStream, log: CellLog, *, passed_too: bool = False) -> _Standing:
-    """Return the standing reports.
+    """Return the reports that are valid at the ticks.
 
-    With ``passed_too``, reports that came and went since the previous tick may stand as well.
+    With ``passed_too``, the possible reports include those that came and went since the previous tick.
     """
     tick_ns = np.arange(log.ticks, dtype=np.int64) * log.period_ns + log.origin_ns
 
@@ -121,7 +127,7 @@ def _standing(stream: ReportedStream, log: CellLog, *, passed_too: bool = False)
 
 
 def _track(trace: Trace, log: CellLog, ticks: NDArray[np.void], columns: dict[str, Measurement]) -> None:
-    """Add the reported hands, one per track, and the distance of the nearest to the TCP."""
+    """Add the reported hands, one per track, and the distance from the TCP to the nearest of them."""
     most = ticks["track_valid"].shape[1]
     if len(log.told.tracks) > most:
         field = log.said.fields(tuple(key for key, _ in log.said.entries("a log"))).required("log")
@@ -153,7 +159,7 @@ def _decided(
     ticks: NDArray[np.void],
     columns: dict[str, Measurement],
 ) -> NDArray[np.void]:
-    """Return the decisions, each at the tick nearest to its stamp; LogError for two at one tick."""
+    """Return the decisions, each at the tick nearest to its stamp; raise LogError for two at one tick."""
     since_ns = stream.time_ns - log.origin_ns
     number = (since_ns + log.period_ns // 2) // log.period_ns
     inside = np.flatnonzero((number >= 0) & (number < log.ticks))
@@ -182,7 +188,7 @@ def _decided(
         decisions[FIELDS[name]] = values if width > 1 else values[:, 0]
         known[FIELDS[name]] = Measurement(source=Source.LOG)
         first += width
-    if "hand" in reports.fields:  # which the avoider was asked about then
+    if "hand" in reports.fields:  # the place of the hand when the avoider was asked
         decisions["asked_tick"], known["asked_tick"] = tick, Measurement(source=Source.LOG)
     if "proposed" in reports.fields:
         nowhere = ~np.isfinite(decisions[FIELDS["proposed"]]).all(axis=1)
@@ -203,7 +209,7 @@ def _decided(
 
 
 def _moved(ticks: NDArray[np.void], column: str) -> float:
-    """Return the largest motion of joints or TCP in a tick: a decision's stamp may be half a tick off."""
+    """Return the largest motion of joints or TCP in a tick, as a decision's stamp may be half a tick off."""
     values = ticks[column] if column != TCP else ticks[column][:, :3, 3]
     steps = np.linalg.norm(np.diff(values, axis=0), axis=1)
     return float(np.nanmax(steps, initial=0.0))

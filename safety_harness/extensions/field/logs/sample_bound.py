@@ -1,4 +1,4 @@
-"""A tracker's own uncertainty of each sample of a body, where the log has it beside the sample."""
+"""The uncertainty that a tracker states beside each sample of a body."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import NUMBER
 
 KEYS = ("field", "times")
-COVARIANCES = (9, 36)  # of a position, or of a pose, row by row
+COVARIANCES = (9, 36)  # counts of numbers in the covariance of a position, or of a pose, row by row
 
 
 @dataclass(frozen=True)
 class SampleBound:
-    """The ``field`` of a sample with its uncertainty; no sample is off by more than ``times`` as much."""
+    """The ``field`` with the uncertainty of each sample; the error is at most ``times`` the uncertainty."""
 
     field: str
     times: float | None
     said: Field
 
     def reach_m(self, numbers: Sequence[float]) -> float:
-        """Return how far off a sample may be, by a radius, half a box's sides or a covariance; NaN without.
+        """Return the largest error of a sample, from the ``numbers`` of its field; NaN if it is unknown.
 
-        For a box it is the distance to its corner, for a covariance ``times`` its largest standard deviation.
-        A tracker writes a covariance of zeros if it does not know it. Raise LogError for another count of
-        numbers.
+        The numbers are a radius, half the sides of a box, or a covariance. The error is ``times`` the radius,
+        the distance to the box's corner, or the covariance's largest standard deviation. A covariance of
+        zeros means unknown. Raise LogError for another count of numbers.
         """
         values = np.array(numbers, np.float64)
         if len(values) in COVARIANCES:
@@ -50,7 +50,7 @@ class SampleBound:
 
 
 def sample_bound(known: Field) -> SampleBound:
-    """Return the bound from ``{field: NAME, times: 4}``; LogError with its place for invalid values."""
+    """Return the bound from ``{field: NAME, times: 4}``; raise LogError with the place for invalid values."""
     given = known.fields(KEYS)
     times = given.optional("times")
     return SampleBound(

@@ -1,9 +1,9 @@
-"""One stream of a log: its file and its part of it, and its samples with their places.
+"""The streams of a log: the part of a file that each stream is, and its samples with their places.
 
-A stream is written ``FILE`` or ``FILE#WHAT``. In a table (CSV, Parquet), WHAT is the beginning of its
-columns' names. In a bag (MCAP, ROS) it is a topic, ``/poses``, with ``[2]`` for one of several and ``:path``
-for a field within. Times have nanoseconds on the stream's own clock. The reader does not sort, drop or repair
-samples.
+LOG.yaml names a stream as ``FILE`` or ``FILE#WHAT``. In a table (CSV, Parquet), WHAT is the beginning of the
+columns' names. In a bag (MCAP, ROS) WHAT is a topic such as ``/poses``. ``[2]`` after it selects one of
+several poses, and ``:path`` a field of the messages. Times are nanoseconds on the stream's own clock. The
+reader does not sort, drop or repair samples.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import shown
 
 MOST_SAMPLES = 4_000_000  # of one stream within the window: 400 MB of joints
-SHORTEST_STEP_NS = 1_000  # samples nearer in time have one time
+SHORTEST_STEP_NS = 1_000  # samples that are nearer in time count as simultaneous
 NS = 1e9
-LATEST_S = 3e9  # of a clock, or a time that is said: nanoseconds have room for three of them
+LATEST_S = 3e9  # the latest time of a clock or statement; 64 bits of nanoseconds hold three times as much
 _TOPIC = re.compile(r"(?P<topic>/[^\[\]:]*)(?:\[(?P<index>[0-9]{1,4})\])?(?::(?P<path>.+))?")
 TABLES, BAGS = (".csv", ".parquet"), (".mcap", ".db3", ".bag")
 
 
 @dataclass(frozen=True)
 class LogSource:
-    """A stream's file and its part of the file; ``place`` is the place of that statement.
+    """The file of a stream and its part ``what`` of the file, as stated at ``place`` in LOG.yaml.
 
-    ``seen`` are the columns, topics and joints that its reader met, ``used`` those that it read.
+    ``seen`` are the columns, topics and joints in the file, and ``used`` are those that the reader used.
     """
 
     file: Path
@@ -59,29 +59,29 @@ class LogSource:
 
     @property
     def is_bag(self) -> bool:
-        """Is it an MCAP file or a bag of ROS, rather than a table?"""
+        """Return whether the file is an MCAP file or a ROS bag, and not a table."""
         return bool(self.topic)
 
     @property
     def counts(self) -> str:
-        """The unit that numbers its places."""
+        """The word for a numbered place in the file: message, line or row."""
         return "message" if self.is_bag else "line" if self.ending == ".csv" else "row"
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that it reads; for a folder, all files in it."""
+        """The file of the stream, or all files if it is a folder."""
         if self.file.is_dir():
             return tuple(sorted(file for file in self.file.iterdir() if file.is_file()))
         return (self.file,)
 
 
 def read_source(stream: Field) -> LogSource:
-    """Return the stream that a text names; LogError for a missing file, or a kind that cannot be read."""
+    """Return the stream that a text names; raise LogError if its file is missing or of an unknown kind."""
     text = stream.scalar("a stream: FILE.csv, FILE.parquet#right_hand or FILE.mcap#/topic").strip()
     parent = stream.file.parent if stream.file else Path()
     ends = [at for at, letter in enumerate(text) if letter == "#"]
     splits = [(text[:at], text[at + 1 :]) for at in ends] or [(text, "")]
-    # a file whose own name has a "#" counts as that file, where it is there
+    # if a file exists whose own name has a "#", the text means this file
     there = [pair for pair in ((text, ""), *reversed(splits)) if pair[0] and (parent / pair[0]).exists()]
     name, part = (there or splits)[0]
     file = located(parent / name, stream.place)
@@ -119,10 +119,10 @@ class LogSamples:
         time_ns: (n,) the times on its own clock.
         values: (n, k) in SI, NaN where missing.
         at: (n,) the line, row or message of each sample.
-        known_to_m: (n,) the uncertainty of each sample, NaN where missing. None: the log has no such numbers.
-        speeds_mps: (n, 3) the speeds beside the positions. None: the log has none.
-        frozen: (n,) true where a sample repeats the previous one although the stream has noise. None:
-            nowhere.
+        known_to_m: (n,) the uncertainty of each sample, NaN where missing, or None if the log has none.
+        speeds_mps: (n, 3) the speeds beside the positions, or None if the log has none.
+        frozen: (n,) true where a sample repeats the previous one although the stream has noise, or None if
+            no sample does.
         notes: Notes on omitted parts.
         span_ns: First and last time of the whole stream, beyond the window too.
 
@@ -144,7 +144,7 @@ class LogSamples:
 
     @property
     def measured(self) -> LogSamples:
-        """The samples without frozen ones."""
+        """The samples that are not frozen."""
         return self if self.frozen is None else self.chosen(~self.frozen)
 
     def place(self, index: int) -> Place:
@@ -156,11 +156,11 @@ class LogSamples:
         return Place(file=self.source.file, field=field)
 
     def error(self, index: int, expected: str, got: str, hint: str = "") -> LogError:
-        """Return a LogError at one sample."""
+        """Return a LogError with the place of the sample ``index``."""
         return LogError(place=self.place(index), expected=expected, got=got, hint=hint)
 
     def shifted(self, by_ns: int) -> LogSamples:
-        """Return the samples on a clock that shows ``by_ns`` more."""
+        """Return the samples with ``by_ns`` added to all times."""
         return replace(self, time_ns=self.time_ns + by_ns)
 
     def chosen(self, there: NDArray[np.bool_]) -> LogSamples:
@@ -172,18 +172,18 @@ class LogSamples:
 
 @dataclass
 class Collector:
-    """A collector of samples from ``begin_ns`` to ``end_ns``; LogError for too many."""
+    """A collector of samples from ``begin_ns`` to ``end_ns``, which raises LogError for too many samples."""
 
     source: LogSource
     width: int
     begin_ns: int | None = None
     end_ns: int | None = None
-    begin: Callable[[int], list[int | None]] | None = None  # the window, by the first time
+    begin: Callable[[int], list[int | None]] | None = None  # returns the window for the first time
     least: int = 2
     unstamped_before: bool = False  # may samples before the window lack a valid time?
-    notes: list[str] = field(default_factory=list)  # on what was left out
-    bodies: set[str] = field(default_factory=set)  # all that its messages show, as streams name them
-    frames: set[str] = field(default_factory=set)  # of its messages in which the stream's is not
+    notes: list[str] = field(default_factory=list)  # on omitted samples
+    bodies: set[str] = field(default_factory=set)  # all bodies in the messages, by the names of streams
+    frames: set[str] = field(default_factory=set)  # in the messages that lack the stream's own frame
     _time: array[int] = field(default_factory=lambda: array("q"))
     _values: array[float] = field(default_factory=lambda: array("d"))
     _at: array[int] = field(default_factory=lambda: array("q"))
@@ -193,7 +193,7 @@ class Collector:
     _unstamped: int = 0
 
     def unstamped(self, refused: LogError) -> None:
-        """Count a sample without a valid time; raise ``refused`` unless it may stand before the window."""
+        """Count a sample without a valid time; raise ``refused`` unless it may precede the window."""
         if not self.unstamped_before or self._time:
             raise refused
         self._unstamped += 1
@@ -221,7 +221,7 @@ class Collector:
         self._at.append(at)
 
     def samples(self) -> LogSamples:
-        """Return the collected samples; LogError for fewer than ``least``, or for times that do not rise."""
+        """Return the samples; raise LogError for fewer than ``least``, or for times that do not rise."""
         n = len(self._time)
         read = LogSamples(
             self.source,
@@ -242,7 +242,7 @@ class Collector:
         return read if n == 0 else replace(read, span_ns=(int(self._first_ns), int(self._last_ns)))
 
     def _elsewhere(self) -> str:
-        """Return a hint: the samples' times outside the window, or the frames besides the stream's own."""
+        """Return a hint if there are no samples: the times outside the window, or the messages' frames."""
         if not self.seen and self.frames:
             names = sorted(self.frames)
             meant = near_miss(self.source.path.lstrip("/"), names)

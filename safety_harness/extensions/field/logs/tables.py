@@ -1,7 +1,7 @@
-"""Streams from tables, CSV and Parquet, by row: columns by the start of their names and a unit at the end.
+"""The reader of streams in tables (CSV, Parquet), whose columns are named by track, axis and unit.
 
-``right_hand_x_mm`` is the x of the track ``right_hand`` in millimetres. A column without a unit at its end
-needs a stated unit for the whole stream. An empty cell, or NaN, is an unmeasured sample.
+For example, ``right_hand_x_mm`` is the x of the track ``right_hand`` in millimetres. If a column's name has
+no unit, LOG.yaml must state the unit of the whole stream. An empty cell or NaN is an unmeasured sample.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ RATE_UNITS = {"radps": 1.0, "degps": math.pi / 180.0}
 _TIME_HINT = (
     'the key "time" states another column, such as: stamp in ns; without times, hands: {rate: 120 Hz}'
 )
-_EXACT_BELOW = 1e6  # in a unit of time, up to which a float has enough digits for a nanosecond
+_EXACT_BELOW = 1e6  # as a float, a smaller number of any unit of time has enough digits for nanoseconds
 
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table with its unit in SI, or with the numbers of its ``words``."""
+    """A column of a table with its unit in SI, or with ``words`` that map its texts to numbers."""
 
     name: str
     si: float
@@ -62,7 +62,7 @@ class Table:
 
 
 def header_of(source: LogSource) -> tuple[str, ...]:
-    """Return the names of a table's columns; LogError for a file without them."""
+    """Return the names of a table's columns; raise LogError if the file has none."""
     if source.ending == ".parquet":
         with _parquet(source) as file:
             names = tuple(file.schema_arrow.names)
@@ -86,12 +86,12 @@ def time_column(
     Args:
         source: The table.
         names: The names of its columns.
-        stated: The column in LOG.yaml. None: ``time_s`` and the like.
-        rate_hz: The rate of a table without times: then the name is empty, and the unit is the time per row.
-            None: the table has times.
+        stated: The time column in LOG.yaml, or None for a column such as ``time_s``.
+        rate_hz: The rate of a table without times, or None if the table has times. With a rate, the returned
+            name is empty, and the unit is the time per row.
 
     Raises:
-        LogError: No column fits, several do, or a table with a rate has times.
+        LogError: No column fits, several columns fit, or a table with a rate has times.
 
     """
     if rate_hz is not None:
@@ -131,15 +131,15 @@ def optional_column(
     *,
     bare: bool = True,
 ) -> TableColumn | None:
-    """Return the column called ``stem`` plus a unit, or ``stem`` alone with a stated unit; None without one.
+    """Return the column ``stem`` plus a unit, or ``stem`` with a stated unit; None if there is none.
 
     Args:
         source: The table.
         names: The names of its columns.
         stem: The beginning of the name.
         units: The possible units in SI.
-        unit: The stated unit. None: no statement.
-        bare: True if ``stem`` alone without a unit is an error. False: it belongs to another quantity.
+        unit: The unit that LOG.yaml states, or None.
+        bare: True if a column ``stem`` without a unit is an error. Otherwise it is another quantity.
 
     """
     matches = [TableColumn(name, si) for item, si in units.items() if (name := f"{stem}_{item}") in names]
@@ -156,7 +156,7 @@ def optional_column(
 def required_column(
     source: LogSource, names: Sequence[str], stem: str, units: dict[str, float], unit: str | None
 ) -> TableColumn:
-    """Return the column as ``optional_column`` does; LogError if it is missing."""
+    """Return the column as ``optional_column`` does; raise LogError if it is missing."""
     column = optional_column(source, names, stem, units, unit)
     if column is None:
         wanted = [f"{stem}_{ending}" for ending in units]
@@ -166,14 +166,14 @@ def required_column(
 
 
 def along(track: str, axis: str) -> str:
-    """Return the beginning of a track's column; for a track without a name it is the axis."""
+    """Return the name of a track's column for ``axis``, without its unit; the track's name may be empty."""
     return f"{track}_{axis}" if track else axis
 
 
 def tracks_of(header: tuple[str, ...], *, bare: bool) -> set[str]:
-    """Return the names of all tracks of a table: x, y and z in a unit of length, or without one if ``bare``.
+    """Return the names of all tracks in a table, from columns for x, y and z in the same unit of length.
 
-    The name is empty for columns x, y and z alone.
+    With ``bare``, columns without a unit also make a track. Columns x, y and z make a track without a name.
     """
     ends = (*(f"_{unit}" for unit in LENGTH_UNITS), *[""] * bare)
     stems = {(name[: -len(f"_x{end}")], end) for name in header for end in ends if name.endswith(f"_x{end}")}
@@ -182,7 +182,7 @@ def tracks_of(header: tuple[str, ...], *, bare: bool) -> set[str]:
 
 
 def only_track(source: LogSource, header: tuple[str, ...]) -> str:
-    """Return the one track of a table."""
+    """Return the only track of a table; raise LogError if there is no track or if there are several."""
     tracks = sorted(tracks_of(header, bare=True))
     if len(tracks) != 1:
         got = ", ".join(tracks) or f"the columns {', '.join(header)}"
@@ -192,7 +192,7 @@ def only_track(source: LogSource, header: tuple[str, ...]) -> str:
 
 
 def read_table(table: Table, collector: Collector) -> None:
-    """Pass every row to ``collector``; LogError with line or row for a cell that is no number."""
+    """Add every row to ``collector``; raise LogError with the line or row of a cell that is no number."""
     source = collector.source
     wanted = tuple(col.name for col in table.columns if col is not None)
     wanted = (table.time, *wanted) if table.time else wanted
@@ -202,7 +202,7 @@ def read_table(table: Table, collector: Collector) -> None:
     for at, cells in _parquet_cells(source, table, wanted) if parquet else _csv_cells(source, wanted):
         rest, first = iter(cells), at if first is None else first
         try:
-            since = round((at - first) * table.time_ns)  # a line without cells is a sample that was lost
+            since = round((at - first) * table.time_ns)  # an empty line is a sample that was lost
             time_ns = _time(next(rest), table, source, at) if table.time else since
         except LogError as refused:
             collector.unstamped(refused)
@@ -236,7 +236,7 @@ def _csv_cells(source: LogSource, wanted: Sequence[str]) -> Iterator[tuple[int, 
 def _parquet_cells(
     source: LogSource, table: Table, wanted: Sequence[str]
 ) -> Iterator[tuple[int, Sequence[Any]]]:
-    """Yield the same as ``_csv_cells``, with the numbers of rows."""
+    """Yield each row's number, and its cells in the ``wanted`` columns."""
     with _parquet(source) as file:
         _refuse_types(source, file.schema_arrow, table)
         row = 0
@@ -248,7 +248,7 @@ def _parquet_cells(
 
 
 def _refuse_types(source: LogSource, schema: Any, table: Table) -> None:
-    """Raise LogError for a Parquet column without numbers that would pass for numbers."""
+    """Raise LogError for a Parquet column of truths or times, which would be read as numbers."""
     columns = [column.name for column in table.columns if column is not None and column.words is None]
     for name in [*[table.time] * bool(table.time), *columns]:
         kind = str(schema.field(name).type)
@@ -258,14 +258,14 @@ def _refuse_types(source: LogSource, schema: Any, table: Table) -> None:
 
 
 def as_word(cell: object) -> str:
-    """Return a program's word, or the number in its place, in the form of a table of words."""
+    """Return a program's word, or the number that it sends instead, as the text in a table of words."""
     if isinstance(cell, float) and cell.is_integer():
         return str(int(cell))
     return "" if cell is None else str(cell).strip()
 
 
 def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
-    """Return a time in nanoseconds, from decimal digits where a float has too few."""
+    """Return a time in nanoseconds, computed from the decimal digits if a float has too few."""
     try:
         value = float(cell)
         if isinstance(cell, str) and "_" in cell:
@@ -286,7 +286,7 @@ def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
 
 
 def _cell(cell: Any, col: TableColumn, source: LogSource, at: int) -> float:
-    """Return a number in SI, NaN for an empty cell."""
+    """Return the number of a cell in SI, the number of its word, or NaN if the cell is empty."""
     if col.words is not None:
         term = as_word(cell)
         if term not in col.words:
@@ -309,7 +309,7 @@ def _cell(cell: Any, col: TableColumn, source: LogSource, at: int) -> float:
 
 
 def _separator(path: Path) -> str:
-    """Return the separator of a CSV file's cells by its line of names; several spaces count as one."""
+    """Return the separator of cells in the line of names of a CSV file; several spaces count as one."""
     with path.open("rb") as data:
         names = data.readline(MOST_NAMES_BYTES).decode("utf-8-sig", "replace").strip()
     unquoted = re.sub(r'"[^"]*"', "", names)
@@ -319,7 +319,7 @@ def _separator(path: Path) -> str:
 
 @contextmanager
 def _rows(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
-    """Yield the rows of a CSV file with their lines, lazily."""
+    """Yield an iterator of (line number, cells) that reads the rows of a CSV file one by one."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as text:
             sep = _separator(path)
@@ -358,7 +358,7 @@ def _parquet(source: LogSource) -> Iterator[Any]:
             yield file
     except LogError:
         raise
-    except Exception as error:  # whatever damage provokes
+    except Exception as error:  # a damaged file may raise anything
         place = Place(file=source.file)
         raise LogError(
             place=place, expected="a Parquet file, whole", got=f"{type(error).__name__}: {error}"

@@ -1,4 +1,4 @@
-"""The log's own TCP, against its joints through the arm and tool in its file."""
+"""The check of a log's own TCP against the TCP that follows from its joints, arm and tool."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from safety_harness.extensions.field.logs.reach import joint_off_rad
 from safety_harness.extensions.field.logs.streams import NS, LogSamples
 from safety_harness.scenario.robots import AnyRobot
 
-TURNED_RAD = np.radians(5.0)  # a zero position that is so far off has to show
-POSES_TURNED = 16  # of the log, at which that is tried
+TURNED_RAD = np.radians(5.0)  # a zero position that is wrong by this much has to be detected
+POSES_TURNED = 16  # the number of poses in the log at which this is tested
 HINT = "another arm, tool, zero position, sign, unit or frame? a UR controller's is turned by 180 deg about z"
 
 
 def checked_tcp(
     tcp: LogSamples, known_to_m: float, joints: LogSamples, facts: JointFacts, robot: AnyRobot
 ) -> TcpCheck:
-    """Compare every sample of ``tcp`` with the TCP by the joints; LogError for the first contradiction.
+    """Compare all samples of ``tcp`` with the TCP that the joints determine; raise LogError if they differ.
 
-    Between two joint samples, the tolerance covers the angle that the joints may turn in between.
+    Between two samples of the joints, the tolerance covers all angles that the joints may have reached.
     """
     arm = arm_model(robot)
     time_s, tcp_s = ((stream.time_ns - joints.time_ns[0]) / NS for stream in (joints, tcp))

@@ -1,1 +1,1 @@
-"""Claims on a cell that runs: samples in, one after another, verdicts out."""
+"""The monitor: it judges claims on a live cell from one sample after another."""

@@ -1,4 +1,4 @@
-"""The watched cell: the content of a LOG.yaml beside its streams, which a monitor does not open."""
+"""The watched cell: everything that a LOG.yaml states, except its streams, which a monitor does not open."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ TAKEN_OF_JOINTS = "joints: {known to: 0.1 deg, accelerate at most: 40 rad/s2, lo
 TAKEN_OF_HANDS = """\
 clock: {hands are ahead by: 0 ms, known to: 5 ms}
 hands: {forearm: measured, longest gap: 200 ms, moves at most: 2 m/s, known to: 20 mm}
-"""  # where no LOG.yaml says it; the speed is a reaching hand's, ISO 13855
+"""  # assumed without a LOG.yaml; 2 m/s is the speed of a reaching hand (ISO 13855)
 NO_HANDS = HandFacts(known_to_m=0.0, moves_at_most_mps=0.0, longest_gap_s=0.2)
 
 
 @dataclass(frozen=True)
 class WatchedHand:
-    """A hand's name, and whether its elbow is measured, or it has no forearm."""
+    """A hand's ``name``, whether the stream measures its ``elbow``, and whether it has a ``forearm``."""
 
     name: str
     elbow: bool
@@ -60,7 +60,11 @@ class WatchedHand:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WatchedCell:
-    """Arm and settings (of ``scenario``), hands by name, and how well all are known, as for a log."""
+    """A cell that a monitor watches, without its data.
+
+    ``scenario`` has the arm, settings and claims, and ``said`` is the LOG.yaml. The other fields state the
+    hands and the accuracy of the data, as for a log.
+    """
 
     said: Field
     scenario: Scenario
@@ -78,11 +82,11 @@ class WatchedCell:
 
     @property
     def period_s(self) -> float:
-        """Return the time from tick to tick."""
+        """Return the time [s] from one tick to the next."""
         return self.period_ns / NS
 
     def log_text(self, joints: str, hands: Sequence[str], claims: Sequence[str]) -> str:
-        """Return the LOG.yaml of ``joints`` and ``hands``, tables of the samples, judged by ``claims``."""
+        """Return the text of a LOG.yaml with ``claims`` for the sample tables ``joints`` and ``hands``."""
         tree = _tree_of(self.said.node)
         assert isinstance(tree, dict)
         file = log_file(self.said)
@@ -113,15 +117,15 @@ class WatchedCell:
 
 
 def read_cell(path: Path, claims: Sequence[str] = ()) -> WatchedCell:
-    """Return the cell of a LOG.yaml, whose streams are not opened; ``claims`` replace its own.
+    """Return the cell that a LOG.yaml describes, without opening its streams.
 
-    InputError has the place of a mistake.
+    ``claims`` replace the claims of the file. A mistake in the file raises InputError with its place.
     """
     return _cell_of(said_in(path), claims)
 
 
 def cell_taken(robot: str, hands: Sequence[str], period: str, claims: Sequence[str]) -> WatchedCell:
-    """Return a cell with the uncertainties of ``assumptions_of``."""
+    """Return a cell without a LOG.yaml, with the uncertainties that ``assumptions_of`` states."""
     streams = ", ".join(f"{scalar_text(name)}: none" for name in hands)
     streams = f"hands: {{{streams}}}, " if hands else ""
     text = f"log: {{joints: none, {streams}period: {scalar_text(period)}}}\n"
@@ -130,7 +134,7 @@ def cell_taken(robot: str, hands: Sequence[str], period: str, claims: Sequence[s
 
 
 def assumptions_of(hands: Sequence[str]) -> str:
-    """Return the assumptions about joints and hands without a LOG.yaml."""
+    """Return the text of the assumptions about joints and ``hands`` that replace a LOG.yaml."""
     return TAKEN_OF_JOINTS + TAKEN_OF_HANDS * bool(hands)
 
 
@@ -185,7 +189,7 @@ def _hands(field: Field, forearm: Field) -> tuple[WatchedHand, ...]:
 
 
 def _scenario(given: Fields, period_s: float, document: Field) -> Scenario:
-    """Return arm, settings and claims as a scenario."""
+    """Return a scenario with the arm, obstacles, settings and claims of the LOG.yaml in ``given``."""
     robot = given.optional("robot")
     arm = arm_model(read_robot(robot, {})) if robot is not None else None
     start: Tree = ["0 deg"] * (len(arm.joint_names) if arm else 6)
@@ -205,7 +209,7 @@ def _scenario(given: Fields, period_s: float, document: Field) -> Scenario:
 
 
 def _seen_from_anywhere(robot: Tree, folder: Path) -> Tree:
-    """Return a robot as a file in another folder has to name it."""
+    """Return the key ``robot`` with paths that include ``folder``, for a LOG.yaml in another folder."""
     if isinstance(robot, str):
         text = robot.strip('"')
         return (

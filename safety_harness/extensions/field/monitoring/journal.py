@@ -1,9 +1,9 @@
-"""The monitor's own log: tables of the samples that it used, and a LOG.yaml, in folders of bounded size.
+"""The monitor's own log: folders of bounded size, each with tables of the used samples and a LOG.yaml.
 
     OUT/0001/{LOG.yaml, joints.csv, hand-1.csv}, OUT/0002/...
 
-Each row is written at once and whole, so that the log can be judged after a kill.  A new folder begins with
-the latest samples of the folder before, so that the way between them is in one of both.
+The journal writes each row whole, as soon as it comes, so ``judge`` can read the log of a killed process.  A
+new folder begins with the last sample of each table, so that no motion between two samples is missing.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ JOINTS = "joints.csv"
 
 @dataclass(kw_only=True)
 class Journal:
-    """Writes below ``folder``, at most ``most_bytes`` a part, and keeps the last ``keep`` parts.
+    """A writer of the monitor's log below ``folder``.
 
-    OutputError for a folder with parts in it, or a folder that cannot be written.
+    Each part is a folder of at most ``most_bytes``; the journal deletes all but the last ``keep`` parts. It
+    raises OutputError if ``folder`` is not empty or cannot be written.
     """
 
     cell: WatchedCell
@@ -47,25 +48,25 @@ class Journal:
     def joints(
         self, time_ns: int, position_rad: Sequence[float], rates_radps: Sequence[float] | None
     ) -> None:
-        """Write a sample of the joints."""
+        """Write one sample of the joints, with their speeds if the cell states the accuracy of speeds."""
         known = self.cell.joint_facts.speeds_known_to_radps is not None
         self._write(JOINTS, time_ns, (*position_rad, *((rates_radps or ()) if known else ())))
 
     def hand(self, name: str, time_ns: int, hand_m: Place, elbow_m: Place) -> None:
-        """Write a sample of a hand; an elbow that was not measured is empty."""
+        """Write one sample of the hand ``name``, with empty cells for a place that was not measured."""
         nothing = (None,) * 3
         elbow = (elbow_m or nothing) if self._elbows[name] else ()
         self._write(self._names[name], time_ns, (*(hand_m or nothing), *elbow))
 
     def close(self) -> None:
-        """Stop writing."""
+        """Close the files of the present part."""
         for file in self._files.values():
             os.close(file)
         self._files.clear()
 
     @property
     def latest(self) -> Path:
-        """Return the LOG.yaml of the part that is being written."""
+        """Return the path of the LOG.yaml in the present part."""
         return self.folder / f"{self.part:04d}" / "LOG.yaml"
 
     @property
@@ -94,7 +95,7 @@ class Journal:
         self._room -= len(row)
 
     def _begin(self) -> None:
-        """The next part, and away with the oldest."""
+        """Begin the next part, and delete the oldest part if more than ``keep`` would remain."""
         self.close()
         self.part += 1
         folder = self.folder / f"{self.part:04d}"

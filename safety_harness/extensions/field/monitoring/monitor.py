@@ -1,8 +1,8 @@
-"""Samples in, ticks from them, verdicts out: the progress of a stream, and its gaps.
+"""The monitor of one stream, which makes ticks from the samples and judges the claims at every tick.
 
-A tick is judged when joints of its time or later have come.  A hand's place there is any that its latest
-sample allows. When its next sample has come, the ticks since the last sample are judged again by both, beside
-the next tick, as a log of all samples would be.
+The monitor judges a tick as soon as joints of its time or later have come.  Until the next sample of a hand,
+the hand may be anywhere that its latest sample allows. The next sample lets the monitor judge the ticks since
+the latest sample again. Their verdicts then equal those on a log with both samples.
 """
 
 from __future__ import annotations
@@ -31,30 +31,30 @@ from safety_harness.scenario.model import Verdict
 NO_SAFETY_FUNCTION = (
     "this monitor is no safety function: it stops nothing, and nothing may rely on it to protect a person"
 )
-FARTHEST_AHEAD_S = 60.0  # a time so much later than the latest one is a slip, or another clock
-LATENCY_S = 0.1  # of hands behind joints, by which ticks are still judged again
-WAITING_HANDS = 100  # before the first joints
+FARTHEST_AHEAD_S = 60.0  # a line further ahead of the latest one has a wrong time, or another clock
+LATENCY_S = 0.1  # hands may come this much after the joints, and ticks are still judged again
+WAITING_HANDS = 100  # lines of hands that are kept until the first joints come
 FORGETS_EVERY = 10  # ticks
 
 
 @dataclass
 class StreamCounts:
-    """The counts of a stream."""
+    """The numbers of lines, samples and ticks in a stream so far."""
 
     lines: int = 0
-    refused: int = 0  # that cannot be used, or not all of it
-    out_of_order: int = 0  # joints or hands that came after later ones: in time to be put in order, or late
-    late: int = 0  # joints or hands older than what was used, left out
-    repeated: int = 0  # joints or hands of the same time as what was used, left out
+    refused: int = 0  # lines that cannot be used, at least in part
+    out_of_order: int = 0  # joints or hands that came after later ones, whether they were used or too late
+    late: int = 0  # joints or hands that were left out, since later ones were used already
+    repeated: int = 0  # joints or hands that were left out, since others of the same time were used
     ticks: int = 0
-    missing: int = 0  # ticks in a gap of the joints, or without a sample of them within a period
-    lost: int = 0  # ticks at which, as they came, the arm or a hand was lost
-    silent: int = 0  # times that nothing came for the joints' longest gap
+    missing: int = 0  # ticks in a gap of the joints, or without joints within a period
+    lost: int = 0  # ticks at which the arm or a hand was lost when they were first judged
+    silent: int = 0  # times that no joints came for their longest gap
 
 
 @dataclass(frozen=True, kw_only=True)
 class VerdictLine:
-    """A new verdict of a claim, on the run so far or at the latest tick."""
+    """One line of output: a claim's ``verdict`` on the run so far, and its ``latest`` at the latest tick."""
 
     time_s: float
     claim: str
@@ -66,7 +66,7 @@ class VerdictLine:
 
     @property
     def as_dict(self) -> dict[str, object]:
-        """Return the line for programs."""
+        """Return the line as a dictionary of JSON values, for programs."""
         return asdict(self) | {"verdict": self.verdict.value, "latest": self.latest.value}
 
     told = as_dict  # deprecated: the old name, for one release
@@ -74,11 +74,11 @@ class VerdictLine:
 
 @dataclass(kw_only=True)
 class Monitor:
-    """Watches the claims of ``cell`` on its stream.
+    """The watch over the claims of ``cell`` on one stream.
 
-    Lines wait ``wait_s`` of the stream's time for earlier lines.  Samples that are used go to ``journal``.  A
-    claim that cannot be watched raises FormulaError.  Under ``some`` it goes to ``unwatched`` instead, if
-    other claims remain.
+    Each line waits ``wait_s``, by the times in the stream, so that lines with earlier times can overtake it.
+    The monitor writes the samples that it uses to ``journal``.  It raises FormulaError if it cannot watch a
+    claim.  With ``some`` it adds such a claim to ``unwatched`` instead, as long as another claim remains.
     """
 
     cell: WatchedCell
@@ -107,20 +107,20 @@ class Monitor:
         if self.unwatched and not (self.some and self.claims):
             raise next(iter(self.unwatched.values()))
         self.time_s = 0.0
-        period = Fraction(repr(cell.period_s))  # as it is written, in decimals: so elapsed time has it
+        period = Fraction(repr(cell.period_s))  # the decimal as written, as for the signal elapsed time
         self._exact = float(period.numerator), float(period.denominator)
         self._told: list[tuple[Verdict, Verdict] | None] = [None] * len(self.claims)
         self._better_since_s = [inf] * len(self.claims)
         self._waiting: list[tuple[float, int, Sample]] = []
         self._newest_s = -inf  # on the joints' clock
-        self._latest_of: dict[str, float] = {}  # joints, and each hand
+        self._latest_of: dict[str, float] = {}  # the latest times of the joints and of each hand
         self._origin_ns: int | None = None
         self._early: deque[tuple[int, Sample]] = deque(maxlen=WAITING_HANDS)
         self._moments: deque[TickSeen] = deque(maxlen=revisable + 1)
-        self._next = 0  # tick
-        self._stale = 0  # the first tick of which more is known
+        self._next = 0  # the number of the next tick
+        self._stale = 0  # the first tick to judge again
         self._silent = False
-        self._unused = 0  # lines since joints were used last, but those of hands alone
+        self._unused = 0  # lines since the last used joints, without lines that have only hands
 
     def _watched(self, sentence: str, revisable: int) -> WatchedClaim:
         measured = all(hand.elbow or not hand.forearm for hand in self.cell.hands)
@@ -135,7 +135,10 @@ class Monitor:
             raise FormulaError(place=error.place, expected=error.expected, got=got, hint=hint) from None
 
     def take(self, line: bytes) -> Iterator[VerdictLine]:
-        """Use the next line; StreamError if it, or part of it, cannot be used, which is counted."""
+        """Use the next line, and yield the verdicts that change.
+
+        If the line or a part of it cannot be used, count it as refused and raise StreamError.
+        """
         self.counts.lines += 1
         self._unused += 1
         number = self.counts.lines
@@ -161,20 +164,23 @@ class Monitor:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
 
     def _ahead_s(self, sample: Sample) -> float:
-        """Return how much later a line shows than the joints' clock.
+        """Return the time [s] by which the clock of ``sample`` is ahead of the joints' clock.
 
-        A line of hands alone is on the hands' clock already.
+        Only a line without joints has the time of the hands' clock.
         """
         return self.cell.hands_ahead_ns / NS if sample.joint_position_rad is None else 0.0
 
     def silent(self) -> Iterator[VerdictLine]:
-        """Report that the joints' longest gap has passed without a sample, so that the present is unknown."""
+        """Yield the verdicts that become unknown because no joints came for their longest gap."""
         if not self._silent and self.counts.ticks:
             self._silent, self.counts.silent = True, self.counts.silent + 1
             yield from self._changes(self._silence)
 
     def end(self) -> Iterator[VerdictLine]:
-        """End the stream and use the waiting lines; an end without joints is unknown."""
+        """Use the waiting lines, and yield the last verdicts that change.
+
+        The end of the stream is unknown if it has no joints for more than their longest gap.
+        """
         while self._waiting:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
         yield from self._judge_again()
@@ -186,16 +192,16 @@ class Monitor:
 
     @property
     def _silence(self) -> str:
-        """Return why the present is unknown; empty if it is known."""
+        """Return the reason why the present is unknown, or an empty text."""
         gap_s = self.cell.joint_facts.longest_gap_s
         return f"no joints that can be used came for {gap_s * 1e3:g} ms" if self._silent else ""
 
     def verdicts(self) -> list[VerdictLine]:
-        """Return every claim's line now: at the latest tick, or at the last joints before a silence."""
+        """Return the present line of every claim; during a silence, the present state is unknown."""
         return [self._change(claim, self._silence) for claim in self.claims]
 
     def _use(self, number: int, sample: Sample) -> Iterator[VerdictLine]:
-        """Use a sample; StreamError after all usable parts of it were used."""
+        """Use every usable part of ``sample``, then raise StreamError if another part cannot be used."""
         time_ns, problems = round(sample.time_s * NS), []
         if sample.joint_position_rad is not None and self._origin_ns is None:
             self._origin_ns = time_ns
@@ -212,7 +218,7 @@ class Monitor:
                 self._use_joints(time_ns - self._origin_ns, sample)
             except Jump as error:
                 problems.append(("joint_position_rad", str(error)))
-        if grown:  # hands alone count when the next joints come
+        if grown:  # hands without joints affect verdicts when the next joints come
             yield from self._judge()
         if problems:
             self.counts.refused += 1
@@ -221,13 +227,13 @@ class Monitor:
             raise line_error(number, name, "a sample that can follow the one before it", got, hint)
 
     def _use_hands(self, time_ns: int, sample: Sample) -> list[tuple[str, str]]:
-        """Use the hands of a line; return the places that cannot be used, and why."""
+        """Use the hands of ``sample``; return (field, reason) for each position that cannot be used."""
         assert self._origin_ns is not None
         problems = []
         at_ns = time_ns - self.cell.hands_ahead_ns - self._origin_ns
         for name, hand in sample.hands.items() if self._hands else ():
             tracks = self._hands[name]
-            if hand is None or not any(hand.hand_position_in_base_m):  # zeros: trackers' word for not seen
+            if hand is None or not any(hand.hand_position_in_base_m):  # trackers send zeros if they see none
                 for track in tracks:
                     if track is not None and track.takes(at_ns):
                         track.lost = True
@@ -270,7 +276,7 @@ class Monitor:
         self.counts.late += later_ns <= -SHORTEST_STEP_NS
 
     def _use_joints(self, time_ns: int, sample: Sample) -> None:
-        """Use joints: the next ticks, up to a sample's time; Jump if they are impossible."""
+        """Add the joints of ``sample`` to their track; raise Jump if they cannot follow the last joints."""
         track, position_rad = self._joints, sample.joint_position_rad
         assert position_rad is not None
         if track.last is not None and time_ns - track.last[0] < SHORTEST_STEP_NS:
@@ -294,7 +300,7 @@ class Monitor:
             raise Jump(self._frozen(frozen_ns))
 
     def _frozen(self, since_ns: int) -> str:
-        """Return a message on a stream that repeats itself since ``since_ns``, on the joints' clock."""
+        """Return the message that a stream repeats its numbers since ``since_ns`` on the joints' clock."""
         assert self._origin_ns is not None
         since_s = (self._origin_ns + since_ns) / NS
         return (
@@ -302,7 +308,7 @@ class Monitor:
         )
 
     def _judge(self) -> Iterator[VerdictLine]:
-        """Judge the ticks whose joints have come."""
+        """Judge each new tick up to the time of the last joints."""
         assert self._joints.last is not None
         while self._next * self.cell.period_ns <= self._joints.last[0]:
             tick = self._next
@@ -314,7 +320,7 @@ class Monitor:
             self.counts.lost += self._moments[-1].lost
 
     def _judge_again(self, *, grown: bool = False) -> Iterator[VerdictLine]:
-        """Judge the ticks that are known better now."""
+        """Judge the ticks about which new samples tell more; ``grown`` states that the last tick is new."""
         moments = [moment for moment in self._moments if moment.tick >= self._stale]
         if not moments:
             return
@@ -342,7 +348,7 @@ class Monitor:
     def _changes(self, silence: str = "") -> Iterator[VerdictLine]:
         """Yield changed verdicts: a worse verdict at once, a better verdict after the hands' longest gap.
 
-        A verdict that is close comes and goes with every sample of a hand.
+        Without this delay, a claim near its limit could change its verdict with every sample of a hand.
         """
         for number, claim in enumerate(self.claims):
             now, reported = _verdicts_of(claim, silence), self._told[number]
@@ -356,7 +362,7 @@ class Monitor:
                 yield self._change(claim, silence)
 
     def _change(self, claim: WatchedClaim, silence: str = "") -> VerdictLine:
-        """Return a claim's line at the latest tick; with ``silence`` the time since then is unknown."""
+        """Return the line of ``claim`` at the latest tick; ``silence`` is a reason for unknown verdicts."""
         part = claim.deciding
         verdict, latest = _verdicts_of(claim, silence)
         signals = self._moments[-1].signals if self._moments else None
@@ -376,7 +382,10 @@ def _worse(now: Verdict, reported: Verdict) -> bool:
 
 
 def _verdicts_of(claim: WatchedClaim, silence: str) -> tuple[Verdict, Verdict]:
-    """Return the verdicts on the run and at the latest tick; a ``silence`` leaves violations alone."""
+    """Return the verdicts of ``claim`` on the run and at the latest tick.
+
+    During a ``silence`` both are inconclusive, but a violation on the run stays.
+    """
     verdict = claim.verdict
     if silence:
         return Verdict.VIOLATED if verdict is Verdict.VIOLATED else Verdict.INCONCLUSIVE, Verdict.INCONCLUSIVE

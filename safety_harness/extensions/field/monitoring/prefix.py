@@ -1,18 +1,19 @@
-"""A formula of a run that goes on: its margin if the run ended now, in bounded memory.
+"""The margin of a formula at the first tick of a run that still grows, in bounded memory.
 
-``semantics`` gives the margins of a whole run.  Here the run grows by a tick, and the margin at its first
-tick is computed again.  A formula with windows alone depends, at tick k, on the ticks that its windows reach.
-``semantics`` judges these ticks too; older ticks are final.  An operator without a window is a recursion from
-the end,
+``semantics`` computes the margins of a complete run.  Here the run grows by one tick at a time, and the code
+computes the margin again as if the run ended there.  If every operator has a window, the margin at tick k
+depends only on the ticks that the windows reach.  ``semantics`` evaluates these ticks; older ticks are final.
+The margin v of an operator without a window follows from the margins a and b of its parts, tick by tick from
+the end of the run:
 
     v[k] = max(b[k], min(a[k], v[k + 1]))        always: min(a[k], v[k + 1]), eventually: max(b[k], v[k + 1])
 
-Its margin at the first tick follows from the margin v[k] at the oldest tick in memory, and two numbers:
+The margin at the first tick follows from the margin v[k] at the oldest tick k in memory, and two numbers:
 
     v[0] = max(best, min(lasting, v[k]))         best = max over j < k of min(b[j], a[0], ..., a[j - 1])
 
-with ``lasting`` the least of a[0] to a[k - 1].  Nothing is approximated: minima and maxima of the same
-numbers are the same numbers.
+where ``lasting`` is the least of a[0] to a[k - 1].  The result is exact, since it has the minima and maxima
+of the same numbers as in ``semantics``.
 """
 
 from __future__ import annotations
@@ -40,21 +41,21 @@ from safety_harness.claims.formulas.formula import (
 from safety_harness.claims.formulas.quantities import formula_error
 from safety_harness.claims.formulas.semantics import LEAST, NO_WINDOW, NOT, OPERATORS, operate
 
-Columns = Callable[[Comparison | Truth], tuple[int, int, int]]  # signal, low and high of an atom
+Columns = Callable[[Comparison | Truth], tuple[int, int, int]]  # its signal, and columns of its bounds
 Ends = tuple[float, float]  # least and largest
-MOST_TICKS = 20_000  # that windows may reach ahead: each new tick looks at them again
-ALWAYS: Ends = (np.inf, np.inf)  # both margins of a demand that no tick made
+MOST_TICKS = 20_000  # the farthest that windows may reach, since each new tick evaluates these ticks again
+ALWAYS: Ends = (np.inf, np.inf)  # both margins where no tick demands anything
 NEVER: Ends = (-np.inf, -np.inf)
 
 
 def is_endless(formula: Formula) -> bool:
-    """Return whether it is an operator without a window, which the end of the run decides."""
+    """Return whether ``formula`` is an operator without a window, so that the end of the run decides it."""
     own = isinstance(formula, Always | Eventually | Until) and formula.span is None
     return own or isinstance(formula, Globally)
 
 
 def refuse_endless(formula: Formula, period_s: float) -> None:
-    """Raise FormulaError for a formula that needs unbounded memory, or has a window without a tick."""
+    """Raise FormulaError if ``formula`` needs unbounded memory, or has a window without a tick."""
     for node in formula.nodes():
         span = getattr(node, "span", None)
         if span is not None and span.ticks(period_s)[0] > span.ticks(period_s)[1]:
@@ -77,17 +78,18 @@ def refuse_endless(formula: Formula, period_s: float) -> None:
 
 
 class Prefix:
-    """The ``least`` and largest (``most``) margin of ``formula`` at the first tick, so far.
+    """The ``least`` and largest (``most``) possible margin of ``formula`` at the run's first tick.
 
-    The latest tick and ``revisable`` ticks before it may be known better later.  ``latest`` are both margins
-    of an outermost "always" or "whenever" at the latest tick whose windows have passed.
+    Later samples may narrow the bounds of signals at the latest tick and at ``revisable`` ticks before it.
+    If the outermost operator is "always" or "whenever", ``latest`` has the margins of its demand. They are
+    the margins at the latest tick whose windows have passed.
 
     Args:
-        formula: The part of a claim; FormulaError as from ``refuse_endless``.
+        formula: The part of a claim.  ``refuse_endless`` raises FormulaError for some formulas.
         period_s: The control period.
-        revisable: The number of ticks before the latest of which more can be known later.
-        columns: The signal that a comparison or truth reads, and where its low and its high stand among the
-            numbers of one.
+        revisable: The number of ticks before the latest whose bounds later samples may narrow.
+        columns: Returns for a comparison or truth the index of its signal, and the columns of ``seen`` with
+            the low and the high bound.
 
     """
 
@@ -97,7 +99,7 @@ class Prefix:
         self.least, self.most = -np.inf, np.inf
         self.latest: Ends | None = None
         self._reach = reach_ticks(self.formula, period_s)
-        self._kept_ticks = self._reach + revisable  # beside the latest, and one that is let go
+        self._kept_ticks = self._reach + revisable  # besides the latest tick, and one that is to be forgotten
         code: list[tuple[int, ...]] = []
         reading: list[tuple[float, ...]] = []
         self._whole = _Node(self.formula, period_s, columns, code, reading)
@@ -108,9 +110,9 @@ class Prefix:
         self._asks = is_endless(self.formula) and isinstance(self.formula, Always | Globally)
 
     def see(self, seen: NDArray[np.float64], *, grown: bool) -> None:
-        """Take what is known now of the latest ticks, ``seen`` (m, signals, c).
+        """Update the margins by the present bounds ``seen`` (m, signals, c) of signals at the latest m ticks.
 
-        With ``grown`` the last of them is new.
+        ``grown`` states that the last of these ticks is new.
         """
         if grown and self._end == self._kept_ticks * 2 + 4:
             kept = self._end - self._begin
@@ -134,16 +136,16 @@ class Prefix:
 
 
 class _Node:
-    """A formula with its row in the program of ``_evaluate``, and its margins at the first tick.
+    """A node of a formula, with its row in the program of ``_evaluate`` and its margins at the first tick.
 
-    Above operators without a window stand "not", "and" and "or" alone.
+    Only "not", "and" and "or" may contain an operator without a window.
 
     Args:
-        formula: The node, whose parts become nodes before it.
+        formula: The formula of the node; its parts become nodes first.
         period_s: The control period.
         columns: As for ``Prefix``.
-        code: Rows (operator, first part, second part, window), written.
-        reading: A row for each atom: its row in ``code``, the numbers that it reads, and its limit; written.
+        code: Rows (operator, first part, second part, window), to which the node appends its own.
+        reading: Rows (row in ``code``, numbers to read, limit) of atoms, to which an atom appends its own.
 
     """
 
@@ -164,14 +166,14 @@ class _Node:
             reading.append((len(code), *_reading(formula, columns)))
         operator, rows = OPERATORS.index(type(formula)), [part.row for part in self.parts] or [0]
         row = rows[0]
-        for further in rows[1:-1]:  # of three and more, two by two
+        for further in rows[1:-1]:  # an operator with three parts or more joins them two by two
             code.append((operator, row, further, *NO_WINDOW))
             row = len(code) - 1
         code.append((operator, row, rows[-1], *(NO_WINDOW if span is None else span.ticks(period_s))))
         self.row: int = len(code) - 1
 
     def now(self, oldest: NDArray[np.float64]) -> Ends:
-        """Return both ends, by the values ``oldest`` (nodes, 2) of every node."""
+        """Return both margins at the first tick, from every node's margins ``oldest`` at the oldest tick."""
         if not self._over:
             return self._at_first_tick(self._ends(oldest))
         lows, highs = zip(*(part.now(oldest) for part in self.parts), strict=True)
@@ -181,7 +183,7 @@ class _Node:
         return worst(lows), worst(highs)
 
     def forget(self, oldest: NDArray[np.float64]) -> None:
-        """Let the oldest tick go, whose windows have passed; ``oldest`` (nodes, 2) are its values."""
+        """Keep the effect of the oldest tick, with margins ``oldest`` (nodes, 2), and forget this tick."""
         for part in self.parts if self._over else ():
             part.forget(oldest)
         lasts, ends = self.step(oldest)
@@ -189,14 +191,14 @@ class _Node:
         self._lasting = min(self._lasting[0], lasts[0]), min(self._lasting[1], lasts[1])
 
     def _at_first_tick(self, later: Ends) -> Ends:
-        """Return the margins at the first tick where those at the oldest tick are ``later``."""
+        """Return the margins at the first tick, if the margins at the oldest tick are ``later``."""
         (low, high), (least, most), (best, best_high) = later, self._lasting, self._best
         return max(best, min(least, low)), max(best_high, min(most, high))
 
     def step(self, values: NDArray[np.float64]) -> tuple[Ends, Ends]:
-        """Return a and b of the recursion at a tick, by the ``values`` (nodes, 2) of every node there.
+        """Return a and b of the recursion at a tick, where the nodes have the margins ``values`` (nodes, 2).
 
-        For what has windows b is the margin, which is final.
+        For a formula whose operators all have windows, b is its margin, which is final.
         """
         if not self._endless:
             return NEVER, self._ends(values)
@@ -235,9 +237,9 @@ def _evaluate(
     first: int,
     stop: int,
 ) -> None:
-    """Write the margins of every node from tick ``first`` to before ``stop``, as ``semantics.margins`` does.
+    """Write every node's margins at the ticks ``first`` to ``stop`` - 1, as ``semantics.margins`` does.
 
-    A truth has limit 0.5 and an end of infinity.
+    A truth has the limit 0.5, and its margins are infinite.
     """
     count = seen.shape[0]
     for a in range(reading.shape[0]):

@@ -1,11 +1,11 @@
-"""A line of a stream: the measurements of a cell at a time, as JSON.
+"""A line of a stream: the measurements of a cell at one time, as JSON.
 
     {"time_s": 12.344, "joint_position_rad": [0.1, -1.2, 1.9, -2.2, -1.5, 0.0],
      "hands": {"right": {"hand_position_in_base_m": [0.84, -0.35, 0.2],
                          "elbow_position_in_base_m": [1.0, -0.6, 0.25]},
                "left": null}}
 
-Every part except ``time_s`` may be missing, if it was not measured.  A hand that is null is lost.
+Every part except ``time_s`` may be missing if it was not measured.  The value null stands for a lost hand.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from safety_harness.base.exceptions import StreamError, near_miss
 from safety_harness.extensions.field.logs.checked import FARTHEST_M, FARTHEST_RAD
 from safety_harness.extensions.field.logs.streams import LATEST_S
 
-FASTEST_RADPS = 100.0  # of any joint: what is more is a mistake of the unit
+FASTEST_RADPS = 100.0  # a joint with a larger speed has a mistake in its unit
 MOST_CHARACTERS = 65_536
 Triple = tuple[float, float, float]
 
 
 class HandSample(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Centre of a hand and its elbow [m] in the base frame."""
+    """The positions of a hand's centre and of its elbow [m] in the base frame."""
 
     hand_position_in_base_m: Triple
     elbow_position_in_base_m: Triple | None = None
 
 
 class Sample(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
-    """The measurements at ``time_s``."""
+    """The measurements of a cell at ``time_s``; None for joints that were not measured."""
 
     time_s: float
     joint_position_rad: tuple[float, ...] | None = None
@@ -44,14 +44,14 @@ _DECODER = msgspec.json.Decoder(Sample)
 
 
 def read_sample(line: bytes, number: int, *, joints: int, hands: Collection[str], speeds: bool) -> Sample:
-    """Return the sample of the ``number``-th line; StreamError has the mistake.
+    """Return the sample in a line of the stream; raise StreamError if the line is wrong.
 
     Args:
         line: A line of the stream.
-        number: Its number, for the error.
+        number: The number of the line, for the error message.
         joints: The number of the arm's joints.
-        hands: The names of possible hands; without any, the hands of a line are ignored.
-        speeds: Whether positions of joints come with their speeds.
+        hands: The names of the cell's hands. If there are none, hands in the line are ignored.
+        speeds: Whether joint positions must have joint speeds beside them.
 
     """
     if len(line) > MOST_CHARACTERS:
@@ -98,7 +98,7 @@ def _refuse_twice(number: int, names: list[str]) -> None:
 
 def _refuse_beyond(number: int, name: str, values: tuple[float, ...], most: float, expected: str) -> None:
     for value in values:
-        if not abs(value) <= most:  # of a NaN it is false
+        if not abs(value) <= most:  # also refuses a NaN
             raise line_error(number, name, expected, repr(value))
 
 
@@ -108,5 +108,5 @@ def line_error(number: int, name: str, expected: str, got: str, hint: str = "") 
 
 
 def line_of(sample: Sample) -> bytes:
-    """Return a sample as a line of a stream."""
+    """Return ``sample`` as a JSON line of a stream."""
     return msgspec.json.encode(sample) + b"\n"

@@ -1,7 +1,7 @@
-"""Signals of the latest ticks, from joints and hands, with the bounds that a log has.
+"""The signals of the latest ticks, from joints and hands, with the same bounds as for a log.
 
-The functions of ``claims.signals.bounds`` run here in compiled code, as a running cell has 8 ms for a tick.
-They take the uncertainty of each tick and hand; for some signals a log takes the largest of its run.
+The functions of ``claims.signals.bounds`` run here in compiled code, since a live cell has a tick every 8 ms.
+They use the uncertainty of each tick and hand. For some signals of a log, they use its maximum over the run.
 """
 
 from __future__ import annotations
@@ -47,19 +47,20 @@ from safety_harness.extensions.field.monitoring.tracks import BodyTrack
 
 MEASURED = (hand_distance, nearest_hand_to_tcp, tcp_speed, tcp_height, joint_speed, elapsed_time)
 HAND_DISTANCE, TCP_DISTANCE, TCP_SPEED, HEIGHT, JOINT_SPEED, ELAPSED = range(6)  # in ``MEASURED``
-# What is known of a signal at a tick: what was measured, NaN for nothing; the least and the largest that it
-# can have been, there and from there to the next tick; and 1 if it certainly exercises a claim, else 0.
+# The columns for a signal at a tick: the measured value (NaN: none), the least and the largest possible value
+# at the tick, the same from there to the next tick, and 1 if the signal certainly exercises a claim, else 0.
 VALUE, LOW, HIGH, CELL_LOW, CELL_HIGH, EXERCISED = range(6)
 Values = NDArray[np.float64]
 
 
 @dataclass(eq=False)
 class TickSeen:
-    """A tick, and what is known of it now.
+    """A tick with its measurements and their errors, as far as they are known now.
 
-    It has joints and their speeds (n,), the errors of both (NaN if they are not known), hands and elbows (h,
-    2, 3) [m] in base, and the errors of these (h, 2), NaN where they are not known.  A hand without a forearm
-    has its elbow at the hand. ``signals`` (signals, 6) follow.
+    ``joints_rad`` and ``rates_radps`` are of shape (n,). ``joint_errors`` has one error for all joints, and
+    one for all speeds. ``bodies_m`` (h, 2, 3) are hands and elbows [m] in base, with the errors
+    ``body_errors_m`` (h, 2). NaN stands for unknown. A hand without a forearm has its elbow at the hand.
+    ``Sensing.see`` sets ``signals`` (signals, 6).
     """
 
     tick: int
@@ -73,20 +74,23 @@ class TickSeen:
 
     @property
     def lost(self) -> bool:
-        """Return whether the arm or a hand is unknown."""
+        """Return whether the arm's joints or the position of a hand are unknown."""
         assert self.body_errors_m is not None
         return isnan(self.joint_errors[0]) or bool(np.isnan(self.body_errors_m[:, 0]).any())
 
 
 class HandTracks(NamedTuple):
-    """The tracks of a hand and its elbow: the same without a forearm; None for an unmeasured elbow."""
+    """The tracks of a hand and of its elbow.
+
+    ``elbow`` is None if no elbow is measured. For a hand without a forearm, ``elbow`` is the hand's track.
+    """
 
     hand: BodyTrack
     elbow: BodyTrack | None
 
 
 class _Cell(NamedTuple):
-    """What compiled code needs of a cell."""
+    """The values of a cell that the compiled code reads."""
 
     arm: Arm
     tcp: Arm
@@ -97,7 +101,7 @@ class _Cell(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """What is known of m ticks in a row, with n joints, h hands and c corners of these between the ticks."""
+    """The measurements of m consecutive ticks: n joints, h hands, and c samples of hands between ticks."""
 
     elapsed_s: Values  # (m,)
     joints_rad: Values  # (m, n)
@@ -111,7 +115,7 @@ class _Seen(NamedTuple):
 
 
 class Sensing:
-    """The signals of one cell."""
+    """The computation of the signals of one cell from its joints and hands."""
 
     def __init__(self, cell: WatchedCell, hands: Sequence[HandTracks]) -> None:
         settings, self._hands = cell.scenario.settings, hands
@@ -125,12 +129,12 @@ class Sensing:
     def see(
         self, moments: Sequence[TickSeen], fresh: int, errors: Sequence[tuple[float, float] | None]
     ) -> Values:
-        """Return the signals (m, signals, 6) of moments in a row.
+        """Return the signals (m, signals, 6) of m consecutive ticks.
 
         Args:
-            moments: The ticks, whose ``signals`` are set.
-            fresh: The first of them of which more is known now.
-            errors: The errors of joints and of their speeds from there on; None where the arm is lost.
+            moments: The ticks. The method sets their ``signals``.
+            fresh: The index of the first tick about which new samples tell more.
+            errors: The errors of joints and of their speeds from ``fresh`` on; None where the arm is lost.
 
         """
         for moment, own in zip(moments[fresh:], errors, strict=True):
@@ -155,9 +159,10 @@ class Sensing:
                 moment.bodies_m[k, 1], moment.body_errors_m[k, 1] = elbow_place
 
     def _corners(self, first: int, last: int) -> tuple[NDArray[np.int64], Values, Values]:
-        """Return the samples of hands between two ticks.
+        """Return the samples of hands between the ticks ``first`` and ``last``.
 
-        These are hands (c,), times (c,) in ticks after ``first``, and places (c, 2, 3) of hand and elbow.
+        The arrays are the hands (c,), the times (c,) in ticks after ``first``, and the places (c, 2, 3) of
+        hand and elbow.
         """
         corners = []
         for k, (hand, elbow) in enumerate(self._hands):
@@ -177,9 +182,9 @@ class Sensing:
 
 @compiled
 def _sense(cell: _Cell, seen: _Seen, out: Values) -> None:
-    """Write the signals at each tick, as if the run ended there, and from each tick to the next.
+    """Write the signals at each tick, and their bounds from there to the next, to ``out`` (m, signals, 6).
 
-    ``out`` is of shape (m, signals, 6).
+    The last tick counts as the end of the run.
     """
     arm, tcp, period_s, joints_rad = cell.arm, cell.tcp, cell.period_s, seen.joints_rad
     count, hands, n = seen.bodies_m.shape[0], seen.bodies_m.shape[1], joints_rad.shape[1]
@@ -254,10 +259,10 @@ def _sense(cell: _Cell, seen: _Seen, out: Values) -> None:
 def _put_speed(
     known: Values, at_ticks: Values, mean: Values, speed_error: Values, place: Values, period_s: float
 ) -> None:
-    """Write a speed, ``known`` (m, 6), of so many joints, with the error ``speed_error`` (m,).
+    """Write the bounds of the largest speed of several joints, or of the TCP's speed, to ``known`` (m, 6).
 
-    Its place has the error ``place`` (m,).  ``at_ticks`` is of shape (m, joints) and ``mean`` of shape
-    (m - 1, joints).
+    The speeds are ``at_ticks`` (m, joints) at the ticks, and on average ``mean`` (m - 1, joints) in between.
+    ``speed_error`` (m,) is the error of a speed, and ``place`` (m,) that of a position.
     """
     value, low, high, means = speed_cells(at_ticks, mean)
     mean_error = speed_between(or_next(speed_error), or_next(place), period_s)
@@ -270,12 +275,12 @@ def _put_speed(
 def _put(
     known: Values, value: Values, at: Values, low: Values, high: Values, below: Values, above: Values
 ) -> None:
-    """Write a signal, ``known`` (m, 6), or a nearer hand.
+    """Write the bounds of a signal to ``known`` (m, 6), or merge the distance of one more hand into it.
 
-    ``value`` (m,) is wrong by ``at`` (m,) at the ticks.  To the next tick the signal is at least ``low -
+    ``value`` (m,) has the error ``at`` (m,) at the ticks.  Until the next tick the signal is at least ``low -
     below``, and at most ``high + above``, where ``low``, ``high``, ``below`` and ``above`` are of shape (m,).
-    NaN is unknown.  Then the least distance of all hands is unknown too, but not its largest value, which the
-    nearest hand gives.
+    NaN stands for unknown.  If the distance of one hand is unknown, the lower bound for the nearest hand is
+    unknown too.  Its upper bound still follows from the known hands.
     """
     value = np.where(np.isnan(at), np.nan, value)
     known[:, VALUE] = np.fmin(known[:, VALUE], value)

@@ -1,8 +1,8 @@
-"""Samples of a body or of joints as they come, straight between them, and their errors.
+"""Tracks of bodies and joints: their samples so far, the lines between samples, and the errors of the lines.
 
-The bounds are those of a log that ends now (``extensions.field.logs.certain``), sample by sample.  Between
-two samples they are by ``extensions.field.logs.reach``, after the last sample by the greatest speed, up to
-half of the longest gap. Times are in nanoseconds since the first joints.
+Each sample updates the bounds. They equal the bounds from ``extensions.field.logs.certain`` for a log that
+ends now. ``extensions.field.logs.reach`` computes the bounds between two samples. After the last sample they
+use the greatest speed, up to half of the longest gap. Times are in nanoseconds since the first joints.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ Values = NDArray[np.float64]
 
 
 class Jump(ValueError):
-    """A sample that cannot follow the sample before it: too far away, or frozen."""
+    """The error for a sample that cannot follow the sample before it: it is too far away, or frozen."""
 
 
 class WithinByTick:
-    """Bounds at ticks, and unknown ticks, as ``reach.over_ticks`` of logs, sample by sample."""
+    """The error at each tick, and the unknown ticks, as in ``reach.over_ticks`` but sample by sample."""
 
     def __init__(self, longest_ns: int, period_ns: int) -> None:
         self._longest_ns, self._period_ns = longest_ns, period_ns
@@ -45,7 +45,7 @@ class WithinByTick:
         self.oldest = 0
 
     def add(self, begin_ns: int, end_ns: int, error: float, *, lost: bool = False) -> None:
-        """Add the error ``error`` beside the line from a sample to the next, or a time that is ``lost``."""
+        """Add the ``error`` between two samples; ``lost`` or a gap makes the ticks between them unknown."""
         first, last = begin_ns // self._period_ns, -(-end_ns // self._period_ns)
         if lost or end_ns - begin_ns > self._longest_ns:
             self._lost |= dict.fromkeys(range(max(first + (last - first > 1), self.oldest), last))
@@ -56,13 +56,13 @@ class WithinByTick:
             self._off[tick] = max(self._off.get(tick, 0.0), error)
 
     def at(self, tick: int) -> float | None:
-        """Return the error at a tick; None where it is unknown."""
+        """Return the error at ``tick``, or None if it is unknown."""
         if tick in self._lost or (tick in self._alone and tick not in self._off):
             return None
         return self._off.get(tick, 0.0)
 
     def forget(self, first_kept: int) -> None:
-        """Forget the ticks before this tick."""
+        """Forget all ticks before ``first_kept``."""
         self.oldest = first_kept
         for kept in (self._off, self._lost, self._alone):
             while kept and (tick := next(iter(kept))) < first_kept:
@@ -70,21 +70,21 @@ class WithinByTick:
 
 
 class JointTrack:
-    """The joints: their position, speed and errors at ticks whose samples have come."""
+    """The positions, speeds and errors of the joints at the ticks up to the last sample."""
 
     def __init__(self, facts: JointFacts, period_ns: int, arm: ArmModel) -> None:
         self._facts, self._period_ns, self._arm = facts, period_ns, arm
-        self._turned_rad = np.zeros(len(arm.joint_names))  # by which what comes is wrapped
+        self._turned_rad = np.zeros(len(arm.joint_names))  # the whole turns by which encoders wrapped
         longest_ns = round(facts.longest_gap_s * NS)
         self._within, self._rate_within = (WithinByTick(longest_ns, period_ns) for _ in range(2))
         self._bends: dict[int, float] = {}
         self.last: tuple[int, Values, Values | None] | None = None
         self._before: tuple[int, Values, Values | None] | None = None
-        self.slope: Values | None = None  # from the sample before to the last
+        self.slope: Values | None = None  # the mean speed between the last two samples
         self._repeats = [Repeats() for _ in facts.move_at_most_radps]
 
     def unwrapped(self, time_ns: int, position_rad: Values) -> Values:
-        """Return the next ``position_rad`` (n,) without wraps; Jump if a joint cannot have got there."""
+        """Return the next ``position_rad`` (n,) without wraps; raise Jump if a joint turned too fast."""
         turned_rad = self._turned_rad
         if self.last is not None:
             step_s = (time_ns - self.last[0]) / NS
@@ -102,9 +102,9 @@ class JointTrack:
         return position_rad - turned_rad
 
     def add(self, time_ns: int, position_rad: Values, rates_radps: Values | None) -> int | None:
-        """Take a sample that is later than the last: ``position_rad`` (n,), ``rates_radps`` (n,).
+        """Add a sample ``position_rad`` (n,), ``rates_radps`` (n,) that is later than the last.
 
-        Return the time since which a joint is frozen; None if all move.
+        Return the time since which a joint is frozen, or None if all joints move.
         """
         sample, previous = (time_ns, position_rad, rates_radps), self.last
         self._before, self.last = previous, sample
@@ -118,7 +118,7 @@ class JointTrack:
         step_s, facts = (time_ns - previous[0]) / NS, self._facts
         most, hard = facts.move_at_most_radps, facts.accelerate_at_most_radps2
         slope = (position_rad - previous[1])[None] / step_s
-        # of one step, by numbers: it is the quicker way
+        # a single step is a plain number, since that is quicker
         steps = np.array([step_s]) if hard is None else step_s
         error = joint_off_rad(slope, steps, most=most, hardest=hard, sample_rad=facts.known_to_rad)
         self._within.add(begin_ns, time_ns, error.item(), lost=frozen)
@@ -139,7 +139,7 @@ class JointTrack:
         return begin_ns if frozen else None
 
     def at(self, tick_ns: int) -> tuple[Values, Values]:
-        """Return position and speed at a time between the last two samples."""
+        """Return the positions and speeds at ``tick_ns``, a time between the last two samples."""
         assert self.last is not None
         time_ns, position_rad, rates_radps = self.last
         if self._before is None or self.slope is None:
@@ -154,7 +154,7 @@ class JointTrack:
         return position, self._before[2] + share * (rates_radps - self._before[2])
 
     def errors_at(self, tick: int) -> tuple[float, float] | None:
-        """Return the errors of position and speed at a tick; None if they are unknown."""
+        """Return the errors of position and speed at ``tick``, or None if they are unknown."""
         position_error, rate = self._within.at(tick), self._rate_within.at(tick)
         if position_error is None or rate is None:
             return None
@@ -163,7 +163,7 @@ class JointTrack:
         return position_error + max(self._bends.get(tick, 0.0), self._bends.get(tick - 1, 0.0)), rate
 
     def forget(self, first_kept: int) -> None:
-        """Forget the ticks before this tick."""
+        """Forget all ticks before ``first_kept``."""
         self._within.forget(first_kept)
         self._rate_within.forget(first_kept)
         while self._bends and (cell := next(iter(self._bends))) < first_kept - 1:
@@ -171,7 +171,7 @@ class JointTrack:
 
 
 class BodyTrack:
-    """A hand or an elbow."""
+    """The track of a hand or of an elbow."""
 
     def __init__(self, facts: HandFacts, clock_known_to_s: float, period_ns: int) -> None:
         self._facts, self._clock_s, self._period_ns = facts, clock_known_to_s, period_ns
@@ -181,15 +181,15 @@ class BodyTrack:
         self._within = WithinByTick(self._longest_ns, period_ns)
         self.samples: deque[tuple[int, Values]] = deque()
         self._first_ns: int | None = None
-        self.lost = False  # since the last sample
+        self.lost = False  # whether the body is lost since the last sample
         self._repeats = Repeats()
 
     def takes(self, time_ns: int) -> bool:
-        """Return whether a time is later than the last sample."""
+        """Return whether ``time_ns`` is later than the last sample."""
         return not self.samples or time_ns - self.samples[-1][0] >= SHORTEST_STEP_NS
 
     def refuse_jump(self, time_ns: int, position_m: Values) -> None:
-        """Raise Jump if it cannot have come to ``position_m`` (3,) since the last sample."""
+        """Raise Jump if the body cannot have reached ``position_m`` (3,) since the last sample."""
         if self.samples:
             before_ns, before_m = self.samples[-1]
             step_s, way_m = (time_ns - before_ns) / NS, float(length(position_m - before_m))
@@ -198,9 +198,9 @@ class BodyTrack:
                 raise Jump(f"it go {way_m * 1e3:.4g} mm in {step_s * 1e3:.4g} ms, which can {most:g} m/s")
 
     def add(self, time_ns: int, position_m: Values) -> int | None:
-        """Take a sample that is later than the last, at ``position_m`` (3,).
+        """Add a sample at ``position_m`` (3,) that is later than the last.
 
-        Return the time since which it is frozen, and lost; None if it moves.
+        Return the time since which the body is frozen, and so lost, or None if it is not.
         """
         since_ns = self._repeats.since(time_ns, tuple(position_m.tolist()))
         self.lost = since_ns is not None and not self._facts.at_rest
@@ -217,7 +217,7 @@ class BodyTrack:
         return since_ns if self.lost else None
 
     def at(self, tick: int) -> tuple[Values, float] | None:
-        """Return its place at a tick and the error; None if it is unknown."""
+        """Return the body's place at ``tick`` and its error, or None if they are unknown."""
         if not self.samples or self._first_ns is None:
             return None
         time_ns, last_ns = tick * self._period_ns, self.samples[-1][0]
@@ -232,7 +232,7 @@ class BodyTrack:
         return self.place_at(time_ns), error_m
 
     def place_at(self, time_ns: int) -> Values:
-        """Return the place at a time on the line between its samples."""
+        """Return the body's place at ``time_ns``, on the line between the samples around it."""
         later = self.samples[-1]
         if time_ns >= later[0]:
             return later[1]
@@ -244,7 +244,7 @@ class BodyTrack:
         return later[1]
 
     def corners(self, begin_ns: int, end_ns: int) -> list[int]:
-        """Return the times of samples between two times."""
+        """Return the times of the samples between ``begin_ns`` and ``end_ns``."""
         places = []
         for time_ns, _ in reversed(self.samples):
             if time_ns <= begin_ns:
@@ -254,7 +254,7 @@ class BodyTrack:
         return places
 
     def forget(self, first_kept: int) -> None:
-        """Forget the ticks before this tick."""
+        """Forget all ticks before ``first_kept``."""
         self._within.forget(first_kept)
         while len(self.samples) > 1 and self.samples[1][0] <= first_kept * self._period_ns:
             self.samples.popleft()

@@ -1,4 +1,4 @@
-"""A claim while a run goes on: at every tick the verdict of ``FormulaClaim`` on the run up to there."""
+"""Claims on a run that still grows, with the verdict of ``FormulaClaim`` on the run up to every tick."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ AT_TICK, CELL = 0, 1
 
 
 def watched_formula(sentence: str) -> Formula:
-    """Return the formula of a claim: its own, or that of a sentence of the catalogue.
+    """Return the formula of a claim: ``sentence`` itself, or the formula of a catalogue's sentence.
 
-    FormulaError for any other sentence.
+    Raise FormulaError if a sentence of the catalogue has no formula.
     """
     if (claimed := entry_claimed(sentence)) is None:
         return parse_formula(sentence)
@@ -62,9 +62,10 @@ def watched_formula(sentence: str) -> Formula:
 
 
 class WatchedClaim:
-    """A sentence about a run so far, whose signals have to be in ``known``.
+    """A claim on the run so far.
 
-    FormulaError for other signals, or for a formula that needs unbounded memory.
+    The constructor raises FormulaError if ``sentence`` has a signal outside ``known``, or if it needs
+    unbounded memory.
     """
 
     def __init__(self, sentence: str, known: Collection[Signal], period_s: float, revisable: int) -> None:
@@ -78,9 +79,9 @@ class WatchedClaim:
         self.single = len(self.parts) == 1
 
     def see(self, seen: Values, first: int, *, grown: bool) -> None:
-        """Take what is known now of the latest ticks, from ``first`` on: ``seen`` (m, signals, 6).
+        """Update the verdicts by the signals ``seen`` (m, signals, 6) of m ticks, from ``first`` on.
 
-        With ``grown`` the last of them is new.
+        ``grown`` states that the last of these ticks is new.
         """
         for part in self.parts:
             part.see(seen, first, grown=grown)
@@ -93,7 +94,7 @@ class WatchedClaim:
 
     @property
     def latest(self) -> Verdict:
-        """Return the verdict at the latest decided tick, if a claim asks every tick; else that on the run."""
+        """Return the verdict at the latest decided tick if the claim is about every tick, else on the run."""
         first = self.parts[0]
         return first.latest if self.single else _worst([part.latest for part in self.parts])
 
@@ -104,9 +105,9 @@ class WatchedClaim:
 
 
 class WatchedPart:
-    """A part of a claim: its ``verdict`` on the run so far, and at the ``latest`` tick.
+    """A part of a claim, with its ``verdict`` on the run so far and its ``latest`` verdict at a tick.
 
-    ``margin`` is the least possible margin, or the largest for a violation; None if it is infinite.
+    ``margin`` is the least possible margin of the run, or for a violation the largest; None if infinite.
     """
 
     def __init__(self, part: Formula, period_s: float, revisable: int) -> None:
@@ -118,10 +119,10 @@ class WatchedPart:
         rising = {atom for atom in directions if 1 in directions[atom]}
 
         def prefix(formula: Formula, least: int, most: int) -> Prefix:
-            """A comparison's columns, as the formula's ``least`` and ``most`` are asked of ticks or cells.
+            """Return the Prefix of ``formula``, with ``least`` and ``most`` read at ticks or in cells.
 
-            A formula's least margin is of what may be from tick to tick, its largest of the ticks alone; the
-            low of a comparison decides the one, or the other if it stands below a "not" or in a trigger.
+            A cell is the time from one tick to the next. The low bound of a comparison's margin decides the
+            least margin of ``formula``. Below a "not" or in a trigger, it decides the largest margin.
             """
 
             def columns(atom: Comparison | Truth) -> tuple[int, int, int]:
@@ -153,7 +154,7 @@ class WatchedPart:
         self._last = inf if any(map(is_endless, part.nodes())) else reach_ticks(part, period_s)
 
     def see(self, seen: Values, first: int, *, grown: bool) -> None:
-        """Take what is known now, as ``WatchedClaim.see``; ``seen`` (m, signals, 6)."""
+        """Update the verdicts by ``seen`` (m, signals, 6), as ``WatchedClaim.see`` does."""
         for prefix in self._prefixes:
             prefix.see(seen, grown=grown)
         self._exercise(seen, first)
@@ -168,7 +169,7 @@ class WatchedPart:
             self.latest = _verdict(self._least.latest[0], self._most.latest[1])
 
     def _exercise(self, seen: Values, first: int) -> None:
-        """Count occasions as ``claims.formulas.claim`` does."""
+        """Note which signals exercise the part, by the rules of ``claims.formulas.claim``."""
         if not self._asked and isinstance(self.part, Globally):
             self._asked = self._most.triggered
         elif not self._asked and (first == 0 or not isinstance(self.part, Initially)):
@@ -181,7 +182,7 @@ class WatchedPart:
 
     @staticmethod
     def _tries(own: Values, near_m: float) -> NDArray[np.bool_]:
-        """Return (m,) where a signal ``own`` (m, 6) exercises a claim; within ``near_m`` it does."""
+        """Return at which ticks (m,) a signal ``own`` (m, 6) exercises a claim, or is within ``near_m``."""
         tries: NDArray[np.bool_] = (own[:, EXERCISED] > 0.0) | (
             ~np.isnan(own[:, VALUE]) & (own[:, HIGH] < near_m)
         )
@@ -189,13 +190,13 @@ class WatchedPart:
 
     @property
     def exercised(self) -> bool:
-        """Return whether the run exercised it; a goal at the first tick needs no more."""
+        """Return whether the run exercised the part; False if the first tick may already meet its goal."""
         if self._end is not None and self._end.most >= 0.0:
             return False
         return self._asked and not self._untried
 
     def reason(self, now: Values) -> str:
-        """Return its signals at the latest tick, ``now`` (signals, 6), and what it lacks."""
+        """Return the signals ``now`` (signals, 6) as text, which says if the run never exercised the part."""
         values = ", ".join(
             _value_text(signal, now[k]) for k, signal in zip(self._read, self._signals, strict=True)
         )
@@ -205,9 +206,10 @@ class WatchedPart:
 
 
 def _directions(formula: Formula, sign: int = 1) -> dict[Comparison | Truth, set[int]]:
-    """Return for each comparison whether the formula's margin rises with its own (1), falls (-1), or both.
+    """Return for each comparison whether the formula's margin rises or falls with the comparison's margin.
 
-    The other bound of a trigger counts, as if the margin fell.
+    The sign 1 means that the formula's margin rises, and -1 that it falls. A trigger has the sign -1, because
+    the formula's least margin depends on the trigger's largest margin.
     """
     if isinstance(formula, Comparison | Truth):
         return {formula: {sign}}
@@ -230,7 +232,7 @@ def _verdict(least: float, most: float) -> Verdict:
 
 
 def _value_text(signal: Signal, known: Values) -> str:
-    """Return a signal's value in words, with its bounds (6,) if they differ."""
+    """Return a signal's value as text, with both bounds in ``known`` (6,) if they differ."""
     if known[LOW] == -inf or isnan(known[VALUE]):
         return f"{signal.words} not known"
     unit: Unit = shown_in(signal.dimension)

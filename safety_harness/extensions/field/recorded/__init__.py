@@ -1,1 +1,1 @@
-"""Recorded cells beside simulation: scenarios and spaces from their logs, and worlds compared with them."""
+"""Scenarios and spaces made from the logs of real cells, and comparisons of both worlds with these logs."""

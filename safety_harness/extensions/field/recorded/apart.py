@@ -1,9 +1,9 @@
 """The difference between two motions: statistics with intervals, and a delay and offsets between them.
 
-Differences of one run follow each other closely, so they are no independent sample. Intervals come from the
-delete-a-block jackknife (Künsch, 1989). It cuts the run into BLOCKS stretches and repeats the estimate
-without each in turn. Student's t has BLOCKS - 1 degrees of freedom, since the blocks are few. The intervals
-are approximate, and apply to this recording only.
+Successive differences in a run are almost equal, so they are no independent sample. Intervals come from the
+delete-a-block jackknife (Künsch, 1989). It cuts the run into BLOCKS blocks, and repeats the estimate with one
+block left out at a time. Because the blocks are few, the interval uses Student's t with BLOCKS - 1 degrees of
+freedom. The intervals are approximate, and apply to this recording only.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 BLOCKS, CONFIDENCE, USUALLY = 10, 0.95, 0.95
 FEWEST = 10 * BLOCKS  # samples
-LONGEST_S, STEP_S = 0.25, 0.004  # of delays that are tried
-LEAST_RADPS = 0.01  # root mean square of the joints' speeds about their means; with less no delay shows
+LONGEST_S, STEP_S = 0.25, 0.004  # the longest delay that the fit tries, and the step between delays
+LEAST_RADPS = 0.01  # least root mean square of the joints' speeds about their means that shows a delay
 
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A value, with ``low`` to ``high`` at about CONFIDENCE; None where the data suffice for no interval."""
+    """A value with its interval ``low`` to ``high`` at about CONFIDENCE; both are None if there is none."""
 
     value: float
     low: float | None
@@ -33,10 +33,10 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """Simulated minus recorded of one quantity, in ``unit`` (rad, m), over ``samples`` ticks.
+    """Statistics of simulated minus recorded values of one quantity, in ``unit`` (rad, m).
 
-    Its absolute value is at most ``usually`` in USUALLY of the time, and ``largest`` at ``at_s``. The
-    recording itself is known to ``recorded_within``, so the true largest lies within that of it.
+    At a share USUALLY of the ``samples`` ticks, the absolute difference is at most ``usually``. The largest
+    difference is ``largest``, at ``at_s``. It is uncertain by ``recorded_within``, as the recording is.
     """
 
     what: str
@@ -51,11 +51,11 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True)
 class DelayFit:
-    """recorded(t) = simulated(t - late) + offset of each joint, by least squares.
+    """The least-squares fit of recorded(t) = simulated(t - late) + offset to the motion of all joints.
 
-    ``late`` [s] is None where the joints' motion does not show it, and ``why`` states the reason. ``offsets``
-    [rad] are in the order of the joints. ``before`` and ``left`` [rad] are the root mean square of all
-    joints' differences without and with the fit.
+    ``late`` [s] is None if the motion shows no delay, for the reason ``why``. ``offsets`` [rad] are in the
+    order of the joints. ``before`` [rad] is the root mean square of all joints' differences. ``left`` [rad]
+    is the root mean square that remains after the fit.
     """
 
     late: Estimate | None
@@ -98,7 +98,7 @@ def difference_of(
 def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Floats) -> DelayFit | None:
     """Return the delay and offsets of recorded joints against simulated joints; None for too few samples.
 
-    The simulated arm stands still before its first sample.
+    The fit assumes that the simulated arm stands still before its first sample.
 
     Args:
         time_s: The times (n,) of the recording [s].
@@ -125,7 +125,7 @@ def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Flo
     late_s = float(
         scipy.optimize.minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": 1e-7}).x
     )
-    late_s = min((0.0, late_s, first), key=left)  # an exact one is not missed by a rounding
+    late_s = min((0.0, late_s, first), key=left)  # so that rounding does not miss an exact delay
     rates = _at(time_s - late_s, simulated_s, np.gradient(simulated, simulated_s, axis=0))
     varied_radps = float(np.sqrt(rates.var(axis=0).sum()))
     why = ""
@@ -148,12 +148,15 @@ def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Flo
 
 
 def _at(time_s: Floats, known_s: Floats, values: Floats) -> Floats:
-    """Return (n, j) linear interpolation between ``values`` (m, j), and the first of them before its time."""
+    """Return (n, j) ``values`` (m, j) interpolated linearly at ``time_s`` (n,), constant beyond the ends."""
     return np.column_stack([np.interp(time_s, known_s, column) for column in values.T])
 
 
 def _normal(total: Floats, joints: int) -> Floats:
-    """Return (1 + j,) a further delay d and offsets o: least squares of apart = o - d rate, from sums."""
+    """Return (1 + j,) a further delay d and offsets o, from the least squares of difference = o - d rate.
+
+    ``total`` has the sums of differences, rates and their products over the samples.
+    """
     n, (difference, rate, both, square) = total[0], total[1:].reshape(4, joints)
     slope = (square - rate**2 / n).sum()
     more = 0.0 if slope <= 0.0 else -(both - rate * difference / n).sum() / slope
@@ -161,7 +164,7 @@ def _normal(total: Floats, joints: int) -> Floats:
 
 
 def _jackknife(rows: Floats, estimate: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
-    """Return an estimate from sums of ``rows`` (n, k), and half of its interval's length."""
+    """Return the ``estimate`` from the sums of ``rows`` (n, k), and half of its interval's length."""
     blocks = np.array([part.sum(axis=0) for part in np.array_split(rows, BLOCKS)])
     total = blocks.sum(axis=0)
     without = np.array([estimate(total - block) for block in blocks])

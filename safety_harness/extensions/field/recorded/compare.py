@@ -1,7 +1,7 @@
-"""A log beside both worlds: the same controller under the recorded hands, and the arm's deviation.
+"""The comparison of a log with both worlds, in which the same controller meets the recorded hands.
 
-The recorded values come from the log's trace at its ticks, with its stated uncertainty and without its gaps.
-The simulated values are interpolated linearly between their own ticks.
+The recorded values are those of the log's trace at its ticks, with the stated uncertainty, except in gaps.
+The simulated values are interpolated linearly between the ticks of the simulation.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ Floats = NDArray[np.float64]
 class ClosestHand:
     """The least distance of a hand [m] in simulation, and the bounds of its recorded least distance.
 
-    ``recorded_least_m`` is None where the log has a gap, in which the hand may have been nearer.
+    ``recorded_least_m`` is None if the log has a gap, since the hand may have been nearer in the gap.
     """
 
     hand: str
@@ -61,7 +61,7 @@ class ClosestHand:
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimOfBoth:
-    """One claim with its verdicts on the log and on a run; margins are texts."""
+    """The verdicts of one claim on the log and on a simulated run, with the margins as texts."""
 
     sentence: str
     recorded: Verdict
@@ -71,23 +71,23 @@ class ClaimOfBoth:
 
     @property
     def decided(self) -> bool:
-        """Are both verdicts conclusive?"""
+        """Return whether both verdicts are conclusive."""
         return Verdict.INCONCLUSIVE not in (self.recorded, self.simulated)
 
     @property
     def differs(self) -> bool:
-        """Do they contradict each other?"""
+        """Return whether the two verdicts contradict each other."""
         return self.decided and self.recorded is not self.simulated
 
     @property
     def optimistic(self) -> bool:
-        """Does the claim hold in simulation although the log violates it?"""
+        """Return whether the claim holds in simulation although the log violates it."""
         return self.recorded is Verdict.VIOLATED and self.simulated is Verdict.HOLDS
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldBeside:
-    """One world beside the log; ``absent`` lists the quantities that could not be compared, with reasons."""
+    """The comparison of one world with the log; ``absent`` lists what could not be compared, and why."""
 
     world: str
     joints: tuple[Difference, ...]
@@ -100,13 +100,13 @@ class WorldBeside:
 
     @property
     def contradicted(self) -> int:
-        """The number of contradictory verdicts."""
+        """The number of claims whose verdict on the run contradicts the verdict on the log."""
         return sum(claim.differs for claim in self.claims)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CellComparison:
-    """Both worlds beside a recorded cell, with versions and the hashes (name, sha256) of the files."""
+    """The comparison of both worlds with a recorded cell, with versions and (name, sha256) of all files."""
 
     log: str
     title: str
@@ -139,7 +139,7 @@ def compare_worlds(made: FromLog) -> CellComparison:
     Raises:
         InstallationError: The engine of a world is missing.
         InadmissibleError: The scenario cannot run.
-        LogError: The recording is too short for any statement.
+        LogError: The recording is too short for statistics.
 
     """
     trace = made.trace
@@ -190,7 +190,7 @@ def beside(
     *,
     world: str,
 ) -> WorldBeside:
-    """Return a world's comparison with the log.
+    """Return the comparison of a world's run with the log.
 
     Args:
         recorded: The trace of the log.
@@ -230,14 +230,14 @@ def beside(
 
 
 def _simulated(trace: Trace, name: str, time_s: Floats) -> Floats:
-    """Return (n, ...) a column at ``time_s`` (n,), by linear interpolation between ticks."""
+    """Return the column ``name`` (n, ...) at ``time_s`` (n,), interpolated linearly between ticks."""
     values = trace.ticks[name].reshape(len(trace.ticks), -1)
     columns = np.column_stack([np.interp(time_s, trace.time_s, column) for column in values.T])
     return columns.reshape(len(time_s), *trace.ticks[name].shape[1:])
 
 
 def _tcp(recorded: Trace, simulated: Trace, shared: NDArray[np.bool_]) -> Difference | None:
-    """Return the statistics of the distance between recorded and simulated TCP, which has no sign."""
+    """Return the statistics of the unsigned distance between the recorded and the simulated TCP."""
     there = shared & recorded.known.measured(TCP, recorded.ticks)
     time_s, off_by = recorded.time_s[there], recorded.known.uncertainty_of(TCP, len(recorded.ticks))[there]
     way_m = _simulated(simulated, TCP, time_s)[:, :3, 3] - recorded.ticks[TCP][there][:, :3, 3]
@@ -288,7 +288,7 @@ def as_json(comparison: CellComparison) -> str:
 
 
 def read_comparison(path: Path) -> CellComparison:
-    """Return the comparison in a file that ``compare-worlds`` wrote; InputError, with the field, if not."""
+    """Return the comparison in a file that ``compare-worlds`` wrote; raise InputError for another file."""
     content = of_format(read_json(path, "what compare-worlds wrote"), FORMAT, path)
     del content["format"]
     return typed(content, CellComparison, path)

@@ -1,7 +1,7 @@
-"""The hands of a log as recordings of a scenario: their unchanged samples from the first instant on.
+"""The hands of a log as recordings for a scenario, with unchanged samples from the first instant on.
 
-The code does not resample, smooth or repair. It interpolates only the place of a hand at the first instant,
-linearly between the two samples beside it.
+The code does not resample, smooth or repair the samples. It interpolates only the place of a hand at the
+first instant, linearly between the samples before and after it.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from safety_harness.scenario.model import NOT_LOADED, RecordedHand
 from safety_harness.scenario.recording import load_recording, parse_recording
 from safety_harness.scenario.units import TIME
 
-SHORTEST_NS = 1_000  # a sample no later than this is the interpolated first instant
-LEAST_S = 0.1  # of a log that is worth being offered as a part
+SHORTEST_NS = 1_000  # the interpolated first instant replaces a sample that is not later than this
+LEAST_S = 0.1  # the shortest part of a log that a hint offers
 HAND, ELBOW = "hand", "elbow"
 
 
@@ -43,7 +43,7 @@ class HandFile:
 
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """Samples (n,) at times since the first instant, positions (n, 3) in the base frame [m]."""
+    """The samples of a body: times (n,) since the first instant, positions (n, 3) in the base frame [m]."""
 
     time_ns: NDArray[np.int64]
     position_in_base_m: NDArray[np.float64]
@@ -62,8 +62,8 @@ def hand_file(
     Args:
         log: The log.
         body: The hand, with its elbow if the log has one.
-        elbow_towards_in_base_m: The point (3,) towards which an unmeasured forearm leads [m]. None: not
-            known.
+        elbow_towards_in_base_m: The point (3,) at which an unmeasured forearm points [m], or None if it is
+            unknown.
         forearm_length_m: The length of the forearm [m].
 
     Raises:
@@ -103,12 +103,12 @@ def hand_file(
 
 
 def _above(speed_mps: float) -> float:
-    """Return a slightly larger speed, rounded up to a millimetre per second."""
+    """Return a speed that is 1 to 2 mm/s above ``speed_mps``, in whole millimetres per second."""
     return math.ceil(speed_mps * 1e3 + 1.0) / 1e3
 
 
 def _track(log: CellLog, samples: LogSamples) -> _Track:
-    """Return the samples from the first instant to the first sample at or after the end."""
+    """Return the samples from the first instant to the first sample at or after the end of the log."""
     assert log.hand_facts is not None
     time_ns = samples.time_ns - log.hands_ahead_ns - log.origin_ns
     end_ns = (log.ticks - 1) * log.period_ns
@@ -132,7 +132,7 @@ def _track(log: CellLog, samples: LogSamples) -> _Track:
 def _refuse_gap(
     log: CellLog, samples: LogSamples, index: int, begin_ns: int, end_ns: int, *, half: bool = False
 ) -> None:
-    """Raise LogError for a gap from ``begin_ns`` to ``end_ns``, with a hint to parts without it."""
+    """Raise LogError for a gap from ``begin_ns`` to ``end_ns``, with a hint to parts without this gap."""
     assert log.hand_facts is not None
     most_ms = log.hand_facts.longest_gap_s * (0.5e3 if half else 1e3)
     expected = f"a sample every {most_ms:g} ms, as hands: {{longest gap: ...}} says"
@@ -149,13 +149,13 @@ def _refuse_gap(
 
 
 def _part_begins_s(log: CellLog) -> float:
-    """Return the log's own ``from`` [s], to which the options ``from`` and ``to`` refer."""
+    """Return the begin [s] of the log's part, on the scale of the options ``from`` and ``to``."""
     streams = dict(log.said.entries("the log of a cell"))["log"].entries("streams")
     return next((field.quantity(TIME) for key, field in streams if key == "from"), 0.0)
 
 
 def _csv(tracks: dict[str, _Track]) -> bytes:
-    """Return the tracks as one table, with empty cells where a track has no sample of its own."""
+    """Return ``tracks`` as one CSV table, whose cells are empty where a track has no sample at that time."""
     times = np.unique(np.concatenate([track.time_ns for track in tracks.values()]))
     header = ["time_s", *(f"{name}_{axis}_m" for name in tracks for axis in "xyz")]
     cells: list[Sequence[str]] = [[f"{time / NS:.9f}" for time in times.tolist()]]

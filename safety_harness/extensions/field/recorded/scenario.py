@@ -1,7 +1,7 @@
 """Scenarios from a log of real events, and spaces around them.
 
-The log gives the start of the arm, the motion of the hands and the claims. A scenario of the cell gives the
-rest: the desired TCP, the object, the hand sensor and the controller.
+The log provides the start of the arm, the motion of the hands and the claims. A scenario of the cell provides
+the rest: the desired TCP, the object, the hand sensor and the controller.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from safety_harness.scenario.units import LENGTH, SPEED, TIME, format_quantity, 
 from safety_harness.scenario.write import text_of, tree_of
 from safety_harness.trace.trace import Trace
 
-SLIGHTLY_BEYOND_RAD = math.radians(1.0)  # of an encoder's zero position and its noise
+SLIGHTLY_BEYOND_RAD = math.radians(1.0)  # an encoder's zero and noise may show a joint beyond its limit
 
 WIDTH = 108
 AXES = ("x", "y", "z")
 PACE, SHIFT = "pace", "shift {}"
-_JUDGED_BY = ("hand", "braking")  # settings by which a log is judged as a run is
+_JUDGED_BY = ("hand", "braking")  # settings that affect the verdicts on logs and runs
 
 
 def read_part(file: Path, begin: str | None = None, end: str | None = None) -> CellLog:
-    """Return the log in a LOG.yaml, or a part of it.
+    """Return the log that a LOG.yaml describes, or a part of the log.
 
     Args:
         file: The LOG.yaml.
-        begin: The begin of the part, a text such as ``1.5 s``. None: the file's own ``from``.
-        end: The end of the part, likewise. None: the file's own ``to``.
+        begin: The begin of the part, a text such as ``1.5 s``, or None for the file's own ``from``.
+        end: The end of the part, a text such as ``4 s``, or None for the file's own ``to``.
 
     """
     description, part = said_in(file), {}
@@ -67,9 +67,9 @@ def _mapping(entries: dict[str, str] | dict[str, Mapping]) -> Mapping:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FromLog:
-    """The result for ``log``: its own ``trace``, and the ``scenario`` in which its hands move again.
+    """The ``scenario`` made from ``log``, in which the recorded hands move again, and the log's ``trace``.
 
-    ``cell`` is the scenario with the parts that the log lacks. ``hands`` have their recordings.
+    ``cell`` is the scenario with the parts that the log lacks. ``hands`` contain the recordings.
     """
 
     log: CellLog
@@ -82,7 +82,10 @@ class FromLog:
 
 @dataclass(frozen=True, kw_only=True)
 class Around:
-    """A space: hands shifted by up to ``shift_m`` along each axis, ``speeds`` (low, high) times as fast."""
+    """The variations of a space: shifts by up to ``shift_m`` along each axis, and ``speeds`` of the hands.
+
+    ``speeds`` (low, high) are the least and the largest factor on a hand's recorded speed.
+    """
 
     shift_m: float | None = None
     speeds: tuple[float, float] | None = None
@@ -97,12 +100,12 @@ def scenario_from(log: CellLog, cell: Scenario, *, elbow_towards_in_base_m: Vect
     Args:
         log: The log.
         cell: The scenario with the parts that the log lacks.
-        elbow_towards_in_base_m: The point (3,) towards which unmeasured forearms lead [m]. None: as the hand
-            in ``cell``.
+        elbow_towards_in_base_m: The point (3,) at which unmeasured forearms point [m], or None for the point
+            of the hand in ``cell``.
 
     Raises:
-        LogError: A gap is longer than the log allows, the direction of a forearm is unknown, or arm,
-            obstacles or hands differ from the cell's.
+        LogError: A gap is longer than the log allows, the direction of a forearm is unknown, or the log and
+            ``cell`` differ in arm, obstacles, or the settings of hand or braking.
 
     """
     data = trace_from_log(log)
@@ -119,7 +122,7 @@ def scenario_from(log: CellLog, cell: Scenario, *, elbow_towards_in_base_m: Vect
     )
     arm, q = arm_model(log.robot), log.joints.values[0, : log.joints.values.shape[1] // 2]
     ends = np.clip(q, arm.position_lower_rad, arm.position_upper_rad)
-    start_rad = np.where(np.abs(q - ends) <= SLIGHTLY_BEYOND_RAD, ends, q)  # a note of the log says it
+    start_rad = np.where(np.abs(q - ends) <= SLIGHTLY_BEYOND_RAD, ends, q)  # a note of the log reports this
     own = data.trace.scenario
     claims = own.claims or cell.claims
     scenario = replace(
@@ -151,7 +154,7 @@ def usual_cell(log: CellLog, desired_tcp_in_base_m: Vector3 | None = None) -> Sc
 
     Args:
         log: The log.
-        desired_tcp_in_base_m: The desired TCP (3,) [m]. None: the place where the log ends.
+        desired_tcp_in_base_m: The desired TCP (3,) [m], or None for the TCP at the end of the log.
 
     """
     trace = trace_from_log(log).trace
@@ -167,7 +170,7 @@ def usual_cell(log: CellLog, desired_tcp_in_base_m: Vector3 | None = None) -> Sc
 
 
 def _elbow_towards(cell: Scenario, name: str) -> Vector3 | None:
-    """Return the forearm's point from the cell's hand of this name, or from its only hand."""
+    """Return the point of the forearm from the hand ``name`` in ``cell``, or from the only hand there."""
     hands = [hand for hand in cell.hands if hand.name == name] or list(cell.hands)
     if len(hands) != 1 or isinstance(hands[0], JoinedHand):
         return None
@@ -196,17 +199,17 @@ def _shortened(value: object) -> str:
 
 
 def scenario_text(made: FromLog, *, named: str) -> str:
-    """Return the scenario file; comments state the origin of each part.
+    """Return the text of the scenario file, with comments on the origin of each part.
 
-    ``named`` names the cell's scenario.
+    ``named`` is the name of the cell's scenario in these comments.
     """
     return _comments([*_origin(made, named)]) + text_of(tree_of(made.scenario))
 
 
 def space_text(made: FromLog, around: Around, *, named: str) -> str:
-    """Return the space file around it: all hands are shifted, and sped up, together.
+    """Return the text of a space around the scenario, which shifts and speeds up all hands together.
 
-    Raise LogError without hands.
+    Raise LogError if the log has no hands.
     """
     if not made.hands:
         raise LogError.of_option(
@@ -251,7 +254,7 @@ def _varied(hand: Tree, fastest_mps: float, around: Around) -> dict[str, Tree]:
 
 
 def _origin(made: FromLog, named: str) -> list[str]:
-    """Return the origin of each part, in paragraphs."""
+    """Return paragraphs that state the origin of each part of the scenario."""
     log, cell, facts = made.log, made.cell, made.log.hand_facts
     stream = log.file.name if log.file else log.name
     lines = [f"Made of {stream} by safety-harness scenario from, version {installed_version()}."]
@@ -294,7 +297,7 @@ def _comments(paragraphs: Sequence[str]) -> str:
 
 
 def write_all(files: dict[Path, bytes]) -> None:
-    """Write all files, or no file if one exists already with other contents; OutputError in that case."""
+    """Write all ``files``; raise OutputError, before any is written, if a file exists with other contents."""
     for path, data in files.items():
         if path.is_symlink() or (path.exists() and (not path.is_file() or path.read_bytes() != data)):
             raise OutputError.of_file(path, "a file that is not there yet, or the same", "another one")

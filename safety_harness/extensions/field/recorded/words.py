@@ -1,4 +1,4 @@
-"""The comparison of a recorded cell with the worlds, as lines for people."""
+"""The lines for people about the comparison of a recorded cell with both worlds."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def world_lines(world: WorldBeside, usually: float) -> Iterator[str]:
 
 
 def difference_words(row: Difference, usually: float) -> str:
-    """Return the mean with its interval, the usual and largest values, and the log's uncertainty."""
+    """Return the mean difference with its interval, the usual and largest size, and the log's uncertainty."""
     return (
         f"mean {estimate(row.mean, row.unit)}; {usually:.0%} of the time within "
         f"{shown(row.usually, row.unit)}, at most {shown(row.largest, row.unit)} at {row.at_s:.3f} s; "
@@ -47,7 +47,7 @@ def difference_words(row: Difference, usually: float) -> str:
 
 
 def closest_words(row: ClosestHand) -> str:
-    """Return the least distance of a hand in both."""
+    """Return the least distances of a hand in the simulation and in the log."""
     least = "unknown" if row.recorded_least_m is None else shown(row.recorded_least_m, "m")
     return (
         f"least distance of {row.hand}: simulated {shown(row.simulated_m, 'm')}, recorded {least} to "
@@ -56,7 +56,7 @@ def closest_words(row: ClosestHand) -> str:
 
 
 def fit_words(fit: DelayFit, joints: Sequence[str]) -> Iterator[str]:
-    """Yield the effect of delay and offsets."""
+    """Yield the delay, the offsets, and the differences before and after the fit."""
     late = f"not estimated: {fit.why}" if fit.late is None else estimate(fit.late, "s")
     yield f"recorded joints later than simulated by: {late}"
     offs = ", ".join(f"{name} {estimate(est, 'rad')}" for name, est in zip(joints, fit.offsets, strict=False))
@@ -65,7 +65,7 @@ def fit_words(fit: DelayFit, joints: Sequence[str]) -> Iterator[str]:
 
 
 def claim_words(row: ClaimOfBoth) -> str:
-    """Return both verdicts with their margins."""
+    """Return the verdicts of a claim on log and run, with their margins."""
     return (
         f"{row.sentence}: recorded {row.recorded.value} {row.recorded_margin}, "
         f"simulated {row.simulated.value} {row.simulated_margin}"
@@ -73,7 +73,7 @@ def claim_words(row: ClaimOfBoth) -> str:
 
 
 def estimate(of_value: Estimate, unit: str) -> str:
-    """Return a value with its interval."""
+    """Return a value with its interval, as text."""
     if of_value.low is None or of_value.high is None:
         return f"{shown(of_value.value, unit)} (no interval)"
     return f"{shown(of_value.value, unit)} ({shown(of_value.low, unit)} to {shown(of_value.high, unit)})"
