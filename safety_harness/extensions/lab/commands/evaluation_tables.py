@@ -15,7 +15,7 @@ from safety_harness.extensions.lab.learning.evaluation import LEVELS, Figures
 from safety_harness.extensions.lab.learning.metrics import RESIDUALS, Errors, IntervalCoverage
 
 NONE = "-"
-VARIANTS = {  # of the PICP, by name in the figures: the name in the table
+VARIANTS = {  # variants of the PICP: the name in the figures, and the name in the table
     "spread": "spread",
     RESIDUALS: "and residuals",
     "spread and 1/tau": "and 1/tau",
@@ -53,7 +53,7 @@ def tables(figures: Sequence[Figures]) -> Iterator[str]:
 
 
 def _error_rows(by_set: Sequence[Figures]) -> Iterator[Row]:
-    """Yield the rows of errors; a set's floor comes before its models."""
+    """Yield the rows of errors; the floor of a set comes before the models."""
     last = None
     for item in by_set:
         if item.set.name != last and item.set.floor is not None:
@@ -82,7 +82,7 @@ def _both(errors: Errors) -> Row:
 
 
 def _interval_row(item: Figures) -> Row:
-    """Return the row of a model's intervals."""
+    """Return the row about the intervals of one model on one set."""
     picp = tuple(_mean_picp(item.picp.get(name)) for name in VARIANTS)
     if item.intervals is None:
         return item.set.name, item.model, NONE, NONE, NONE, NONE, NONE, *picp
@@ -91,7 +91,7 @@ def _interval_row(item: Figures) -> Row:
 
 
 def _doubt_row(item: Figures) -> Row:
-    """Return the row of a model's spread."""
+    """Return the row about the spread of one model on one set."""
     above = None if item.intervals is None else item.intervals.above_threshold
     return (
         item.set.name,
@@ -103,7 +103,7 @@ def _doubt_row(item: Figures) -> Row:
 
 
 def _curve_rows(item: Figures) -> Iterator[Row]:
-    """Yield a row for each scale's calibration curve."""
+    """Yield a row for the calibration curve of each scale."""
     for name, curve in item.curves.items():
         yield item.set.name, item.model, VARIANTS[name], *map(_percent, curve.mean(axis=1).tolist())
 

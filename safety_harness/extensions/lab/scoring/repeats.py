@@ -30,7 +30,7 @@ INTERLEAVED = 200  # the most questions to two instances in turn, which answer t
 class Subject:
     """An avoider under test: its reference as for ``--avoider``, an instance, and makers of more instances.
 
-    ``another`` creates an instance that shares whatever instances share in the first one's process.
+    ``another`` creates an instance as the program does in a run, where instances may share a process.
     ``apart`` creates an instance that shares as little as possible.  It has its own process if ``in_process``
     is False.
     """
