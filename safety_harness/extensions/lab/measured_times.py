@@ -45,7 +45,9 @@ class MeasuredTimes:
 
 
 def measured_times(reference: str, questions: int, seed: int) -> MeasuredTimes:
-    """Return the times in which an avoider answers one question after another; execute its Python file.
+    """Return the measured times in which an avoider answers one question after another.
+
+    If the avoider is a Python file, the function executes it.
 
     Args:
         reference: The avoider.

@@ -25,7 +25,7 @@ Row = tuple[str, ...]
 
 
 def tables(figures: Sequence[Figures]) -> Iterator[str]:
-    """Yield the lines of four tables: errors, 95 % intervals, doubt, calibration curve."""
+    """Yield the lines of four tables: errors, 95 % intervals, doubt and calibration curves."""
     order = list(dict.fromkeys(item.set.name for item in figures))
     by_set = sorted(figures, key=lambda item: order.index(item.set.name))
     yield from titled(
@@ -69,14 +69,14 @@ def _error_rows(by_set: Sequence[Figures]) -> Iterator[Row]:
 
 
 def _floor(floor: LabelFloor) -> Row:
-    """Return the cells of a floor."""
+    """Return the cells of RMSE and MAE for the floor of a set."""
     rmse, mae = np.array(floor.rmse_m), np.array(floor.mae_m)
     overall = float(np.sqrt((rmse**2).mean()))
     return *map(_mm, floor.rmse_m), _mm(overall), *map(_mm, floor.mae_m), _mm(float(mae.mean()))
 
 
 def _both(errors: Errors) -> Row:
-    """Return the cells of RMSE and MAE."""
+    """Return the cells of RMSE and MAE for the errors of a model."""
     rmse, mae = map(_mm, errors.rmse.tolist()), map(_mm, errors.mae.tolist())
     return *rmse, _mm(errors.overall_rmse), *mae, _mm(errors.overall_mae)
 

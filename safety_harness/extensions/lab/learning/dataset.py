@@ -195,8 +195,8 @@ def generate(
     """Draw TCPs, candidates and hands, and select each TCP's candidate by the least |f - f*|^2 (eq. 15).
 
     The features f come from the exact image.  A candidate that does not see the whole object is selected only
-    if no candidate of its TCP sees it.  In that case ``candidates_in_view`` is 0, and the image has no
-    border, beyond which the moments are as well defined.
+    if no candidate of its TCP sees it.  In that case ``candidates_in_view`` is 0.  The exact image has no
+    border, so its moments are defined even then.
 
     Args:
         settings: The settings of the cell.
@@ -301,12 +301,12 @@ def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws:
 
     A regressor knows the TCP but not the drawn candidates.  Its RMSE is least if it predicts the mean label
     of each TCP.  Its MAE is least if it predicts the median label.  So the floor of the RMSE is the root of
-    the mean variance, and the floor of the MAE is the mean distance from the median.  One regressor does not
+    the mean variance.  The floor of the MAE is the mean distance from the median.  One regressor does not
     reach both floors.  A TCP from the training cannot test them, because the network may remember its label.
 
     Each label is the candidate nearest to the desired position, which has the least image error for upright
-    views.  The hand shifts a label by a known vector, so the floors do not depend on it.  Groups of 32 TCPs
-    share their redraws; each TCP's labels keep their distribution.
+    views.  The hand shifts a label by a known vector, so the floors do not depend on the hand.  Groups of 32
+    TCPs share the redrawn candidates, which does not change the distribution of each TCP's labels.
 
     Args:
         settings: The settings of the cell.

@@ -5,7 +5,8 @@ So the rows are independent trials, and shares of rows have exact intervals.
 
 The draws of an evaluation never coincide with those of a training or a calibration.  The streams of a data
 set are leaves of its own seed.  A training uses the seed that its user gave.  A calibration derives seeds
-from that seed with the spawn key (7, k).  An evaluation derives 64-bit seeds from its own seed with (8, k).
+from that seed with the spawn key (7, k).  An evaluation derives 64-bit seeds from its own seed with the spawn
+key (8, k).
 """
 
 from __future__ import annotations
@@ -69,8 +70,8 @@ class EvaluationSet:
 
     ``labels_in_base`` are the labels of eq. 13.  ``noise_free_in_base`` are the labels with the continuous
     optimum instead of the selected candidate.  ``floor`` is the least error that any regressor has on this
-    set because of the labels' noise, from 1,000 redraws for each TCP.  It is None for unseen sets, where
-    errors have other causes.
+    set because of the labels' noise.  It comes from 1,000 redraws for each TCP.  It is None for unseen sets,
+    where errors have other causes.
     """
 
     name: str

@@ -133,9 +133,9 @@ def calibrate(
     """Return ``model`` with a calibration from fresh draws of the data set's space.
 
     The residuals on a first set determine the scale sqrt(spread^2 + residual_std^2) of an interval, by axis.
-    A second, independent set determines a multiple of this scale: the intervals then cover 95 % of the labels
-    on all axes at once.  The second set also determines the spread that one decision in a hundred exceeds
-    (Angelopoulos and Bates, 2023).
+    A second, independent set determines the multiple of this scale that covers 95 % of the labels on all axes
+    at once.  The second set also determines the spread that one decision in a hundred exceeds (Angelopoulos
+    and Bates, 2023).
 
     Args:
         model: The model.

@@ -317,7 +317,7 @@ class _Run:
         return torch.Generator(self.device).manual_seed(seed_below(self.seed, *leaf))
 
     def _chosen(self, index: Index, count: int | None, *leaf: int) -> Index:
-        """Return ``count`` distinct members of ``index`` in random order; None, or too large, means all."""
+        """Return ``count`` distinct members of ``index`` in random order, or all if it is None or larger."""
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=leaf)))
         size = len(index) if count is None else min(count, len(index))
         return index[rng.choice(len(index), size, replace=False)]

@@ -27,7 +27,7 @@ STATES = {"proven": "holds", "refuted": "violated", "undecided": "inconclusive",
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProofEvidence:
-    """The content of the page; ``command`` repeats the job, and ``files`` have the refuting questions."""
+    """The content of the page; ``command`` repeats the job, and ``files`` ask the refuting questions."""
 
     plan: ProofPlan
     proofs: tuple[Proof, ...]

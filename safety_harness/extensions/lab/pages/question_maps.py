@@ -1,6 +1,6 @@
 """Maps of bad answers: a grid of squares shows the questions from above or from the side.
 
-The worse the worst question of a cell, the larger its square; the worst class also has another colour.  So
+A cell with worse answers has a larger square, and squares of the worst class also have another colour.  So
 colour never carries information alone.  All squares of a class form one path, so that a map takes only a few
 kilobytes.
 """

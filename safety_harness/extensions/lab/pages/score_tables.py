@@ -196,7 +196,7 @@ def mm(length_m: float | None) -> str:
 
 
 def percent(part: Proportion | None) -> str:
-    """Return a share in per cent; 0 % means none, and 100 % means all.  Return a dash for None."""
+    """Return a share in per cent, which is 0 % only for none and 100 % only for all; a dash for None."""
     return NONE if part is None else share_words(part.count, part.trials)
 
 

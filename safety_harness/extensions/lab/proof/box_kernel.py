@@ -2,8 +2,8 @@
 
 After the network (``form_kernel``) come some 500 operations on unit vectors and on numbers below
 ``FARTHEST_M``.  A box with larger numbers stays undecided.  The rounding of the operations is at most
-500 x 100 m x 100 m x u = 6e-10, with u = 2^-53.  So a bound keeps a claim only if it keeps the claim's limit
-with a margin of at least ``MARGIN`` = 2e-9 (m, or m2).
+500 x 100 m x 100 m x u = 6e-10, with u = 2^-53.  So a bound proves a claim only if it keeps the limit with a
+margin of at least ``MARGIN`` = 2e-9 (m, or m2).
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def _away(
 ) -> None:
     """Fill ``bounds_out`` (2,) with bounds of (p - t) . (t - h) [m2], and increase ``weight`` (6,) [m].
 
-    ``weight`` grows by the effect of each axis.
+    Each entry of ``weight`` grows by the effect of its axis on the bounds.
 
     Both factors are forms with the same six symbols: q = c + sum g_i e_i + ..., w = w0 + sum h_i e_i.  Their
     product contains squares e_i^2, which lie in [0, 1].  Any other product of symbols lies in [-1, 1].

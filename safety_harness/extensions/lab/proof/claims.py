@@ -6,7 +6,7 @@ A question is a hand h and a TCP t, and its answer is p; all three are positions
 * within E of the optimum: |p - o(h, t)| <= E.  Here o = t_opt + pull (t - h), with the continuous optimum of
   ``cell.avoidance.candidates`` for the default settings.
 * uncertain or within E of the optimum: the same, or the spread over the members exceeds the network's own
-  threshold on an axis, so that the gate refuses the answer.
+  threshold on an axis.  The gate refuses an answer with such a spread.
 * leads away: (p - t) . (t - h) >= 0.  Then the point of the straight path from t to p nearest to h is t.  The
   reason: the squared distance along the path is convex, and it does not fall at the beginning of the path.
 """

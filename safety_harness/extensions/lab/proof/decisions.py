@@ -38,8 +38,8 @@ NO_ANSWER = CertifiedDecision(certain=Sameness.NONE, away=Sameness.NONE)
 def certified_decisions(trace: Trace, model: Model, sha256: str, half_m: float) -> CertifiedDecisions:
     """Return the certificates of all decisions of a run, for hands within +- ``half_m`` along each axis.
 
-    A decision has no certificate if its answer was late or spoilt by a fault, or if it differs from the
-    model's answer in any bit.
+    A decision has no certificate if its answer was late or spoilt by a fault.  It also has no certificate if
+    its answer differs from the model's answer in any bit.
 
     Args:
         trace: The run.

@@ -2,16 +2,16 @@
 
 The value of a unit is c + sum_k g_k e_k + r e', with every e in [-1, 1].  The first six e are the position in
 the box (hand, then TCP).  Each further e, a symbol, stands for the addition of a ReLU, and r is the slack.
-An affine map keeps the form.  For l <= z <= u with l < 0 < u and any s in [0, 1], relu(z) - s z lies in
-[0, 2 m], where 2 m = max(-s l, (1 - s) u).  With s = u / (u - l), this band is the narrowest (Singh et al.
-2018, DeepZ).
+An affine map keeps the form.  If l <= z <= u with l < 0 < u, relu(z) - s z lies in [0, 2 m] for any s in
+[0, 1].  Here 2 m = max(-s l, (1 - s) u).  This band is narrowest for s = u / (u - l) (Singh et al. 2018,
+DeepZ).
 
 Each layer multiplies the slack by |W|, so that it would grow beyond all bounds in a deep network.  There the
 ReLUs of every layer, or of the last of every ``network.gathers`` layers, turn the slack into symbols too.
 
 **Rounding.**  The bounds hold for the values that the *program* computes.  ``network.error`` bounds the
 program's rounding; in float64 (``cell.avoidance.perceptron_kernel``) it is as small as the rounding here.  A
-sum of n products has an error of at most gamma (|b| + sum |w| |x|), where gamma = n u / (1 - n u) and
+sum of n products has an error of at most gamma (|b| + sum |w| |x|).  Here gamma = n u / (1 - n u) and
 u = 2^-53.  This holds in any order, with or without fused operations (Higham 2002, 3.1).  It also holds for
 the centre computed here, and for symbols and slacks, whose magnitudes are part of |x| <= size.
 ``network.rounding`` is four times the sum of these errors, and the kernel adds it to the slack.  ``UP`` is
@@ -51,8 +51,8 @@ def _rectify(
 ) -> int:
     """Apply ReLU to the units from ``first`` to before ``last``, in place; return the new count of symbols.
 
-    In a deep network, a unit with a symbol of its own adds its slack to the symbol.  With ``gathers``, every
-    unit receives such a symbol.
+    In a deep network, a unit with a symbol of its own adds its slack to the symbol.  If ``gathers`` is set,
+    every unit receives such a symbol.
 
     ``units`` (4, n), ``g`` (k, n), ``share`` (6, n), ``of_symbol`` (k,).  ``share`` receives the part of a
     unit's width that each axis causes.

@@ -6,9 +6,9 @@ W contains everything between two ReLUs (batch norm, residual sums, normalisatio
 error bound E_s for each W_s: the program's value deviates by at most sum_s E_s |a_s|.  A ReLU does not round,
 so errors do not add up over layers here.  The kernel that bounds the network treats them as slack.
 
-If a program with the unit roundoff u adds n terms, its error is at most gamma = n u / (1 - n u) times the
-terms' magnitudes.  This holds in any order, with or without fused operations (Higham 2002, 3.1).  ``GUARD``
-more terms cover any folding of weights by a runtime, and the rounding of W and E in this module.
+If a program with the unit roundoff u adds n terms, its error is at most gamma times the terms' magnitudes.
+Here gamma = n u / (1 - n u).  This holds in any order, with or without fused operations (Higham 2002, 3.1).
+``GUARD`` more terms cover any folding of weights by a runtime, and the rounding of W and E in this module.
 """
 
 from __future__ import annotations

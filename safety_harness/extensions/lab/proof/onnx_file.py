@@ -1,7 +1,7 @@
 """An ONNX file as layers of ReLUs: perceptrons and residual networks; it refuses other operators by name.
 
 The program that answers is onnxruntime, in float32 or better.  The proof assumes that each operation rounds
-like float32, for any order of its sums, and after any fusing or folding by the runtime.  The module ignores
+like float32.  It allows any order of sums, and any fusing or folding by the runtime.  The module ignores
 nodes that do not affect the answer (for example a spread).
 """
 
@@ -119,7 +119,7 @@ def _layers(path: Path, data: bytes) -> list[AffineForm]:
 
 
 def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: Layers) -> AffineForm:
-    """Return an operator's output for ``given`` forms and constants; raise ValueError if none is known."""
+    """Return an operator's output for ``given`` forms and constants; raise ValueError if unsupported."""
     shown = [isinstance(operand, AffineForm) for operand in given]
     if not any(shown[:2]) or any(operand is None for operand in given):
         raise ValueError("operands that follow from hand and TCP, and constants of the file")

@@ -46,7 +46,7 @@ Normal = tuple[float, float]  # mean and standard deviation [m]
 class ProofRegion:
     """A box of hands and a box of TCPs in the base frame [m]; only pairs within ``apart_m`` belong to it.
 
-    Such a pair has a distance between hand and TCP from the first to the second number of ``apart_m``.
+    The distance between the hand and the TCP of such a pair lies between the two lengths of ``apart_m``.
     """
 
     name: str

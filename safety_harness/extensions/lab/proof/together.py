@@ -2,8 +2,8 @@
 
 A question of the region is drawn at random.  The claim concerns it if its hand and TCP are as far apart as
 the region requires.  P is the probability that the claim concerns the question and that the network answers
-it wrongly.  R and U are the probabilities of the refuted and undecided boxes.  Questions drawn from only the
-undecided boxes give b, an upper bound (Clopper and Pearson 1934) of the share of wrong answers there.  Then
+it wrongly.  R and U are the probabilities of the refuted and undecided boxes.  For questions from only the
+undecided boxes, b is an upper bound (Clopper and Pearson 1934) of the share of wrong answers.  Then
 
     R <= P <= R + U b        with the confidence of b; proven boxes add 0.
 

@@ -1,9 +1,9 @@
 """A region that is halved until its parts are decided: one code for each node, level by level.
 
-A node is either halved along an axis (codes 0 to 5: hand, then TCP), or it is a leaf (codes of
-``box_kernel``).  The next level consists of the two halves of each halved node, the lower half first.  So the
-leaves fill the region, whatever the codes are.  A leaf at level k has the share 2^-k of the region.  Work can
-continue at an undecided leaf at any time.
+A node is halved along an axis (codes 0 to 5: hand, then TCP), or it is a leaf (codes of ``box_kernel``).  The
+next level consists of the two halves of each halved node, the lower half first.  So the leaves always fill
+the region.  A leaf at level k has the share 2^-k of the region.  Work can continue at an undecided leaf at
+any time.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def examined(
 ) -> Codes:
     """Return the codes (n,) of boxes, with the ``constants`` (10,) of the optimum.
 
-    It is a function of this module, so that other processes can call it.
+    The function belongs to the module, so that other processes can call it.
 
     Args:
         network: The network.

@@ -27,8 +27,9 @@ def findings_against(
 ) -> tuple[ScoreFinding, ...]:
     """Return findings that the reference does not have, then the errors that the avoider makes more often.
 
-    An exact paired sign test compares the errors of both.  The avoider must err more often on over ``MORE``
-    of all questions, or more often on the questions where both answers are more than ``WRONG_M`` apart.
+    An exact paired sign test compares the errors of both.  A kind of error is a finding if the avoider makes
+    it more often by over ``MORE`` of all questions.  It is also a finding if the avoider makes it more often
+    on the questions where both answers are more than ``WRONG_M`` apart.
 
     Args:
         card: The avoider's card.

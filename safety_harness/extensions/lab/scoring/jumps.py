@@ -3,15 +3,15 @@
 On a segment, the hand or the TCP moves while the seed and the other position stay.  All segments pass
 through drawn questions, among them those with the worst answers.  A few segments in a thousand meet a given
 ball of 15 mm radius among the hands of a region.  The search follows the segments whose answers change least
-evenly.  There it divides the step that differs most from the median step into eight.  It repeats this until
-the ends are at most ``NEAR_M`` apart.  If their answers differ by more than half a millimetre, this is a jump
-and not a steep slope.
+evenly.  There it divides the step that differs most from the median step into eight parts.  It repeats this
+with the most uneven part until the ends of a part are at most ``NEAR_M`` apart.  If the answers at these ends
+differ by more than half a millimetre, the difference is a jump and not a steep slope.
 
 An avoider that rounds its questions gives equal answers within a cell.  If it is also steep, its answers
-differ much from cell to cell.  So a change is no jump if the answers stay equal on both sides of it, and in
-the next cells change by at least half as much.  An avoider that jumps on almost every followed segment, such
-as a network in int8, answers in steps.  Such steps are no jumps up to ``STEPPED_M``, which is twice the error
-of a predicted hand.
+differ much from cell to cell.  So a change is no jump under two conditions: the answers stay equal on both
+sides of it, and in the next cells they change by at least half as much.  An avoider that jumps on almost
+every followed segment, such as a network in int8, answers in steps.  Such steps are no jumps up to
+``STEPPED_M``, which is twice the error of a predicted hand.
 """
 
 from __future__ import annotations

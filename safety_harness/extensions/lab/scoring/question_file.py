@@ -1,8 +1,8 @@
 """A scenario whose run begins with a given question, so that an engineer can examine a bad answer.
 
-The hand rests at the question's hand and the TCP starts at the question's TCP, so the first control tick asks
-the question.  The question's seed derives from the scenario's seed.  Every scenario runs once before its file
-is written: the first question of that run must be the given question.
+The hand rests at the question's hand, and the TCP starts at the question's TCP.  So the first control tick
+asks the question.  The question's seed derives from the scenario's seed.  Every scenario runs once before its
+file is written: the first question of that run must be the given question.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ INTERLEAVED = 200  # the most questions to two instances in turn, which answer t
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """An avoider under test: its reference as for ``--avoider``, an instance, and makers of more instances.
+    """An avoider under test: its reference as for ``--avoider``, an instance, and functions that create more.
 
     ``another`` creates an instance as the program does in a run, where instances may share a process.
     ``apart`` creates an instance that shares as little as possible.  It has its own process if ``in_process``

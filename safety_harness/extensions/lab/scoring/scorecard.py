@@ -77,8 +77,8 @@ class RegionScore:
 
     ``in_reach`` is the share that the arm reaches, at least the clearance above the table.  ``gained_m`` is
     the component of the step away from the hand.  ``angle_rad`` is the angle between the step and that
-    direction.  ``off`` stands for the distance to the closed-form optimum.  ``bias_in_base_m`` is the mean
-    error.
+    direction.  Names with ``off`` refer to the distance to the closed-form optimum.  ``bias_in_base_m`` is
+    the mean error.
 
     ``pull`` is the growth of the error with the hand's position at a fixed TCP, by least squares.  It is a
     matrix (3, 3) in metres per metre, whose rows are the axes of the error.  ``scale`` is the growth of the

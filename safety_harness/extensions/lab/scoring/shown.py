@@ -54,7 +54,7 @@ def shown(subject: Subject, region: QuestionRegion) -> Subject:
 
 @dataclass(frozen=True, eq=False)
 class ShownAvoider(AvoiderAround):
-    """A wrapper that asks an avoider with further inputs by the question alone; it draws these inputs."""
+    """A wrapper for an avoider with further inputs: a caller passes the question, and it draws the inputs."""
 
     region: QuestionRegion
 
@@ -66,7 +66,7 @@ class ShownAvoider(AvoiderAround):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return the avoider's answer for positions (3,); raise AvoiderError if the arm misses the TCP."""
+        """Return the avoider's answer for positions (3,); raise AvoiderError if the TCP is out of reach."""
         settings, robot = self.region.settings, self.region.robot
         pose = desired_transform_tcp_to_base(settings)
         pose[:3, 3] = tcp_position_in_base_m

@@ -33,10 +33,11 @@ class _Drawn:
 def space_region(space: ScenarioSpace, seed: int, draws: int = DRAWS) -> QuestionRegion:
     """Return the region of questions that the admitted draws of a space can lead to.
 
-    The positions of a hand are those of its program every 100 ms, while the TCP moves straight from its start
-    to the desired position.  The TCP is anywhere on that path, or up to the repulsion radius beside it, as in
-    a run that retreats.  A pair joins a hand and a TCP of the same draw, at any two times, if they are within
-    the critical distance.  The region ignores errors of perception.  The function executes no code of a user.
+    A hand moves by its program, which the function evaluates every 100 ms.  Meanwhile the TCP moves straight
+    from its start to the desired position.  A pair joins a hand and a TCP of the same draw, at any two times.
+    The TCP of a pair is anywhere on the path, or up to the repulsion radius beside it, as in a run that
+    retreats.  Only pairs within the critical distance belong to the region.  The region ignores errors of
+    perception.  The function executes no code of a user.
 
     Args:
         space: The space.

@@ -3,7 +3,7 @@
 A search chooses its questions, so its results enter no estimate.  A point of the search's cube defines the
 TCP, the hand relative to the TCP, and one of a few seeds.  Some draws of the region bound both positions.
 The search refuses pairs that lie outside the region or with which no run can begin.  A question's seed is the
-seed of the first decision in a run with a known scenario seed, so that a scenario file can ask it again.
+seed of the first decision in a run whose scenario seed is known.  So a scenario file can ask it again.
 """
 
 from __future__ import annotations
