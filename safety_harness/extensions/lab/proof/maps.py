@@ -24,10 +24,10 @@ NOTHING = "-"  # for a cell outside the claim
 
 @dataclass(frozen=True, kw_only=True)
 class BoxMap:
-    """A map with a digit for each cell; ``rows`` begin with the lowest row, and each row begins at the left.
+    """A map; ``rows`` begin at the lowest ``up``, with a digit for each cell from the left.
 
-    A digit is the class of the share that ``what`` names.  ``low_m`` and ``high_m`` are the corners of the
-    map, across and up, in the base frame.
+    A digit is the class of the share ``what``.  ``low_m`` and ``high_m`` are the map's corners, across and
+    up, in the base frame.
     """
 
     who: str
