@@ -212,7 +212,7 @@ def examine(
     ``spreads_m`` (n, 2) receives bounds of the spread, NaN if unknown.
     """
     members, columns = network.weight.shape[0], PERCEPTRON_INPUTS + network.bias.shape[1]
-    most = columns - OUTPUTS  # symbols of a member: the axes, and one a ReLU
+    most = columns - OUTPUTS  # symbols of a member: the axes, and one for each ReLU
     symbols = PERCEPTRON_INPUTS + members * (most - PERCEPTRON_INPUTS)
     units, own = np.empty((4, columns)), np.empty((most, columns))
     of_symbol, share = np.empty(most, np.int64), np.empty((PERCEPTRON_INPUTS, columns))

@@ -31,7 +31,7 @@ BELOW, ABOVE, FORMAT = ("at most", "optimum", "unsure"), ("at least", "away"), "
 HAND, TCP, ANSWER = "hand_position_in_base_m", "tcp_position_in_base_m", "position_in_base_m"
 MARGIN, FARTHEST, LARGE, MOST, LARGEST, SINGLE, DOUBLE = 1e-9, 100.0, 1e8, 2**28, 2**22, 6e-8, 2e-15
 SUMS, AFFINE = ("Add", "Sub", "Concat"), ("Gemm", "MatMul", "Mul", "Div", "Identity", "Flatten", "Cast")
-NORM, LEGAL = "BatchNormalization", {"training_mode": (0,), "to": (1, 11)}  # no batch's statistics; floats
+NORM, LEGAL = "BatchNormalization", {"training_mode": (0,), "to": (1, 11)}  # no training; casts to floats
 
 
 def need(held: bool | np.bool_, message: str) -> None:
@@ -90,14 +90,14 @@ def onnx_steps(data: bytes) -> list[Any]:
             image = np.asarray(evaluator(node).run(None, known | dict(zip(own, rows, strict=True)))[0])
             need(image.ndim == 2 and len(image) == ends[-1] + 1, f"{op} is not of rows")
             widths[out], weight, bias = image.shape[1], image[1:] - image[0], image[0]
-            more = 2.0 * np.abs(known[node.input[3]]) @ np.abs(weight) if op == NORM else 0.0  # the mean's
+            more = 2.0 * np.abs(known[node.input[3]]) @ np.abs(weight) if op == NORM else 0.0  # for the mean
             steps.append((out, own, weight, bias, np.abs(bias) + more))
     return steps
 
 
 def forms_of(steps: list[Any], u: float, centre: Array, half: Array) -> Any:
     """Return the forms (n, w), (n, k, w), (n, w) of all steps by name, in ``centre`` +- ``half`` (n, 6)."""
-    whole = centre, half[:, :, None] * np.eye(6), u * (u > DOUBLE) * (np.abs(centre) + half)  # float32's
+    whole = centre, half[:, :, None] * np.eye(6), u * (u > DOUBLE) * (np.abs(centre) + half)  # as float32
     forms: Any = {name: [x[..., p] for x in whole] for name, p in ((HAND, slice(3)), (TCP, slice(3, 6)))}
     for out, own, *affine in steps:
         z, g, r = (np.concatenate([forms[name][k] for name in own], axis=-1) for k in range(3))

@@ -42,7 +42,7 @@ Indices = NDArray[np.int64]
 CONSTANT, QUESTION = -1, 0  # sources; layers count from 1
 SINGLE, DOUBLE = 2.0**-24, 2.0**-53
 SHALLOW = 8  # layers
-GUARD, TINY = 16, 1e-30  # terms; the loss of all products below float32's least number
+GUARD, TINY = 16, 1e-30  # added terms; the largest loss by products below float32's least number
 LARGEST = 1e12  # the largest coefficient: with units below 1e8 no float32 sum overflows
 
 

@@ -9,9 +9,9 @@ differ by more than half a millimetre, the difference is a jump and not a steep 
 
 An avoider that rounds its questions gives equal answers within a cell.  If it is also steep, its answers
 differ much from cell to cell.  So a change is no jump under two conditions: the answers stay equal on both
-sides of it, and in the next cells they change by at least half as much.  An avoider that jumps on almost
-every followed segment, such as a network in int8, answers in steps.  Such steps are no jumps up to
-``STEPPED_M``, which is twice the error of a predicted hand.
+sides of it, and in the next cells they change by at least half as much.  An avoider answers in steps if it
+jumps on at least the share ``STEPPED`` of the followed segments, like a network in int8.  Steps of up to
+``STEPPED_M``, which is twice the error of a predicted hand, are no jumps.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ ANCHORS = 64  # worst questions by each of three measures
 FOLLOWED = 128  # followed segments that do not pass through the worst questions
 PARTS = 8
 CELLS_M = 2e-6 * 8.0 ** np.arange(4)  # distances from a jump; rounding to cells above 1 mm is harmful
-STEPPED, STEPPED_M = 0.9, 0.020  # the share of followed segments; twice the 10 mm error of a predicted hand
+STEPPED, STEPPED_M = 0.9, 0.020  # share of followed segments; twice the 10 mm error of a predicted hand
 SAME_M = 1e-9  # if a question moves by 2 um, an avoider that does not round moves its answer farther
 
 

@@ -22,7 +22,7 @@ from safety_harness.extensions.lab.scoring.asking import asked_alone, asked_toge
 from safety_harness.extensions.lab.scoring.questions import Answers, Questions
 from safety_harness.extensions.lab.scoring.scorecard import AskedAgain, WayOfAsking
 
-NEAR_M = 0.002  # a question that is nearly the same
+NEAR_M = 0.002  # the difference of a question that is nearly the same
 INTERLEAVED = 200  # the most questions to two instances in turn, which answer them one at a time
 
 
