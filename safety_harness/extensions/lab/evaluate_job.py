@@ -1,4 +1,4 @@
-"""Scores of avoiders without a cell: ``safety_harness.evaluate``, its result, and the result's page."""
+"""The scoring of avoiders without a cell: ``safety_harness.evaluate``, its result, and the result's page."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def evaluate(
 
     Args:
         avoiders: One or many: names of shipped avoiders, ``FILE.py:NAME``, model files.
-        regions: Names of regions from which questions are drawn.  Without regions and spaces: all regions.
-        spaces: Scenario spaces.  The questions are those that arise in their draws.
-        against: A reference.  Findings that the reference has too are left out; None: no reference.
-        questions: The number of questions in the first region; None: as the avoider's speed allows.
+        regions: Names of regions from which to draw questions; without regions and spaces, all regions.
+        spaces: Scenario spaces.  The questions are those that arise in draws of a space.
+        against: A reference avoider.  The result omits findings that it has too; None: no reference.
+        questions: The number of questions in the first region; None: as many as the avoider's speed allows.
         search: The number of questions in the search for the worst answers; 0: no search.
         seed: The root of every random number.
-        out: A folder.  The worst questions are written there when they are found; None: no folder.
+        out: A folder.  The search writes each worst question there at once; None: no folder.
         output: Receives the progress.
 
     Returns:
@@ -161,7 +161,7 @@ class EvaluationResult:
 def _moved(shown: ShownQuestion, folder: Path) -> ShownQuestion:
     """Write a worst question's file to another folder, and return the question."""
     old = shown.file.path
-    assert old is not None  # a question without a file is left out
+    assert old is not None  # the results contain only questions with a file
     path = folder / old.name
     text = write_scenario(as_seen_from(folder, parse_scenario(shown.file.text, old)))
     write_text(path, text)

@@ -1,4 +1,4 @@
-"""Answer times of an avoider on this machine, as a profile for scenarios."""
+"""The answer times of an avoider, measured on this machine, as a profile for scenarios."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ AROUND_M = 0.15  # half the box about the nominal hand and the desired TCP, on e
 
 @dataclass(frozen=True, eq=False)
 class MeasuredTimes:
-    """The times of an avoider's answers (n,) [s], the number of faults, and the avoider."""
+    """The times (n,) of an avoider's answers [s], the number of faults, and the record of the measurement."""
 
     avoider_name: str
     times_s: NDArray[np.float64]
@@ -45,7 +45,9 @@ class MeasuredTimes:
 
 
 def measured_times(reference: str, questions: int, seed: int) -> MeasuredTimes:
-    """Measure answers to one question after another; a Python file is executed.
+    """Return the measured times in which an avoider answers one question after another.
+
+    If the avoider is a Python file, the function executes it.
 
     Args:
         reference: The avoider.
@@ -71,7 +73,7 @@ def measured_times(reference: str, questions: int, seed: int) -> MeasuredTimes:
 
 
 def machine() -> str:
-    """Return processor, system and Python in words, for reports."""
+    """Return processor, system and Python version in words, for reports."""
     processor = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
@@ -86,7 +88,7 @@ def machine() -> str:
 def answer_times_s(avoider: Avoider, questions: int, seed: int) -> tuple[NDArray[np.float64], int]:
     """Return the times (n,) of the answers [s] and the number of faults.
 
-    The process that computes an answer measures its time.
+    The process that computes an answer also measures its time.
 
     Args:
         avoider: The avoider.

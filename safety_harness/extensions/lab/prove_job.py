@@ -43,14 +43,14 @@ def prove(
 ) -> ProofResult:
     """Prove claims about all answers of a small network to the questions in a region, within a time limit.
 
-    Ctrl-C ends the job, and the result keeps the proofs until then.
+    Ctrl-C ends the job, and the result keeps the proofs so far.
 
     Args:
         plan: A plan of proofs or its file.
         minutes: The time limit for all claims together.
         halvings: How often the prover may halve a box.
         jobs: The number of processes.
-        resume: A folder with a certificate, which the job continues; None: start anew.
+        resume: A folder with a certificate from which the job continues; None: start anew.
         output: Receives the progress.
 
     Returns:
@@ -89,7 +89,7 @@ class ProofResult:
 
     Args:
         plan: The plan.
-        proofs: One for each claim and region, with its ``verdict`` and ``least_shares``.
+        proofs: One proof for each claim and region, with its ``verdict`` and ``least_shares``.
         interrupted: Whether Ctrl-C ended the job.
         file: The file of the plan.
         options: The options of the command that repeats the job.
@@ -174,11 +174,11 @@ class ProofResult:
 
 
 def write_question(plan: ProofPlan, proof: Proof, path: Path, output: Output) -> str | None:
-    """Write the question that refutes a claim as a scenario.
+    """Write a scenario that begins with the question that refutes a claim.
 
     Args:
         plan: The plan.
-        proof: A proof with a question.
+        proof: A proof with such a question.
         path: The file.
         output: Receives a line.
 

@@ -116,7 +116,7 @@ def evaluate(
 
 
 def _lines(scored: ScoredAvoider, against: str) -> Iterator[str]:
-    """Yield the terminal's lines on one avoider; ``against`` names the reference or is empty."""
+    """Yield the terminal's lines about one avoider; ``against`` names the reference or is empty."""
     from safety_harness.extensions.lab.commands.evaluation_tables import titled
     from safety_harness.extensions.lab.pages.score_tables import (
         COLUMNS,

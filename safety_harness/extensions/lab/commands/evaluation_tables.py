@@ -15,7 +15,7 @@ from safety_harness.extensions.lab.learning.evaluation import LEVELS, Figures
 from safety_harness.extensions.lab.learning.metrics import RESIDUALS, Errors, IntervalCoverage
 
 NONE = "-"
-VARIANTS = {  # of the PICP, by name in the figures: the name in the table
+VARIANTS = {  # variants of the PICP: the name in the figures, and the name in the table
     "spread": "spread",
     RESIDUALS: "and residuals",
     "spread and 1/tau": "and 1/tau",
@@ -25,7 +25,7 @@ Row = tuple[str, ...]
 
 
 def tables(figures: Sequence[Figures]) -> Iterator[str]:
-    """Yield the lines of four tables: errors, 95 % intervals, doubt, calibration curve."""
+    """Yield the lines of four tables: errors, 95 % intervals, doubt and calibration curves."""
     order = list(dict.fromkeys(item.set.name for item in figures))
     by_set = sorted(figures, key=lambda item: order.index(item.set.name))
     yield from titled(
@@ -53,7 +53,7 @@ def tables(figures: Sequence[Figures]) -> Iterator[str]:
 
 
 def _error_rows(by_set: Sequence[Figures]) -> Iterator[Row]:
-    """Yield the rows of errors; a set's floor comes before its models."""
+    """Yield the rows of errors; the floor of a set comes before the models."""
     last = None
     for item in by_set:
         if item.set.name != last and item.set.floor is not None:
@@ -69,20 +69,20 @@ def _error_rows(by_set: Sequence[Figures]) -> Iterator[Row]:
 
 
 def _floor(floor: LabelFloor) -> Row:
-    """Return the cells of a floor."""
+    """Return the cells of RMSE and MAE for the floor of a set."""
     rmse, mae = np.array(floor.rmse_m), np.array(floor.mae_m)
     overall = float(np.sqrt((rmse**2).mean()))
     return *map(_mm, floor.rmse_m), _mm(overall), *map(_mm, floor.mae_m), _mm(float(mae.mean()))
 
 
 def _both(errors: Errors) -> Row:
-    """Return the cells of RMSE and MAE."""
+    """Return the cells of RMSE and MAE for the errors of a model."""
     rmse, mae = map(_mm, errors.rmse.tolist()), map(_mm, errors.mae.tolist())
     return *rmse, _mm(errors.overall_rmse), *mae, _mm(errors.overall_mae)
 
 
 def _interval_row(item: Figures) -> Row:
-    """Return the row of a model's intervals."""
+    """Return the row about the intervals of one model on one set."""
     picp = tuple(_mean_picp(item.picp.get(name)) for name in VARIANTS)
     if item.intervals is None:
         return item.set.name, item.model, NONE, NONE, NONE, NONE, NONE, *picp
@@ -91,7 +91,7 @@ def _interval_row(item: Figures) -> Row:
 
 
 def _doubt_row(item: Figures) -> Row:
-    """Return the row of a model's spread."""
+    """Return the row about the spread of one model on one set."""
     above = None if item.intervals is None else item.intervals.above_threshold
     return (
         item.set.name,
@@ -103,7 +103,7 @@ def _doubt_row(item: Figures) -> Row:
 
 
 def _curve_rows(item: Figures) -> Iterator[Row]:
-    """Yield a row for each scale's calibration curve."""
+    """Yield a row for the calibration curve of each scale."""
     for name, curve in item.curves.items():
         yield item.set.name, item.model, VARIANTS[name], *map(_percent, curve.mean(axis=1).tolist())
 

@@ -86,7 +86,7 @@ def prove(
 
 
 def _print_shares(proved: ProofResult) -> None:
-    """Print the shares of each claim."""
+    """Print the proven, refuted and undecided shares of each claim."""
     from safety_harness.claims.properties.tally import table
     from safety_harness.extensions.lab.proof.certificate import outward
 
@@ -117,7 +117,7 @@ def _print_bounds(proved: ProofResult) -> None:
 
 
 def _decisions(file: Path, text: str, out: Path) -> int:
-    """Certify the decisions of a trace, and write a copy with the result."""
+    """Certify the decisions of a trace, and write a copy of the trace with the certificates."""
     import hashlib
     from dataclasses import replace
 
@@ -182,7 +182,7 @@ def _check(file: Path, model: Path | None) -> int:
     )
     try:
         lines = check(certificate, weights)
-    except Exception as error:  # any exception from a foreign certificate means that it is not confirmed
+    except Exception as error:  # a foreign certificate may raise anything; then it is not confirmed
         say(f"not confirmed: {type(error).__name__}: {error}")
         document(confirmed=False, why=f"{type(error).__name__}: {error}", claims=[])
         return DIFFERS

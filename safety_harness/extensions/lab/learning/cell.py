@@ -21,14 +21,14 @@ TRIED = 200  # random TCPs of the seen box, besides its corners
 
 @dataclass(frozen=True)
 class TrainingCell:
-    """An arm and its surroundings; the default is the UR10's cell."""
+    """An arm and the settings of its cell; the default is the UR10's cell."""
 
     robot: AnyRobot = Robot.UR10
     settings: Settings = DEFAULTS
 
     @property
     def arm(self) -> str:
-        """The arm's name on cards: its name here, or the name in its URDF."""
+        """The arm's name on cards: its label in this package, or the name in the URDF of a user's arm."""
         return arm_model(self.robot).name if isinstance(self.robot, OwnRobot) else self.robot.label
 
 
@@ -36,13 +36,13 @@ UR10_CELL = TrainingCell()
 
 
 def training_cell(scenario: str | None) -> TrainingCell:
-    """Return the cell of a scenario.
+    """Return the training cell that a scenario describes.
 
-    The arm must reach everything that the network learns from: the corners of the box of seen TCPs, and 200
-    random TCPs within it, in the desired orientation.
+    The network learns from TCPs in the box of seen TCPs, so the arm must reach them in the desired
+    orientation.  The function tests the corners of the box and 200 random TCPs within it.
 
     Args:
-        scenario: ``shipped:NAME`` or a file; None: the UR10's cell.
+        scenario: ``shipped:NAME`` or a file; None means the UR10's cell.
 
     Raises:
         DatasetError: The arm does not reach one of these TCPs.

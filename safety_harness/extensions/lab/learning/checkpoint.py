@@ -1,7 +1,7 @@
 """The state of a training after an epoch, as one file: safetensors with a JSON text, never a pickle.
 
-Numbers come back bit for bit.  The file needs no state of a random generator: every epoch draws from its own
-generator, a leaf of the training's seed.
+Loading returns the saved numbers bit for bit.  The file needs no state of a random generator, because every
+epoch draws from its own generator, a leaf of the training's seed.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ Tensors = Mapping[str, NDArray[np.float32]]
 class Epoch:
     """One epoch of one member, both counted from 0, with mean losses in the network's unit.
 
-    ``training_loss`` is the mean over the epoch's batches.  ``validation_loss`` is the loss of the passes'
-    mean, after the epoch.  ``is_best`` marks the member's lowest validation loss so far.
+    ``training_loss`` is the mean loss of the epoch's batches.  ``validation_loss`` is the loss of the mean
+    over the passes, after the epoch.  ``is_best`` marks the member's lowest validation loss so far.
     """
 
     member: int
@@ -48,17 +48,17 @@ class Epoch:
 
 @dataclass(frozen=True)
 class _History:
-    """The epochs of a checkpoint, at least one."""
+    """The epochs in a checkpoint, of which there is at least one."""
 
     history: Annotated[tuple[Epoch, ...], Meta(min_length=1)]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Checkpoint:
-    """The state of a training; ``history`` ends with the epoch after which it was saved.
+    """The state of a training, saved after the last epoch in ``history``.
 
-    ``data`` is a hash of the training data.  ``best`` has the best weights of every member so far.
-    ``weights`` and ``optimiser`` are the present state of the last member.
+    ``data`` is a hash of the training data.  ``best`` holds the best weights so far of every member that has
+    begun.  ``weights`` and ``optimiser`` are the state of the last of these members.
     """
 
     recipe: Recipe
@@ -71,17 +71,17 @@ class Checkpoint:
 
 
 def begin_or_resume(path: Path, recipe: Recipe, seed: int, data: str, *, resume: bool) -> Checkpoint | None:
-    """Return the checkpoint to continue from, or None to begin; create the folder.
+    """Return the checkpoint from which to continue; or create the folder, and return None to begin.
 
     Args:
         path: The checkpoint's file.
         recipe: The recipe of the training.
-        seed: Its seed.
-        data: The hash of its data.
+        seed: The seed of the training.
+        data: The hash of the training data.
         resume: Whether to continue from an existing checkpoint.
 
     Raises:
-        OutputError: The folder cannot be created, or holds a training that ``resume`` does not ask for.
+        OutputError: The folder cannot be created, or it holds a training although ``resume`` is False.
         ModelError: The checkpoint belongs to another training, or is damaged.
 
     """
@@ -100,7 +100,7 @@ def begin_or_resume(path: Path, recipe: Recipe, seed: int, data: str, *, resume:
 
 
 def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
-    """Write the checkpoint to ``path``, whole or not at all; OutputError if that fails."""
+    """Write the checkpoint to ``path``, whole or not at all; raise OutputError if that fails."""
     groups = {"weights": checkpoint.weights, "optimiser": checkpoint.optimiser}
     groups |= {f"best {member}": tensors for member, tensors in enumerate(checkpoint.best)}
     text = {
@@ -117,13 +117,13 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
 
 
 def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpoint:
-    """Return the checkpoint of this training.
+    """Return the checkpoint in ``path``, if it belongs to this training.
 
     Args:
         path: The checkpoint's file.
         recipe: The recipe of the training.
-        seed: Its seed.
-        data: The hash of its data.
+        seed: The seed of the training.
+        data: The hash of the training data.
 
     Raises:
         ModelError: The checkpoint belongs to another training, or is damaged.
@@ -155,12 +155,12 @@ def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpo
 
 
 def _identity(recipe: Recipe, seed: int, data: str) -> dict[str, Any]:
-    """Return the values that must agree for a training to continue, as JSON returns them."""
+    """Return the values that must agree before a training continues, in the form that JSON returns."""
     return {"recipe": plain(recipe), "seed": seed, "data": data}
 
 
 def _difference(expected: object, got: object) -> tuple[str, str]:
-    """Return both values as text; for two recipes, only the fields that differ."""
+    """Return both values as text; for two recipes, return only the fields that differ."""
     if isinstance(expected, dict) and isinstance(got, dict):
         keys = [key for key in expected if expected[key] != got.get(key)]
         return str({key: expected[key] for key in keys}), str({key: got.get(key) for key in keys})
@@ -168,7 +168,7 @@ def _difference(expected: object, got: object) -> tuple[str, str]:
 
 
 def _group(arrays: Tensors, group: str) -> dict[str, NDArray[np.float32]]:
-    """Return the arrays of a group, without its prefix."""
+    """Return the arrays of a group, by names without the group's prefix."""
     prefix = group + "/"
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 

@@ -1,15 +1,16 @@
 """The data set of eq. 13 (section 4.1 of the paper), in a compact form.
 
-10,000 TCPs times 500 hands are 5,000,000 samples.  The selected candidate belongs to the TCP, and the hand
-only shifts it.  So 10,000 selections and 500 hands contain everything.  Sample k joins TCP k // hands with
-hand k mod hands, and the program computes rows on demand.
+10,000 TCPs times 500 hands make 5,000,000 samples.  The selected candidate depends only on the TCP, and the
+hand only shifts the target.  So 10,000 selections and 500 hands determine every sample.  Sample k joins TCP
+k // hands with hand k mod hands, and the program computes its row on demand.
 
-TCPs and hands lie in the seen space or in one of three unseen spaces (Table 3).  ``space.regions`` has the
-regions and their reasons.
+TCPs and hands lie in the seen space or in one of three unseen spaces (Table 3).  ``space.regions`` defines
+these regions and gives the reasons.
 
-Training, validation and test have 0.8, 0.1 and 0.1 of the samples.  The paper splits the samples at random.
-Then every TCP, with the noise of its label, is in all three parts, and a network may remember its test.  A
-split by TCP has no such leak.  Both splits share the hands, which only shift the target in a known way.
+Training, validation and test contain 0.8, 0.1 and 0.1 of the samples.  The paper splits the samples at
+random.  Then every TCP, with the noise of its label, occurs in all three parts, so a network may remember
+labels of the test.  A split by TCP has no such leak.  In both splits, all parts have the same hands, which
+only shift the target in a known way.
 """
 
 from __future__ import annotations
@@ -37,14 +38,14 @@ Vectors = NDArray[np.float64]  # (..., 3)
 
 @dataclass(frozen=True)
 class Space:
-    """The regions of the TCPs and, independently of them, of the hands of a data set."""
+    """The region of the TCPs in a data set and, independent of it, the region of the hands."""
 
     name: str
     tcp: Region
     hand: Region
 
 
-SPACES = {  # by name, the regions of hands and of TCPs
+SPACES = {  # the region of the hands and the region of the TCPs, for each name of a space
     "seen": ("seen hand", "seen tcp"),
     "unseen hand": ("unseen hand", "seen tcp"),
     "unseen tcp": ("seen hand", "unseen tcp"),
@@ -53,7 +54,7 @@ SPACES = {  # by name, the regions of hands and of TCPs
 
 
 def space_named(name: str, settings: Settings) -> Space:
-    """Return the space with ``name`` in the cell of ``settings``; DatasetError for an unknown name."""
+    """Return the space with ``name`` in the cell of ``settings``; raise DatasetError for an unknown name."""
     if name not in SPACES:
         raise DatasetError(
             place=Place(field="space"),
@@ -67,7 +68,7 @@ def space_named(name: str, settings: Settings) -> Space:
 
 
 def seen(settings: Settings) -> Space:
-    """Return the space of training: TCPs about the desired one, hands about the nominal one."""
+    """Return the space of training: TCPs about the desired position, and hands about the nominal position."""
     return space_named("seen", settings)
 
 
@@ -80,11 +81,11 @@ MOST = {"tcps": 10_000_000, "candidates": 100_000, "hands": 10_000_000}
 
 
 class Stream(IntEnum):
-    """The random streams below a data set's seed; the numbers are part of the format, so never reuse one."""
+    """The random streams below a data set's seed; never reuse a number, because it is part of the format."""
 
     TCPS = 1
     HANDS = 2
-    CANDIDATES = 3  # one stream a TCP, so that its candidates depend on the seed and its number alone
+    CANDIDATES = 3  # a stream for each TCP: its candidates depend only on the seed and the TCP's number
     SPLIT = 4
     REDRAWS = 5
 
@@ -103,11 +104,12 @@ def stream(seed: int, name: Stream, *path: int) -> np.random.Generator:
 
 @dataclass(frozen=True, eq=False)
 class CompactDataset:
-    """TCPs with their selected candidates, and hands; positions in the base frame [m], read-only.
+    """TCPs with their selected candidates, and hands: read-only positions in the base frame [m].
 
     ``selected_in_base`` is t_opt of eq. 13, the candidate with the least image error.  ``optimum_in_base`` is
-    the point of the whole cap nearest to the desired position, without noise.  ``candidates_in_view`` counts
-    the candidates of a TCP that see the whole object.  ``arm`` is the arm of the cell.
+    the point of the whole cap that is nearest to the desired position; it has no noise.
+    ``candidates_in_view`` counts the candidates of each TCP that see the whole object.  ``arm`` is the name
+    of the cell's arm.
     """
 
     settings: Settings
@@ -146,20 +148,20 @@ class CompactDataset:
 
     @property
     def views_without_object(self) -> int:
-        """The number of candidates that do not see the whole object."""
+        """The number of candidates, over all TCPs, that do not see the whole object."""
         return self.tcps * self.candidates - int(self.candidates_in_view.sum())
 
     @property
     def tcps_without_view(self) -> int:
-        """The number of TCPs of which no candidate sees the whole object."""
+        """The number of TCPs without any candidate that sees the whole object."""
         return int(np.count_nonzero(self.candidates_in_view == 0))
 
     def without_noise(self) -> CompactDataset:
-        """Return the same samples with the optimum as t_opt, for learning with exact labels."""
+        """Return the same samples with the optimum as t_opt, so that a network learns exact labels."""
         return replace(self, selected_in_base=self.optimum_in_base)
 
     def inputs(self, index: Index) -> Vectors:
-        """Return the inputs (len, 6), hand and then TCP, of the samples with the numbers ``index``."""
+        """Return the inputs (len, 6), hand and then TCP, of the samples numbered ``index``."""
         tcp, hand = self._pairs(index)
         return np.concatenate([self.hand_in_base[hand], self.tcp_in_base[tcp]], axis=1)
 
@@ -172,7 +174,7 @@ class CompactDataset:
         return rows
 
     def _pairs(self, index: Index) -> tuple[Index, Index]:
-        """Return TCP and hand of each sample; IndexError for a number out of range."""
+        """Return the number of TCP and hand for each sample; raise IndexError for a number out of range."""
         if len(index) and not (index.min() >= 0 and index.max() < len(self)):
             raise IndexError(f"samples are numbered 0 to {len(self) - 1}")
         tcp, hand = np.divmod(index, self.hands)
@@ -190,11 +192,11 @@ def generate(
     arm: str = Robot.UR10.label,
     on_progress: Callable[[int], object] | None = None,
 ) -> CompactDataset:
-    """Draw TCPs, candidates and hands, and select by the least |f - f*|^2 (eq. 15) of the exact image.
+    """Draw TCPs, candidates and hands, and select each TCP's candidate by the least |f - f*|^2 (eq. 15).
 
-    A candidate that does not see the whole object is not selected, unless no candidate of its TCP sees it.
-    In that case the image has no border, and ``candidates_in_view`` is 0.  The moments beyond the border are
-    as well defined.
+    The features f come from the exact image.  A candidate that does not see the whole object is selected only
+    if no candidate of its TCP sees it.  In that case ``candidates_in_view`` is 0.  The exact image has no
+    border, so its moments are defined even then.
 
     Args:
         settings: The settings of the cell.
@@ -210,7 +212,7 @@ def generate(
         The data set.
 
     Raises:
-        DatasetError: A number is out of range, or an object is not in front of any camera.
+        DatasetError: A number is out of range, or all candidates of a TCP lack an image of the object.
 
     """
     for name, number in (("tcps", tcps), ("candidates", candidates), ("hands", hands)):
@@ -248,7 +250,7 @@ def generate(
 def fresh_pairs(
     settings: Settings, space: Space, *, seed: int, samples: int, candidates: int
 ) -> tuple[CompactDataset, Numbers]:
-    """Return new data and the numbers of ``samples`` independent rows; each TCP and hand is in one row.
+    """Return a new data set, and the numbers of ``samples`` rows that share no TCP and no hand.
 
     Args:
         settings: The settings of the cell.
@@ -263,12 +265,12 @@ def fresh_pairs(
 
 
 def seed_below(seed: int, *path: int) -> int:
-    """Return a 64-bit seed below ``seed``, at ``path``, for a consumer with its own generators."""
+    """Return the 64-bit seed at ``path`` below ``seed``, for a consumer with its own generators."""
     return int(np.random.SeedSequence(seed, spawn_key=path).generate_state(1, np.uint64)[0])
 
 
 def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: Index) -> Vectors:
-    """Return the candidate positions (k, candidates, 3) [m] of k TCPs; a candidate is its TCP plus an offset.
+    """Return the candidate positions (k, candidates, 3) [m] of k TCPs: each TCP plus random offsets.
 
     Args:
         settings: The settings of the cell.
@@ -285,7 +287,7 @@ def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: 
 
 @dataclass(frozen=True, eq=False)
 class LabelFloor:
-    """The error that random candidates leave to any regressor on TCPs it has not seen, by axis [m]."""
+    """The least error by axis [m] that any regressor has on new TCPs, because the candidates are random."""
 
     rmse_m: Vector  # (3,)
     mae_m: Vector  # (3,)
@@ -293,18 +295,18 @@ class LabelFloor:
 
 
 def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws: int = 1000) -> LabelFloor:
-    """Return the least RMSE and MAE against labels that are selected from fresh candidates.
+    """Return the least RMSE and MAE of any regressor against labels that are selected from fresh candidates.
 
         RMSE = sqrt(mean_TCP Var(label | TCP)),   MAE = mean_TCP E|label - median(label | TCP)|, by axis.
 
-    A regressor knows the TCP but not the draw.  Its RMSE is least if it predicts the mean label of each TCP,
-    and its MAE if it predicts the median.  So the floors are the root mean variance and the mean distance
-    from the median. One regressor does not reach both.  A TCP from the training is no test of this, because
-    the network may remember its label.
+    A regressor knows the TCP but not the drawn candidates.  Its RMSE is least if it predicts the mean label
+    of each TCP.  Its MAE is least if it predicts the median label.  So the floor of the RMSE is the root of
+    the mean variance.  The floor of the MAE is the mean distance from the median.  One regressor does not
+    reach both floors.  A TCP from the training cannot test them, because the network may remember its label.
 
-    Labels are the candidates nearest to the desired position, which have the least image error for upright
-    views.  The hand shifts labels and floor alike.  TCPs share redraws in groups of 32, which keeps each
-    TCP's own distribution.
+    Each label is the candidate nearest to the desired position, which has the least image error for upright
+    views.  The hand shifts a label by a known vector, so the floors do not depend on the hand.  Groups of 32
+    TCPs share the redrawn candidates, which does not change the distribution of each TCP's labels.
 
     Args:
         settings: The settings of the cell.
@@ -343,8 +345,8 @@ def _furthest_along(
 ) -> None:
     """Fill ``best_out`` with the offset o of each set that leads furthest along each vector w of ``wanted``.
 
-    All o have the same length, and |o - w|^2 = |o|^2 + |w|^2 - 2 o . w.  So this o also ends nearest to the
-    end of w.
+    All o have the same length, and |o - w|^2 = |o|^2 + |w|^2 - 2 o . w.  So the same o also ends nearest to
+    the end of w.
     """
     sets, candidates, _ = offsets.shape
     for k in range(wanted.shape[0]):
@@ -364,7 +366,7 @@ HELD_OUT = 0.1  # the share for validation, and for testing
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Numbers of the samples in each part, read-only; every sample is in exactly one part."""
+    """The numbers of the samples in each part, read-only; every sample is in exactly one part."""
 
     kind: str
     train: Numbers
@@ -377,7 +379,7 @@ class Split:
 
 
 def split_by_sample(dataset: CompactDataset, *, seed: int) -> Split:
-    """Return the paper's split: samples at random, in random order.
+    """Return the paper's split of the samples at random; each part is in random order.
 
     Args:
         dataset: The data set.
@@ -391,7 +393,7 @@ def split_by_sample(dataset: CompactDataset, *, seed: int) -> Split:
 
 
 def split_by_tcp(dataset: CompactDataset, *, seed: int) -> Split:
-    """Return a split by random TCPs; all samples of a TCP are in the same part.
+    """Return a random split of the TCPs; all samples of a TCP are in the same part.
 
     Args:
         dataset: The data set.

@@ -1,11 +1,12 @@
 """The quality of a model: its errors, its intervals and its doubt, on sets of independent decisions.
 
-Each TCP occurs in one row of a set.  So rows are independent trials, and their shares have exact intervals.
-Two samples of a TCP would share the noise of its label.
+Each TCP occurs in only one row of a set, because two samples of a TCP would share the noise of its label.
+So the rows are independent trials, and shares of rows have exact intervals.
 
-The draws never coincide with the draws of a training or a calibration.  A data set's streams are leaves of
-its own seed.  A training uses the seed that its user gave, and a calibration derives seeds from it with the
-spawn key (7, k).  An evaluation derives 64-bit seeds from its own seed with (8, k), on a path of its own.
+The draws of an evaluation never coincide with those of a training or a calibration.  The streams of a data
+set are leaves of its own seed.  A training uses the seed that its user gave.  A calibration derives seeds
+from that seed with the spawn key (7, k).  An evaluation derives 64-bit seeds from its own seed with the spawn
+key (8, k).
 """
 
 from __future__ import annotations
@@ -56,20 +57,21 @@ from safety_harness.scenario.robots import AnyRobot, Robot
 Floats = NDArray[np.float64]
 
 BRANCH = 8
-_DECISIONS, _CHOICE = 0, 1  # below the branch and a set's number: seeds of its decisions, its choice of rows
-FLOOR_TCPS = 10_000  # the first ones, at most: 7 s
+_DECISIONS, _CHOICE = 0, 1  # last keys after the branch and a set's number: decisions' seeds, choice of rows
+FLOOR_TCPS = 10_000  # the floor uses at most so many TCPs of a set, the first ones, which takes 7 s
 SEEN_NAME, TEST_NAME = "seen, new TCPs", "seen, test part"
-MOST_VIEWS = 20_000_000  # TCPs times candidates of a data set to generate again; the paper's has a million
+# The largest product of TCPs and candidates in a data set to generate again; the paper's has a million.
+MOST_VIEWS = 20_000_000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EvaluationSet:
-    """Questions with their labels: rows (n, 3), base frame [m].
+    """Questions with their labels, as rows (n, 3) in the base frame [m].
 
-    ``labels_in_base`` are the labels of eq. 13.  ``noise_free_in_base`` are labels with the continuous
-    optimum instead of the selected candidate.  ``floor`` is the error that the labels' noise leaves to any
-    regressor on this set, by 1,000 redraws for each TCP.  It is None for unseen sets, where errors have other
-    reasons.
+    ``labels_in_base`` are the labels of eq. 13.  ``noise_free_in_base`` are the labels with the continuous
+    optimum instead of the selected candidate.  ``floor`` is the least error that any regressor has on this
+    set because of the labels' noise.  It comes from 1,000 redraws for each TCP.  It is None for unseen sets,
+    where errors have other causes.
     """
 
     name: str
@@ -92,7 +94,7 @@ Count = Annotated[int, Meta(ge=0)]
 
 @dataclass(frozen=True)
 class DataCard:
-    """The origin of the training data, by a model's card."""
+    """The origin of the training data, as a model's card states it."""
 
     seed: Count
     tcps: Count
@@ -103,7 +105,7 @@ class DataCard:
 
     @classmethod
     def from_card(cls, card: Mapping[str, Any]) -> DataCard | None:
-        """Return the data of a model file's ``card``; None if it has no data in the seen space."""
+        """Return the origin of the data that ``card`` states; None if it states no data in the seen space."""
         data = card.get("data")
         try:
             return (
@@ -130,10 +132,10 @@ def fresh_sets(
 
     Args:
         settings: The settings of the cell.
-        samples: The number of rows of each set.
+        samples: The number of rows in each set.
         seed: The root of all random numbers.
         candidates: The number of candidates for each TCP.
-        on_set: Receives the name of each set before it is drawn.
+        on_set: Receives the name of each set before its draw.
 
     """
     sets = []
@@ -153,15 +155,15 @@ def fresh_sets(
 def test_part(
     settings: Settings, card: DataCard, *, samples: int, seed: int
 ) -> tuple[EvaluationSet | None, str]:
-    """Return the test part of a model's own training, generated again; or None, and the reason.
+    """Return the test part of a model's training data, generated again; or return None and the reason.
 
-    It has at most one row for each TCP.  After a random split of samples, the training has seen every TCP.
-    Then the network may remember the noise of a label, and errors look smaller than on new TCPs.
+    The part has at most one row for each TCP.  After a random split of samples, the training has seen every
+    TCP.  Then the network may remember the noise of a label, and errors look smaller than on new TCPs.
 
     Args:
         settings: The settings of the cell.
-        card: The data of the model's card.
-        samples: The greatest number of rows.
+        card: The origin of the data, from the model's card.
+        samples: The largest number of rows.
         seed: The root of the choice of rows.
 
     """
@@ -193,7 +195,7 @@ def _set(
     seed: int,
     number: int,
 ) -> EvaluationSet:
-    """Return the set of some rows of a data set; a seen set has a floor."""
+    """Return an evaluation set with the ``rows`` of a data set; only a seen set has a floor."""
     inputs = dataset.inputs(rows)
     rng = np.random.default_rng(leaf(seed, number, _DECISIONS))
     return EvaluationSet(
@@ -217,11 +219,12 @@ PAPER_PRECISION_PER_MM2 = 1e-6
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CalibratedIntervals:
-    """The calibrated intervals, and the threshold of the spread.
+    """The quality of the calibrated intervals and of the spread's threshold on one set.
 
-    ``covered`` counts rows whose label lies within its interval on all three axes.  ``above_threshold``
-    counts rows whose largest spread is above the threshold, so that the gate falls back.  On a seen set these
-    are false alarms, on an unseen set detections.  It is None for a model without a spread.
+    ``covered`` is the share of rows whose label lies within its interval on all three axes.
+    ``above_threshold`` is the share of rows whose largest spread exceeds the threshold, so that the gate
+    falls back.  On a seen set these rows are false alarms; on an unseen set they are detections.  The share
+    is None for a model without a spread.
     """
 
     covered: Proportion
@@ -233,10 +236,10 @@ class CalibratedIntervals:
 class Figures:
     """The figures of one model on one set; lengths in metres.
 
-    ``errors`` compare with the labels of the training's target, and ``noise_free`` with eq. 13 at the
-    continuous optimum.  ``curves`` has, by scale, the share of labels (levels, 3) within the central interval
-    of each level of ``LEVELS``.  ``auroc`` rates the largest spread as a detector of this set against the
-    seen set.  It is None on a seen set, or without a spread.
+    ``errors`` compares the answers with the labels of the training's target.  ``noise_free`` compares them
+    with eq. 13 at the continuous optimum.  ``curves`` has an array (levels, 3) for each scale: the share of
+    labels within the central interval of each level in ``LEVELS``.  ``auroc`` rates how well the largest
+    spread distinguishes this set from the seen set.  It is None on a seen set, or without a spread.
     """
 
     model: str
@@ -257,7 +260,7 @@ def has_spread(model: Model) -> bool:
 
 
 def learns_noise_free(model: Model) -> bool:
-    """Return whether the card of ``model`` has the continuous optimum as its target."""
+    """Return whether the card of ``model`` names the continuous optimum as the training's target."""
     return _recipe(model).get("target") == "continuous"
 
 
@@ -320,18 +323,18 @@ def evaluate_model(
 
 
 def _recipe(model: Model) -> Mapping[str, Any]:
-    """Return the recipe of a card; empty for a foreign card."""
+    """Return the recipe in the card of ``model``; empty if the card has none."""
     recipe = model.card.get("recipe")
     return recipe if isinstance(recipe, dict) else {}
 
 
 def _residual_std(model: Model) -> Floats | None:
-    """Return the calibration's residuals by axis, (3,) standard deviations [m]; None without one."""
+    """Return the residuals' standard deviations (3,) [m] by axis; None without a calibration."""
     return None if model.calibration is None else np.array(model.calibration.residual_std_m)
 
 
 def _picp(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> dict[str, IntervalCoverage]:
-    """Return the readings of the paper's PICP; the reading with residuals needs a calibration.
+    """Return the coverage for each reading of the paper's PICP; one reading needs a calibration.
 
     ``positions``, ``labels`` and ``spreads`` are (n, 3) [m].
     """
@@ -344,7 +347,7 @@ def _picp(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> d
 
 
 def _curves(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> dict[str, Floats]:
-    """Return a calibration curve for each scale, of ``positions``, ``labels``, ``spreads`` (n, 3) [m]."""
+    """Return a calibration curve for each scale; ``positions``, ``labels``, ``spreads`` are (n, 3) [m]."""
     levels, residual_std = np.array(LEVELS), _residual_std(model)
     curves = {"spread": calibration_curve(positions, labels, spreads, levels)}
     if residual_std is not None:
@@ -356,7 +359,7 @@ def _curves(model: Model, positions: Floats, labels: Floats, spreads: Floats) ->
 def _intervals(
     model: Model, positions: Floats, labels: Floats, spreads: Floats
 ) -> CalibratedIntervals | None:
-    """Return the calibrated intervals on (n, 3) [m] arrays; None for a model without a calibration."""
+    """Return the quality of the calibrated intervals on (n, 3) [m] arrays; None without a calibration."""
     calibration = model.calibration
     if calibration is None:
         return None

@@ -1,4 +1,4 @@
-"""The comparison of trained models on the same draws: all figures, and their file."""
+"""The comparison of trained models on the same draws: all their figures, and the file of the figures."""
 
 from __future__ import annotations
 
@@ -51,20 +51,20 @@ class LoadedModel:
 
     @property
     def candidates(self) -> int:
-        """The candidates for each TCP in its training data, which decide the noise of its labels."""
+        """The number of candidates per TCP in its training data, which decides the noise of the labels."""
         card = DataCard.from_card(self.model.card)
         return card.candidates if card and card.candidates else DEFAULTS.avoidance.candidate_count
 
 
 def load_models(models: Sequence[str | Path], settings: Settings = DEFAULTS) -> list[LoadedModel]:
-    """Return model files, or shipped models by name.
+    """Return the models from files, or shipped models by name.
 
     Args:
         models: The files or names.
         settings: The settings of the cell.
 
     Raises:
-        ModelError: There is no model, or the seen space of one differs from the cell's.
+        ModelError: ``models`` is empty, or the seen space of a model differs from the cell's.
 
     """
     if not models:
@@ -82,7 +82,7 @@ def load_models(models: Sequence[str | Path], settings: Settings = DEFAULTS) -> 
 
 
 def _refuse_another_space(model: Model, path: Path, settings: Settings) -> None:
-    """Raise a ModelError unless the seen space of the cell is the seen space of the model."""
+    """Raise ModelError unless the model and the cell have the same seen space."""
     space = seen(settings)
     for name, ours in (("hand", space.hand.outer), ("tcp", space.tcp.outer)):
         corners, theirs = np.array([ours.low_m, ours.high_m]), model.seen.boxes[name]
@@ -106,9 +106,9 @@ def figures_of(
 
     Args:
         loaded: The models.
-        samples: The number of rows of each set.
+        samples: The number of rows in each set.
         seed: The root of all random numbers.
-        say: Receives lines on the progress.
+        say: Receives lines about the progress.
         cell: The cell of the models.
 
     Raises:
@@ -162,7 +162,7 @@ def evaluation_data(
         loaded: The models.
         figures: The figures of ``figures_of``.
         remarks: The remarks of ``figures_of``.
-        samples: The number of rows of each set.
+        samples: The number of rows in each set.
         seed: The root of all random numbers.
 
     """
@@ -189,7 +189,7 @@ def evaluation_data(
 
 
 def write_evaluation(out: Path, data: dict[str, Any]) -> None:
-    """Write the data of ``evaluation_data`` to the file ``out``; OutputError if that fails."""
+    """Write the data of ``evaluation_data`` to the file ``out``; raise OutputError if that fails."""
     with writing_to(out):
         write_whole(out, json.dumps(data, indent=1, allow_nan=False, default=np.ndarray.tolist) + "\n")
 

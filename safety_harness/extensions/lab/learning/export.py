@@ -1,8 +1,8 @@
-"""A trained model as one function from metres to metres, for other programs: an ONNX file.
+"""The export of a trained model to an ONNX file: one function from metres to metres, for other programs.
 
-The file contains normalisation, all passes or members, their mean and their standard deviation.  Inputs are
-float64 (n, 3), and so are outputs; the network between them computes in float32, like ours.  If there is
-dropout, the masks are an input.  So the caller decides on them, and can use ours.
+The function contains the normalisation, all passes or members, and the formulas of their mean and standard
+deviation.  Inputs and outputs are float64 (n, 3); between them, the network computes in float32, as in this
+package.  If the model has dropout, the masks are an input.  So the caller chooses them, and can use ours.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ from safety_harness.cell.avoidance.onnx_names import HAND, MASKS, POSITION, SPRE
 from safety_harness.extensions.lab.learning.networks import Network, load_tensors, network_of
 from safety_harness.scenario.references import ONNX_SUFFIX
 
-ROWS = 256  # of the comparison, in the seen space, and as many outside
-MOST_DIFFERENT_M = 1e-6  # float32 in another order of sums: 1e-7 m, or 4e-7 m in raw millimetres; measured
-FARTHER = 1.5  # times the seen boxes: the boxes of the unseen half
+ROWS = 256  # questions of the comparison in the seen boxes, and as many in larger boxes
+# Measured: float32 sums in another order differ by 1e-7 m, or by 4e-7 m if the network uses raw millimetres.
+MOST_DIFFERENT_M = 1e-6
+FARTHER = 1.5  # the size of the larger boxes, relative to the seen boxes
 
 Arrays = tuple[NDArray[np.float64], ...]
 Function = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_] | None], Arrays]
@@ -41,8 +42,8 @@ Function = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]
 class WholeFunction(nn.Module):
     """The function from hand and TCP (n, 3) [m] to position and spread (n, 3) [m].
 
-    A network with dropout also takes masks (n, passes, places, width).  The results are the mean over the
-    passes or members, and their standard deviation (n in the denominator).
+    A network with dropout also takes masks (n, passes, places, width).  The position is the mean over the
+    passes or members.  The spread is their standard deviation, with their number in the denominator.
     """
 
     def __init__(self, model: Model) -> None:
@@ -67,7 +68,7 @@ class WholeFunction(nn.Module):
         answers = answers.double()
         std = self.get_buffer("target_std")
         mean = answers.mean(dim=1)
-        # A ReLU of a runtime may turn NaN into 0: this sum keeps an input that is not finite.
+        # The ReLU of a runtime may turn NaN into 0; this sum makes the answer NaN if an input is not finite.
         doubt = 0.0 * inputs.sum(dim=1, keepdim=True)
         spread = std * ((answers - mean[:, None]) ** 2).mean(dim=1).sqrt()
         return self.get_buffer("target_mean") + std * mean + doubt, spread + doubt
@@ -83,7 +84,7 @@ def _network(model: Model, member: int) -> Network:
 
 
 def write_export(model: Model, source: bytes, out: Path, *, seed: int) -> float:
-    """Write a model as ONNX, after a comparison with the original; on failure the old file stays.
+    """Write a model as ONNX after a comparison with the original; after a failure, the old file stays.
 
     Args:
         model: The model.
@@ -92,7 +93,7 @@ def write_export(model: Model, source: bytes, out: Path, *, seed: int) -> float:
         seed: The root of the comparison's questions.
 
     Returns:
-        The greatest difference [m] from ``LearnedAvoider``, as ``difference`` found it.
+        The largest difference [m] from ``LearnedAvoider``, as ``difference`` found it.
 
     Raises:
         ModelError: The difference is above 1e-6 m.
@@ -121,11 +122,11 @@ def write_export(model: Model, source: bytes, out: Path, *, seed: int) -> float:
 
 
 def difference(model: Model, function: Function, *, seed: int) -> float:
-    """Return the greatest difference [m] of any coordinate of a position or spread from ``LearnedAvoider``.
+    """Return the largest difference [m] from ``LearnedAvoider`` in any coordinate of a position or spread.
 
     The questions are random hands and TCPs in the model's seen boxes, and as many in boxes 1.5 times as
-    large.  Each has the masks of its own seed.  A further hand is NaN and must give no answer, or the
-    difference is infinite.
+    large.  Each question has the masks of its own seed.  In one more question, the hand is NaN.  If the
+    function answers it, the difference is infinite.
 
     Args:
         model: The model.
@@ -152,7 +153,7 @@ def difference(model: Model, function: Function, *, seed: int) -> float:
 
 
 def _boxes(model: Model) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Yield centre and half size of the seen hands' box, then of the TCPs' box."""
+    """Yield the centre and half size of the seen hands' box, then those of the TCPs' box."""
     for low, high in map(np.array, model.seen.boxes.values()):
         yield (low + high) / 2, (high - low) / 2
 
@@ -175,7 +176,7 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
             external_data=False,
             verbose=False,
         )
-    assert program is not None  # always, for an export with dynamo
+    assert program is not None  # an export with dynamo always returns a program
     proto = program.model_proto
     proto.graph.ClearField("value_info")  # PyTorch's shapes of transposed weights contradict inferred ones
     for part in (*proto.graph.node, *proto.graph.input, *proto.graph.output):
@@ -189,7 +190,7 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
 
 
 def load_onnx(path: Path) -> Function:
-    """Return the function of an exported ONNX file, in onnxruntime."""
+    """Return the function of an exported ONNX file, which onnxruntime computes."""
     session = open_session(path, path.read_bytes())  # the file that was just written
 
     def function(
@@ -203,7 +204,7 @@ def load_onnx(path: Path) -> Function:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence PyTorch's exporter; ``difference`` tests its result."""
+    """Silence PyTorch's exporter, because ``difference`` tests its result."""
     logger = logging.getLogger("torch.onnx")
     old_level = logger.level
     logger.setLevel(logging.ERROR)

@@ -1,4 +1,4 @@
-"""The image error of candidates: |f - f*|^2 (eq. 15) of many poses in one compiled call."""
+"""The image errors |f - f*|^2 (eq. 15) of candidates, for many poses in one compiled call."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from safety_harness.cell.servoing.features import feature_error, features
 
 
 class ImageErrors(NamedTuple):
-    """Image errors of TCP positions in the desired orientation, and the selection by them.
+    """The image errors of TCP positions in the desired orientation, and the selection by these errors.
 
-    ``features`` are f*; ``area`` and ``depth_m`` are a* and Z* of the view at the desired pose.  The object
-    is ``dense`` or discrete.
+    ``features`` are the features f* of the view at the desired pose, and ``area`` and ``depth_m`` are its a*
+    and Z*.  ``dense`` tells whether the object is dense or discrete.
     """
 
     polygon_m: NDArray[np.float64]  # (corners, 2)
@@ -58,18 +58,18 @@ class ImageErrors(NamedTuple):
     def at(
         self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return errors (...) of ``positions_in_base_m`` (..., 3), and whether they see all the object (...).
+        """Return errors (...) at ``positions_in_base_m`` (..., 3) and whether (...) each sees all the object.
 
-        The error is |f - f*|^2 (eq. 15, in metres and radians) of the features f of the image from there.  It
-        is +inf without an image of the object.  The exact image has no border: beyond it, the error belongs
-        to a larger sensor.
+        The error is |f - f*|^2 (eq. 15, in metres and radians), where f are the features of the image from
+        that position.  It is +inf without an image of the object.  The exact image has no border: beyond the
+        sensor's border, the error is that of a larger sensor.
 
         Args:
             positions_in_base_m: TCP positions in the base frame.
-            raster: Sample at pixel centres like the camera, and crop; for dense objects only.
+            raster: Sample the image at pixel centres and crop it, like the camera; for dense objects only.
 
         Raises:
-            DatasetError: ``raster`` for a discrete object.
+            DatasetError: ``raster`` is set for a discrete object.
 
         """
         if raster and not self.dense:
@@ -87,13 +87,13 @@ class ImageErrors(NamedTuple):
     def select(
         self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the selected numbers (n,) of ``positions_in_base_m`` (n, c, 3), and how many see (n,).
+        """Return the number (n,) of each TCP's selected candidate, and its count (n,) of candidates in view.
 
-        The selected candidate has the least error among the candidates in view, or among all if no candidate
-        is in view. The second array counts the candidates that see the whole object.
+        ``positions_in_base_m`` is (n, c, 3).  A candidate is in view if it sees the whole object.  The
+        selected candidate has the least error among those in view, or among all if none is in view.
 
         Args:
-            positions_in_base_m: C candidates for each TCP, in the base frame.
+            positions_in_base_m: The c candidates of each of n TCPs, in the base frame.
             raster: As in ``at``.
 
         Raises:
@@ -123,7 +123,9 @@ def _image_errors(
     errors_out: NDArray[np.float64],  # (n,)
     in_view_out: NDArray[np.bool_],  # (n,)
 ) -> None:
-    """Fill the errors of ``ImageErrors.at``; a shift of the camera moves the object against it.
+    """Fill ``errors_out`` and ``in_view_out`` with the two results of ``ImageErrors.at``.
+
+    If the camera shifts, the object moves the opposite way in the camera frame:
 
         t(p) = t* - R_camera_to_base^T (p - p*)
 

@@ -1,7 +1,8 @@
-"""Data sets on disk: a folder with plain arrays, and a manifest of their origin.
+"""Data sets on disk: a folder with plain arrays, and a manifest that states their origin.
 
-``arrays.npz`` has the compact arrays (never a pickle).  ``manifest.json`` has every parameter, the seed, the
-versions, a sha256 of each array's bytes and of the manifest itself.  So a changed data set is refused.
+``arrays.npz`` holds the compact arrays (never a pickle).  ``manifest.json`` holds every parameter, the seed
+and the versions.  It also holds a sha256 of each array's bytes and of the manifest itself, so that
+``load_dataset`` refuses a changed data set.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ DTYPES = {
 
 @dataclass(frozen=True)
 class _StoredArray:
-    """The stored hash of an array."""
+    """The hash of an array, as the manifest states it."""
 
     sha256: str
 
@@ -88,8 +89,8 @@ def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
     return manifest | {"sha256": _manifest_hash(manifest)}
 
 
-# The data of the shipped networks: its hash with today's arithmetic, and with that of their training.  One of
-# its five arrays, the optimum, differs by at most 1.2e-16 m.
+# The hash of the shipped networks' data, with today's arithmetic and with the arithmetic of their training.
+# Of the five arrays only the optimum differs, by at most 1.2e-16 m.
 _WITH_ARITHMETIC_0 = {
     "9c8d51eaed28783185f43c7f349788f0075cb071d06ec007af7e318f2f38b7c3": (
         "1966e834dde8e7ad166ee64c07d5c613dda54ccdcbba2ec1a6b8fb86760c09d3"
@@ -98,13 +99,13 @@ _WITH_ARITHMETIC_0 = {
 
 
 def is_named_by(dataset: CompactDataset, sha256: str) -> bool:
-    """Return whether ``sha256`` is the ``data_hash`` of a data set, also if an earlier arithmetic made it."""
+    """Return whether ``sha256`` is the ``data_hash`` of ``dataset``, by today's or an earlier arithmetic."""
     digest = data_hash(dataset)
     return sha256 in (digest, _WITH_ARITHMETIC_0.get(digest))
 
 
 def data_hash(dataset: CompactDataset) -> str:
-    """Return one sha256 over the arrays of ``dataset`` alone, the same for every version of the program."""
+    """Return one sha256 over only the arrays of ``dataset``; it is the same for every program version."""
     digest = hashlib.sha256()
     for name, array in sorted(_arrays(dataset).items()):
         digest.update(f"{name} {_sha256(array)}\n".encode())
@@ -112,10 +113,10 @@ def data_hash(dataset: CompactDataset) -> str:
 
 
 def save_dataset(dataset: CompactDataset, folder: Path) -> None:
-    """Write ``arrays.npz`` and ``manifest.json``.
+    """Write ``arrays.npz`` and ``manifest.json`` into ``folder``.
 
-    It creates the folder if necessary, and replaces each file as a whole.  An interruption between the two
-    files leaves a folder that does not load.
+    The function creates the folder if necessary, and replaces each file as a whole.  After an interruption
+    between the two files, the folder does not load.
 
     Args:
         dataset: The data set.
@@ -136,7 +137,7 @@ def save_dataset(dataset: CompactDataset, folder: Path) -> None:
 
 
 def load_dataset(folder: Path) -> CompactDataset:
-    """Return the data set of a folder of ``save_dataset``; DatasetError with the reason if it is none."""
+    """Return the data set that ``save_dataset`` wrote into ``folder``; raise DatasetError if that fails."""
     refuse_other_kind(folder, FileKind.DATASET, error=DatasetError)
     file = folder / MANIFEST
     manifest = _read_manifest(file)
@@ -155,7 +156,7 @@ def load_dataset(folder: Path) -> CompactDataset:
 
 
 def _arrays(dataset: CompactDataset) -> dict[str, NDArray[Any]]:
-    """Return the arrays by name."""
+    """Return the stored arrays of ``dataset`` by name."""
     return {name: getattr(dataset, name) for name in DTYPES}
 
 
@@ -166,7 +167,7 @@ def _sha256(array: NDArray[Any]) -> str:
 
 
 def _manifest_hash(manifest: dict[str, Any]) -> str:
-    """Return a hash of everything except the hash itself, independent of the spacing."""
+    """Return a hash of all fields except ``sha256``; the spacing of the file has no effect."""
     rest = {name: value for name, value in manifest.items() if name != "sha256"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
@@ -176,7 +177,7 @@ def _error(file: Path, expected: str, got: str, field: str | None = None) -> Dat
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
-    """Return the unchanged manifest of this format."""
+    """Return the manifest in ``path``; raise DatasetError if it was changed or has another format."""
     refuse_no_file(path, "the manifest of a data set", DatasetError)
     content = read_json(path, "the manifest of a data set", most=LARGEST_MANIFEST_BYTES, error=DatasetError)
     manifest = of_format(content, FORMAT, path, DatasetError)
@@ -186,7 +187,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _read_arrays(path: Path, described: dict[str, _StoredArray]) -> dict[str, Any]:
-    """Return the arrays, after a check of their bytes against the manifest."""
+    """Return the arrays in ``path``, after a comparison of their bytes with the hashes in the manifest."""
     arrays: dict[str, NDArray[Any]] = {}
     refuse_no_file(path, "the arrays of a data set", DatasetError)
     try:

@@ -1,4 +1,4 @@
-"""Candidates of many questions at once, for data sets."""
+"""The candidates of many questions, drawn at once, for data sets."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from safety_harness.cell.avoidance.candidates import CandidateCap
 
 
 def draw_many(cap: CandidateCap, generators: Sequence[np.random.Generator]) -> NDArray[np.float64]:
-    """Return offsets (n, count, 3) [m] like ``cap.draw``, to rounding, but much faster.
+    """Return the offsets (n, count, 3) [m] that ``cap.draw`` draws, up to rounding, but much faster.
 
     Args:
         cap: The cap of the candidates.
-        generators: One generator for each set; a repeated generator serves its sets in turn.
+        generators: One generator for each set; a repeated generator draws its sets in turn.
 
     """
     frame = cap.frame()
@@ -43,7 +43,7 @@ def _keep(
     offsets_out: NDArray[np.float64],  # (n, count, 3)
     kept: NDArray[np.int64],  # (n,) the counts so far, updated
 ) -> None:
-    """Append the directions within the cone to every set that is not full."""
+    """Append the offsets of the directions within the cone to every set that is not full yet."""
     sets, _, proposals = angles_rad.shape
     count = offsets_out.shape[1]
     for k in range(sets):

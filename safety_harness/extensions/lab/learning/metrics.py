@@ -1,7 +1,7 @@
 """Metrics of predictions and of their uncertainties, with numpy only.
 
-Arrays are (n, 3), a row for each decision and a column for each axis, in any common unit of length.  Every
-function except the half widths raises ValueError for numbers that are not finite, so that it ignores no
+Arrays are (n, 3), with a row for each decision and a column for each axis, in any common unit of length.
+Every function except the half widths raises ValueError if a number is not finite, so that it ignores no
 number silently.
 """
 
@@ -23,7 +23,7 @@ NORMAL_95 = 1.96  # the paper's intervals: mean +- 1.96 standard deviations
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Root mean square and mean absolute error by axis (3,), and over the errors of all axes."""
+    """The root mean square error and the mean absolute error: by axis (3,), and over all axes together."""
 
     rmse: Floats
     mae: Floats
@@ -44,23 +44,23 @@ def errors(predictions: Floats, targets: Floats) -> Errors:
 
 
 def half_width_of_spread(spreads: Floats) -> Floats:
-    """Return 1.96 s for s = ``spreads`` (n, 3), standard deviations of the passes.
+    """Return 1.96 s for the standard deviations s = ``spreads`` (n, 3) over the passes.
 
-    The paper's figures are reachable with these half widths.
+    With these half widths, the paper's figures are reachable.
     """
     return NORMAL_95 * spreads
 
 
 def half_width_with(spreads: Floats, added_variance: Floats | float) -> Floats:
-    """Return 1.96 sqrt(s^2 + v); s = ``spreads`` (n, 3), v = ``added_variance`` (n, 3), (3,) or a number."""
+    """Return 1.96 sqrt(s^2 + v): s = ``spreads`` (n, 3); v = ``added_variance`` (n, 3), (3,) or a number."""
     return NORMAL_95 * np.sqrt(spreads**2 + added_variance)
 
 
 @dataclass(frozen=True, eq=False)
 class IntervalCoverage:
-    """The share of targets within their intervals by axis (3,) (PICP, eq. 14), and on all axes at once.
+    """The share of targets within their intervals: by axis (3,) (PICP, eq. 14), and on all axes at once.
 
-    ``mean_width`` (3,) is the mean of upper minus lower end.
+    ``mean_width`` (3,) is the mean width of the intervals, from the lower to the upper end.
     """
 
     picp: Floats
@@ -69,7 +69,7 @@ class IntervalCoverage:
 
 
 def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> IntervalCoverage:
-    """Return PICP (eq. 14) and width of the intervals prediction +- half width, ends included.
+    """Return the PICP (eq. 14) and the width of the intervals prediction +- half width, ends included.
 
     ``predictions``, ``targets`` and ``half_widths`` are (n, 3).
     """
@@ -84,15 +84,15 @@ def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> Inter
 def picp_variants(
     predictions: Floats, targets: Floats, spreads: Floats, *, precision: float, residual_std: Floats | None
 ) -> dict[str, IntervalCoverage]:
-    """Return the readings of the paper's PICP side by side, by name.
+    """Return the coverage for each reading of the paper's PICP, by the reading's name.
 
-    ``predictions`` y, ``targets`` and ``spreads`` s are (n, 3), and ``residual_std`` r is (3,).  Half the
-    width of an interval is 1.96 times s, or 1.96 times one of these:
+    ``predictions`` y, ``targets`` and ``spreads`` s are (n, 3), and ``residual_std`` r is (3,).  The readings
+    differ in the half width of an interval.  It is 1.96 times s, or 1.96 times one of these:
 
     * sqrt(s^2 + 1/tau), with the inverse model precision (Gal and Ghahramani 2016); at the paper's tau of
       1e-6 per mm^2, 1/tau is a variance of one square metre;
-    * sqrt(s^2 + y^2), eq. 11 in its printed form: the mean of the squares, without the squared mean taken
-      off;
+    * sqrt(s^2 + y^2), eq. 11 in its printed form: it does not subtract the squared mean from the mean of the
+      squares;
     * sqrt(s^2 + r^2), with the variance of validation residuals, which is the labels' own noise.
 
     Args:
@@ -100,7 +100,7 @@ def picp_variants(
         targets: The labels.
         spreads: The standard deviations over the passes.
         precision: Tau, in the unit of the predictions.
-        residual_std: The standard deviation of validation residuals; None leaves the last reading out.
+        residual_std: The standard deviation of validation residuals; None omits the last reading.
 
     """
     half_widths = {
@@ -135,8 +135,8 @@ def calibration_curve(predictions: Floats, targets: Floats, spreads: Floats, lev
 def auroc(scores_without: Floats, scores_with: Floats) -> float:
     """Return the area under the ROC curve of a score that should be higher in the second group.
 
-    It is P(with > without) + P(with = without)/2 over all pairs of ``scores_without`` (n,) and
-    ``scores_with`` (m,), exactly (Mann and Whitney, 1947).
+    The area is exactly P(with > without) + P(with = without)/2 over all pairs of ``scores_without`` (n,) and
+    ``scores_with`` (m,) (Mann and Whitney, 1947).
 
     Args:
         scores_without: The scores of the first group, for example of seen questions.
@@ -157,7 +157,8 @@ def auroc(scores_without: Floats, scores_with: Floats) -> float:
 def conformal_quantile(scores: Floats, level: float) -> float:
     """Return the ceil((n + 1) level)-th smallest of ``scores`` (n,) (Vovk, Gammerman and Shafer, 2005).
 
-    A further score, exchangeable with these, is at most as large with probability ``level`` at least.
+    A further score that is exchangeable with these is at most as large, with a probability of at least
+    ``level``.
 
     Raises:
         ValueError: There are fewer than level / (1 - level) scores, or ``level`` is not between 0 and 1.
@@ -172,16 +173,16 @@ def conformal_quantile(scores: Floats, level: float) -> float:
 
 
 def conformal_multiplier(predictions: Floats, targets: Floats, scales: Floats, level: float = 0.95) -> float:
-    """Return the split-conformal m, so that prediction +- m scale covers *all three* axes at ``level``.
+    """Return the split-conformal m with which prediction +- m scale covers *all three* axes at ``level``.
 
     ``predictions`` and ``targets`` are (n, 3), and ``scales`` (n, 3), or (3,) for every row.  The score of a
     row is max_axis |prediction - target|/scale, and m is the ``conformal_quantile`` of the scores.
 
     Args:
         predictions: Predictions for held-out questions.
-        targets: Their labels.
+        targets: The labels of these questions.
         scales: Positive scales.
-        level: The coverage.
+        level: The share of targets that the intervals cover.
 
     Raises:
         ValueError: A scale is not positive, or there are too few rows.
@@ -193,21 +194,21 @@ def conformal_multiplier(predictions: Floats, targets: Floats, scales: Floats, l
 
 
 def largest_spread(spreads: Floats) -> Floats:
-    """Return the spread (n,) of the worst axis of each decision, from ``spreads`` (n, 3)."""
+    """Return the largest (n,) of each decision's three spreads, from ``spreads`` (n, 3)."""
     largest: Floats = _finite(spreads).max(axis=1)
     return largest
 
 
 def spread_threshold(spreads: Floats, level: float = 0.99) -> float:
-    """Return the threshold that the spread of a further such decision exceeds with at most 1 - ``level``.
+    """Return the threshold that a further decision exceeds with a probability of at most 1 - ``level``.
 
-    It is the ``conformal_quantile`` of the largest of each row of ``spreads`` (n, 3).
+    It is the ``conformal_quantile`` of the largest spread in each row of ``spreads`` (n, 3).
     """
     return conformal_quantile(largest_spread(spreads), level)
 
 
 def _finite(array: Floats) -> Floats:
-    """Return ``array`` (...) if all of it is finite; ValueError otherwise."""
+    """Return ``array`` (...) if all its numbers are finite; raise ValueError otherwise."""
     if not np.all(np.isfinite(array)):
         raise ValueError("expected finite numbers")
     return array

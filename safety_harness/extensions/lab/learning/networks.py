@@ -1,8 +1,8 @@
 """The regression ResNet of figures 3 and 4 in PyTorch: Chen et al. (2020), with dropout after Gal.
 
-Dropout is never a hidden state of the module: a forward pass takes its masks, or has no dropout.  So a
-network in evaluation mode (batch normalisation with running statistics) with masks is one Monte Carlo pass.
-Another implementation can use the same masks.
+Dropout is never a hidden state of the module: a forward pass receives its masks, or it has no dropout.  One
+Monte Carlo pass is a forward pass with masks in evaluation mode, in which batch normalisation uses running
+statistics.  Another implementation can use the same masks.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from safety_harness.cell.avoidance.model_file import (
 )
 from safety_harness.extensions.lab.learning.recipes import Recipe
 
-UNTRACKED = "num_batches_tracked"  # PyTorch's counter, without use in a trained network
+UNTRACKED = "num_batches_tracked"  # a counter of PyTorch that a trained network does not need
 
 Masks = Sequence[Tensor] | Tensor
 Drop = Callable[[Tensor], Tensor]
 
 
 def _keep(x: Tensor) -> Tensor:
-    """Return ``x`` unchanged: no dropout here."""
+    """Return ``x`` unchanged, for a place without dropout."""
     return x
 
 
 def _next_masks(masks: Masks, probability: float) -> Drop:
-    """Return inverted dropout: each call applies the next mask and divides by the share that remains."""
+    """Return inverted dropout: each call applies the next mask and divides by the kept share of units."""
     left, scale = iter(masks), 1.0 / (1.0 - probability)
     return lambda x: x * (next(left)[..., : x.shape[-1]] * scale)
 
 
 class Block(nn.Module):
-    """Three fully connected layers beside a shortcut (figure 4), which is dense or the identity."""
+    """Three fully connected layers beside a shortcut (figure 4); the shortcut is dense or the identity."""
 
     def __init__(self, inputs: int, *, dense: bool) -> None:
         super().__init__()
@@ -74,12 +74,12 @@ class Block(nn.Module):
 
 
 class RegressionResNet(nn.Module):
-    """Stages of one dense and some identity blocks, then batch norm and a fully connected layer.
+    """Stages of one dense block and some identity blocks, then batch norm and a fully connected layer.
 
-    Inputs (n, 7) and outputs (n, 3), a position, are normalised (or raw millimetres), float32.
+    Inputs (n, 7) and outputs (n, 3), which are positions, are float32, normalised or in raw millimetres.
 
     Args:
-        dropout: The places of dropout: nowhere; INTER, at the output of each stage; FULL, before every layer.
+        dropout: The places of dropout: none, the output of each stage (INTER), or before every layer (FULL).
         probability: The probability of dropping a unit.
 
     Raises:
@@ -106,7 +106,7 @@ class RegressionResNet(nn.Module):
 
     @property
     def places(self) -> int:
-        """The number of dropout places, in the order of the masks: a stage's output, or a layer's input."""
+        """The number of dropout places, and so of masks: the outputs of stages, or the inputs of layers."""
         return PLACES[self.dropout]
 
     def draw_masks(self, rows: int, generator: torch.Generator) -> Tensor:
@@ -125,9 +125,9 @@ class RegressionResNet(nn.Module):
 
         Args:
             x: (n, 7) the inputs.
-            masks: For each of ``places`` a mask, 1 or true for a unit to keep, of shape (n, WIDTH), or
-                (WIDTH,) for all rows alike.  At a place with fewer than ``WIDTH`` units (the first layers'
-                seven inputs) the first ones count.  None: no dropout.
+            masks: A mask for each of ``places``; 1 or true keeps a unit.  Its shape is (n, WIDTH), or
+                (WIDTH,) for all rows alike.  A place with fewer than ``WIDTH`` units (the seven inputs of the
+                first layers) uses the first entries of its mask.  None means no dropout.
 
         Raises:
             ValueError: The number of masks is wrong.
@@ -146,7 +146,7 @@ class RegressionResNet(nn.Module):
 
 
 class ReluPerceptron(nn.Module):
-    """Two hidden layers with ReLU; its interface is the ResNet's, but it ignores masks and the constant."""
+    """Two hidden layers with ReLU; the interface is the ResNet's, but masks and constant have no effect."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -164,7 +164,7 @@ Network = RegressionResNet | ReluPerceptron
 
 
 def network_of(kind: str, dropout: Dropout, probability: float) -> Network:
-    """Return a network of one of the two kinds in a model file.
+    """Return a network of one of the two kinds that a model file can hold.
 
     Args:
         kind: The kind.
@@ -179,7 +179,7 @@ def network_of(kind: str, dropout: Dropout, probability: float) -> Network:
 
 def fresh_network(recipe: Recipe, seed: int) -> Network:
     """Return a network of ``recipe`` with PyTorch's usual initial weights, drawn from ``seed`` alone."""
-    with torch.random.fork_rng(devices=[]):  # layers draw from the global generator, left as it was
+    with torch.random.fork_rng(devices=[]):  # layers draw from the global generator; this restores its state
         torch.default_generator.manual_seed(seed)
         return network_of(recipe.kind, recipe.dropout, recipe.dropout_probability)
 
@@ -194,7 +194,7 @@ def to_tensors(network: Network) -> dict[str, NDArray[np.float32]]:
 
 
 def load_tensors(network: Network, tensors: Mapping[str, NDArray[np.float32]]) -> None:
-    """Load the tensors of ``to_tensors`` into ``network``; RuntimeError for a wrong name or shape."""
+    """Load the tensors of ``to_tensors`` into ``network``; raise RuntimeError for a wrong name or shape."""
     state = {name: torch.from_numpy(np.array(array)) for name, array in tensors.items()}
     counters = {name: t for name, t in network.state_dict().items() if name.endswith(UNTRACKED)}
     network.load_state_dict(state | counters)

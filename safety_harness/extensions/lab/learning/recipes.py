@@ -1,8 +1,8 @@
-"""Recipes of trainings: the paper's, ours, and quick trials.
+"""Recipes of trainings: the paper's recipes, our own, and quick trials.
 
-The paper's recipes have its hyper-parameters (section 4.1, table 2) in its unit, raw millimetres.  Ours
-differ in known weak points.  Inputs and targets are normalised, and the step size falls to zero.  Each epoch
-sees a fresh random part of the combinations, and validation uses new TCPs.
+The paper's recipes have its hyper-parameters (section 4.1, table 2) and its unit, raw millimetres.  Our own
+recipes change known weak points: they normalise inputs and targets, and let the step size fall to zero.
+Each epoch then trains on a fresh random part of the combinations, and the validation uses new TCPs.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ SplitKind = Literal["by TCP", "by sample"]
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """Everything that decides a training, except data and seed.
+    """Everything that decides a training, except the data and the seed.
 
-    ``training_samples`` are drawn afresh for each epoch, ``validation_samples`` once; None: all samples.
-    ``precision_per_mm2`` is tau, and ``length_scale`` is l, of eq. 12.  If ``normalise`` is set, the network
-    sees variables of mean 0 and variance 1, otherwise millimetres.  If ``annealed`` is set, the learning rate
-    falls to zero over the epochs, as a cosine.  ``target`` is eq. 13's ground truth, or the version without
-    noise, with the continuous optimum in place of the selected candidate.  ``split`` is at random over the
-    samples, as in the paper, or over the TCPs.  The first leaves every TCP, with its label's noise, in all
-    three parts.
+    A training draws ``training_samples`` afresh for each epoch, and ``validation_samples`` once; None means
+    all samples.  In eq. 12, ``precision_per_mm2`` is tau and ``length_scale`` is l.  If ``normalise`` is set,
+    the network's variables have mean 0 and variance 1; otherwise they are millimetres.  If ``annealed`` is
+    set, the learning rate falls to zero over the epochs, as a cosine.  ``target`` is the ground truth of
+    eq. 13, or its version without noise.  That version has the continuous optimum in place of the selected
+    candidate.  ``split`` divides at random either the samples, as in the paper, or the TCPs.  A split of the
+    samples leaves every TCP, with the noise of its label, in all three parts.
     """
 
     name: str
@@ -53,13 +53,14 @@ class Recipe:
     def weight_decay(self, samples: int, target_variance_mm2: float) -> float:
         """Return lambda = (1 - p) l^2 / (2 N tau) of Gal and Ghahramani (2016), in the network's unit.
 
-        p is the probability to *drop* a unit, and 0 without dropout.  Eq. 9 has 1 - p.  Eq. 12 omits the "1
-        -" and prints the square of l as an exponent of p.  tau is a precision in 1/mm^2.  A target divided by
-        its standard deviation has the precision tau times ``target_variance_mm2``.
+        Here p is the probability to *drop* a unit, and 0 without dropout; l is ``length_scale``.  Eq. 9 has
+        1 - p.  Eq. 12 omits the "1 -" and prints the square of l as an exponent of p.  The precision tau is
+        ``precision_per_mm2``.  For a target divided by its standard deviation, the precision is tau times
+        ``target_variance_mm2``.
 
         Args:
             samples: N, the size of the training set.
-            target_variance_mm2: The variance of the targets, mean over the axes.
+            target_variance_mm2: The variance of the targets, as the mean over the axes.
 
         """
         drop = 0.0 if self.dropout is Dropout.NONE else self.dropout_probability
@@ -68,7 +69,7 @@ class Recipe:
 
 
 def _family(base: Recipe, *, full_epochs: int) -> tuple[Recipe, Recipe, Recipe, Recipe]:
-    """Return the paper's networks: deterministic, two with dropout, and an ensemble."""
+    """Return the recipes of the paper's networks: deterministic, two with dropout, and an ensemble."""
     return (
         replace(base, name=f"{base.name}deterministic"),
         replace(base, name=f"{base.name}mc-dropout", dropout=Dropout.INTER),
@@ -84,7 +85,7 @@ _BASE = Recipe(
     name="",
     training_samples=300_000,
     validation_samples=20_000,
-    epochs=20,  # beyond some 15 a network begins to remember the labels' noise of the training TCPs
+    epochs=20,  # after some 15 epochs, a network begins to remember the noise in the training labels
     learning_rate=2e-3,
     annealed=True,
     normalise=True,
@@ -94,7 +95,7 @@ OURS = _family(_BASE, full_epochs=20)
 OURS_DETERMINISTIC, OURS_MC_DROPOUT, OURS_MC_DROPOUT_FULL, OURS_ENSEMBLE = OURS
 OURS_OPTIMUM = replace(_BASE, name="optimum", target="continuous", epochs=40)
 
-# Proofs bound the student's largest errors: l2, and more steps than the other recipes.
+# Proofs bound the student's largest errors, so its recipe has the l2 loss and more steps than the others.
 STUDENT = replace(
     _BASE,
     name="student",
@@ -117,7 +118,7 @@ RECIPES = (*PAPER, *OURS, OURS_OPTIMUM, STUDENT, STUDENT_ENSEMBLE, *TRIAL)
 
 
 def recipe_named(name: str) -> Recipe:
-    """Return the recipe with ``name``; ModelError with all names for an unknown name."""
+    """Return the recipe with ``name``; raise ModelError, with all names, for an unknown name."""
     for recipe in RECIPES:
         if recipe.name == name:
             return recipe

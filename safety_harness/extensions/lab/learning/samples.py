@@ -1,4 +1,4 @@
-"""Samples in the form of a network's input: float32, in normalised variables or in millimetres."""
+"""Samples in the form that a network learns from: float32, in normalised variables or in millimetres."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Samples(Protocol):
     """Numbered samples, computed on demand."""
 
     def inputs(self, index: Index, /) -> NDArray[np.float64]:
-        """Return hand and TCP position in the base frame [m], (n, 6)."""
+        """Return the positions of hand and TCP in the base frame [m], (n, 6)."""
         ...
 
     def targets(self, index: Index, /) -> NDArray[np.float64]:
@@ -30,7 +30,7 @@ class Samples(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ArraySamples:
-    """Samples in arrays (n, 6) and (n, 3), metres, base frame."""
+    """Samples in arrays: inputs (n, 6) and targets (n, 3), in metres and in the base frame."""
 
     all_inputs: NDArray[np.float64]
     all_targets: NDArray[np.float64]
@@ -51,7 +51,7 @@ def samples_for(recipe: Recipe, dataset: CompactDataset) -> Samples:
 
 @dataclass(frozen=True, eq=False)
 class Normalisation:
-    """The map network variable = (value [m] - mean) / std; means and stds in metres, float64."""
+    """The map from a value [m] to a network's variable (value - mean) / std; means and stds in metres."""
 
     input_mean: NDArray[np.float64]  # (6,)
     input_std: NDArray[np.float64]  # (6,)
@@ -62,12 +62,12 @@ class Normalisation:
     def from_recipe(
         cls, recipe: Recipe, mean: NDArray[np.float64], std: NDArray[np.float64]
     ) -> Normalisation:
-        """Return a recipe's normalisation by ``mean`` and ``std`` (9,), or plain millimetres without one.
+        """Return the recipe's normalisation: by ``mean`` and ``std`` (9,), or to plain millimetres.
 
         Args:
             recipe: The recipe.
-            mean: Means of inputs and targets [m].
-            std: Their standard deviations [m].
+            mean: The means of inputs and targets [m].
+            std: The standard deviations of inputs and targets [m].
 
         """
         if recipe.normalise:
@@ -76,17 +76,17 @@ class Normalisation:
 
 
 def moments(samples: Samples, index: Index) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean and standard deviation [m], (9,) each, of six inputs and three targets.
+    """Return the means and standard deviations [m], (9,) each, of the six inputs and three targets.
 
     Args:
         samples: The samples.
-        index: (n,) the numbers of the samples that count.
+        index: (n,) the numbers of the samples to use.
 
     Raises:
         ModelError: One of the nine columns does not vary by more than 1 um.
 
     """
-    origin = _columns(samples, index[:1])[0]  # near the mean: no cancellation in the squares
+    origin = _columns(samples, index[:1])[0]  # an origin near the mean avoids cancellation in the squares
     total, squares = np.zeros(9), np.zeros(9)
     for start in range(0, len(index), CHUNK):
         shifted = _columns(samples, index[start : start + CHUNK]) - origin
@@ -110,7 +110,7 @@ def _columns(samples: Samples, index: Index) -> NDArray[np.float64]:
 
 
 def network_inputs(inputs: NDArray[np.float64], normalisation: Normalisation) -> NDArray[np.float32]:
-    """Return the network's inputs (n, 7): (x - mean)/std of ``inputs`` (n, 6) [m], and the constant 1."""
+    """Return the network's inputs (n, 7): (x - mean)/std of x = ``inputs`` (n, 6) [m], and the constant 1."""
     x = np.ones((len(inputs), 7), dtype=np.float32)
     x[:, :6] = (inputs - normalisation.input_mean) / normalisation.input_std
     return x

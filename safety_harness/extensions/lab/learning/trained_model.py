@@ -1,9 +1,9 @@
 """The contents of a model file from a training: networks, normalisation, seen space, card, calibration.
 
-The calibration uses held-out *seen* TCPs.  It determines the width of intervals, and the spread above which
-an answer is in doubt.  Both numbers are quantiles with the finite-sample correction of split-conformal
-prediction.  They use decisions that are exchangeable with a new decision in the seen space.  Each TCP and
-each hand is drawn afresh and used once, because two samples of a TCP would share the noise of its label.
+The calibration uses held-out *seen* TCPs.  It determines the width of the intervals, and the spread above
+which an answer is in doubt.  Both numbers are quantiles with the finite-sample correction of split-conformal
+prediction.  They come from decisions that are exchangeable with a new decision in the seen space.  The
+calibration draws new TCPs and hands and uses each once, since samples of a TCP share the noise of its label.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ LIMITS = (
 
 
 def split_for(recipe: Recipe, dataset: CompactDataset) -> Split:
-    """Return the split of ``dataset`` that ``recipe`` names, from the data set's own seed."""
+    """Return the split of ``dataset`` that ``recipe`` names, drawn from the data set's own seed."""
     return SPLITS[recipe.split](dataset, seed=dataset.seed)
 
 
 def model_of(trained: Trained, dataset: CompactDataset, split: Split, command: str) -> Model:
-    """Return the trained networks with normalisation, seen space and card, before the calibration.
+    """Return a model of the trained networks, with normalisation, seen space and card; no calibration yet.
 
     Args:
-        trained: The training's result.
-        dataset: The data set.
-        split: The split of the training.
-        command: The command of the training, for the card.
+        trained: The result of the training.
+        dataset: The data set of the training.
+        split: The split of the data set.
+        command: The command that ran the training, for the card.
 
     """
     recipe = trained.recipe
@@ -86,7 +86,7 @@ def model_of(trained: Trained, dataset: CompactDataset, split: Split, command: s
 
 
 def _card(trained: Trained, dataset: CompactDataset, split: Split, command: str) -> dict[str, Any]:
-    """Return the card: the model's origin and its figures in validation."""
+    """Return the card, which states the origin of the model and its figures in the validation."""
     best = [
         [epoch for epoch in trained.history if epoch.member == member and epoch.is_best][-1]
         for member in range(trained.recipe.members)
@@ -130,11 +130,12 @@ BRANCH = 7
 def calibrate(
     model: Model, recipe: Recipe, dataset: CompactDataset, *, seed: int, samples: int = SAMPLES
 ) -> Model:
-    """Return ``model`` with its calibration, from fresh draws of the data set's space.
+    """Return ``model`` with a calibration from fresh draws of the data set's space.
 
-    Residuals give the scale sqrt(spread^2 + residual_std^2) of an interval, by axis.  A second, independent
-    set gives the multiple of it that covers 95 % of the labels on all axes at once.  It also gives the spread
-    that one decision in a hundred exceeds (Angelopoulos and Bates, 2023).
+    The residuals on a first set determine the scale sqrt(spread^2 + residual_std^2) of an interval, by axis.
+    A second, independent set determines the multiple of this scale that covers 95 % of the labels on all axes
+    at once.  The second set also determines the spread that one decision in a hundred exceeds (Angelopoulos
+    and Bates, 2023).
 
     Args:
         model: The model.
@@ -168,8 +169,8 @@ def interval_scale(spreads: Floats, residual_std: Floats) -> Floats:
     Here s is ``spreads`` (n, 3), and r is ``residual_std`` (3,).
 
     Args:
-        spreads: The passes' standard deviation.
-        residual_std: The residuals' root mean square on held-out labels.
+        spreads: The standard deviations over the passes.
+        residual_std: The root mean square of the residuals on held-out labels.
 
     """
     scale: Floats = np.sqrt(spreads**2 + residual_std**2)
@@ -179,7 +180,7 @@ def interval_scale(spreads: Floats, residual_std: Floats) -> Floats:
 def _decisions(
     avoider: LearnedAvoider, recipe: Recipe, dataset: CompactDataset, seed: int, purpose: int, samples: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Return predictions, labels and spreads (n, 3) [m] on ``samples`` fresh pairs of a TCP and a hand."""
+    """Return predictions, labels and spreads (n, 3) [m] for ``samples`` fresh pairs of a TCP and a hand."""
     leaf = seed_below(seed, BRANCH, purpose)
     fresh, pairs = fresh_pairs(
         dataset.settings, dataset.space, seed=leaf, samples=samples, candidates=dataset.candidates

@@ -1,8 +1,8 @@
-"""Training: Adam on the L1 loss (a recipe may have L2); the best validation epoch counts (section 4.1).
+"""Training with Adam on the L1 loss (or L2); it keeps the epoch with the best validation (section 4.1).
 
-The same recipe, samples, seed and machine give the same bits, with or without an interruption.  So there is
-one thread, because sums depend on the number of threads.  Each epoch of each member draws its samples and
-dropout masks from its own generators, leaves of the one seed.
+The same recipe, samples, seed and machine give the same bits, with or without an interruption.  A training
+uses one thread, because sums depend on the number of threads.  Each epoch of each member draws its samples
+and dropout masks from its own generators, which are leaves of the one seed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from safety_harness.extensions.lab.learning.samples import (
 )
 
 CHECKPOINT = "checkpoint.safetensors"
-VALIDATION_ROWS = 10_000  # at a time: a layer's values stay in the processor's cache
+VALIDATION_ROWS = 10_000  # at a time, so that a layer's values stay in the processor's cache
 
 # Leaves of the seed: (WEIGHTS, member), (EPOCH, member, epoch[, 1 for masks]), (VALIDATION[, 0 for masks])
 _WEIGHTS, _EPOCH, _VALIDATION = 1, 2, 3
@@ -54,7 +54,7 @@ _WEIGHTS, _EPOCH, _VALIDATION = 1, 2, 3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Trained:
-    """The result of a training: the best weights of each member, and their history."""
+    """The result of a training: the best weights of each member, and the history of all epochs."""
 
     recipe: Recipe
     seed: int
@@ -78,7 +78,7 @@ def train(
 ) -> Trained:
     """Train all members of a recipe, and write the state after each epoch to checkpoint.safetensors.
 
-    An interruption at any time (KeyboardInterrupt passes through) costs the present epoch.
+    An interruption at any time loses only the present epoch; the function passes KeyboardInterrupt on.
 
     Args:
         recipe: The recipe.
@@ -87,12 +87,12 @@ def train(
         validation: The numbers of the samples to validate with.
         seed: The root of all random numbers.
         out: The folder of the checkpoint.
-        resume: Continue from the checkpoint, or from the start if there is none.
+        resume: Whether to continue from a checkpoint; without a checkpoint, the training starts anew.
         device: The device of PyTorch.
-        on_epoch: Receives each epoch, after its checkpoint.
+        on_epoch: Receives each epoch after its checkpoint is written.
 
     Raises:
-        OutputError: ``out`` cannot be written, or holds a checkpoint that ``resume`` does not ask for.
+        OutputError: ``out`` cannot be written, or it holds a checkpoint although ``resume`` is False.
         ModelError: The checkpoint belongs to another training, there are too few samples, the device does not
             exist, or a loss is not finite.
 
@@ -132,7 +132,7 @@ def train(
 
 
 def _device(name: str) -> torch.device:
-    """Return the device, after a test; ModelError if this machine has no such device."""
+    """Return the device after a test; raise ModelError if this machine has no such device."""
     try:
         device = torch.device(name)
         torch.ones(1, device=device)
@@ -146,7 +146,7 @@ def _device(name: str) -> torch.device:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Compute with one thread, then restore the number of threads."""
+    """Make PyTorch compute with one thread, and restore the number of threads afterwards."""
     old_count = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -156,7 +156,7 @@ def _one_thread() -> Iterator[None]:
 
 
 class _Run:
-    """The constants of a training, and the network and optimiser of the present member."""
+    """A training: its constants, and the network and optimiser of the present member."""
 
     network: Network
     optimiser: torch.optim.Adam
@@ -190,7 +190,7 @@ class _Run:
         return 0
 
     def restore(self, state: Checkpoint) -> int:
-        """Restore the member of a checkpoint, and return its next epoch."""
+        """Restore the last member in a checkpoint, and return its next epoch."""
         network = fresh_network(self.recipe, 0)
         load_tensors(network, state.weights)
         self._use(network)
@@ -202,7 +202,7 @@ class _Run:
         return state.history[-1].number + 1
 
     def checkpoint(self, history: list[Epoch], best: list[Tensors]) -> Checkpoint:
-        """Return the present state."""
+        """Return the present state as a checkpoint."""
         adam = {
             f"{index}/{key}": tensor.detach().cpu().numpy().copy()
             for index, entry in self.optimiser.state_dict()["state"].items()
@@ -219,7 +219,7 @@ class _Run:
         )
 
     def epoch(self, member: int, number: int, earlier: list[Epoch]) -> Epoch:
-        """Train for one epoch, then validate; ``earlier`` are the member's epochs so far."""
+        """Train for one epoch, then validate; ``earlier`` lists the member's epochs so far."""
         training_loss = self._train(member, number)
         validation_loss, rmse_m = self._validate()
         if not math.isfinite(training_loss + validation_loss):
@@ -238,7 +238,7 @@ class _Run:
         )
 
     def _use(self, network: Network) -> None:
-        """Move a network to the device, with a fresh optimiser."""
+        """Move ``network`` to the device and create a fresh optimiser for it."""
         self.network = network.to(self.device)
         self.optimiser = torch.optim.Adam(
             self.network.parameters(),
@@ -248,9 +248,9 @@ class _Run:
         )
 
     def _train(self, member: int, number: int) -> float:
-        """Pass over the epoch's samples once, and return the mean loss of its batches.
+        """Train once on the samples of an epoch, and return the mean loss of its batches.
 
-        An incomplete last batch is left out, because its batch statistics would be the noisiest.
+        The method omits an incomplete last batch, because its batch statistics would be the noisiest.
         """
         recipe, network = self.recipe, self.network
         chosen = self._chosen(self._training, recipe.training_samples, _EPOCH, member, number)
@@ -281,21 +281,22 @@ class _Run:
         return self.network.draw_masks
 
     def _loss(self, error: torch.Tensor) -> torch.Tensor:
-        """Return the recipe's loss, the mean over samples and axes."""
+        """Return the loss that the recipe names, as the mean over samples and axes."""
         return error.abs().mean() if self.recipe.loss == "l1" else error.square().mean()
 
     def _set_rate(self, progress: float) -> None:
-        """Set the learning rate at ``progress``, from 0 to 1 of the whole training."""
+        """Set the learning rate for ``progress``, the finished share (0 to 1) of the whole training."""
         fall = (1.0 + math.cos(math.pi * progress)) / 2.0 if self.recipe.annealed else 1.0
         for group in self.optimiser.param_groups:
             group["lr"] = self.recipe.learning_rate * fall
 
     @torch.no_grad()
     def _validate(self) -> tuple[float, float]:
-        """Return the loss in the network's unit, and the RMSE over all axes [m], of the passes' mean.
+        """Return the loss in the network's unit, and the RMSE over all axes [m], for the mean of the passes.
 
-        A dropout network is judged in its later use.  Its running statistics belong to layers with dropout,
-        and a pass without dropout fits them worse.  The masks are the same after every epoch.
+        The method validates a dropout network with dropout, as in its later use.  The network's running
+        statistics come from layers with dropout, so they fit a pass without dropout worse.  The masks are the
+        same after every epoch.
         """
         network, draw = self.network.eval(), self._masks
         x, y = self._validation
@@ -312,11 +313,11 @@ class _Run:
         return float(self._loss(error)), math.sqrt(float(((error * scale) ** 2).mean()))
 
     def _mask_generator(self, *leaf: int) -> torch.Generator:
-        """Return the generator of masks at a leaf of the seed."""
+        """Return the generator of masks for a leaf of the seed."""
         return torch.Generator(self.device).manual_seed(seed_below(self.seed, *leaf))
 
     def _chosen(self, index: Index, count: int | None, *leaf: int) -> Index:
-        """Return ``count`` distinct members of ``index`` in random order; all, if None or too few."""
+        """Return ``count`` distinct members of ``index`` in random order, or all if it is None or larger."""
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=leaf)))
         size = len(index) if count is None else min(count, len(index))
         return index[rng.choice(len(index), size, replace=False)]

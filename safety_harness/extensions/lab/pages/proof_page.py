@@ -27,7 +27,7 @@ STATES = {"proven": "holds", "refuted": "violated", "undecided": "inconclusive",
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProofEvidence:
-    """Everything on the page; ``command`` repeats it, and ``files`` are the refuting questions."""
+    """The content of the page; ``command`` repeats the job, and ``files`` ask the refuting questions."""
 
     plan: ProofPlan
     proofs: tuple[Proof, ...]
@@ -59,7 +59,7 @@ def render(evidence: ProofEvidence) -> str:
 
 
 def drawn_maps(maps: tuple[BoxMap, ...], prefix: str) -> Iterator[tuple[str, Markup]]:
-    """Yield captions and drawings; a map of the refuted part only if there is one.
+    """Yield the caption and drawing of each map; omit a map of the refuted part if nothing is refuted.
 
     Args:
         maps: The maps.

@@ -1,7 +1,8 @@
-"""Maps of bad answers: questions from above or from the side, in squares of a grid.
+"""Maps of bad answers: a grid of squares shows the questions from above or from the side.
 
-A square is larger the worse its worst question is, and the worst class also has another colour.  So colour
-never carries the information alone.  All squares of a class are one path, and a map costs a few kilobytes.
+A cell with worse answers has a larger square, and squares of the worst class also have another colour.  So
+colour never carries information alone.  All squares of a class form one path, so that a map takes only a few
+kilobytes.
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))  # across, up
 
 @dataclass(frozen=True)
 class Scale:
-    """Classes of a quantity: ``edges`` rise, and a value not below the last is bad (n + 1 ``words``).
+    """The classes of a quantity, between rising ``edges``; each of the n + 1 classes has one of ``words``.
 
-    The largest value of a cell counts, or with ``shares`` the mean.
+    A value at or above the last edge is bad.  A cell has the class of its largest value, or of the mean value
+    if ``shares`` is set.
     """
 
     edges: tuple[float, ...]
@@ -34,12 +36,12 @@ class Scale:
     shares: bool = False
 
     def classes(self, values: NDArray[np.float64]) -> NDArray[np.int64]:  # (n,)
-        """Return the class (n,) of each of ``values``; NaN is in the worst."""
+        """Return the class (n,) of each of ``values`` (n,); the class of NaN is the worst."""
         numbers = np.searchsorted(np.array(self.edges), values, side="right")
         return np.where(np.isnan(values), len(self.edges), numbers)
 
     def size_px(self, level: int) -> int:
-        """Return the size of a square of class ``level``, within its cell."""
+        """Return the side length of a square of class ``level`` in its cell."""
         return 4 + round((CELL_PX - 5) * level / len(self.edges))
 
 
@@ -52,11 +54,11 @@ def question_map(
     prefix: str,
     title: str,
 ) -> str:
-    """Return an ``<svg>`` with each cell's class.
+    """Return an ``<svg>`` that shows the class of each cell, from positions with values.
 
     Args:
-        positions: (n, 3) the positions in base [m].
-        values: (n,) their values.
+        positions: (n, 3) the positions in the base frame [m].
+        values: (n,) the values of the positions.
         scale: The classes.
         view: The axes across and up, and the view in words.
         prefix: The prefix of identifiers.
@@ -88,10 +90,10 @@ def class_map(
     prefix: str,
     title: str,
 ) -> str:
-    """Return an ``<svg>`` of cells' classes.
+    """Return an ``<svg>`` that shows the classes of cells.
 
     Args:
-        worst: (CELLS, CELLS) the classes by across and up, -1 for an empty cell.
+        worst: (CELLS, CELLS) the classes, indexed by across and up; -1 for an empty cell.
         scale: The classes.
         ends_m: The ends of the axes across and up.
         axes: The letters of the two axes.
@@ -117,7 +119,7 @@ def class_map(
 
 
 def _draw_class(root: Element, cells: NDArray[np.int64], scale: Scale, level: int) -> None:
-    """Draw all squares ``cells`` (n, 2) of a class as one path."""
+    """Draw the squares of class ``level``, which are in ``cells`` (n, 2), as one path."""
     size_px = scale.size_px(level)
     inset = (CELL_PX - size_px) / 2.0
     bad = level == len(scale.edges)
@@ -134,7 +136,7 @@ def _draw_class(root: Element, cells: NDArray[np.int64], scale: Scale, level: in
 def _label_axes(
     root: Element, side: int, across_m: tuple[float, float], up_m: tuple[float, float], names: str
 ) -> None:
-    """Draw the ends of both axes in millimetres, and their names."""
+    """Draw the names of both axes, and the positions of their ends in millimetres."""
     bottom = TOP_PX + side
     marks: Sequence[tuple[float, float, str, str]] = (
         (LEFT_PX, bottom + 15, _mm(across_m[0]), "start"),
@@ -150,12 +152,12 @@ def _label_axes(
 
 
 def _mm(value_m: float) -> str:
-    """Return millimetres with a true minus sign."""
+    """Return a length in millimetres with a true minus sign."""
     return f"{1e3 * value_m:.0f}".replace("-", "\u2212")
 
 
 def key_of(scale: Scale) -> str:
-    """Return an ``<svg>`` of the classes, the key below the maps."""
+    """Return an ``<svg>`` of the classes, which is the key below the maps."""
     width = sum(40 + 7 * len(label) for label in scale.words)
     root = Element("svg", {"viewBox": f"0 0 {width} 18", "width": str(width), "height": "18"})
     root.set("aria-hidden", "true")

@@ -1,4 +1,4 @@
-"""``evaluation.json``: everything that a session of scoring found, for programs; SI, units in the names."""
+"""``evaluation.json``: all results of a session of scoring, for programs; in SI, with units in the names."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from safety_harness.extensions.lab.scoring.scorecard import Scorecard
 from safety_harness.report.words import count_words
 
 SCHEMA = "safety-harness scores 1"
-NAMES = {  # of the figures in a scorecard's tuples
+NAMES = {  # names of the figures in a scorecard's tuples
     "gained_m": ("p50", "p5"),
     "angle_rad": ("p50", "p95"),
     "off_m": ("p50", "p95", "p99"),
@@ -30,7 +30,7 @@ NAMES = {  # of the figures in a scorecard's tuples
 
 
 def document(scored: Scored) -> str:
-    """Return the text of the file; measured times are under ``times`` alone, so that the rest repeats."""
+    """Return the text of the file; only ``times`` has measured times, so that all other parts repeat."""
     whole = {
         "schema": SCHEMA,
         "package_version": installed_version(),
@@ -48,7 +48,7 @@ def document(scored: Scored) -> str:
 
 
 def sentence(scored: Scored) -> str:
-    """Return the answer in one sentence."""
+    """Return the result of the session in one sentence."""
     count = sum(len(region.questions) for entry in scored.avoiders for region in entry.card.regions)
     names = ", ".join(entry.card.avoider for entry in scored.avoiders)
     text = f"{count:,} questions" + f" beside {scored.against}" * bool(scored.against)
@@ -67,7 +67,7 @@ def sentence(scored: Scored) -> str:
 
 
 def _of_avoider(scored: ScoredAvoider) -> dict[str, Any]:
-    """Return a card, and separately the searches."""
+    """Return the results of one avoider; the searches are separate from the card."""
     return {
         "reference": scored.reference,
         "sha256": scored.sha256 or None,
@@ -112,7 +112,7 @@ def _of_worst(shown: ShownQuestion) -> dict[str, Any]:
 
 
 def _plain(value: Any, name: str = "") -> Any:
-    """Return a value for JSON: null for NaN and infinity, without the arrays of questions and answers."""
+    """Return a value for JSON: NaN and infinity become null; arrays of questions and answers are omitted."""
     if isinstance(value, Question):
         value = {key: part for key, part in value._asdict().items() if key != "limit_s"}
     if is_dataclass(value) and not isinstance(value, type):

@@ -50,7 +50,7 @@ TOWARDS = Scale(
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreEvidence:
-    """Everything on the page; ``command`` repeats it."""
+    """The content of the page; ``command`` repeats the session."""
 
     scored: Scored
     command: str
@@ -105,7 +105,7 @@ def _section(scored: ScoredAvoider, number: int) -> dict[str, object]:
 
 
 def _description(score: RegionScore) -> str:
-    """Return the region's description, with the median and rms distance to the optimum."""
+    """Return the description of a region, with the median and rms distance of answers to the optimum."""
     if score.off_m is None or score.off_rms_m is None:
         return score.about
     median, rms = interval(score.off_m[0]), interval(score.off_rms_m)
@@ -113,7 +113,7 @@ def _description(score: RegionScore) -> str:
 
 
 def _maps(score: RegionScore, settings: Settings, prefix: str) -> Iterator[tuple[str, str, Markup]]:
-    """Yield captions, quantities and drawings: hands and TCPs, from two sides, by two scales."""
+    """Yield the caption, quantity and drawing of each map: of hands and TCPs, in two views and two scales."""
     posed = score.questions
     hands, tcps, answers = posed.hands_in_base_m, posed.tcps_in_base_m, score.answers.positions_in_base_m
     if len(posed) == 0:
@@ -139,7 +139,7 @@ def _map(
     who: str,
     region: str,
 ) -> tuple[str, str, Markup]:
-    """Return caption, quantity and drawing of one map."""
+    """Return the caption, quantity and drawing of one map."""
     caption = f"{who}, {view[2]}"
     quantity = "towards the hand" if scale.shares else "off the optimum"
     title = f"{region}: {quantity}, by the position of the {who}, {view[2]}"
@@ -147,7 +147,7 @@ def _map(
 
 
 def _worst_row(number: int, shown: ShownQuestion) -> dict[str, object]:
-    """Return the row of a worst question."""
+    """Return the row of the page about one worst question."""
     tried, file = shown.tried, shown.file
     return {
         "number": number,

@@ -44,7 +44,7 @@ DETAILS = (
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """One avoider in one region; ``yardstick`` marks a row for comparison."""
+    """The row of one avoider in one region; ``yardstick`` marks the row of a yardstick."""
 
     region: str
     avoider: str
@@ -55,10 +55,10 @@ class ScoreRow:
 def rows_of(
     cards: Sequence[Scorecard], cells: Callable[[RegionScore, Sequence[Jumps]], tuple[str, ...]]
 ) -> Iterator[ScoreRow]:
-    """Yield rows region by region, in the first card's order: the first card, then the yardsticks.
+    """Yield the rows of each region, in the order of the first card: the avoider's, then the yardsticks'.
 
     Args:
-        cards: The cards; the first is the avoider's.
+        cards: The cards; the first is the avoider's card.
         cells: Returns the cells of a row.
 
     """
@@ -71,11 +71,11 @@ def rows_of(
                     yield ScoreRow(name, card.avoider, number > 0, cells(score, jumps))
 
 
-OFTEN_TOWARDS = 0.20  # of a region's proposals: twice the optimum's share for near hands; more is not green
+OFTEN_TOWARDS = 0.20  # the largest share in a region for green: twice the optimum's share for near hands
 
 
 def most_towards(card: Scorecard) -> tuple[float, str]:
-    """Return the largest share of proposals that lead towards the hand, and its region; NaN without any."""
+    """Return the largest share of proposals towards the hand, and its region; NaN without any proposal."""
     known = [
         (1.0 - score.leads_away.share, score.region)
         for score in card.regions
@@ -85,9 +85,9 @@ def most_towards(card: Scorecard) -> tuple[float, str]:
 
 
 def towards_words(card: Scorecard) -> str:
-    """Return the region where most proposals lead towards the hand, with their share, in words.
+    """Return in words which region has the largest share of proposals towards the hand, and the share.
 
-    The yardsticks do not matter here.
+    The yardsticks' shares have no effect.
     """
     share, region = most_towards(card)
     if math.isnan(share):
@@ -97,12 +97,12 @@ def towards_words(card: Scorecard) -> str:
 
 
 def is_green(card: Scorecard) -> bool:
-    """Return whether few enough proposals lead towards the hand, in every region, for green."""
+    """Return whether so few proposals lead towards the hand, in every region, that the page shows green."""
     return most_towards(card)[0] <= OFTEN_TOWARDS  # False for NaN
 
 
 def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
-    """Return the cells of COLUMNS for one region's ``score`` and ``jumps``."""
+    """Return the cells of ``COLUMNS`` for the ``score`` and the ``jumps`` of one region."""
     return (
         percent(score.answered),
         percent(score.leads_away),
@@ -117,7 +117,7 @@ def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
 
 
 def details(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
-    """Return the cells of DETAILS for one region's ``score``; ``jumps`` do not matter."""
+    """Return the cells of ``DETAILS`` for the ``score`` of one region; ``jumps`` have no effect."""
     spreads = score.spreads
     shares = (
         NONE
@@ -141,7 +141,7 @@ def _diagonal(matrix: tuple[tuple[float, ...], ...] | None) -> str:
 
 
 def jump_words(jumps: Sequence[Jumps]) -> str:
-    """Return the largest of a region's ``jumps``; a dash if no segment was followed."""
+    """Return the largest of a region's ``jumps`` in words; a dash if the score searched for no jumps."""
     if not jumps:
         return NONE
     changes = [moved.largest.change_m for moved in jumps if moved.largest is not None]
@@ -158,7 +158,7 @@ def change_words(change: AnswerChange) -> str:
 
 
 def repeat_words(repeat: AskedAgain) -> str:
-    """Return whether the answers repeated, in words."""
+    """Return in words whether the answers were the same a second time."""
     if repeat.differ == 0:
         return f"the same bits, {repeat.questions:,} questions"
     size = f" by {mm(repeat.largest_m)} mm at most" if np.isfinite(repeat.largest_m) else ", some unanswered"
@@ -180,7 +180,7 @@ def times_words(card: Scorecard) -> str:
 
 
 def interval(figure: Figure, per_si: float = 1e3) -> str:
-    """Return a figure with its interval, times ``per_si``."""
+    """Return the text of a figure and its interval, multiplied by ``per_si``."""
     shown = f"{per_si * figure.value:.1f}"
     if np.isfinite(figure.low) and np.isfinite(figure.high):
         shown += f" [{per_si * figure.low:.1f}, {per_si * figure.high:.1f}]"
@@ -188,7 +188,7 @@ def interval(figure: Figure, per_si: float = 1e3) -> str:
 
 
 def mm(length_m: float | None) -> str:
-    """Return millimetres, with a decimal below 99.5; a dash for None or infinity."""
+    """Return a length in millimetres, with one decimal below 99.5 mm; a dash for None, NaN or infinity."""
     if length_m is None or not np.isfinite(length_m):
         return NONE
     shown = 1e3 * length_m
@@ -196,7 +196,7 @@ def mm(length_m: float | None) -> str:
 
 
 def percent(part: Proportion | None) -> str:
-    """Return a share, never 0 % of something nor 100 % of less than all; a dash for None."""
+    """Return a share in per cent, which is 0 % only for none and 100 % only for all; a dash for None."""
     return NONE if part is None else share_words(part.count, part.trials)
 
 

@@ -1,1 +1,1 @@
-"""Proofs about networks: claims for every question of a region, and the program's own arithmetic."""
+"""Proofs about networks: claims about every question of a region, in the program's own arithmetic."""

@@ -1,8 +1,9 @@
-"""Compiled bounds for every question of a box: for each claim, from the affine form of the answer.
+"""Compiled bounds over all questions of a box, which decide a claim from the affine form of the answer.
 
-After the network (``form_kernel``) come some 500 operations on numbers below ``FARTHEST_M`` (else the box
-stays undecided), with vectors of length 1.  Their rounding is at most 500 x 100 m x 100 m x u = 6e-10, with u
-= 2^-53. A bound keeps a claim only if it keeps ``MARGIN`` = 2e-9 (m, or m2) more than the claim's limit.
+After the network (``form_kernel``) come some 500 operations on unit vectors and on numbers below
+``FARTHEST_M``.  A box with larger numbers stays undecided.  The rounding of the operations is at most
+500 x 100 m x 100 m x u = 6e-10, with u = 2^-53.  So a bound proves a claim only if it keeps the limit with a
+margin of at least ``MARGIN`` = 2e-9 (m, or m2).
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from safety_harness.extensions.lab.proof.network import ReluNetwork
 Floats = NDArray[np.float64]
 Codes = NDArray[np.uint8]
 
-PROVEN, REFUTED, UNDECIDED, OUTSIDE = 6, 7, 8, 9  # codes of a leaf; below: the axis along which it was halved
+PROVEN, REFUTED, UNDECIDED, OUTSIDE = 6, 7, 8, 9  # codes of leaves; a lower code is the axis of a halved box
 FARTHEST_M = 100.0
 MARGIN = 2e-9
 NEAREST_M = 1e-6  # the least length of a vector with a direction
@@ -30,9 +31,10 @@ OF_AXES, OF_CURVES = 0.4, 3.0  # weights in the choice of the axis to halve; fou
 
 @njit_no_nrt
 def _lengths(c: Floats, g: Floats, slack: Floats, out: Floats) -> None:
-    """Fill ``out`` (2,) with bounds of |c + d|, d = sum e_k g_k + slack.
+    """Fill ``out`` (2,) with bounds of |c + d|, where d = sum e_k g_k + slack.
 
-    The length is at least its part along c.  Its square is |c|^2 + 2 c . d + |d|^2, with |d| bounded by axis.
+    The lower bound is the part of c + d along c.  The upper bound comes from the square, which is
+    |c|^2 + 2 c . d + |d|^2, with |d| bounded axis by axis.
 
     ``c`` (3,), ``g`` (k, 3), ``slack`` (3,).
     """
@@ -62,16 +64,16 @@ def _off_optimum(
     bounds_out: Floats,
     weight: Floats,
 ) -> bool:
-    """Fill ``bounds_out`` (2,) with bounds of |p - o(h, t)| in a box; False if the optimum has no direction.
+    """Fill ``bounds_out`` (2,) with bounds of |p - o(h, t)|; return False if the optimum has no direction.
 
-    t_opt = t + R u.  Within the cone, u is the direction of d = desired - t.  Elsewhere u = cos a + sin b,
-    with b the direction of d without its part along the axis a.
+    The optimum o of ``claims`` uses t_opt = t + R u.  Within the cone, u is the direction of d = desired - t.
+    Elsewhere u = cos a + sin b, where b is the direction of d without its part along the axis a.
 
-    The direction f of a vector v has the derivative (1 - f f^T) / |v|.  Its second derivative is at most 2 /
-    (sqrt(3) |v|^2).  So u is its tangent at the centre +- 2 / sqrt(3) (-ln(1 - s) - s).  This is 2 s^2 /
-    sqrt(3) times the integral of (1 - x) / (1 - s x)^2 from 0 to 1.  Here s = rho / |v|, and rho is half the
-    diagonal of the TCP's box.  If the box may be on either side of the cone, both sides have to keep the
-    claim.
+    The direction f of a vector v has the derivative (1 - f f^T) / |v|.  Its second derivative is at most
+    2 / (sqrt(3) |v|^2).  So u deviates from its tangent at the centre by at most
+    2 / sqrt(3) (-ln(1 - s) - s).  This is 2 s^2 / sqrt(3) times the integral of (1 - x) / (1 - s x)^2 over x
+    from 0 to 1.  Here s = rho / |v|, and rho is half the diagonal of the TCP's box.  If the box may lie on
+    both sides of the cone, the claim has to hold for both formulas of u.
 
     ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (n, 3), ``slack`` (3,), ``scratch``
     (4, 3), ``weight`` (6,).
@@ -85,7 +87,7 @@ def _off_optimum(
         along += wanted[o] * axis[o]
         length += wanted[o] * wanted[o]
     rho, length = sqrt(rho) * UP, sqrt(length)
-    cone_side = along - cos * length  # changes by at most 1 + cos for each metre
+    cone_side = along - cos * length  # changes by at most 1 + cos for each metre of the TCP
     bounds_out[0], bounds_out[1] = np.inf, 0.0
     spread = 0.0
     for rim in range(2):
@@ -106,7 +108,7 @@ def _off_optimum(
         for o in range(3):
             to = centre[3 + o] + scale * vector[o] / norm + (radius * cos * axis[o] if rim else 0.0)
             c[o] = p[o] - to - pull * (centre[3 + o] - centre[o])
-        saved = g[count : count + PERCEPTRON_INPUTS]  # rows after the symbols: a copy, for the second side
+        saved = g[count : count + PERCEPTRON_INPUTS]  # rows after the symbols keep a copy for the second side
         for i in range(PERCEPTRON_INPUTS):
             for o in range(3):
                 saved[i, o] = g[i, o]
@@ -115,7 +117,7 @@ def _off_optimum(
             g[3 + o, o] -= (1.0 + pull) * half[3 + o]
         for i in range(3):
             for o in range(3):
-                # d changes by -half e; its part along the axis does not count on the rim
+                # d changes by -half e; on the rim, the part of d along the axis has no effect
                 change = 1.0 if i == o else 0.0
                 if rim:
                     change -= axis[i] * axis[o]
@@ -126,7 +128,7 @@ def _off_optimum(
             for o in range(3):
                 weight[i] += OF_AXES * abs(g[i, o])
                 g[i, o] = saved[i, o]
-        bounds_out[0] = min(bounds_out[0], bounds[0] - rest)  # the rest is a ball about the form
+        bounds_out[0] = min(bounds_out[0], bounds[0] - rest)  # ``rest``: the radius of a ball about the form
         bounds_out[1] = max(bounds_out[1], (bounds[1] + rest) * UP)
     for i in range(3):
         weight[3 + i] += OF_CURVES * spread * half[3 + i] * half[3 + i] / max(rho * rho, 1e-30)
@@ -144,12 +146,12 @@ def _away(
     bounds_out: Floats,
     weight: Floats,
 ) -> None:
-    """Fill ``bounds_out`` (2,) with bounds of (p - t) . (t - h) [m2], and add to ``weight`` (6,) [m].
+    """Fill ``bounds_out`` (2,) with bounds of (p - t) . (t - h) [m2], and increase ``weight`` (6,) [m].
 
-    ``weight`` grows by the effect of each axis.
+    Each entry of ``weight`` grows by the effect of its axis on the bounds.
 
-    Both factors are forms of the same six symbols: q = c + sum g_i e_i + ..., w = w0 + sum h_i e_i.  A square
-    e_i^2 is in [0, 1], any other product in [-1, 1].
+    Both factors are forms with the same six symbols: q = c + sum g_i e_i + ..., w = w0 + sum h_i e_i.  Their
+    product contains squares e_i^2, which lie in [0, 1].  Any other product of symbols lies in [-1, 1].
 
     ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (n, 3), ``slack`` (3,).
     """
@@ -202,7 +204,7 @@ def examine(
     codes: Codes,
     spreads_m: Floats,
 ) -> None:
-    """Fill ``codes`` (n,): PROVEN, REFUTED (the whole box), OUTSIDE, or the axis along which to halve a box.
+    """Fill ``codes`` (n,) with PROVEN, REFUTED (the whole box), OUTSIDE, or the axis along which to halve.
 
     ``low``, ``high`` (n, 6) are boxes of hands and TCPs in the base frame [m].  A box is OUTSIDE if every
     hand in it is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) comes from
@@ -210,7 +212,7 @@ def examine(
     ``spreads_m`` (n, 2) receives bounds of the spread, NaN if unknown.
     """
     members, columns = network.weight.shape[0], PERCEPTRON_INPUTS + network.bias.shape[1]
-    most = columns - OUTPUTS  # symbols of a member: the axes, and one a ReLU
+    most = columns - OUTPUTS  # symbols of a member: the axes, and one for each ReLU
     symbols = PERCEPTRON_INPUTS + members * (most - PERCEPTRON_INPUTS)
     units, own = np.empty((4, columns)), np.empty((most, columns))
     of_symbol, share = np.empty(most, np.int64), np.empty((PERCEPTRON_INPUTS, columns))
@@ -275,7 +277,7 @@ def examine(
         else:
             axis = 0
             for i in range(6):
-                if not whole:  # smaller boxes are wholly inside or outside
+                if not whole:  # a smaller box may lie wholly inside or outside
                     weight[i] += half[i] * (1.0 if decided and refuted else 0.4)
                 if weight[i] > weight[axis]:
                     axis = i

@@ -1,7 +1,7 @@
-"""The certificate of a proof: JSON with the claims, the network, and the tree that shows each claim.
+"""The certificate of proofs: JSON with the claims, the network's hash, and the tree that shows each claim.
 
-A tree is its codes, level by level, a byte each, compressed, in base64.  ``check.py`` reads the same file
-with independent code.
+A tree is stored as its codes, level by level, one byte each, compressed, in base64.  ``check.py`` reads the
+same file with independent code.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ KINDS = {
 
 
 def outward(shares: tuple[float, float, float]) -> tuple[str, str, str]:
-    """Return proven (at least), refuted and undecided (at most) in per cent, each rounded outwards."""
+    """Return the shares in per cent, rounded outwards: proven down, refuted and undecided up."""
     proven, *rest = (1e6 * share for share in shares)
     refuted, undecided = (f"{ceil(share) / 1e4:.4f}%" for share in rest)
     return f"{floor(proven) / 1e4:.4f}%", refuted, undecided
@@ -51,7 +51,7 @@ NO_PAIR = "no pair"
 
 @dataclass(frozen=True)
 class WrongQuestion:
-    """A question in the base frame [m] whose answer by the network violates the claim."""
+    """A question in the base frame [m] to which the network's answer violates the claim."""
 
     hand_in_base_m: Vector3
     tcp_in_base_m: Vector3
@@ -59,7 +59,7 @@ class WrongQuestion:
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """The state of a claim: its tree, and a question that the network answers wrongly, if there is one."""
+    """The proof of a claim so far: its tree, and a question that the network answers wrongly, if known."""
 
     planned: PlannedProof
     tree: BoxTree
@@ -67,9 +67,9 @@ class Proof:
 
     @property
     def least_shares(self) -> tuple[float, float, float]:
-        """The shares of the claimed region: proven at least, refuted and undecided at most.
+        """The shares of the claimed region: at least so much proven, at most so much refuted and undecided.
 
-        A box counts as proven or undecided as a whole, even if some of its pairs are not ``apart_m`` apart.
+        An undecided box counts as a whole, even if some of its pairs are not within ``apart_m``.
         """
         shares, whole = self.tree.shares(), self.planned.region.counted_share
         if not whole > 0.0:
@@ -80,14 +80,15 @@ class Proof:
 
     @property
     def is_open(self) -> bool:
-        """Whether a question of the region is refuted or undecided."""
+        """Whether a part of the region is refuted or undecided."""
         return self.verdict not in ("proven", NO_PAIR)
 
     @property
     def verdict(self) -> str:
-        """``refuted`` with a question; ``proven`` if no box is undecided; else ``undecided``.
+        """The verdict on the claim; it is ``no pair`` if the region has no question, and the claim is empty.
 
-        ``no pair``: the region has no question, so that the claim is empty.
+        Otherwise it is ``refuted`` if a question refutes the claim, and ``proven`` if every box is proven or
+        outside.  In all other cases it is ``undecided``.
         """
         if not self.planned.region.has_pair:
             return NO_PAIR
@@ -109,7 +110,7 @@ def write_certificate(path: Path, plan: ProofPlan, proofs: list[Proof]) -> dict[
     Args:
         path: The file.
         plan: The plan.
-        proofs: The proofs of its claims.
+        proofs: The proofs of the plan's claims.
 
     Returns:
         The certificate as JSON.
@@ -151,11 +152,11 @@ def _identity(planned: PlannedProof) -> dict[str, Any]:
 
 
 def taken_up(path: Path, plan: ProofPlan) -> list[Proof]:
-    """Return the proofs of a certificate, to continue.
+    """Return the proofs in a certificate, so that work on them can continue.
 
     Args:
         path: The certificate's file.
-        plan: The plan that it has to belong to.
+        plan: The plan to which the certificate has to belong.
 
     Raises:
         InputError: The certificate belongs to another plan or network, or is invalid.
@@ -182,7 +183,7 @@ def read_proofs(content: Mapping[str, Any], path: Path) -> list[Proof]:
 
     Args:
         content: The certificate as JSON.
-        path: Its file, for errors.
+        path: The certificate's file, for errors.
 
     Raises:
         InputError: A field is invalid.
@@ -205,7 +206,7 @@ def _planned(entry: Mapping[str, Any]) -> PlannedProof:
 
 
 def _proof(entry: Mapping[str, Any], planned: PlannedProof, path: Path) -> Proof:
-    """Return the proof of a certificate's entry; InputError if its tree is invalid."""
+    """Return the proof of a certificate's entry; raise InputError if its tree is invalid."""
     levels, count = [], 1
     try:
         packed = base64.b64decode(entry["tree"], validate=True)

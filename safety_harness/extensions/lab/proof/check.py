@@ -1,12 +1,16 @@
-"""An independent check of a certificate of ``prove``, by numpy alone; of ONNX files by ONNX's own reference.
+"""An independent check of a certificate of ``prove``, with numpy alone; ONNX files need ONNX's reference too.
 
-Run: python check.py CERTIFICATE MODEL.  It bounds answers p to hands h and TCPs t in each box called proven
-or refuted, and refuses the rest.  A network is steps (name, inputs, weight, bias, size of the bias's terms),
-or (name, inputs) for a ReLU.  Bounds are forms (centre, symbols, slack).  A ReLU of l < 0 < u is s z + b +-
-b, s = u / (u - l), b = -s l / 2.  A sum of n terms is off by (n + 17) u of their sizes; u is above 2^-24 for
-ONNX files, 2^-53 for others.  A claim has to be kept by MARGIN more.  The optimum is t + 0.1 d + 0.05 (t -
-h), d the direction of DESIRED - t or the nearest on the rim of the cone CONE about AXIS.  Its derivative is
-(1 - d d^T) / |v| by v, and a second one at most 2 / (sqrt(3) |v|^2).
+Run: python check.py CERTIFICATE MODEL.  The program bounds the answers p to hands h and TCPs t in each box
+that the certificate calls proven or refuted.  It refuses a certificate that these bounds do not confirm.
+
+A network is a list of steps (name, inputs, weight, bias, size of the bias's terms), or (name, inputs) for a
+ReLU.  A bound is a form (centre, symbols, slack).  A ReLU with l < 0 < u becomes s z + b +- b, where
+s = u / (u - l) and b = -s l / 2.  A sum of n terms is off by at most (n + 17) u of their sizes; u is above
+2^-24 for ONNX files and above 2^-53 for other files.  A claim has to hold with a margin of MARGIN.
+
+The optimum is t + 0.1 d + 0.05 (t - h).  Here d is the direction of v = DESIRED - t, or the nearest direction
+on the rim of the cone CONE about AXIS.  The derivative of v's direction by v is (1 - d d^T) / |v|, and its
+second derivative is at most 2 / (sqrt(3) |v|^2).
 """
 
 import base64
@@ -27,7 +31,7 @@ BELOW, ABOVE, FORMAT = ("at most", "optimum", "unsure"), ("at least", "away"), "
 HAND, TCP, ANSWER = "hand_position_in_base_m", "tcp_position_in_base_m", "position_in_base_m"
 MARGIN, FARTHEST, LARGE, MOST, LARGEST, SINGLE, DOUBLE = 1e-9, 100.0, 1e8, 2**28, 2**22, 6e-8, 2e-15
 SUMS, AFFINE = ("Add", "Sub", "Concat"), ("Gemm", "MatMul", "Mul", "Div", "Identity", "Flatten", "Cast")
-NORM, LEGAL = "BatchNormalization", {"training_mode": (0,), "to": (1, 11)}  # no batch's statistics; floats
+NORM, LEGAL = "BatchNormalization", {"training_mode": (0,), "to": (1, 11)}  # no training; casts to floats
 
 
 def need(held: bool | np.bool_, message: str) -> None:
@@ -37,7 +41,7 @@ def need(held: bool | np.bool_, message: str) -> None:
 
 
 def network_of(data: bytes) -> tuple[list[Any], float, float]:
-    """Return steps, u and the spread's threshold; steps of perceptrons end with their mean and deviations."""
+    """Return steps, u and the spread's threshold; a perceptron's last steps are its mean and deviations."""
     if data[8:9] != b"{":
         return onnx_steps(data), SINGLE, np.nan
     tensors = json.loads(data[8 : (start := 8 + int.from_bytes(data[:8], "little"))])
@@ -61,7 +65,7 @@ def network_of(data: bytes) -> tuple[list[Any], float, float]:
 
 
 def onnx_steps(data: bytes) -> list[Any]:
-    """Return steps; affine maps are the reference's output for 0 and unit vectors, row by row."""
+    """Return the steps of a file; affine maps are the reference's outputs for 0 and for unit vectors."""
     import onnx.reference
 
     evaluator: Any = onnx.reference.ReferenceEvaluator
@@ -86,14 +90,14 @@ def onnx_steps(data: bytes) -> list[Any]:
             image = np.asarray(evaluator(node).run(None, known | dict(zip(own, rows, strict=True)))[0])
             need(image.ndim == 2 and len(image) == ends[-1] + 1, f"{op} is not of rows")
             widths[out], weight, bias = image.shape[1], image[1:] - image[0], image[0]
-            more = 2.0 * np.abs(known[node.input[3]]) @ np.abs(weight) if op == NORM else 0.0  # the mean's
+            more = 2.0 * np.abs(known[node.input[3]]) @ np.abs(weight) if op == NORM else 0.0  # for the mean
             steps.append((out, own, weight, bias, np.abs(bias) + more))
     return steps
 
 
 def forms_of(steps: list[Any], u: float, centre: Array, half: Array) -> Any:
-    """Return forms (n, w), (n, k, w), (n, w) of all steps by name, in boxes ``centre`` +- ``half`` (n, 6)."""
-    whole = centre, half[:, :, None] * np.eye(6), u * (u > DOUBLE) * (np.abs(centre) + half)  # float32's
+    """Return the forms (n, w), (n, k, w), (n, w) of all steps by name, in ``centre`` +- ``half`` (n, 6)."""
+    whole = centre, half[:, :, None] * np.eye(6), u * (u > DOUBLE) * (np.abs(centre) + half)  # as float32
     forms: Any = {name: [x[..., p] for x in whole] for name, p in ((HAND, slice(3)), (TCP, slice(3, 6)))}
     for out, own, *affine in steps:
         z, g, r = (np.concatenate([forms[name][k] for name in own], axis=-1) for k in range(3))
@@ -116,14 +120,14 @@ def forms_of(steps: list[Any], u: float, centre: Array, half: Array) -> Any:
 
 
 def lengths(c: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Return bounds (n,) of |c + d|, d the symbols and slack, from its part along c and its square."""
+    """Return bounds (n,) of |c + d|, where d is symbols and slack, from the part along c and the square."""
     norm, wide = np.linalg.norm(c, axis=1), np.linalg.norm(np.abs(g).sum(axis=1) + r, axis=1)
     dot = np.abs(np.einsum("nki,ni->nk", g, c)).sum(axis=1) + (r * np.abs(c)).sum(axis=1)
     return norm - dot / np.maximum(norm, 1e-30), np.sqrt(norm**2 + 2.0 * dot + wide**2)
 
 
 def off_optimum(centre: Array, half: Array, q: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Return bounds (n,) of |p - o|, from the form ``q``, ``g``, ``r`` of p - t in ``centre`` +- ``half``."""
+    """Return bounds (n,) of |p - o|; ``q``, ``g``, ``r`` are the form of p - t in ``centre`` +- ``half``."""
     gap, cos, rho = DESIRED - centre[:, 3:], np.cos(CONE), np.linalg.norm(half[:, 3:], axis=1)
     least, most = np.full(len(q), np.inf), np.zeros(len(q))
     rim = -1.0, EYE - np.outer(AXIS, AXIS), RADIUS * np.sin(CONE), RADIUS * cos
@@ -145,7 +149,7 @@ def off_optimum(centre: Array, half: Array, q: Array, g: Array, r: Array) -> tup
 
 
 def products(q: Array, w: Array, half: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Return bounds (n,) of (p - t) . (t - h), at centres ``q`` . ``w`` (n, 3); ``g``, ``r`` are of p - t."""
+    """Return bounds (n,) of (p - t) . (t - h), with centres ``q``, ``w`` (n, 3); p - t has ``g``, ``r``."""
     h = np.concatenate([-half[:, :3, None] * EYE, half[:, 3:, None] * EYE], axis=1)
     linear, both = np.einsum("nki,ni->nk", g, w), np.einsum("nki,nmi->nkm", g[:, :6], h)
     linear[:, :6] += np.einsum("nki,ni->nk", h, q)
@@ -158,7 +162,7 @@ def products(q: Array, w: Array, half: Array, g: Array, r: Array) -> tuple[Array
 
 
 def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: float, doubt: float) -> Any:
-    """Return whether ``code`` is right for each box (n,) from ``low`` to ``high`` (n, 6)."""
+    """Return whether bounds confirm ``code`` for each box (n,) from ``low`` to ``high`` (n, 6)."""
     kind, limit, (nearest_m, far) = claim["kind"], claim["limit_m"], claim["region"]["apart_m"]
     half = np.maximum(high - (centre := (low + high) / 2.0), centre - low) * (1.0 + 1e-12)
     gap, wide = centre[:, 3:] - centre[:, :3], half[:, 3:] + half[:, :3]
@@ -186,7 +190,7 @@ def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: flo
 
 @np.errstate(all="ignore")
 def check_claim(network: Any, claim: dict[str, Any]) -> str:
-    """Return a sentence on the tree of a claim; ValueError if the tree does not show the claim."""
+    """Return a sentence about a claim that its tree shows; raise ValueError if the tree does not show it."""
     kind, region, limit = claim["kind"], claim["region"], claim["limit_m"]
     corners = np.array([[[*region[f"hand_{c}_m"], *region[f"tcp_{c}_m"]]] for c in ("low", "high")])
     (low, high), shares, part = corners, dict.fromkeys(NAMES.values(), 0.0), 1.0
@@ -221,7 +225,7 @@ def check_claim(network: Any, claim: dict[str, Any]) -> str:
 
 
 def check(certificate: bytes, model: bytes) -> list[str]:
-    """Return a line for each confirmed claim; ValueError, or another exception, for any failure."""
+    """Return a line for each confirmed claim; raise ValueError, or another exception, for any failure."""
     need((doc := json.loads(certificate))["format"] == FORMAT and doc["claims"] != [], "no certificate")
     need(doc["model_sha256"] == hashlib.sha256(model).hexdigest(), "it is of another network")
     return [check_claim(network_of(model), claim) for claim in doc["claims"]]

@@ -1,14 +1,14 @@
-"""Claims about answers that can be proven: a quantity of one question, and its limit.
+"""Provable claims about answers: each claim limits a quantity of one question and its answer.
 
-A question is a hand h and a TCP t, the answer is p, all in the base frame [m].
+A question is a hand h and a TCP t, and its answer is p; all three are positions in the base frame [m].
 
 * steps at most / at least D: |p - t| <= D, or >= D.
 * within E of the optimum: |p - o(h, t)| <= E.  Here o = t_opt + pull (t - h), with the continuous optimum of
   ``cell.avoidance.candidates`` for the default settings.
-* uncertain or within E of the optimum: as before, or the spread over the members is above the network's own
-  threshold on an axis, so that the gate refuses the answer.
-* leads away: (p - t) . (t - h) >= 0.  Then no point of the straight path from t to p is nearer to h than t.
-  The squared distance along the path is convex, and does not fall at its beginning.
+* uncertain or within E of the optimum: the same, or the spread over the members exceeds the network's own
+  threshold on an axis.  The gate refuses an answer with such a spread.
+* leads away: (p - t) . (t - h) >= 0.  Then the point of the straight path from t to p nearest to h is t.  The
+  reason: the squared distance along the path is convex, and it does not fall at the beginning of the path.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ClaimKind(IntEnum):
     OPTIMUM = 2
     AWAY = 3
     UNSURE = 4
-    CERTAIN = 5  # a spread of at most the limit on each axis; for single decisions alone
+    CERTAIN = 5  # a spread of at most the limit on each axis; used only for single decisions
 
 
 _PATTERNS = {
@@ -53,27 +53,27 @@ _PATTERNS = {
 
 @dataclass(frozen=True)
 class DecisionClaim:
-    """A kind with its limit [m]; 0 for ``AWAY``."""
+    """A kind of claim with its limit [m], which is 0 for ``AWAY``."""
 
     kind: ClaimKind
     limit_m: float
 
     @property
     def sentence(self) -> str:
-        """The claim's sentence in a plan."""
+        """The sentence of the claim in a plan."""
         return _PATTERNS[self.kind].format(nice(self.limit_m, LENGTH))
 
     def margins(
         self, hands: ArrayNx3, tcps: ArrayNx3, answers: ArrayNx3, doubt_m: Floats | None = None
     ) -> Floats:
-        """Return the margins (n,) of answers, in m (AWAY: m2); negative for a violation.
+        """Return the margins (n,) of answers, in m (for AWAY in m2); a negative margin is a violation.
 
         Args:
             hands: (n, 3) the hands [m].
             tcps: (n, 3) the TCPs [m].
             answers: (n, 3) the answers [m].
-            doubt_m: ``doubt_m`` (n,) is the largest spread over the axes, less the network's threshold; None:
-                no spread.
+            doubt_m: (n,) the largest spread over the axes, less the network's threshold; None without a
+                spread.
 
         """
         steps = answers - tcps
@@ -90,11 +90,11 @@ class DecisionClaim:
 
 
 class Answering(Protocol):
-    """An avoider that takes many questions; ``model`` is None for a function without our own file."""
+    """An avoider that takes many questions; ``model`` is None unless it has this package's own model file."""
 
     @property
     def model(self) -> Model | None:
-        """The contents of its file."""
+        """The contents of the model file."""
 
     def propose_many(
         self, hands_in_base_m: ArrayNx3, tcps_in_base_m: ArrayNx3, seeds: NDArray[np.uint64]
@@ -103,7 +103,7 @@ class Answering(Protocol):
 
 
 def margins_of(avoider: Answering, claim: DecisionClaim, questions: Floats) -> Floats:
-    """Return the margins (n,) of the network's own answers to ``questions`` (n, 6), hands and TCPs.
+    """Return the margins (n,) of the network's own answers to ``questions`` (n, 6).
 
     Args:
         avoider: The network.
@@ -117,13 +117,13 @@ def margins_of(avoider: Answering, claim: DecisionClaim, questions: Floats) -> F
 
 
 def threshold_m(model: Model | None) -> float:
-    """Return the largest spread of an answer that the gate accepts; NaN for a network without a threshold."""
+    """Return the largest spread of an answer that the gate accepts; NaN if the network has no threshold."""
     threshold = None if model is None or model.members == 1 else model.spread_threshold_m
     return np.nan if threshold is None else threshold
 
 
 def read_claim(field: Field) -> DecisionClaim:
-    """Return the claim of a sentence; ScenarioError with all sentences for an unknown one."""
+    """Return the claim that a sentence states; raise ScenarioError, with all sentences, if it is unknown."""
     expected = ", ".join(pattern.format("80 mm") for pattern in _PATTERNS.values())
     text = " ".join(field.sentence(f"one of the claims: {expected}").split())
     for kind, pattern in _PATTERNS.items():
@@ -137,7 +137,7 @@ def read_claim(field: Field) -> DecisionClaim:
 
 
 def optimum_constants() -> Floats:
-    """Return the optimum's constants (10,): desired position, axis, radius, cosine, sine, pull."""
+    """Return the constants (10,) of the optimum: desired position, axis, radius, cosine, sine and pull."""
     cap = CandidateCap.from_settings(DEFAULTS)
     desired = DEFAULTS.cell.desired_tcp_position_in_base_m
     rest = (cap.radius_m, np.cos(cap.cone_rad), np.sin(cap.cone_rad), DEFAULTS.avoidance.hand_pull)

@@ -1,12 +1,12 @@
-"""Robust decisions: whether a decision of a run is the same for every hand in a box about its own hand.
+"""Robust decisions: whether a run's decision stays the same for every hand in a box about its own hand.
 
-Two of the gate's checks follow from the network's answer and that hand.  Is the answer certain (its spread at
-most the threshold on every axis)?  Does its path lead away from the hand?  For a decision's own seed, a
-network with dropout is an ensemble of its passes, so that the same proofs apply.  The TCP is exact.
+Two of the gate's checks depend only on the network's answer and on that hand.  Is the answer certain (its
+spread at most the threshold on every axis)?  Does its path lead away from the hand?  For a decision's own
+seed, a network with dropout is an ensemble of its passes, so the same proofs apply.  The TCP is exact.
 
-First the network answers for the box's middle and corners: if its answers differ there, a proof is
-impossible. Then one cheap bound of the whole box (``CHEAP``) decides most decisions.  Tight bounds and
-halving decide the rest.
+First the network answers for the middle and the corners of the box.  If the result of a check differs there,
+a proof is impossible.  Then one cheap bound over the whole box (``CHEAP``) settles most decisions.  Tight
+bounds and halving settle the rest.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from safety_harness.trace.certified import CertifiedDecision, CertifiedDecisions
 from safety_harness.trace.trace import Trace
 
 HALVINGS, HALVED_CHEAPLY = 4, 2
-CHEAP = 3  # layers of a deep network in which slack grows before it becomes symbols
+CHEAP = 3  # layers of a deep network over which slack grows before it becomes symbols
 PLACES = np.array([(0.0, 0.0, 0.0), *product((-1.0, 1.0), repeat=3)])
 AWAY = DecisionClaim(ClaimKind.AWAY, 0.0)
 NO_ANSWER = CertifiedDecision(certain=Sameness.NONE, away=Sameness.NONE)
 
 
 def certified_decisions(trace: Trace, model: Model, sha256: str, half_m: float) -> CertifiedDecisions:
-    """Return the certificates of all decisions of a run, for hands +- ``half_m`` by axis.
+    """Return the certificates of all decisions of a run, for hands within +- ``half_m`` along each axis.
 
-    A decision has no certificate if its answer was late, spoilt by a fault, or differs from the model's in a
-    bit.
+    A decision has no certificate if its answer was late or spoilt by a fault.  It also has no certificate if
+    its answer differs from the model's answer in any bit.
 
     Args:
         trace: The run.
         model: The network.
-        sha256: The hash of its file.
+        sha256: The hash of the network's file.
         half_m: Half the size of a box of hands [m].
 
     """
@@ -56,7 +56,7 @@ def certified_decisions(trace: Trace, model: Model, sha256: str, half_m: float) 
 
 
 def certified(avoider: LearnedAvoider, question: Question, half_m: float) -> CertifiedDecision:
-    """Return the certificate of one question with its seed.
+    """Return the certificate of the decision on one question with its seed.
 
     Args:
         avoider: The network.
@@ -99,10 +99,10 @@ def _same(
     claim: DecisionClaim,
     region: ProofRegion,
 ) -> Sameness:
-    """Return whether the claim has the same truth for all questions of the region.
+    """Return whether ``claim`` is true for all questions of ``region`` or false for all of them.
 
-    ``answers`` (n,) are its truths for some of them.  It is ``known`` if one bound has already decided.
-    Otherwise ``code`` is the axis along which to halve.
+    ``answers`` (n,) tell whether it is true for some of these questions.  ``known`` tells whether one bound
+    has already decided this for all of them.  Otherwise ``code`` may be the axis along which to halve.
     """
     if answers.min() != answers.max():
         return Sameness.OTHER

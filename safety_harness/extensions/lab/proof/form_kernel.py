@@ -1,19 +1,21 @@
-"""Compiled affine forms through a ReLU network: answers of its members in a box, their mean and spread.
+"""Compiled affine forms through a ReLU network: its members' answers in a box, with their mean and spread.
 
-A unit's value is c + sum_k g_k e_k + r e', with every e in [-1, 1].  The first six e are the place in the box
-(hand, then TCP).  The further e are additions of ReLUs, and r is the slack.  An affine map keeps the form.
-For l <= z <= u with l < 0 < u and any s in [0, 1], relu(z) - s z lies in [0, 2 m], where 2 m = max(-s l, (1 -
-s) u).  With s = u / (u - l) this is the least such band (Singh et al. 2018, DeepZ).
+The value of a unit is c + sum_k g_k e_k + r e', with every e in [-1, 1].  The first six e are the position in
+the box (hand, then TCP).  Each further e, a symbol, stands for the addition of a ReLU, and r is the slack.
+An affine map keeps the form.  If l <= z <= u with l < 0 < u, relu(z) - s z lies in [0, 2 m] for any s in
+[0, 1].  Here 2 m = max(-s l, (1 - s) u).  This band is narrowest for s = u / (u - l) (Singh et al. 2018,
+DeepZ).
 
-Each layer multiplies slack by |W|, so that it would grow beyond all bounds in a deep network.  There the
-ReLUs of every layer, or of every ``network.gathers`` layers, turn it into symbols too.
+Each layer multiplies the slack by |W|, so that it would grow beyond all bounds in a deep network.  There the
+ReLUs of every layer, or of the last of every ``network.gathers`` layers, turn the slack into symbols too.
 
-**Rounding.**  The bounds hold for the values that the *program* computes.  ``network.error`` bounds its
-rounding; in float64 (``cell.avoidance.perceptron_kernel``) it is as small as here.  A sum of n products is
-off by at most gamma (|b| + sum |w| |x|) in any order, with or without fused operations, where gamma = n u /
-(1 - n u) and u = 2^-53 (Higham 2002, 3.1).  The same holds for the centre computed here, and for symbols and
-slacks, whose magnitudes are part of |x| <= size.  ``network.rounding`` is four times the sum of these, and
-goes into the slack.  ``UP`` is above the rounding of every sum of up to 30,000 magnitudes.
+**Rounding.**  The bounds hold for the values that the *program* computes.  ``network.error`` bounds the
+program's rounding; in float64 (``cell.avoidance.perceptron_kernel``) it is as small as the rounding here.  A
+sum of n products has an error of at most gamma (|b| + sum |w| |x|).  Here gamma = n u / (1 - n u) and
+u = 2^-53.  This holds in any order, with or without fused operations (Higham 2002, 3.1).  It also holds for
+the centre computed here, and for symbols and slacks, whose magnitudes are part of |x| <= size.
+``network.rounding`` is four times the sum of these errors, and the kernel adds it to the slack.  ``UP`` is
+above the rounding of every sum of up to 30,000 magnitudes.
 """
 
 from __future__ import annotations
@@ -49,8 +51,8 @@ def _rectify(
 ) -> int:
     """Apply ReLU to the units from ``first`` to before ``last``, in place; return the new count of symbols.
 
-    In a deep network, the slack of a unit with a symbol goes into the symbol; with ``gathers``, each unit
-    gets one.
+    In a deep network, a unit with a symbol of its own adds its slack to the symbol.  If ``gathers`` is set,
+    every unit receives such a symbol.
 
     ``units`` (4, n), ``g`` (k, n), ``share`` (6, n), ``of_symbol`` (k,).  ``share`` receives the part of a
     unit's width that each axis causes.
@@ -106,11 +108,11 @@ def _answer(
     share: Floats,
     weight: Floats,
 ) -> int:
-    """Fill ``units`` (4, n) and ``g`` (k, n) for a member in a box; return the count of symbols.
+    """Fill ``units`` (4, n) and ``g`` (k, n) for one member in a box; return the count of symbols.
 
-    Columns are the question's six, then all ReLUs, then the answer.  ``centre``, ``half`` (6,) are the box.
-    ``weight`` (6,) receives the part of the ReLUs' additions that each axis causes [m].  Scratch:
-    ``of_symbol`` (k,), ``share`` (6, n).
+    The columns are the six coordinates of the question, then all ReLUs, then the answer.  ``centre`` and
+    ``half`` (6,) define the box.  ``weight`` (6,) receives the part of the ReLUs' additions to the answer
+    that each axis causes [m].  Scratch: ``of_symbol`` (k,), ``share`` (6, n).
     """
     widths, blocks, rounding = network.widths, network.blocks, network.rounding
     weights, errors = network.weight[member], network.error[member]
@@ -203,8 +205,8 @@ def mean_answer(
 ) -> int:
     """Fill ``p`` (3,), ``g`` (n, 3), ``slack`` (3,) for the mean over m members; return the count of symbols.
 
-    The members share the symbols of the six axes.  ``each_p`` (m, 3), ``each_g`` (m, 6, 3) and ``each_r`` (m,
-    3) receive the members' forms, with all other symbols and the slack in the last.  ``centre``, ``half``,
+    The members share the symbols of the six axes.  ``each_p`` (m, 3), ``each_g`` (m, 6, 3) and ``each_r``
+    (m, 3) receive the members' forms; ``each_r`` sums all other symbols and the slack.  ``centre``, ``half``,
     ``weight`` (6,). Scratch: ``own_weight`` (6,), and as in ``_answer``: ``units`` (4, n), ``own`` (k, n),
     ``share`` (6, n).
     """
@@ -239,8 +241,8 @@ def mean_answer(
 def spreads(each_p: Floats, each_g: Floats, each_r: Floats, p: Floats, g: Floats, bounds_out: Floats) -> None:
     """Fill ``bounds_out`` (2,) with bounds of the largest axis's spread over the members of ``mean_answer``.
 
-    A member's difference from the mean shares the symbols of the six axes with it.  For all other symbols,
-    the member's and the mean's both count.
+    A member and the mean share the symbols of the six axes, so their difference has one coefficient for each.
+    For all other symbols, the magnitudes of the member and of the mean add up.
 
     ``each_p`` (m, 3), ``each_g`` (m, 6, 3), ``each_r`` (m, 3), ``p`` (3,), ``g`` (n, 3).
     """

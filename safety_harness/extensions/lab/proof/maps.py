@@ -1,7 +1,7 @@
-"""Maps of the undecided and refuted parts of a region: its boxes from above and from the side, in cells.
+"""Maps of the undecided and refuted parts of a region, in cells, seen from above and from the side.
 
-A cell holds all pairs whose hand (or TCP) is in it, for any values of the other four coordinates.  A digit
-for each cell is the class of a share of its volume: undecided, or refuted, of the claimed part.
+A cell holds all pairs whose hand (or TCP) lies in it, for any values of the other four coordinates.  Each
+cell has a digit.  It is the class of the undecided, or refuted, share of the claimed volume in the cell.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from safety_harness.extensions.lab.proof.certificate import Proof
 Floats = NDArray[np.float64]
 CELLS, AT_ONCE = 20, 100_000
 VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))  # across, up
-EDGES = (1e-9, 0.01, 0.1, 0.5)  # of a share, below the classes 1 to 4
-NOTHING = "-"  # in a cell outside the claim
+EDGES = (1e-9, 0.01, 0.1, 0.5)  # the least shares in the classes 1 to 4
+NOTHING = "-"  # for a cell outside the claim
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,13 +40,13 @@ class BoxMap:
 
     @property
     def classes(self) -> NDArray[np.int64]:
-        """The classes (CELLS, CELLS) by across and up; -1 for a cell outside the claim."""
+        """The classes (CELLS, CELLS), indexed by across and up; -1 for a cell outside the claim."""
         digits = [[-1 if digit == NOTHING else int(digit) for digit in row] for row in self.rows]
         return np.array(digits, np.int64).T
 
 
 def maps_of(proof: Proof) -> Iterator[BoxMap]:
-    """Yield the maps of hand and TCP, from above and from the side, for undecided and refuted parts."""
+    """Yield the maps of hand and TCP, from above and from the side, for the undecided and refuted parts."""
     low, high = (side[0] for side in proof.planned.region.corners())
     for who, first in (("hand", 0), ("TCP", 3)):
         for across, upward, seen in VIEWS:
@@ -69,7 +69,7 @@ def maps_of(proof: Proof) -> Iterator[BoxMap]:
 
 
 def _volumes(proof: Proof, code: int, axes: tuple[int, int]) -> Floats:
-    """Return the volume in each cell (CELLS, CELLS) of the leaves with ``code``, as shares of the region."""
+    """Return how much of each cell (CELLS, CELLS) the leaves with ``code`` fill, as shares of the region."""
     region = proof.planned.region
     whole, volumes = region.corners(), np.zeros((CELLS, CELLS))
     for level, (low, high) in enumerate(proof.tree.leaves(region, code)):
@@ -84,7 +84,7 @@ def _volumes(proof: Proof, code: int, axes: tuple[int, int]) -> Floats:
 
 
 def _overlaps(low: Floats, high: Floats, start: float, end: float) -> Floats:
-    """Return the share (n, CELLS) of each interval (n,) in each cell from ``start`` to ``end``."""
+    """Return the share (n, CELLS) of each interval (n,) that lies in each cell from ``start`` to ``end``."""
     edges = np.linspace(start, end, CELLS + 1)
     inside = np.minimum(high[:, None], edges[1:]) - np.maximum(low[:, None], edges[:-1])
     shares: Floats = np.maximum(inside, 0.0) / (high - low)[:, None]

@@ -1,14 +1,14 @@
-"""Any ReLU network as layers of affine maps of earlier layers, with bounds of its program's rounding.
+"""Any ReLU network as layers, each an affine map of earlier layers, with bounds of its program's rounding.
 
-A layer is z = b + sum_s W_s a_s, a = relu(z).  The a_s are the question (s = 0) or earlier layers, *with the
-values that the program computed*.  The last layer is the answer, without a ReLU.  W contains everything
-between two ReLUs (batch norm, residual sums, normalisation).  ``AffineForm`` carries an error bound E with
-each W: the program's value is off by E_s |a_s| at most.  A ReLU does not round, so errors do not add up over
-layers here.  The kernel that bounds the network treats them as slack.
+A layer is z = b + sum_s W_s a_s, followed by a = relu(z).  The sources a_s are the question (s = 0) or
+earlier layers, *with the values that the program computed*.  The last layer is the answer, without a ReLU.
+W contains everything between two ReLUs (batch norm, residual sums, normalisation).  ``AffineForm`` carries an
+error bound E_s for each W_s: the program's value deviates by at most sum_s E_s |a_s|.  A ReLU does not round,
+so errors do not add up over layers here.  The kernel that bounds the network treats them as slack.
 
-A program's operation on n terms with the unit roundoff u is off by gamma = n u / (1 - n u) of the terms'
-magnitudes, in any order, fused or not (Higham 2002, 3.1).  ``GUARD`` more terms cover any folding of weights
-by a runtime, and the rounding of W and E here.
+If a program with the unit roundoff u adds n terms, its error is at most gamma times the terms' magnitudes.
+Here gamma = n u / (1 - n u).  This holds in any order, with or without fused operations (Higham 2002, 3.1).
+``GUARD`` more terms cover any folding of weights by a runtime, and the rounding of W and E in this module.
 """
 
 from __future__ import annotations
@@ -42,16 +42,17 @@ Indices = NDArray[np.int64]
 CONSTANT, QUESTION = -1, 0  # sources; layers count from 1
 SINGLE, DOUBLE = 2.0**-24, 2.0**-53
 SHALLOW = 8  # layers
-GUARD, TINY = 16, 1e-30  # terms; the loss of all products below float32's least number
+GUARD, TINY = 16, 1e-30  # added terms; the largest loss by products below float32's least number
 LARGEST = 1e12  # the largest coefficient: with units below 1e8 no float32 sum overflows
 
 
 class ReluNetwork(NamedTuple):
-    """Contiguous arrays of m members of the same shape, for compiled code.
+    """A network of m members with the same shape, in contiguous arrays for compiled code.
 
-    Block i of ``blocks`` (n, 3) is (layer, source, start).  Its matrix (inputs, outputs), row by row, begins
-    at ``start`` in ``weight`` and ``error`` (m, N); an empty ``error`` is 0.  Layers count from 0 and sources
-    from 1; source 0 is the question.  ``rounding`` times magnitudes bounds the loss of bounds in float64.
+    Row i of ``blocks`` (n, 3) is (layer, source, start).  The matrix (inputs, outputs) of this block begins
+    at ``start`` in ``weight`` and ``error`` (m, N), row by row.  An empty ``error`` means 0.  Layers count
+    from 0 and sources from 1; source 0 is the question.  ``rounding`` times magnitudes bounds the rounding
+    errors of float64 in the bounds.
     """
 
     widths: Indices  # (layers,), the last of them OUTPUTS
@@ -61,15 +62,16 @@ class ReluNetwork(NamedTuple):
     bias: Floats  # (m, units)
     bias_error: Floats
     rounding: float
-    gathers: int  # the last of so many layers turns slack into symbols; 0: no layer does
+    gathers: int  # slack becomes symbols in the last of every so many layers; 0: in no layer
 
 
 @dataclass(frozen=True, eq=False)
 class AffineForm:
-    """A program's value as an affine form of ``CONSTANT``, question and layers: (inputs, width) by source.
+    """A value of the program as an affine form of its sources: ``CONSTANT``, the question and layers.
 
-    It is off by ``error``, of the same shape, times the sources' magnitudes.  Members add an axis: (m,
-    inputs, width).
+    ``value`` has a matrix (inputs, width) for each source.  The program's value deviates by at most
+    ``error``, of the same shape, times the sources' magnitudes.  If members differ, a matrix is (m, inputs,
+    width).
     """
 
     value: Mapping[int, Floats]
@@ -88,20 +90,20 @@ class AffineForm:
 
     @property
     def is_shared(self) -> bool:
-        """Whether all members have the same form, for any masks."""
+        """Whether all members have the same form, whatever their masks."""
         return all(value.ndim == 2 or len(value) == 1 for value in self.value.values())
 
     @property
     def sizes(self) -> dict[int, Floats]:
-        """The magnitudes (inputs, width) by source, with the error."""
+        """The largest magnitudes (inputs, width) of the coefficients by source, with their error."""
         return {s: np.abs(value) + self.error[s] for s, value in self.value.items()}
 
     def linear(self, weight: Floats, bias: Floats, unit: float) -> AffineForm:
         """Return the form after a layer with ``weight`` (width, outputs) and ``bias`` (outputs,).
 
         Args:
-            weight: The weights, with an axis of members before if members differ.
-            bias: The bias, with an axis of members before if members differ.
+            weight: The weights, with an axis of members in front if members differ.
+            bias: The bias, with an axis of members in front if members differ.
             unit: The unit roundoff of the program.
 
         """
@@ -114,12 +116,12 @@ class AffineForm:
         return AffineForm(value, error)
 
     def scaled(self, factors: Floats, unit: float) -> AffineForm:
-        """Return the form times ``factors`` (width,) or (m, width), with the unit roundoff ``unit``."""
+        """Return the form times ``factors`` (width,) or (m, width), rounded with the roundoff ``unit``."""
         width = factors.shape[-1]
         return self.linear(factors[..., None] * np.eye(width), np.zeros(width), unit)
 
     def plus(self, second: AffineForm, unit: float) -> AffineForm:
-        """Return the sum with a form of the same width, with the unit roundoff ``unit``."""
+        """Return the sum with ``second``, of the same width, rounded with the roundoff ``unit``."""
         part, value, error = gamma(2, unit), dict(self.value), dict(self.error)
         for s, own in self.sizes.items():
             error[s] = error[s] + part * own
@@ -130,13 +132,13 @@ class AffineForm:
 
 
 def gamma(terms: int, unit: float) -> float:
-    """Return the relative rounding bound of a sum of ``terms`` products; twice the checker's."""
+    """Return the relative rounding bound of a sum of ``terms`` products: twice the checker's bound."""
     part = 2.0 * (terms + GUARD) * unit
     return part / (1.0 - part)
 
 
 def joined(forms: Sequence[AffineForm]) -> AffineForm:
-    """Return the forms side by side."""
+    """Return one form with the outputs of all ``forms`` side by side."""
     sources = dict.fromkeys(s for form in forms for s in form.value)
     height = {s: len(form.value[s]) for form in forms for s in form.value}
 
@@ -158,13 +160,13 @@ def question(unit: float = 0.0) -> AffineForm:
 
 @dataclass(eq=False)
 class Layers:
-    """The ReLU layers of a network so far; ``known`` layers of the same network are not computed again."""
+    """The ReLU layers of a network so far; layers of the same network in ``known`` are not computed again."""
 
     forms: list[AffineForm] = field(default_factory=list)
     known: dict[int, AffineForm] = field(default_factory=dict)
 
     def relu(self, make: Callable[[], AffineForm]) -> AffineForm:
-        """Add a ReLU layer, and return its outputs as a form."""
+        """Add a ReLU layer with the input that ``make`` returns, and return its outputs as a form."""
         form = self.known.get(len(self.forms)) or make()
         if form.is_shared:
             self.known[len(self.forms)] = form
@@ -174,9 +176,9 @@ class Layers:
 
 
 def packed(layers: Sequence[AffineForm], members: int = 1) -> ReluNetwork:
-    """Return the network of some layers; all ``members`` share a form without an axis of members.
+    """Return the network of ``layers``, of which the last is the answer [m].
 
-    The last layer is the answer [m].
+    All ``members`` share a form that has no axis of members.
     """
     pairs = [(k, s) for k, form in enumerate(layers) for s in sorted(form.value) if s != CONSTANT]
     sizes = [layers[k].value[s].shape[-2] * layers[k].width for k, s in pairs]
@@ -211,7 +213,7 @@ def packed(layers: Sequence[AffineForm], members: int = 1) -> ReluNetwork:
 def network_of(model: Model, seed: int = 0) -> ReluNetwork:
     """Return the network of a model file; passes of dropout are members, with the masks of ``seed``.
 
-    A perceptron rounds like bounds in float64 do, of which ``rounding`` is four times.
+    A perceptron computes in float64, like the bounds, so that ``rounding`` also covers its own rounding.
     """
     if model.kind != PERCEPTRON:
         return _resnet(model, seed)
@@ -230,18 +232,18 @@ def network_of(model: Model, seed: int = 0) -> ReluNetwork:
 
 @lru_cache(maxsize=1)
 def _folded(model: Model) -> tuple[FoldedNetwork, dict[int, AffineForm]]:
-    """Return the folded network, and the layers that no mask changes, once they are known."""
+    """Return the folded network, and a store for the layers that no mask changes."""
     return fold(model), {}
 
 
 def _resnet(model: Model, seed: int) -> ReluNetwork:
     """Return the network as ``cell.avoidance.resnet_kernel`` computes it in float32.
 
-    Layers, shortcuts and dropout are the same.
+    The result has the same layers, shortcuts and dropout.
     """
     own, known = _folded(model)
     passes = own.passes if own.places else 1
-    layers = Layers(known=known if passes > 1 else {})  # a single pass has the shape of shared layers
+    layers = Layers(known=known if passes > 1 else {})  # a single pass looks like shared layers by its shape
     factors = np.empty((own.places, passes, WIDTH), np.float32)
     fill_factors(np.uint64(seed), own.probability, factors)
     weight, bias, drop = own.weight.astype(float), own.bias.astype(float), factors.astype(float)

@@ -1,8 +1,8 @@
-"""An ONNX file as layers of ReLUs: perceptrons and residual networks; other operators are refused by name.
+"""An ONNX file as layers of ReLUs: perceptrons and residual networks; it refuses other operators by name.
 
-The program is onnxruntime, in float32 or better.  The proof assumes that each operation rounds like float32,
-in any order of its sums, and after any fusing or folding by the runtime.  Nodes that the answer does not
-depend on (for example a spread) are ignored.
+The program that answers is onnxruntime, in float32 or better.  The proof assumes that each operation rounds
+like float32.  It allows any order of sums, and any fusing or folding by the runtime.  The module ignores
+nodes that do not affect the answer (for example a spread).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ FLOAT_TYPES = (1, 11)  # TensorProto's float and double
 
 @dataclass(frozen=True, eq=False)
 class OnnxFunction:
-    """The answers of onnxruntime, in its own process, one question at a time as in a run."""
+    """The function of an ONNX file: onnxruntime answers one question at a time in its own process."""
 
     avoider: IsolatedAvoider
     model = None  # so that there is no threshold of the spread
@@ -51,7 +51,7 @@ class OnnxFunction:
     def propose_many(
         self, hands_in_base_m: Floats, tcps_in_base_m: Floats, seeds: NDArray[np.uint64]
     ) -> tuple[Floats, Floats]:
-        """Return positions and spreads (n, 3) [m], NaN for a missing answer.
+        """Return positions (n, 3) [m], NaN for a missing answer, and spreads (n, 3), which are zero.
 
         ``hands_in_base_m`` and ``tcps_in_base_m`` are (n, 3), and ``seeds`` (n,).
         """
@@ -65,14 +65,14 @@ class OnnxFunction:
 
 
 def read_onnx(path: Path) -> tuple[ReluNetwork, OnnxFunction]:
-    """Return the layers of a file and its function; ModelError with name and node for an unknown operator."""
+    """Return the layers and the function of a file; raise ModelError, with the node, for a wrong operator."""
     with ONNX.needed("proofs about ONNX files", path):
         network = packed(_layers(path, onnx_bytes(path)))
     return network, OnnxFunction(isolated_onnx(path, DEFAULTS))
 
 
 def _layers(path: Path, data: bytes) -> list[AffineForm]:
-    """Return the layers of a file, the last the answer."""
+    """Return the layers of a file, of which the last is the answer."""
     import onnx
 
     try:
@@ -119,7 +119,7 @@ def _layers(path: Path, data: bytes) -> list[AffineForm]:
 
 
 def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: Layers) -> AffineForm:
-    """Return the output of an operator for ``given`` forms and constants; ValueError with the expectation."""
+    """Return an operator's output for ``given`` forms and constants; raise ValueError if unsupported."""
     shown = [isinstance(operand, AffineForm) for operand in given]
     if not any(shown[:2]) or any(operand is None for operand in given):
         raise ValueError("operands that follow from hand and TCP, and constants of the file")
@@ -161,6 +161,6 @@ def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: 
 
 
 def _row(constant: Any, width: int) -> Floats:
-    """Return the constant of each row (width,); ValueError for another shape."""
+    """Return ``constant`` as a row (width,); raise ValueError if its shape does not fit."""
     row: Floats = np.broadcast_to(np.asarray(constant, np.float64), (1, width))[0]
     return row

@@ -1,4 +1,4 @@
-"""A plan of proofs: a network, its claims, and their regions of questions (docs/how-to/prove.md)."""
+"""A plan of proofs: a network, claims about it, and their regions of questions (docs/how-to/prove.md)."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ SEEN = "seen"
 MOST_CLAIMS, MOST_REGIONS = 64, 64
 STEPS = 150
 MOST_SAMPLES = 10_000_000
-ANY_APART_M = 0.0, 4.0 * LARGEST_COORDINATE_M  # 0 to more than the distance of any pair
-LEAST_INSIDE = 1e-3  # the least probability of a normal axis within each region
+ANY_APART_M = 0.0, 4.0 * LARGEST_COORDINATE_M  # from 0 to a distance that no pair reaches
+LEAST_INSIDE = 1e-3  # the least probability that a normal coordinate lies within a region
 
 AskedNetwork = LearnedAvoider | OnnxFunction
 Floats = NDArray[np.float64]
@@ -44,7 +44,10 @@ Normal = tuple[float, float]  # mean and standard deviation [m]
 
 @dataclass(frozen=True, kw_only=True)
 class ProofRegion:
-    """Boxes of hands and TCPs in the base frame [m]; pairs with a distance within ``apart_m`` count."""
+    """A box of hands and a box of TCPs in the base frame [m]; only pairs within ``apart_m`` belong to it.
+
+    The distance between the hand and the TCP of such a pair lies between the two lengths of ``apart_m``.
+    """
 
     name: str
     hand_low_m: Vector3
@@ -55,12 +58,12 @@ class ProofRegion:
 
     @classmethod
     def around(cls, tcp_m: Floats, low_m: Floats, high_m: Floats) -> ProofRegion:
-        """Return the region of one TCP, ``tcp_m`` (3,), and hands from ``low_m`` (3,) to ``high_m`` (3,)."""
+        """Return the region of the TCP ``tcp_m`` (3,) and of hands from ``low_m`` (3,) to ``high_m`` (3,)."""
         tcp, low, high = ((float(x[0]), float(x[1]), float(x[2])) for x in (tcp_m, low_m, high_m))
         return cls(name="a box", hand_low_m=low, hand_high_m=high, tcp_low_m=tcp, tcp_high_m=tcp)
 
     def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the lowest hand and TCP (1, 6), and the highest (1, 6)."""
+        """Return the lowest coordinates of hand and TCP (1, 6), and the highest (1, 6)."""
         low, high = (*self.hand_low_m, *self.tcp_low_m), (*self.hand_high_m, *self.tcp_high_m)
         return np.array([low]), np.array([high])
 
@@ -68,7 +71,7 @@ class ProofRegion:
     def has_pair(self) -> bool:
         """Whether the region has a pair within ``apart_m``.
 
-        Two boxes have all distances from the least to the largest.
+        The pairs of two boxes have every distance between the least and the largest, so these two decide.
         """
         (low,), (high,) = self.corners()
         least, most = low[:3] - high[3:], high[:3] - low[3:]  # of hand minus TCP
@@ -78,16 +81,16 @@ class ProofRegion:
 
     @property
     def counted_share(self) -> float:
-        """The share of its volume with pairs within ``apart_m``, good to 1e-3.
+        """The share of all pairs in the two boxes that are within ``apart_m``, accurate to 1e-3.
 
-        It is a sum over ``STEPS``^3 offsets from TCP to hand.
+        The share is a sum over ``STEPS``^3 offsets from TCP to hand.
         """
         offsets, chances = [], []
         for low, high, start, to in zip(
             self.hand_low_m, self.hand_high_m, self.tcp_low_m, self.tcp_high_m, strict=True
         ):
             edges = np.linspace(low - to, high - start, STEPS + 1)
-            offset = (edges[1:] + edges[:-1]) / 2.0  # from TCP to hand; its chance: the overlap of two boxes
+            offset = (edges[1:] + edges[:-1]) / 2.0  # from TCP to hand; the boxes' overlap is its chance
             overlap = np.maximum(0.0, np.minimum(high, to + offset) - np.maximum(low, start + offset))
             offsets.append(offset)
             chances.append(overlap / overlap.sum())
@@ -99,22 +102,23 @@ class ProofRegion:
 
 @dataclass(frozen=True)
 class PlannedProof:
-    """A claim about the questions of a region."""
+    """A claim about all questions of a region."""
 
     claim: DecisionClaim
     region: ProofRegion
 
     @property
     def sentence(self) -> str:
-        """The claim with its region."""
+        """The sentence of the claim, with the name of the region."""
         return f"{self.claim.sentence} ({self.region.name})"
 
 
 @dataclass(frozen=True, kw_only=True)
 class QuestionLaw:
-    """The distribution of questions: ``normals_m`` (6,) by axis of hand and TCP, None for a uniform axis.
+    """The distribution of questions; ``normals_m`` (6,) has an entry for each axis of hand and TCP.
 
-    Each claim draws ``samples`` questions, and all bounds hold together with ``confidence``.
+    The entry is None for a uniform axis.  For each claim, the program draws ``samples`` questions.  The
+    bounds of all claims hold together with ``confidence``.
     """
 
     normals_m: tuple[Normal | None, ...]
@@ -125,7 +129,7 @@ class QuestionLaw:
 
 @dataclass(frozen=True, eq=False)
 class ProofPlan:
-    """A plan of ``read_proof_plan``; ``network`` and ``asked`` belong to the file ``model_file``."""
+    """A plan of proofs; ``model_file`` contains both the layers ``network`` and the function ``asked``."""
 
     title: str
     avoider: str
@@ -137,12 +141,12 @@ class ProofPlan:
 
     @property
     def doubt_m(self) -> float:
-        """The largest spread of an answer that the gate accepts; NaN for a network without a threshold."""
+        """The largest spread of an answer that the gate accepts; NaN if the network has no threshold."""
         return threshold_m(self.asked.model)
 
 
 def read_proof_plan(path: str | Path) -> ProofPlan:
-    """Return the plan in a file.
+    """Return the plan of proofs in a file.
 
     Args:
         path: The file.
@@ -193,7 +197,7 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
 def _network(
     at: Field, name: str, file: Path
 ) -> tuple[ReluNetwork, LearnedAvoider | OnnxFunction, SeenSpace | None]:
-    """Return a file's layers, its function, and its seen space, if the file has it."""
+    """Return the layers and the function of a file, and its seen space if the file states it."""
     if file.suffix == ONNX_SUFFIX:
         use = exported_use(file)
         return *read_onnx(file), None if use is None else use.seen
@@ -204,7 +208,7 @@ def _network(
 
 
 def seen_region(seen: SeenSpace) -> ProofRegion:
-    """Return the region of everything a network has seen, by its file."""
+    """Return the region of all hands and TCPs that a network has seen, as its file states them."""
     return ProofRegion(
         name=SEEN,
         hand_low_m=seen.hand_low_m,
@@ -215,7 +219,7 @@ def seen_region(seen: SeenSpace) -> ProofRegion:
 
 
 def _region(name: str, at: Field, seen: ProofRegion | None) -> ProofRegion:
-    """Return boxes and distance of a region; missing parts come from ``seen``."""
+    """Return the region that a plan describes; a box that the plan omits comes from ``seen``."""
     given = at.fields(("hand", "tcp", "apart"))
     hand, tcp, distances = (given.optional(key) for key in ("hand", "tcp", "apart"))
     hands, tcps = _box(hand) if hand else None, _box(tcp) if tcp else None
@@ -240,7 +244,7 @@ def _region(name: str, at: Field, seen: ProofRegion | None) -> ProofRegion:
 
 
 def _questions(at: Field, regions: list[ProofRegion]) -> QuestionLaw:
-    """Return a known distribution; ScenarioError if a loop generates it, or if it misses a region."""
+    """Return the distribution in a plan; raise ScenarioError if it comes from a loop or misses a region."""
     given = at.fields(("hand", "tcp", "samples", "confidence", "seed"), hints=dict.fromkeys(OF_LOOPS, LOOP))
     normals: list[Normal | None] = []
     for key in ("hand", "tcp"):
@@ -265,7 +269,7 @@ def _questions(at: Field, regions: list[ProofRegion]) -> QuestionLaw:
 
 
 def _normals(at: Field) -> list[Normal | None]:
-    """Return mean and standard deviation of three axes."""
+    """Return the mean and standard deviation for each of three axes."""
     given = at.fields(("mean", "std"))
     mean = _corner(given.required("mean"))
     stds = given.required("std").items("three lengths", count=3)
@@ -273,7 +277,7 @@ def _normals(at: Field) -> list[Normal | None]:
 
 
 def _box(at: Field) -> tuple[Vector3, Vector3]:
-    """Return the corners of a box."""
+    """Return the lowest and the highest corner of a box."""
     given = at.fields(("from", "to"))
     low, high = (_corner(given.required(key)) for key in ("from", "to"))
     if not all(a < b for a, b in zip(low, high, strict=True)):

@@ -1,4 +1,4 @@
-"""All claims of a plan of proofs, one after another, within a time."""
+"""The work on all claims of a plan of proofs, one after another, within a time limit."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from safety_harness.extensions.lab.proof.plan import ProofPlan
 from safety_harness.extensions.lab.proof.tree import BoxTree, MapBatches, examined, work
 
 MOST_ASKED = 200_000  # questions at the centres of leaves
-WRONG_BY = 1e-8  # m or m2, beyond all rounding
+WRONG_BY = 1e-8  # m or m2: a violation that is larger than all rounding
 
 OnStep = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """The effort of a session: at most ``seconds`` in all, and ``halvings`` of a box.
+    """The effort of a session: at most ``seconds`` for all claims, and at most ``halvings`` of a box.
 
-    Time counts once the processes have started and compiled their code.  ``over`` maps ``at_once`` batches of
-    boxes, for example in other processes.  ``stopped`` ends the work.  ``show`` receives the claim, and the
-    decided share of all volume.
+    The time starts when the processes have started and compiled their code.  ``over`` maps a function over
+    ``at_once`` batches of boxes, for example in other processes.  The work ends when ``stopped`` returns
+    True.  ``show`` receives the state of the present claim, and the finished share of all claims.
     """
 
     seconds: float
@@ -40,7 +40,7 @@ class Effort:
 
 
 def continue_proofs(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[Proof]:
-    """Yield each proof after further work; time that a proof does not need goes to later proofs.
+    """Yield each proof after further work; later proofs receive the time that a proof does not need.
 
     Args:
         plan: The plan.
@@ -77,14 +77,15 @@ def continue_proofs(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Ite
 
 
 def fresh(plan: ProofPlan) -> list[Proof]:
-    """Return proofs of a plan without any decided box."""
+    """Return a proof for each claim of a plan, without any decided box."""
     return [Proof(planned, BoxTree()) for planned in plan.proofs]
 
 
 def wrong_question(plan: ProofPlan, proof: Proof) -> WrongQuestion | None:
-    """Return the worst question in the middle of a leaf that is not proven; None if no answer is wrong.
+    """Return the question with the worst answer in the middle of unproven leaves; None if none is wrong.
 
-    Its violation is twice the width of its bounds, so that a check by other bounds refutes it too.
+    The kernel's bounds also refute a claim whose limit is looser by half of the answer's violation.  So a
+    check by other bounds refutes the original claim too.
 
     Args:
         plan: The plan.

@@ -1,14 +1,15 @@
-"""Proof and sample in one bound, for a known distribution of questions.
+"""One bound on wrong answers from a proof and a sample, for a known distribution of questions.
 
-A question of the region is drawn at random.  P is the chance that the claim concerns it (its hand and TCP are
-as far apart as the region requires) and that the network answers it wrongly.  R and U are the probabilities
-of the refuted and undecided boxes.  b is an upper bound (Clopper and Pearson 1934) of the share of wrong
-answers among questions from the undecided boxes alone.  Then
+A question of the region is drawn at random.  The claim concerns it if its hand and TCP are as far apart as
+the region requires.  P is the probability that the claim concerns the question and that the network answers
+it wrongly.  R and U are the probabilities of the refuted and undecided boxes.  For questions from only the
+undecided boxes, b is an upper bound (Clopper and Pearson 1934) of the share of wrong answers.  Then
 
     R <= P <= R + U b        with the confidence of b; proven boxes add 0.
 
-The boxes come first, then the questions.  The sample is independent of the origin of the boxes, so b holds
-for any boxes.  Axes are independent, each uniform over the region, or normal and cut to it.
+The program draws the questions after the boxes are final.  The sample does not depend on the way in which the
+boxes arose, so b holds for any boxes.  The six axes are independent.  Each of them is uniform over the
+region, or normal and cut to it.
 """
 
 from __future__ import annotations
@@ -37,7 +38,10 @@ DOUBTFUL = 1e-8  # m or m2: an answer with a smaller margin counts as wrong
 
 @dataclass(frozen=True, kw_only=True)
 class JointBound:
-    """P is from ``low`` to ``high`` with ``confidence``; ``wrong`` of ``samples`` answers were wrong."""
+    """The bound on wrong answers: P lies from ``low`` to ``high`` with ``confidence``.
+
+    Of ``samples`` answers, ``wrong`` were wrong.  ``undecided`` is the probability U of the undecided boxes.
+    """
 
     low: float
     high: float
@@ -48,14 +52,14 @@ class JointBound:
 
     @property
     def cells(self) -> tuple[str, str, str, str, str]:
-        """The cells of a table: wrong at most, at least, undecided, samples, wrong."""
+        """The cells of a table: the upper bound, the lower bound, undecided, samples, wrong answers."""
         chances = (f"{chance:.2g}" for chance in (self.high, self.low, self.undecided))
         high, low, undecided = chances
         return high, low, undecided, f"{self.samples:,}", f"{self.wrong:,}"
 
 
 def chances(questions: QuestionLaw, region: ProofRegion, low: Floats, high: Floats) -> Floats:
-    """Return the probabilities (n,) of boxes from ``low`` to ``high`` (n, 6) within the region.
+    """Return the probability (n,) of each box from ``low`` to ``high`` (n, 6) within the region.
 
     Args:
         questions: The distribution.
@@ -72,7 +76,7 @@ def chances(questions: QuestionLaw, region: ProofRegion, low: Floats, high: Floa
 
 
 def drawn(questions: QuestionLaw, low: Floats, high: Floats, rng: np.random.Generator) -> Floats:
-    """Return a question (n, 6) from each box ``low`` to ``high`` (n, 6).
+    """Return one random question (n, 6) from each box ``low`` to ``high`` (n, 6).
 
     Args:
         questions: The distribution.
@@ -91,7 +95,7 @@ def drawn(questions: QuestionLaw, low: Floats, high: Floats, rng: np.random.Gene
 
 
 def _chance(normal: Normal | None, low: Floats, high: Floats) -> Floats:
-    """Return the chance (n,) of intervals (n,): of a normal variable, or proportional to their length."""
+    """Return the probability (n,) of intervals (n,) for a normal variable, or their lengths for a uniform."""
     if normal is None:
         return high - low
     first, last, _ = _ends(normal, low, high)
@@ -99,9 +103,10 @@ def _chance(normal: Normal | None, low: Floats, high: Floats) -> Floats:
 
 
 def _ends(normal: Normal, low: Floats, high: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return the distribution function (n,) at both ends of intervals (n,), and whether it runs from above.
+    """Return two tail probabilities (n,) at the ends of intervals (n,), and whether they are upper tails.
 
-    Intervals above the mean count from above.
+    The smaller probability comes first.  An interval above the mean has upper tails, because lower tails
+    would lose digits there.
     """
     start, end = (low - normal[0]) / normal[1], (high - normal[0]) / normal[1]
     above = start + end > 0.0  # where 1 - F would lose digits
@@ -117,13 +122,13 @@ def joint_bound(
     confidence: float,
     rng: np.random.Generator,
 ) -> JointBound:
-    """Return the bound from a finished tree and from questions asked now.
+    """Return the bound from a finished tree and from new questions in its undecided boxes.
 
     Args:
         tree: The tree.
         region: The region.
         questions: The distribution.
-        is_wrong: Returns which of questions (n, 6) have a wrong answer.
+        is_wrong: Returns whether (n,) each of n questions (n, 6) has a wrong answer.
         confidence: The confidence of the bound.
         rng: The generator of the questions.
 
@@ -149,9 +154,9 @@ def joint_bound(
 
 
 def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
-    """Return a bound for each claim; all hold together with the plan's confidence.
+    """Return a bound for each claim; all bounds together hold with the plan's confidence.
 
-    The list is empty without a distribution of questions.
+    The list is empty if the plan has no distribution of questions.
     """
     questions, avoider = plan.questions, plan.asked
     if questions is None:
@@ -170,9 +175,9 @@ def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
 
 
 def answered_wrongly(avoider: Answering, planned: PlannedProof, points: Floats) -> NDArray[np.bool_]:
-    """Return which (n,) of ``points`` (n, 6) the claim concerns and the network answers wrongly.
+    """Return whether (n,) the claim concerns each of ``points`` (n, 6) and the network answers it wrongly.
 
-    An answer that is nearly wrong counts too.
+    An answer that is nearly wrong counts as wrong.
 
     Args:
         avoider: The network.

@@ -1,8 +1,9 @@
-"""A region, halved until its parts are decided: one code for each node, level by level.
+"""A region that is halved until its parts are decided: one code for each node, level by level.
 
-A node is halved along an axis (codes 0 to 5: hand, then TCP) or is a leaf (``box_kernel``).  The next level
-consists of the two halves of each halved node, the lower half first.  So the leaves fill the region for any
-codes.  A leaf at level k has 2^-k of the region.  Work can continue at an undecided leaf at any time.
+A node is halved along an axis (codes 0 to 5: hand, then TCP), or it is a leaf (codes of ``box_kernel``).  The
+next level consists of the two halves of each halved node, the lower half first.  So the leaves always fill
+the region.  A leaf at level k has the share 2^-k of the region.  Work can continue at an undecided leaf at
+any time.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ Floats = NDArray[np.float64]
 Codes = NDArray[np.uint8]
 Boxes = tuple[Floats, Floats]  # low and high corners (n, 6)
 
-AT_ONCE = 8_192  # boxes; some 50 ms
-MOST_BOXES = 1_500_000  # of a level: 0.15 GB
+AT_ONCE = 8_192  # boxes in a batch, which takes some 50 ms
+MOST_BOXES = 1_500_000  # on a level, where they take 0.15 GB
 LEAVES = {PROVEN: "proven", REFUTED: "refuted", UNDECIDED: "undecided", OUTSIDE: "outside"}
 
 
@@ -53,7 +54,7 @@ class BoxTree:
 
 
 def halves(low: Floats, high: Floats, codes: Codes) -> Boxes:
-    """Return the boxes (2 m, 6) of the next level, from ``low`` to ``high`` (n, 6); m of n are halved.
+    """Return the halves (2 m, 6) of the m boxes that ``codes`` halves, of n from ``low`` to ``high`` (n, 6).
 
     Args:
         low: (n, 6) the low corners.
@@ -82,17 +83,17 @@ def examined(
     boxes: Boxes,
     doubt_m: float = np.nan,
 ) -> Codes:
-    """Return the codes (n,) of boxes, with ``constants`` (10,) of the optimum.
+    """Return the codes (n,) of boxes, with the ``constants`` (10,) of the optimum.
 
-    It is a function of a module, so that further processes can call it.
+    The function belongs to the module, so that other processes can call it.
 
     Args:
         network: The network.
-        constants: The constants of ``optimum_constants``.
+        constants: The result of ``optimum_constants``.
         claim: The claim.
         region: The region.
         boxes: The corners of the boxes.
-        doubt_m: The network's threshold of the spread; NaN: no threshold.
+        doubt_m: The network's threshold of the spread; NaN means no threshold.
 
     """
     return examined_with_spreads(network, constants, claim, region, boxes, doubt_m)[0]
@@ -106,9 +107,9 @@ def examined_with_spreads(
     boxes: Boxes,
     doubt_m: float = np.nan,
 ) -> tuple[Codes, Floats]:
-    """Return the codes (n,), and bounds (n, 2) of the spread [m], with ``constants`` (10,).
+    """Return the codes (n,) of boxes and bounds (n, 2) of the spread [m]; ``constants`` has the shape (10,).
 
-    The arguments are as for ``examined``.
+    The arguments are the same as in ``examined``.
     """
     codes, spreads_m = np.empty(len(boxes[0]), np.uint8), np.empty((len(boxes[0]), 2))
     near_m, far_m = region.apart_m
@@ -132,20 +133,20 @@ def work(
     on_level: Callable[[BoxTree], Any] = lambda tree: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Continue the undecided leaves of ``tree``, largest first, down to ``halvings`` halvings.
+    """Decide or halve the undecided leaves of ``tree``, the largest first, down to ``halvings`` halvings.
 
-    It ends early at ``until_s`` or when ``stopped``; the tree is complete at any time.
+    The work ends early at ``until_s``, or when ``stopped`` returns True; the tree is complete at any time.
 
     Args:
         tree: The tree, changed in place.
         network: The network.
         claim: The claim.
         region: The region.
-        halvings: The greatest depth.
-        until_s: The end, by ``time.monotonic``.
-        doubt_m: The network's threshold of the spread; NaN: no threshold.
-        map_batches: Maps batches of boxes, for example in other processes.
-        at_once: The number of batches at a time; the result does not depend on it.
+        halvings: The greatest depth of the tree.
+        until_s: The time at which to end, by ``time.monotonic``.
+        doubt_m: The network's threshold of the spread; NaN means no threshold.
+        map_batches: Maps a function over batches of boxes, for example in other processes.
+        at_once: The number of batches to map at a time; the result does not depend on it.
         on_level: Receives the tree after each level.
         stopped: Ends the work when it returns True.
 
@@ -170,12 +171,12 @@ def work(
 
 
 def _parts(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Return batches of rows."""
+    """Return ``rows`` in batches of ``AT_ONCE``."""
     return (rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE))
 
 
 def _put_next(tree: BoxTree, level: int, old_codes: Codes, count: int) -> None:
-    """Fit the next level to a level with ``old_codes`` (n,): ``count`` nodes, undecided if new."""
+    """Give ``count`` nodes to the level after ``level``, which had ``old_codes`` (n,); undecided if new."""
     halved = tree.levels[level] < PROVEN
     fresh = np.full(count, UNDECIDED, np.uint8)
     old = np.repeat(old_codes[halved] < PROVEN, 2)

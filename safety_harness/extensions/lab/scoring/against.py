@@ -1,4 +1,4 @@
-"""An avoider beside a reference on the same questions: only differences from the reference count."""
+"""An avoider beside a reference avoider on the same questions: only their differences become findings."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from safety_harness.extensions.lab.scoring.figures import WRONG_M
 from safety_harness.extensions.lab.scoring.scorecard import Kind, RegionScore, Scorecard, ScoreFinding
 
 Errors = dict[Kind, NDArray[np.bool_]]
-CHANCE = 0.05  # for all tests together, of a finding on two avoiders with equal errors
-MORE = 0.03  # of the questions: int8 weights or another training seed lead towards on up to 2 % more
+CHANCE = 0.05  # of any finding, over all tests together, if two avoiders err equally often
+MORE = 0.03  # share of questions; int8 weights or another training seed lead towards on up to 2 % more
 
 
 def findings_against(
@@ -25,12 +25,11 @@ def findings_against(
     of_reference: Sequence[ScoreFinding],
     settings: Sequence[Settings],
 ) -> tuple[ScoreFinding, ...]:
-    """Return findings that the reference does not have, then errors that it makes less often.
+    """Return findings that the reference does not have, then the errors that the avoider makes more often.
 
-    The exact paired sign test compares the errors.
-
-    Errors count if they occur on more than ``MORE`` of the questions, or where the two answers have different
-    directions.
+    An exact paired sign test compares the errors of both.  A kind of error is a finding if the avoider makes
+    it more often by over ``MORE`` of all questions.  It is also a finding if the avoider makes it more often
+    on the questions where both answers are more than ``WRONG_M`` apart.
 
     Args:
         card: The avoider's card.
@@ -40,7 +39,7 @@ def findings_against(
         settings: The settings of each region.
 
     Raises:
-        ValueError: The questions differ.
+        ValueError: The two cards have different questions.
 
     """
     known = {(each.kind, each.region) for each in of_reference}
@@ -89,7 +88,7 @@ _ELSEWHERE = f" and answers more than {1e3 * WRONG_M:g} mm elsewhere"
 
 
 def _errors(score: RegionScore, settings: Settings) -> Errors:
-    """Return which answers (n,) are errors, by kind; a missing answer is an error."""
+    """Return for each kind whether (n,) each answer is an error; a missing answer is an error."""
     hands, tcps = score.questions.hands_in_base_m, score.questions.tcps_in_base_m
     proposed = score.answers.positions_in_base_m
     return {

@@ -1,4 +1,4 @@
-"""Many questions to any avoider: together if it supports that, and one after another where that fails."""
+"""Ask any avoider many questions: together if it supports that, otherwise or after a failure one by one."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from safety_harness.cell.avoidance.avoider import Avoider, spread_threshold_of
 from safety_harness.extensions.lab.scoring.questions import Answers, Questions
 
 CHUNK = 2_048
-FEW = 16  # a failed chunk is halved down to this size, then asked one by one
+FEW = 16  # a failed chunk is halved down to this size; then its questions are asked one by one
 
 
 def asked_together(avoider: Avoider, questions: Questions) -> Answers:
     """Return the answers to many questions, in order.
 
-    An avoider that takes many questions gets ``CHUNK`` at once.  A failed chunk is asked in smaller parts,
-    and at last question by question.
+    An avoider that takes many questions at once receives ``CHUNK`` of them.  If a chunk fails, the function
+    asks it again in smaller parts, and at last question by question.
 
     Args:
         avoider: The avoider.
@@ -39,7 +39,7 @@ def asked_together(avoider: Avoider, questions: Questions) -> Answers:
 
 
 def asked_alone(avoider: Avoider, questions: Questions) -> tuple[Answers, list[float]]:
-    """Return the answers to one question at a time, and the time of each answer [s].
+    """Return the answers to questions that are asked one at a time, and the time of each answer [s].
 
     Args:
         avoider: The avoider.
@@ -51,7 +51,7 @@ def asked_alone(avoider: Avoider, questions: Questions) -> tuple[Answers, list[f
 
 
 def _of_chunk(avoider: Avoider, questions: Questions) -> Answers:
-    """Return the answers to one chunk."""
+    """Return the answers to the questions of one chunk."""
     if isinstance(avoider, OutOfProcessAvoider):
         every = [questions.single(row) for row in range(len(questions))]
         return _arrays(avoider.answers(every, together=True))
@@ -68,7 +68,7 @@ def _of_chunk(avoider: Avoider, questions: Questions) -> Answers:
 
 
 def _at_once(avoider: BatchAvoider, questions: Questions) -> Answers | None:
-    """Return the answers to a chunk in one call; None if one is invalid, so that the parts show which."""
+    """Return the answers that one call gives to a chunk; None if any is invalid or the call fails."""
     try:
         threshold_m = spread_threshold_of(avoider)
         every = [questions.single(0)] * len(questions)
@@ -88,7 +88,7 @@ def _at_once(avoider: BatchAvoider, questions: Questions) -> Answers | None:
 
 
 def _arrays(answers: list[Answer]) -> Answers:
-    """Return answers as arrays."""
+    """Return a list of answers as arrays."""
     return Answers(
         np.array([answer.proposal.position_in_base_m for answer in answers]).reshape(-1, 3),
         np.array([answer.proposal.spread_m for answer in answers]).reshape(-1, 3),

@@ -1,4 +1,4 @@
-"""Figures of one region: the quality of answers, with intervals."""
+"""The figures of one region, with intervals, which describe the quality of an avoider's answers."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ Floats = NDArray[np.float64]
 ArrayN = NDArray[np.float64]  # (n,)
 Matrix = tuple[Vector3, Vector3, Vector3]
 
-WRONG_M = 0.060  # off the optimum: more than half of the repulsion radius, another direction altogether
-COARSEST_M = 0.001  # the largest step of a number format: half precision reaches it beyond a metre
-SPREAD_COUNTS = (1, 2, 3)  # spreads
+WRONG_M = 0.060  # from the optimum: over half the repulsion radius, so the answer has another direction
+COARSEST_M = 0.001  # the largest step of a number format: half precision has such steps beyond a metre
+SPREAD_COUNTS = (1, 2, 3)  # multiples of the spread
 WORST = 10
 TAIL = (1.0 - LEVEL) / 2.0
 NORMAL = 1.959964
 
 
 def quantile(values: ArrayN, share: float) -> Figure:
-    """Return the ``share`` quantile of ``values`` (n,), with order statistics as exact ends.
+    """Return the ``share`` quantile of ``values`` (n,); order statistics are the ends of its interval.
 
-    The interval holds for any distribution; an end that no value bounds is infinite.
+    The interval is exact for any distribution.  An end is infinite if no value bounds it.
     """
     n, ordered = len(values), np.sort(values)
     below, above = np.nan_to_num(scipy.special.bdtrik([TAIL, 1.0 - TAIL], n, share), nan=-1.0)
@@ -45,22 +45,22 @@ def quantile(values: ArrayN, share: float) -> Figure:
 
 
 def mean(values: ArrayN) -> Figure:
-    """Return the mean of ``values`` (n,), with its interval by the normal distribution."""
+    """Return the mean of ``values`` (n,), with an interval from the normal distribution."""
     centre = float(values.mean())
     half = NORMAL * float(values.std(ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else np.inf
     return Figure(centre, centre - half, centre + half)
 
 
 def root_mean_square(values: ArrayN) -> Figure:
-    """Return the root mean square of ``values`` (n,); its ends are roots of the mean square's ends."""
+    """Return the root mean square of ``values`` (n,), with the roots of the mean square's interval."""
     squares = mean(values**2)
     return Figure(*(float(np.sqrt(max(end, 0.0))) for end in (squares.value, squares.low, squares.high)))
 
 
 def rank_correlation(first: ArrayN, second: ArrayN) -> Figure | None:
-    """Return Spearman's correlation of ``first`` and ``second`` (n,), with Fisher's interval.
+    """Return Spearman's rank correlation of ``first`` and ``second`` (n,), with Fisher's interval.
 
-    It is None if one array is constant or n is below 10.
+    The result is None if one array is constant or if n is below 10.
     """
     if len(first) < 10 or np.ptp(first) == 0.0 or np.ptp(second) == 0.0:
         return None
@@ -70,7 +70,7 @@ def rank_correlation(first: ArrayN, second: ArrayN) -> Figure | None:
 
 
 def _ranks(values: Floats) -> Floats:
-    """Return average ranks (n,)."""
+    """Return the ranks (n,) of ``values``; equal values share their average rank."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1))[inverse])
 
@@ -78,12 +78,12 @@ def _ranks(values: Floats) -> Floats:
 def region_score(
     region: QuestionRegion, questions: Questions, answers: Answers, settings: Settings
 ) -> RegionScore:
-    """Return all figures of one region; without a question every figure is None.
+    """Return all figures of one region; the figures of answers are None if there is no answer.
 
     Args:
         region: The region.
         questions: Its questions.
-        answers: Their answers.
+        answers: The answers to ``questions``.
         settings: The settings of the cell.
 
     """
@@ -130,7 +130,7 @@ _NAMES = (
 def _figures(
     posed: Questions, kept: Answers, settings: Settings, robot: AnyRobot, step_m: float
 ) -> dict[str, object]:
-    """Return the figures of ``_NAMES``, for existing answers."""
+    """Return the figures of ``_NAMES`` for the existing answers ``kept`` to the questions ``posed``."""
     hands, tcps, proposed = posed.hands_in_base_m, posed.tcps_in_base_m, kept.positions_in_base_m
     optimum = optimum_in_base_m(settings, hands, tcps)
     gained, off_by, error = gained_m(hands, tcps, proposed), off_m(proposed, optimum), proposed - optimum
@@ -164,7 +164,8 @@ def _figures(
 def number_step_m(positions: ArrayNx3) -> float:
     """Return the largest step [m] of the number format of ``positions`` (n, 3).
 
-    It is 0 in double precision, or for steps longer than ``COARSEST_M``, which belong to no number format.
+    The result is 0 for double precision.  It is also 0 for a step above ``COARSEST_M``, which no number
+    format has.
     """
     largest = np.abs(positions).max(initial=0.0)
     for kind in (np.float16, np.float32):
@@ -172,7 +173,7 @@ def number_step_m(positions: ArrayNx3) -> float:
             step_m = float(np.spacing(kind(largest)))
             return step_m if step_m <= COARSEST_M else 0.0
     gaps = np.concatenate([np.diff(np.unique(column)) for column in positions.T])
-    gaps = gaps[gaps > 1e-9]  # smaller gaps are rounding errors of multiples
+    gaps = gaps[gaps > 1e-9]  # smaller gaps are rounding errors in multiples of the step
     step_m = float(gaps.min(initial=np.inf))
     if not 1e-8 < step_m <= COARSEST_M:
         return 0.0
@@ -180,12 +181,12 @@ def number_step_m(positions: ArrayNx3) -> float:
 
 
 def _most_alike(proposed: ArrayNx3, step_m: float) -> Proportion:
-    """Return the share of answers with the most frequent coordinate, less the number format's share."""
+    """Return the share of answers with the most frequent coordinate, less the share due to rounding."""
     most = 0
     for column in proposed.T:
         _, counts = np.unique(column, return_counts=True)
         usual = np.zeros_like(counts)
-        if step_m > 0.0:  # twice the most frequent of two neighbours on either side
+        if step_m > 0.0:  # rounding explains twice the largest count of the two neighbours on either side
             around = np.pad(counts, 2)
             usual = 2 * np.max([around[k : k + len(counts)] for k in (0, 1, 3, 4)], axis=0)
         most = max(most, int((counts - usual).max()))
@@ -193,7 +194,7 @@ def _most_alike(proposed: ArrayNx3, step_m: float) -> Proportion:
 
 
 def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot) -> NDArray[np.bool_]:
-    """Return which (n,) positions the arm reaches, above the table by the clearance.
+    """Return whether (n,) the arm reaches each position, at least the clearance above the table.
 
     Args:
         positions_in_base_m: (n, 3) the positions.
@@ -209,20 +210,20 @@ def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot)
 
 
 def _slopes(hands: ArrayNx3, tcps: ArrayNx3, error: ArrayNx3) -> tuple[Floats, Floats]:
-    """Return the slopes of the error (n, 3) with hand and TCP, (3, 3) each; 0 for too few rows."""
+    """Return the growth of ``error`` (n, 3) with the hand and the TCP, (3, 3) each; 0 for a single row."""
     inputs = np.hstack([hands - hands.mean(axis=0), tcps - tcps.mean(axis=0)])
     slopes = np.linalg.lstsq(inputs, error - error.mean(axis=0), rcond=1e-9)[0].T  # (3, 6)
     return slopes[:, :3], slopes[:, 3:]
 
 
 def _matrix(rows: Floats) -> Matrix:
-    """Return a matrix as tuples."""
+    """Return the matrix ``rows`` (3, 3) as nested tuples."""
     first, second, third = ((float(x), float(y), float(z)) for x, y, z in rows)
     return first, second, third
 
 
 def _spreads(error: ArrayNx3, posed: Questions, spreads: ArrayNx3) -> Spreads:
-    """Return the figures of the spreads."""
+    """Return the figures of ``spreads`` (n, 3) beside the errors ``error`` (n, 3)."""
     off_by, largest = np.linalg.norm(error, axis=1), spreads.max(axis=1)
     drawn = spreads * generator(int(posed.seeds[0]), Branch.SCORING).standard_normal(spreads.shape)
     honest = rank_correlation(largest, np.linalg.norm(drawn, axis=1))
@@ -242,7 +243,7 @@ def _spreads(error: ArrayNx3, posed: Questions, spreads: ArrayNx3) -> Spreads:
 
 
 def _by_axis(error: ArrayNx3, spreads: ArrayNx3) -> Vector3:
-    """Return rms error over rms spread by axis."""
+    """Return the rms error divided by the rms spread for each axis; 1 if both are zero."""
     squares = (spreads**2).mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.sqrt((error**2).mean(axis=0) / squares)
@@ -253,13 +254,13 @@ def _by_axis(error: ArrayNx3, spreads: ArrayNx3) -> Vector3:
 def asked_row(
     region: str, questions: Questions, answers: Answers, row: int, settings: Settings
 ) -> ScoredQuestion:
-    """Return one question with its answer and figures.
+    """Return the question in ``row``, with its answer and the figures of the answer.
 
     Args:
         region: The region's name.
         questions: The questions.
-        answers: Their answers.
-        row: The question's row.
+        answers: The answers to ``questions``.
+        row: The row of the question.
         settings: The settings of the cell.
 
     """
@@ -281,7 +282,7 @@ def asked_row(
 def _worst(
     region: str, questions: Questions, answers: Answers, settings: Settings, *, by_gained: bool
 ) -> tuple[ScoredQuestion, ...]:
-    """Return the ``WORST`` worst questions; a missing answer is worse than any other."""
+    """Return the ``WORST`` questions with the worst answers; a missing answer is worse than a given one."""
     hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
     if by_gained:
         badness = -gained_m(hands, tcps, proposed)

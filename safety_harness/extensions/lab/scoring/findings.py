@@ -1,8 +1,9 @@
-"""Findings on an avoider: figures clearly worse than the worst yardstick's, and outright failures.
+"""Findings on an avoider: outright failures, and figures that are clearly worse than every yardstick's.
 
-The yardsticks answer the same questions.  A share is worse if its exact interval lies beyond the worst
-yardstick's by a margin.  A length is worse if it exceeds theirs by a stated factor.  An answer towards the
-hand is worse where each yardstick leads away.  ``FindingLimits`` has every number and its reason.
+Yardsticks are reference avoiders that answer the same questions.  A share is worse if its exact interval
+lies above the worst yardstick's interval by more than a margin.  A length is worse if it exceeds the worst
+yardstick's length by more than a stated factor.  An answer towards the hand is worse if every yardstick
+leads away from the hand on that question.  ``FindingLimits`` lists every limit with its reason.
 """
 
 from __future__ import annotations
@@ -29,35 +30,37 @@ from safety_harness.extensions.lab.scoring.scorecard import (
     ScoreFinding,
 )
 
-MM = 1e3  # metres and seconds in thousandths
+MM = 1e3  # millimetres per metre, or milliseconds per second
 
 
 @dataclass(frozen=True)
 class FindingLimits:
     """The limits beyond which a figure is a finding."""
 
-    towards: float = 0.02  # of questions where no yardstick does; of sure ones, more than the worst yardstick
+    # The share of answers that lead towards the hand where no yardstick does.  For sure answers it is the
+    # margin above the worst yardstick's share.
+    towards: float = 0.02
     unreached: float = 0.002
     wrong_and_sure: float = 0.002
     unsure: float = 0.03
-    doubtful: float = 0.10  # no finding where the yardsticks doubt more often: everyone may doubt there
-    stuck: float = 0.0005  # no two answers of a yardstick share a coordinate
-    stuck_least: int = 10  # in single precision some do
+    doubtful: float = 0.10  # doubt is no finding where a yardstick doubts more often: it may be right there
+    stuck: float = 0.0005  # share of answers with an equal coordinate; a yardstick has no such answers
+    stuck_least: int = 10  # answers; in single precision a few have an equal coordinate by chance
     off_factor: float = 1.25  # times the worst yardstick's median, 95 % and 99 % quantile
     most_factor: float = 1.5  # times the worst yardstick's largest distance, over ten thousand questions
-    bias_m: float = 0.003  # more than bias_factor times the worst yardstick's: mc-dropout's is 4 mm in "seen"
+    bias_m: float = 0.003  # added to bias_factor times the worst yardstick's; mc-dropout has 4 mm in "seen"
     bias_factor: float = 1.5
-    pull: float = 0.020  # metres a metre, more than the worst: eq. 13 asks for 0.05, mc-dropout errs by 0.008
-    scale: float = 0.060  # metres a metre, more than the worst
-    jumped: int = 2  # segments; one may pass very near a point where the optimum itself turns
-    steep: float = (
-        4.0  # times the worst yardstick, for hands: TCPs turn the optimum at once near the desired one
-    )
-    too_sure: float = 1.25  # error to spread, times the larger of 1 and mc-dropout's
-    too_unsure: float = 0.70  # times the smaller of the two
-    rank: float = 0.05  # below both mc-dropout's rank correlation and that of honest spreads
-    same_m: float = 1e-9  # the order of a sum may depend on the size of a batch: 1e-16 m, or
-    same_steps: float = 4.0  # steps of single precision
+    pull: float = 0.020  # m per m above the worst yardstick; eq. 13 asks for 0.05, mc-dropout errs by 0.008
+    scale: float = 0.060  # m per m above the worst yardstick
+    jumped: int = 2  # segments; a single one may pass very near a point where the optimum itself turns
+    # Times the worst yardstick's slope, if the hand moves.  A moving TCP has no limit, because the optimum
+    # turns abruptly when the TCP is near its desired position.
+    steep: float = 4.0
+    too_sure: float = 1.25  # error to spread: times the larger of 1 and mc-dropout's ratio
+    too_unsure: float = 0.70  # error to spread: times the smaller of 1 and mc-dropout's ratio
+    rank: float = 0.05  # below both rank correlations: mc-dropout's and the honest spreads'
+    same_m: float = 1e-9  # the size of a batch may change the order of a sum, and so an answer by 1e-16 m
+    same_steps: float = 4.0  # the same limit for answers in single precision, in steps of that format
     late: int = 4  # answers after the deadline: other work of this machine may delay a few
 
 
@@ -67,9 +70,9 @@ LIMITS = FindingLimits()
 def findings(
     card: Scorecard, yardsticks: Sequence[Scorecard], limits: FindingLimits = LIMITS
 ) -> tuple[ScoreFinding, ...]:
-    """Return the findings, region by region, then on the avoider as a whole.
+    """Return the findings on ``card``: those in each region, then those on the avoider as a whole.
 
-    Regions about which no run asks are left out.
+    The function skips a region if no run can ask its questions.
 
     Args:
         card: The avoider's card.
@@ -77,7 +80,7 @@ def findings(
         limits: The limits.
 
     Raises:
-        ValueError: A yardstick has other regions.
+        ValueError: The regions of a yardstick differ from those of ``card``.
 
     """
     result: list[ScoreFinding] = []
@@ -105,7 +108,7 @@ def findings(
 def _of_region(
     score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    """Yield the findings of each rule in turn."""
+    """Yield the findings on the answers in one region."""
     if score.answered is not None and score.answered.count < score.answered.trials:
         missing, faults = score.answered.trials - score.answered.count, score.answers.faults
         rows = np.flatnonzero(~score.answers.given)[:3]
@@ -130,7 +133,7 @@ def _of_region(
 def _shares(
     score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    """Yield the findings on shares of answers."""
+    """Yield a finding for each share of answers that exceeds the worst yardstick's by its margin."""
     rules: tuple[
         tuple[Kind, Callable[[RegionScore], Proportion | None], float, str, tuple[ScoredQuestion, ...]], ...
     ] = (
@@ -183,11 +186,11 @@ def _shares(
 def _towards(
     score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    """Yield a finding on answers towards the hand, question by question.
+    """Yield a finding if too many answers lead towards the hand where each yardstick leads away.
 
-    Two avoiders may have the same share, with errors in different places.
+    The rule compares question by question, since avoiders with equal shares may err on different questions.
     """
-    count = min(len(scored.questions) for scored in (score, *beside))  # the questions of all cards
+    count = min(len(scored.questions) for scored in (score, *beside))  # the questions that all cards have
     own, *theirs = (_leads_towards(scored, count) for scored in (score, *beside))
     alone = own & ~np.any(theirs, axis=0)
     share = Proportion.from_rows(alone)
@@ -198,7 +201,7 @@ def _towards(
 
 
 def _leads_towards(score: RegionScore, count: int) -> NDArray[np.bool_]:
-    """Return which (count,) of the first answers lead towards the hand; a missing answer does not."""
+    """Return whether (count,) each of the first answers leads towards the hand; False if it is missing."""
     questions, answers = score.questions[:count], score.answers[:count]
     return np.asarray(
         gained_m(questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m) < 0.0
@@ -218,7 +221,7 @@ def _complement(share: Proportion) -> Proportion:
 def _lengths(
     score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    """Yield the findings on distances, bias and slopes."""
+    """Yield the findings on the distances from the optimum, the mean error and the slopes of the error."""
     assert score.off_m is not None
     assert score.off_most_m is not None
     shown = _questions(score.worst_off)
@@ -268,25 +271,25 @@ def _bias_m(score: RegionScore) -> float:
 
 
 def _vector(score: RegionScore) -> str:
-    """Return the mean error by axis as text."""
+    """Return the mean error along x, y and z [mm] as text."""
     assert score.bias_in_base_m is not None
     return ", ".join(f"{axis.value * MM:+.1f}" for axis in score.bias_in_base_m)
 
 
 def _pull_off(score: RegionScore) -> float:
-    """Return the largest slope of the error with the hand."""
+    """Return the largest growth of the error with the hand's position [m/m]."""
     return 0.0 if score.pull is None else float(np.abs(np.array(score.pull)).max())
 
 
 def _scale_off(score: RegionScore) -> float:
-    """Return the largest slope of the error with the TCP."""
+    """Return the largest growth of the error with the TCP's position [m/m]."""
     return 0.0 if score.scale is None else float(np.abs(np.array(score.scale)).max())
 
 
 def _spreads(
     score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    """Yield the findings on spreads."""
+    """Yield the findings on spreads: too small, too large, or without relation to the errors."""
     mine, theirs = score.spreads, [scored.spreads for scored in beside if scored.spreads is not None]
     if mine is None or not theirs:
         return
@@ -314,7 +317,7 @@ def _spreads(
 
 
 def _of_jumps(jumps: Jumps, beside: Sequence[Jumps], limits: FindingLimits) -> Iterator[ScoreFinding]:
-    """Yield the findings on jumps and slopes."""
+    """Yield the findings on the jumps and steep slopes of answers between near questions."""
     most = max((each.jumped.count for each in beside if each.jumped), default=0)
     if jumps.largest and jumps.jumped and jumps.jumped.count >= most + limits.jumped:
         largest = jumps.largest
@@ -334,14 +337,14 @@ def _of_jumps(jumps: Jumps, beside: Sequence[Jumps], limits: FindingLimits) -> I
 
 
 def _slope(jumps: Jumps) -> float:
-    """Return the steepest slope, less two steps of the number format."""
+    """Return the steepest slope of the answers, less two steps of their number format."""
     if jumps.steepest is None:
         return 0.0
     return max(jumps.steepest.change_m - 2.0 * jumps.step_m, 0.0) / jumps.steepest.apart_m
 
 
 def _of_repeats(repeats: Iterable[AskedAgain], same_m: float) -> Iterator[ScoreFinding]:
-    """Yield the findings on answers that did not repeat."""
+    """Yield a finding for each way of asking that changed an answer by more than ``same_m``."""
     for repeat in repeats:
         if repeat.largest_m > same_m:
             text = (
@@ -352,7 +355,7 @@ def _of_repeats(repeats: Iterable[AskedAgain], same_m: float) -> Iterator[ScoreF
 
 
 def _of_times(card: Scorecard, limits: FindingLimits) -> Iterator[ScoreFinding]:
-    """Yield the findings on answer times."""
+    """Yield the findings on answer times beyond the deadline or beyond the declared time."""
     times = card.times
     if times is None:
         return
@@ -374,7 +377,7 @@ def _of_times(card: Scorecard, limits: FindingLimits) -> Iterator[ScoreFinding]:
 
 
 def _questions(shown: tuple[ScoredQuestion, ...]) -> tuple[Question, ...]:
-    """Return the first three questions."""
+    """Return the first three questions of ``shown``."""
     return tuple(row.question for row in shown[:3])
 
 

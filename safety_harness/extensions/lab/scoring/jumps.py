@@ -1,15 +1,17 @@
-"""Jumps of answers between near questions: along straight segments, of which uneven ones are followed.
+"""Jumps of answers between near questions, which a search finds along straight segments.
 
-A segment has one seed, and the hand or the TCP moves along it while the rest stays.  Most segments pass
-through drawn questions, including the questions of the worst answers.  A few in a thousand meet a ball of 15
-mm radius among the hands of a region.  The search follows a segment where its answers are least even.  It
-divides the step that differs most from the median step by eight, again and again, until its ends are a
-nanometre apart.  A difference of more than half a millimetre there is a jump, and no steep slope.
+On a segment, the hand or the TCP moves while the seed and the other position stay.  All segments pass
+through drawn questions, among them those with the worst answers.  A few segments in a thousand meet a given
+ball of 15 mm radius among the hands of a region.  The search follows the segments whose answers change least
+evenly.  There it divides the step that differs most from the median step into eight parts.  It repeats this
+with the most uneven part until the ends of a part are at most ``NEAR_M`` apart.  If the answers at these ends
+differ by more than half a millimetre, the difference is a jump and not a steep slope.
 
-An avoider that rounds its questions gives equal answers within a cell, and a steep one moves far from cell to
-cell.  So a jump does not count if the answers stay equal on both sides and then move half as far or farther.
-An avoider that jumps on every followed segment, such as a network in int8, answers in steps.  Up to
-``STEPPED_M``, twice the error of a predicted hand, such steps are no jumps.
+An avoider that rounds its questions gives equal answers within a cell.  If it is also steep, its answers
+differ much from cell to cell.  So a change is no jump under two conditions: the answers stay equal on both
+sides of it, and in the next cells they change by at least half as much.  An avoider answers in steps if it
+jumps on at least the share ``STEPPED`` of the followed segments, like a network in int8.  Steps of up to
+``STEPPED_M``, which is twice the error of a predicted hand, are no jumps.
 """
 
 from __future__ import annotations
@@ -31,22 +33,22 @@ from safety_harness.extensions.lab.scoring.scorecard import AnswerChange, Jumps,
 Ask = Callable[[Questions], Answers]
 Floats = NDArray[np.float64]
 
-NEAR_M = 2e-9  # the least length of a step: a slope would need 250,000 to look like a jump
-STEEP_M = (0.0003, 0.003)  # between questions that are about 1 mm apart: the steepest change
-POINTS = 13  # of a segment
+NEAR_M = 2e-9  # the length at which division ends: only a slope of 250,000 would look like a jump there
+STEEP_M = (0.0003, 0.003)  # the least and largest distance of questions, about 1 mm, for the steepest change
+POINTS = 13  # questions on a segment
 LENGTHS_M = {Moved.HAND: 0.300, Moved.TCP: 0.120}
-ANCHOR_LENGTH_M = 0.060  # through the worst questions
-ANCHORS = 64  # for each of three measures
-FOLLOWED = 128  # of the segments through drawn questions
+ANCHOR_LENGTH_M = 0.060  # of segments through the worst questions
+ANCHORS = 64  # worst questions by each of three measures
+FOLLOWED = 128  # followed segments that do not pass through the worst questions
 PARTS = 8
-CELLS_M = 2e-6 * 8.0 ** np.arange(4)  # distances from a jump, up to 1 mm: coarser rounding is harmful
-STEPPED, STEPPED_M = 0.9, 0.020  # the share of followed segments; twice the 10 mm error of a predicted hand
-SAME_M = 1e-9  # without rounding, a step of 2 um moves an answer farther
+CELLS_M = 2e-6 * 8.0 ** np.arange(4)  # distances from a jump; rounding to cells above 1 mm is harmful
+STEPPED, STEPPED_M = 0.9, 0.020  # share of followed segments; twice the 10 mm error of a predicted hand
+SAME_M = 1e-9  # if a question moves by 2 um, an avoider that does not round moves its answer farther
 
 
 @dataclass(frozen=True, eq=False)
 class _Segments:
-    """Segments through ``middles`` (n) along unit vectors ``directions`` (n, 3), by +- ``half_m`` (n,)."""
+    """Segments along unit vectors ``directions`` (n, 3), ``half_m`` (n,) on each side of ``middles`` (n)."""
 
     moved: Moved
     middles: Questions
@@ -54,16 +56,16 @@ class _Segments:
     half_m: Floats
 
     def at(self, rows: NDArray[np.int64], along_m: Floats) -> Questions:
-        """Return the questions at distances (k,) from the middles of some segments (k,)."""
+        """Return the questions on segments ``rows`` (k,) at distances ``along_m`` (k,) from the middles."""
         return moved_by(self.middles[rows], self.moved, along_m[:, None] * self.directions[rows])
 
 
 def moved_by(questions: Questions, moved: Moved, shifts_m: ArrayNx3) -> Questions:
-    """Return the same questions with hands or TCPs shifted.
+    """Return the same questions, with either their hands or their TCPs shifted.
 
     Args:
         questions: The questions.
-        moved: The hand or the TCP.
+        moved: Whether to shift the hands or the TCPs.
         shifts_m: (n, 3) the shifts.
 
     """
@@ -81,16 +83,16 @@ def jumps_of(
     rng: np.random.Generator,
     count: int,
 ) -> Jumps:
-    """Return the jumps along ``count`` segments through the first questions, and some through the worst.
+    """Return the jumps along segments through the first ``count`` questions and through the worst questions.
 
     Args:
-        ask: Returns answers.
+        ask: Returns the answers to questions.
         region: The region of the questions.
-        moved: The hand or the TCP.
+        moved: Whether the hand or the TCP moves.
         questions: Questions of the region.
-        answers: Their answers.
-        rng: The generator of the directions.
-        count: The number of segments.
+        answers: The answers to ``questions``.
+        rng: The generator of the segments' directions.
+        count: The number of segments that do not depend on the answers.
 
     """
     segments = _segments(region, moved, questions, answers, rng, count)
@@ -124,7 +126,7 @@ def _segments(
     rng: np.random.Generator,
     count: int,
 ) -> _Segments:
-    """Return segments through the worst questions, then through the first ``count``."""
+    """Return the segments through the worst questions, then those through the first ``count`` questions."""
     anchors = questions[_anchors(questions, answers, region)]
     middles = Questions.joined([anchors, questions[:count]])
     directions = rng.normal(size=(len(anchors) + count, 3))[: len(middles)]
@@ -135,28 +137,29 @@ def _segments(
 
 
 def _anchors(questions: Questions, answers: Answers, region: QuestionRegion) -> NDArray[np.int64]:
-    """Return the questions with the largest error, the least gain, or the largest error for their spread."""
+    """Return the rows of the questions with the largest error, least gain, or largest error per spread."""
     hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
     off_by = off_m(proposed, optimum_in_base_m(region.settings, hands, tcps))
     badness = [off_by, -gained_m(hands, tcps, proposed), off_by / (answers.spreads_m.max(axis=1) + 1e-3)]
-    known = [np.nan_to_num(values, nan=-np.inf).round(9) for values in badness]  # or noise would order ties
+    # Rounding keeps equal values equal; otherwise, noise would decide their order.
+    known = [np.nan_to_num(values, nan=-np.inf).round(9) for values in badness]
     worst = [np.argsort(-values, kind="stable")[:ANCHORS] for values in known]
     return np.unique(np.concatenate(worst))
 
 
 def _values(answers: Answers) -> Floats:
-    """Return positions and spreads (n, 6)."""
+    """Return positions and spreads side by side (n, 6)."""
     return np.hstack([answers.positions_in_base_m, answers.spreads_m])
 
 
 def _size_m(changes: Floats) -> Floats:
-    """Return the sizes (...) of changes (..., 6): the larger of position's and spread's."""
+    """Return the size (...) of each change (..., 6): the larger of the position's and the spread's change."""
     position, spread = np.linalg.norm(changes[..., :3], axis=-1), np.linalg.norm(changes[..., 3:], axis=-1)
     return np.asarray(np.maximum(position, spread))
 
 
 def _uneven_m(steps: Floats) -> Floats:
-    """Return by how much (n, k) each step (n, k, 6) differs from its segment's median step; 0 if unknown."""
+    """Return how far (n, k) each of ``steps`` (n, k, 6) is from its segment's median step; 0 if unknown."""
     known = np.isfinite(steps).all(axis=2, keepdims=True)
     with np.errstate(all="ignore"):
         filled = np.where(known, steps, np.nan)
@@ -165,7 +168,7 @@ def _uneven_m(steps: Floats) -> Floats:
 
 
 def _nanmedian(values: Floats) -> Floats:
-    """Return medians (n, 6) of (n, k, 6) without NaN; numpy's own function warns if all are NaN."""
+    """Return the medians (n, 6) of (n, k, 6) without NaN; numpy's own function warns if all are NaN."""
     ordered = np.sort(values, axis=1)  # NaN last
     counts = np.isfinite(values).sum(axis=1)
     middle = np.maximum((counts - 1) // 2, 0)[:, None]
@@ -175,9 +178,10 @@ def _nanmedian(values: Floats) -> Floats:
 def _followed(
     ask: Ask, jumps: Jumps, segments: _Segments, rows: NDArray[np.int64], start_m: Floats, step_m: Floats
 ) -> Jumps:
-    """Divide the steps of length ``step_m`` (k,) from ``start_m`` (k,) until they are near.
+    """Return ``jumps`` with the jumps and the steepest change that the division of uneven steps finds.
 
-    ``jumps``, which has the limit of a jump, returns with the jumps and slopes on the path.
+    The steps of the segments ``rows`` (k,) begin at ``start_m`` (k,) and have the length ``step_m`` (k,).
+    ``jumps`` defines the limit of a jump.
     """
     largest: AnswerChange | None = None
     steepest: AnswerChange | None = None
@@ -222,9 +226,10 @@ def _followed(
 
 
 def _beside_m(ask: Ask, moved: Moved, ends: Questions) -> Floats:
-    """Return by how far the answers move to the cells beside (k,) jumps with two ends (2k) each.
+    """Return how far (k,) [m] the answers at the two ``ends`` (2k) of jumps differ from the cells beside.
 
-    The result is 0 if they change within ``CELLS_M[0]``: such an avoider does not round its question.
+    The smaller difference of the two ends counts.  It is 0 if the answers change within ``CELLS_M[0]``, since
+    such an avoider does not round its question.
     """
     ways_m = CELLS_M[:, None, None] * np.vstack([np.eye(3), -np.eye(3)])  # (c, 6, 3)
     count, per = len(ends), ways_m.size // 3

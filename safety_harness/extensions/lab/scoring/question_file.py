@@ -1,8 +1,8 @@
-"""A question of an avoider as a scenario that asks it first, to run and examine a bad answer.
+"""A scenario whose run begins with a given question, so that an engineer can examine a bad answer.
 
-The hand rests at the question's hand and the TCP starts at its TCP, so the first control tick asks the
-question.  The question's own seed descends from the scenario's seed.  Every file is run before it is written:
-its first question must be this question.
+The hand rests at the question's hand, and the TCP starts at the question's TCP.  So the first control tick
+asks the question.  The question's seed derives from the scenario's seed.  Every scenario runs once before its
+file is written: the first question of that run must be the given question.
 """
 
 from __future__ import annotations
@@ -34,15 +34,16 @@ from safety_harness.scenario.robots import AnyRobot, Robot
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.trace import Trace
 
-SAME_PLACE_M = 0.001  # between the perceived hand and the question's
-LASTS_S = 0.4  # contains the first decision alone: a path of 100 mm takes 0.65 s
+SAME_PLACE_M = 0.001  # the largest difference from the given hand and TCP, along each axis
+LASTS_S = 0.4  # so short that a run contains only its first decision: a path of 100 mm takes 0.65 s
 
 
 @dataclass(frozen=True)
 class QuestionFile:
-    """The file of a question; ``path`` is None if no run can ask it first, with the reason in ``remark``.
+    """The scenario file of a question.
 
-    Its ``claims`` expect the verdicts of a run; claims without a verdict are left out.
+    ``path`` is None if no run can ask the question first; ``remark`` then states the reason.  The ``claims``
+    expect the verdicts that a run gave.  They omit each claim that was inconclusive.
     """
 
     path: Path | None
@@ -52,19 +53,19 @@ class QuestionFile:
 
 
 def seed_of(scenario_seed: int) -> int:
-    """Return the seed of the first question in a run of a scenario with the seed ``scenario_seed``."""
+    """Return the seed of the first question in a run of a scenario whose seed is ``scenario_seed``."""
     return leaf(scenario_seed, Branch.DECISION, 0)
 
 
 def begins_clear(
     settings: Settings, hand_in_base_m: Array3, tcp_in_base_m: Array3, robot: AnyRobot = Robot.UR10
 ) -> bool:
-    """Return whether the hand starts outside the arm, with its forearm away from the TCP.
+    """Return whether a hand, with its forearm pointing away from the TCP, is clear of the arm at the start.
 
     Args:
         settings: The settings of the cell.
-        hand_in_base_m: The hand.
-        tcp_in_base_m: The TCP.
+        hand_in_base_m: The position of the hand.
+        tcp_in_base_m: The position of the TCP.
         robot: The arm.
 
     """
@@ -96,11 +97,11 @@ def question_file(
     settings: Settings = DEFAULTS,
     robot: AnyRobot = Robot.UR10,
 ) -> QuestionFile:
-    """Return the scenario for a file, unwritten, after a run in the kinematic world.
+    """Return the scenario file of a question, without writing it, after a run in the kinematic world.
 
     Args:
         path: The file.
-        reference: The avoider's name in the file; a relative file starts at the working directory.
+        reference: The avoider's name in the file; a relative path starts at the working directory.
         avoider: The avoider.
         hand_in_base_m: The question's hand.
         tcp_in_base_m: The question's TCP.
@@ -149,9 +150,9 @@ def question_file(
 
 
 def _variants(scenario: Scenario, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> Iterator[Scenario]:
-    """Yield scenarios with the forearm in three directions, then with a shifted object too.
+    """Yield scenarios with three directions of the forearm, first with the object in place, then shifted.
 
-    The forearm has to be clear of the arm, and the camera has to see the object.
+    A caller tries several, because the forearm must be clear of the arm and the camera must see the object.
     """
     away = hand_in_base_m - tcp_in_base_m
     outwards = np.array([hand_in_base_m[0], hand_in_base_m[1], 0.0])
@@ -173,7 +174,7 @@ def _variants(scenario: Scenario, hand_in_base_m: Array3, tcp_in_base_m: Array3)
 
 
 def _asked_another(trace: Trace, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> str:
-    """Return why the first decision is about another question; empty if it is about this question."""
+    """Return how the run's first question differs from the given question; empty if they are the same."""
     if len(trace.decisions) == 0:
         return "the run has no question, since the sensor does not see the hand"
     hand, tcp = question_of(trace, trace.decisions[0])

@@ -1,4 +1,4 @@
-"""Questions to an avoider, many at once, and its answers: arrays with a row for each question."""
+"""Many questions to an avoider, and its answers, as arrays with one row per question."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Questions:
         return len(self.seeds)
 
     def __getitem__(self, rows: Rows) -> Questions:
-        """Return some of the questions."""
+        """Return the questions in ``rows``."""
         return Questions(self.hands_in_base_m[rows], self.tcps_in_base_m[rows], self.seeds[rows])
 
     def single(self, row: int) -> Question:
-        """Return a single question, in the form for an avoider."""
+        """Return the question in ``row``, in the form that an avoider takes."""
         return Question(self.hands_in_base_m[row], self.tcps_in_base_m[row], int(self.seeds[row]))
 
     @classmethod
@@ -47,8 +47,8 @@ class Questions:
 class Answers:
     """Proposed positions (n, 3) in the base frame and spreads (n, 3) [m], NaN for a missing answer.
 
-    ``thresholds_m`` (n,) are the largest accepted spreads, NaN without a threshold.  ``faults`` has the
-    reasons of missing answers, by row.
+    ``thresholds_m`` (n,) are the largest spreads that the avoider accepts, NaN without a threshold.
+    ``faults`` maps the row of a missing answer to the reason.
     """
 
     positions_in_base_m: ArrayNx3
@@ -62,11 +62,11 @@ class Answers:
 
     @property
     def given(self) -> NDArray[np.bool_]:
-        """Whether (n,) there is an answer."""
+        """Whether (n,) each question has an answer."""
         return np.asarray(np.isfinite(self.positions_in_base_m + self.spreads_m).all(axis=1))
 
     def __getitem__(self, rows: Rows) -> Answers:
-        """Return some of the answers."""
+        """Return the answers in ``rows``."""
         numbers = np.arange(len(self))[rows].tolist()
         faults = {new: self.faults[old] for new, old in enumerate(numbers) if old in self.faults}
         return Answers(self.positions_in_base_m[rows], self.spreads_m[rows], self.thresholds_m[rows], faults)

@@ -1,7 +1,8 @@
-"""Regions of questions: named regions of hands and TCPs, and the questions from the draws of a space.
+"""Regions of questions: named regions of hands and TCPs, and the questions that draws of a space lead to.
 
-Only pairs count about which a run can ask.  A run asks when a predicted hand is within the critical distance
-of the TCP, and its TCP is where the arm can be.  Pairs farther apart are a region of their own.
+A region contains only pairs of hand and TCP about which a run can ask.  A run asks when a predicted hand is
+within the critical distance of the TCP, which is where the arm can be.  Pairs farther apart form their own
+region.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ Generator = np.random.Generator
 Pairs = tuple[ArrayNx3, ArrayNx3]  # hands and TCPs in the base frame [m]
 Flags = NDArray[np.bool_]
 
-MOST_DRAWN, LEAST_DRAWN = 2_000, 200_000  # pairs for each valid pair, and in all: then drawing ends
+MOST_DRAWN, LEAST_DRAWN = 2_000, 200_000  # drawing ends after both: pairs per valid pair, and pairs in all
 AT_ONCE = 10_000
 FAR = "far"
 NAMED = (
@@ -37,10 +38,10 @@ NAMED = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class QuestionRegion:
-    """A distribution of questions, with the pairs of hands and TCPs that belong to it.
+    """A distribution of questions, with a test of whether pairs of hand and TCP belong to it.
 
-    ``pairs`` draws independent pairs.  ``holds`` tells whether pairs belong to the region, so that near
-    questions stay in it. ``asked_in_runs`` tells whether a run can ask them.
+    ``pairs`` draws independent pairs.  ``holds`` tells whether pairs belong to the region, so that a search
+    for near questions stays in it.  ``asked_in_runs`` tells whether a run can ask the questions.
     """
 
     name: str
@@ -52,7 +53,7 @@ class QuestionRegion:
     robot: AnyRobot = Robot.UR10
 
     def draw(self, rng: Generator, count: int) -> Questions:
-        """Return ``count`` independent questions; fewer, or 0, if valid pairs are too rare."""
+        """Return ``count`` independent questions; return fewer, or none, if valid pairs are too rare."""
         hands, tcps = np.empty((0, 3)), np.empty((0, 3))
         drawn = 0
         while len(hands) < count and drawn < max(MOST_DRAWN * len(hands), LEAST_DRAWN):
@@ -65,9 +66,9 @@ class QuestionRegion:
 
 
 def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion, ...]:
-    """Return the four regions of an avoider's training (Table 3), and a region about which no run asks.
+    """Return the four regions of an avoider's training (Table 3), and a far region that no run asks about.
 
-    The last region covers all boxes of the four.
+    The far region covers the boxes of all four regions.
 
     Args:
         seen: The regions of the avoider's training data.
@@ -110,5 +111,5 @@ def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion
 
 
 def are_near(hands: ArrayNx3, tcps: ArrayNx3, near_m: float) -> Flags:
-    """Return whether (n,) hands (n, 3) are within ``near_m`` of TCPs (n, 3)."""
+    """Return whether (n,) each of ``hands`` (n, 3) is within ``near_m`` of its TCP in ``tcps`` (n, 3)."""
     return np.asarray(np.linalg.norm(hands - tcps, axis=1) < near_m)

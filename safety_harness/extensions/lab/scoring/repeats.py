@@ -1,9 +1,9 @@
-"""Repeatability: whether an avoider answers the same questions alike, in any way of asking.
+"""Repeatability: whether an avoider gives the same answers to the same questions in every way of asking.
 
-The comparison is by bits, with the answers of the very first time.  Findings ignore differences of less than
-a nanometre, because the order of a sum may depend on the size of a batch.  Some avoiders remember, look at
-the clock, mix the questions of a batch, or differ from process to process.  Each of them differs in some way
-of asking.
+Each repetition is compared, by bits, with the very first answers.  Findings ignore differences of less than a
+nanometre, because the size of a batch may change the order of a sum.  Some avoiders remember earlier
+questions, look at the clock, mix the questions of a batch, or differ from process to process.  At least one
+of the ways of asking changes the answers of each such avoider.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ from safety_harness.extensions.lab.scoring.asking import asked_alone, asked_toge
 from safety_harness.extensions.lab.scoring.questions import Answers, Questions
 from safety_harness.extensions.lab.scoring.scorecard import AskedAgain, WayOfAsking
 
-NEAR_M = 0.002  # a question that is nearly the same
-INTERLEAVED = 200  # questions at most: both instances are asked alone
+NEAR_M = 0.002  # the difference of a question that is nearly the same
+INTERLEAVED = 200  # the most questions to two instances in turn, which answer them one at a time
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """An avoider under test: its reference as for ``--avoider``, the avoider, and factories of further ones.
+    """An avoider under test: its reference as for ``--avoider``, an instance, and functions that create more.
 
-    ``another`` creates one that shares what the first one's process shares.  ``apart`` creates one that
-    shares as little as possible, in its own process if ``in_process`` is False.
+    ``another`` creates an instance as the program does in a run, where instances may share a process.
+    ``apart`` creates an instance that shares as little as possible.  It has its own process if ``in_process``
+    is False.
     """
 
     reference: str
@@ -42,7 +43,7 @@ class Subject:
 
     @classmethod
     def from_reference(cls, reference: str, place: Place | None = None) -> Subject:
-        """Return the subject of a reference; errors are those of ``resolve_avoider``, at ``place``."""
+        """Return the subject of ``reference``; raise the errors of ``resolve_avoider`` at ``place``."""
         scenario, at = scenario_of_avoider(reference), place or Place(field="--avoider")
 
         def separate() -> Avoider:
@@ -56,7 +57,7 @@ class Subject:
 
     @classmethod
     def made_by(cls, make: Callable[[], Avoider], reference: str) -> Subject:
-        """Return a subject that ``make`` creates in this process."""
+        """Return a subject whose instances ``make`` creates in this process."""
         return cls(reference, make(), make, make)
 
 
@@ -66,8 +67,8 @@ def repeats(subject: Subject, sample: Questions, first: Answers, alone: int) -> 
     Args:
         subject: The avoider.
         sample: The questions.
-        first: The answers from before any other question.
-        alone: The greatest number of questions that are asked one at a time.
+        first: The first answers to ``sample``, given before any other question.
+        alone: The largest number of questions that are asked one at a time.
 
     """
     avoider, outside = subject.avoider, not subject.in_process
@@ -83,7 +84,7 @@ def repeats(subject: Subject, sample: Questions, first: Answers, alone: int) -> 
 
 
 def _in_turn(subject: Subject, sample: Questions) -> Answers:
-    """Return the answers of one instance, while a second answers the same questions in reverse in between."""
+    """Return the answers of one instance, which takes turns with a second that is asked in reverse order."""
     first, second = subject.another(), subject.another()
     answers = []
     for row in range(len(sample)):
@@ -95,7 +96,7 @@ def _in_turn(subject: Subject, sample: Questions) -> Answers:
 def compared(
     mode: WayOfAsking, sample: Questions, first: Answers, second: Answers, *, outside: bool = False
 ) -> AskedAgain:
-    """Return a comparison of two times the answers to the same questions, by their bits.
+    """Return the comparison, by bits, of first and second answers to the same questions.
 
     Args:
         mode: The way of asking the second time.
@@ -124,16 +125,16 @@ def compared(
 
 
 def _numbers(answers: Answers) -> NDArray[np.float64]:
-    """Return positions, spreads and thresholds (n, 7)."""
+    """Return positions, spreads and thresholds side by side (n, 7)."""
     return np.ascontiguousarray(
         np.column_stack([answers.positions_in_base_m, answers.spreads_m, answers.thresholds_m])
     )
 
 
 def after_others(sample: Questions) -> tuple[Questions, NDArray[np.int64]]:
-    """Return each question after a different one, and the rows of the original questions.
+    """Return the questions, a different one before each of them, and the rows of the original questions.
 
-    In turn, the question before it is nearly the same, has another hand, has another TCP, or differs in both.
+    In turn, the question before is nearly the same, has another hand, has another TCP, or differs in both.
     """
     n = len(sample)
     rows, turn = np.arange(n), np.arange(n) % 4

@@ -1,4 +1,4 @@
-"""The results of a session of scoring, for its files and its page: cards, findings, searches."""
+"""The results of a session of scoring, for its files and its page: cards, findings and searches."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from safety_harness.extensions.lab.scoring.worst import Objective, QuestionSearc
 
 @dataclass(frozen=True, eq=False)
 class ShownQuestion:
-    """A worst question of the search, with the file that asks it."""
+    """A worst question that the search found, with the scenario file that asks it."""
 
     objective: Objective
     tried: Tried
@@ -21,16 +21,17 @@ class ShownQuestion:
 
 @dataclass(eq=False)
 class ScoredAvoider:
-    """One avoider beside ``yardsticks`` with the same questions (a reference first, if there is one).
+    """The results of one avoider: its ``card``, and the cards of ``yardsticks`` on the same questions.
 
-    ``searches`` and ``worst`` have their own ledger and enter no figure of the card.  ``left_out`` has the
-    reasons why no run begins with further worst questions.
+    If there is a reference avoider, its card is the first of the yardsticks.  ``searches`` and ``worst`` have
+    their own ledger and enter no figure of the card.  ``left_out`` states why no run begins with further
+    worst questions.
 
-    ``findings`` decide whether the avoider passes.  ``unlike`` lists differences from the yardsticks.  They
-    are no fault of an avoider with another purpose.
+    ``findings`` decide whether the avoider passes.  ``unlike`` lists differences from the yardsticks that are
+    no fault if the avoider has another purpose.
 
     ``reference`` is the user's name of the avoider.  ``sha256`` is the hash of its file, empty without a
-    file.  ``settings`` are the regions' settings, in their order.
+    file.  ``settings`` has the settings of each region, in the regions' order.
     """
 
     reference: str
@@ -47,10 +48,10 @@ class ScoredAvoider:
 
 @dataclass(eq=False)
 class Scored:
-    """The results of a session; ``budget`` is the budget of each avoider's search.
+    """The results of a session; ``budget`` is the number of questions in each avoider's search.
 
-    ``failed`` lists avoiders without any answer, and ``remarks`` warnings.  ``against`` is the user's name of
-    the reference, empty without one.
+    ``failed`` lists each avoider that has no score, with the reason.  ``remarks`` lists warnings.
+    ``against`` is the user's name of the reference avoider, empty without one.
     """
 
     seed: int

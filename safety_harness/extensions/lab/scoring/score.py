@@ -1,8 +1,8 @@
-"""The score of an avoider: every region, its jumps, whether it repeats, and its answer times.
+"""The score of an avoider: its answers in each region, their jumps and repeatability, and its answer times.
 
-Yardsticks answer the same questions: the closed-form optimum, the paper's target (``nearest candidate``) and
-``mc-dropout``.  Everything except times follows from the seed and the counts.  A slow avoider lowers the
-counts in a few coarse steps.
+Three yardsticks answer the same questions: the closed-form optimum, the paper's target
+(``nearest candidate``) and ``mc-dropout``.  The seed and ``Counts`` determine every figure except the times.
+A slow avoider receives fewer questions; ``Counts.at_pace`` lowers the numbers in a few coarse steps.
 """
 
 from __future__ import annotations
@@ -40,19 +40,20 @@ from safety_harness.extensions.lab.scoring.scorecard import (
 
 OPTIMUM, TRAINED = "closed-form optimum", "mc-dropout"
 YARDSTICKS = (OPTIMUM, NEAREST, TRAINED)
-FEWER = 3_000  # questions of a slow yardstick without learning, whose figures do not depend on the place
-LATER_S = 2.0  # the least time between the first answers and the repetition
-QUICK_S = 0.00015  # a question: all of some 200,000 are asked within half a minute
+FEWER = 3_000  # questions to ``NEAREST``: it is slow, and without training its figures are alike anywhere
+LATER_S = 2.0  # the least time between the first answers and their repetition
+QUICK_S = 0.00015  # the time per question at which some 200,000 questions take half a minute
 PROBE = 64  # questions that measure an avoider's pace
-_QUESTIONS, _SEGMENTS, _PACE = 0, 1, 2  # below the branch and a region's number
+_QUESTIONS, _SEGMENTS, _PACE = 0, 1, 2  # last keys of random streams, after the branch and a region's number
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Numbers of questions: in the ``first`` region, in each ``other`` region, and in the ``far`` region.
+    """The numbers of questions: in the ``first`` region, in each ``other`` region, and in a ``far`` region.
 
-    ``segments`` is the number in each region for the hand, and as many for the TCP.  ``alone`` questions are
-    asked one at a time, and ``sample`` questions again.
+    A region is far if no run can ask its questions.  In each other region, the hand moves on ``segments``
+    segments, and the TCP moves on as many.  ``alone`` is the number of questions that are asked one at a
+    time.  ``sample`` is the number of questions that are asked again.
     """
 
     first: int = 30_000
@@ -64,19 +65,19 @@ class Counts:
 
     @classmethod
     def from_total(cls, questions: int) -> Counts:
-        """Return counts with ``questions`` in the first region, and everything else in proportion."""
+        """Return counts with ``questions`` in the first region, and all other counts in proportion."""
         return cls()._times(questions / cls.first)
 
     def _times(self, share: float) -> Counts:
-        """Return all counts times ``share``, at least 20 each."""
+        """Return all counts multiplied by ``share``, but at least 20 each."""
         return Counts(*(max(round(count * share), 20) for count in vars(self).values()))
 
     def at_pace(self, each_s: float, alone_s: float) -> Counts:
-        """Return fewer, by halves, for a slow avoider.
+        """Return the counts for an avoider's pace, halved up to eight times if it is slow.
 
         Args:
-            each_s: The time of a question among many.
-            alone_s: The time of a single question.
+            each_s: The time per question if many are asked together.
+            alone_s: The time of a question that is asked alone; a long time lowers ``alone`` further.
 
         """
         share = 2.0 ** -np.clip(np.ceil(np.log2(max(each_s, 1e-9) / QUICK_S)), 0, 8)
@@ -86,7 +87,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """The closed form of the networks' target as an avoider: a yardstick."""
+    """The yardstick that answers with the closed form of the networks' target."""
 
     settings: Settings = DEFAULTS
     name: str = OPTIMUM
@@ -94,7 +95,7 @@ class ClosedForm:
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Return eq. 13 with the continuous optimum, and zero spreads, for hands and TCPs (n, 3).
+        """Return eq. 13 with the continuous optimum, and zero spreads, both (n, 3), for n hands and TCPs.
 
         ``seeds`` (n,) have no effect.
         """
@@ -104,7 +105,7 @@ class ClosedForm:
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return one answer; ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        """Return the answer for ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
         hands, tcps = np.asarray(hand_position_in_base_m)[None], np.asarray(tcp_position_in_base_m)[None]
         return Proposal(optimum_in_base_m(self.settings, hands, tcps)[0])
 
@@ -113,7 +114,7 @@ OnStep = Callable[[str], object]
 
 
 def _ignore(value: object) -> None:
-    """Ignore a value."""
+    """Ignore ``value``."""
     return None
 
 
@@ -127,20 +128,20 @@ def score(
     on_step: OnStep = _ignore,
     on_region: Callable[[Scorecard], object] = _ignore,
 ) -> Scorecard:
-    """Return the scores of an avoider in every region.
+    """Return the card of an avoider: its scores in every region, its repeatability and its answer times.
 
     Args:
         subject: The avoider.
         regions: The regions.
         seed: The root of all random numbers.
-        counts: The numbers of questions; None: by the avoider's pace.
-        seen: The source of the seen space.
+        counts: The numbers of questions; None if the avoider's pace decides.
+        seen: The name of the source that defines the regions' seen space.
         on_step: Receives the name of each step.
-        on_region: Receives the card so far after each region, so that an interruption loses at most one
+        on_region: Receives the unfinished card after each region, so that an interruption loses at most one
             region.
 
     Raises:
-        ValueError: There is no region.
+        IndexError: There is no region.
         NoAnswerError: The avoider does not answer, or hangs.
 
     """
@@ -180,7 +181,7 @@ def score(
 def yardsticks(
     regions: Sequence[QuestionRegion], *, seed: int, counts: Counts, on_step: OnStep = _ignore
 ) -> tuple[Scorecard, ...]:
-    """Return the yardsticks' cards, in the order of ``YARDSTICKS``, for the same questions as ``score``.
+    """Return a card for each of ``YARDSTICKS``, in their order, from the same questions as in ``score``.
 
     Args:
         regions: The regions.
@@ -210,7 +211,7 @@ def yardsticks(
 
 
 def drawn_questions(regions: Sequence[QuestionRegion], seed: int, counts: Counts) -> list[Questions]:
-    """Return the questions of each region; they depend on the region's number, its own text, and the seed.
+    """Return the questions of each region, which depend on that region, its number, ``seed`` and ``counts``.
 
     Args:
         regions: The regions.
@@ -228,10 +229,11 @@ def drawn_questions(regions: Sequence[QuestionRegion], seed: int, counts: Counts
 
 
 def paced(subject: Subject, region: QuestionRegion, seed: int) -> Counts:
-    """Return as many questions as the avoider's pace allows.
+    """Return the numbers of questions that the avoider's pace allows.
 
-    A second instance is timed, because the first has to be without experience.  The least of a few times
-    counts, and in this process the processor's time: a busy machine does not lower the counts.
+    A second instance answers trial questions, because the scored instance must start without experience.
+    The function repeats the trial and keeps the shortest time.  For an avoider in this process it measures
+    the processor's time, so that a busy machine hardly lowers the counts.
 
     Args:
         subject: The avoider.
@@ -250,14 +252,14 @@ def paced(subject: Subject, region: QuestionRegion, seed: int) -> Counts:
 
 
 def _took_s(do: Callable[[], object]) -> tuple[float, float]:
-    """Return the time of a call on the wall's clock and on the processor's."""
+    """Return how long a call of ``do`` takes [s], by the wall clock and by the processor's clock."""
     begun_s, processor_s = time.perf_counter(), time.process_time()
     do()
     return time.perf_counter() - begun_s, time.process_time() - processor_s
 
 
 def _sample(regions: Sequence[QuestionRegion], drawn: Sequence[Questions], count: int) -> Questions:
-    """Return the first questions of each region about which runs ask, equally many from each."""
+    """Return ``count`` questions: equally many, the first ones, from each region that runs can ask about."""
     usable = [
         questions for region, questions in zip(regions, drawn, strict=True) if region.asked_in_runs
     ] or list(drawn)
@@ -273,7 +275,7 @@ def _by_region(
     counts: Counts,
     on_step: OnStep,
 ) -> Iterator[tuple[RegionScore, list[Jumps]]]:
-    """Yield each region's score and jumps."""
+    """Yield the score and the jumps of each region."""
     for number, (region, questions) in enumerate(zip(regions, drawn, strict=True)):
         on_step(region.name)
         scored = _scored(avoider, region, questions)
@@ -288,12 +290,12 @@ def _by_region(
 
 
 def _scored(avoider: Avoider, region: QuestionRegion, questions: Questions) -> RegionScore:
-    """Return a region's score."""
+    """Return the score of the avoider's answers to the ``questions`` of one region."""
     return region_score(region, questions, asked_together(avoider, questions), region.settings)
 
 
 def _times(avoider: Avoider, times_s: Sequence[float], settings: Settings) -> AnswerTimes:
-    """Return the figures of answer times."""
+    """Return the figures of the measured answer times ``times_s``."""
     deadline_s, all_s = settings.avoidance.decision_deadline_s, np.array(times_s)
     return AnswerTimes(
         questions=len(all_s),

@@ -1,7 +1,7 @@
-"""The data of a direct evaluation of an avoider: figures with intervals, by region; without logic.
+"""The data of an avoider's direct evaluation: figures with intervals for each region, without logic.
 
-Lengths are metres, angles radians, times seconds, positions in the base frame.  An unavailable figure (no
-answer at all, no spread) is None, never a number that looks good.
+Lengths are in metres, angles in radians, times in seconds, and positions in the base frame.  A figure is None
+if it is unavailable (without any answer, or without a spread), so that it never looks good.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ JUMP_M = 0.0005
 
 @dataclass(frozen=True)
 class Figure:
-    """A number with an interval that contains the true value with at least 95 %; NaN, NaN for a maximum.
+    """A number with an interval that contains the true value with a probability of at least 95 %.
 
-    It is exact for quantiles (order statistics), and from the normal distribution for ranks and means.
+    For quantiles, order statistics give the exact interval.  For ranks and means, the interval comes from the
+    normal distribution.
     """
 
     value: float
@@ -31,11 +32,11 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class ScoredQuestion:
-    """One question with its answer, for lists of the worst.
+    """One question with its answer, for lists of the worst questions.
 
-    ``off_m`` is the distance to the closed-form optimum, ``gained_m`` the gain away from the hand (negative:
-    towards it), and ``spread_m`` the largest of the three spreads.  They are NaN for a missing answer, whose
-    reason is ``fault``.
+    ``off_m`` is the distance to the closed-form optimum.  ``gained_m`` is the component of the step away from
+    the hand; it is negative towards the hand.  ``spread_m`` is the largest of the three spreads.  The three
+    are NaN if the answer is missing; ``fault`` then states the reason.
     """
 
     region: str
@@ -49,12 +50,13 @@ class ScoredQuestion:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Spreads:
-    """The quality of the declared spreads, for an avoider that declares any.
+    """The quality of the spreads that an avoider declares.
 
-    ``within[k - 1][axis]`` is the share of errors within k spreads.  ``error_to_spread`` is rms error over
-    rms spread, all axes together, and ``by_axis`` by axis; above 1 the avoider is too sure.  ``rank`` is
-    Spearman's correlation of the largest spread with the error, None if one is constant.  ``honest_rank`` is
-    the same for normal errors with just these spreads, simulated once.
+    ``within[k - 1][axis]`` is the share of errors within k spreads.  ``error_to_spread`` is the rms error
+    divided by the rms spread over all axes together; above 1 the avoider is too sure.  ``by_axis`` is the
+    same ratio for each axis.  ``rank`` is Spearman's correlation of the largest spread with the error; None
+    if one of the two is constant.  ``honest_rank`` is the same correlation for simulated errors.  These
+    errors are normally distributed with exactly the declared spreads.
     """
 
     within: tuple[tuple[Proportion, Proportion, Proportion], ...]
@@ -67,24 +69,28 @@ class Spreads:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RegionScore:
-    """The figures of one avoider in one region; proportions count questions unless stated otherwise.
+    """The figures of one avoider in one region.
 
-    If the region has no pair about which a run can ask, ``about`` says so and every figure is None.
-    ``asked_in_runs`` tells whether a run can ask these questions.
+    ``answered`` is a share of the questions.  All other proportions are shares of the given answers.
+    ``asked_in_runs`` tells whether a run can ask these questions.  If the region has no pair about which a
+    run can ask, ``about`` says so and every figure is None.
 
-    ``in_reach`` counts answers that the arm reaches, above the table by the clearance.  ``gained_m`` is the
-    gain away from the hand.  ``angle_rad`` is the angle between the step and the direction away from the
-    hand.  ``off`` is the distance to the closed-form optimum, and ``bias_in_base_m`` the mean error.
+    ``in_reach`` is the share that the arm reaches, at least the clearance above the table.  ``gained_m`` is
+    the component of the step away from the hand.  ``angle_rad`` is the angle between the step and that
+    direction.  Names with ``off`` refer to the distance to the closed-form optimum.  ``bias_in_base_m`` is
+    the mean error.
 
-    ``pull`` is the growth of the error with the hand's position at a fixed TCP, (3, 3) metres a metre by
-    least squares. ``scale`` is its growth with the TCP's position.  Rows are the axes of the error.  Both are
-    0 for the optimum.  An avoider that ignores the hand has a pull of 0.05 on the diagonal.
+    ``pull`` is the growth of the error with the hand's position at a fixed TCP, by least squares.  It is a
+    matrix (3, 3) in metres per metre, whose rows are the axes of the error.  ``scale`` is the growth of the
+    error with the TCP's position.  Both are 0 for the optimum.  An avoider that ignores the hand has a pull
+    of 0.05 on the diagonal.
 
-    ``wrong_and_sure`` counts answers more than ``WRONG_M`` off, with no spread above the avoider's own
-    threshold. ``sure_and_unsafe`` counts sure answers towards the hand or out of reach.  ``stuck`` is the
-    largest share of answers with the very same coordinate, as of an avoider that clips or has collapsed.  If
-    answers are rounded, twice the number at the next coordinates does not count.  ``step_m`` is the largest
-    difference of two neighbours in the answers' number format, 0 in double precision.
+    An answer is sure if no spread exceeds the avoider's own threshold.  ``wrong_and_sure`` is the share of
+    sure answers more than ``WRONG_M`` off.  ``sure_and_unsafe`` is the share of sure answers towards the hand
+    or out of reach.  ``stuck`` is the largest share of answers with the very same coordinate, which an
+    avoider gives if it clips or has collapsed.  If answers are rounded, ``stuck`` is lowered by twice the
+    number at the next coordinates.  ``step_m`` is the largest difference between two neighbours in the
+    answers' number format, 0 in double precision.
     """
 
     region: str
@@ -123,7 +129,7 @@ class Moved(Enum):
 
 @dataclass(frozen=True, eq=False)
 class AnswerChange:
-    """Two near questions that differ in one position, and the distance of their answers."""
+    """Two near questions that differ in one position, and the distance between their answers."""
 
     moved: Moved
     before: Question
@@ -134,12 +140,12 @@ class AnswerChange:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Jumps:
-    """The answers along straight segments with one seed each, on which the hand or the TCP moves.
+    """The jumps of answers along straight segments, on which the hand or the TCP moves and the seed stays.
 
-    ``jumped`` is the share of segments with a change of more than ``limit_m`` between two questions
-    ``NEAR_M`` apart.  It is a lower bound, because the search follows only the most uneven segments that far.
-    ``largest`` is the largest such jump; None without any.  ``steepest`` is the largest change over about 1
-    mm.  ``limit_m`` is half a millimetre, or two steps (``step_m``) of the answers' number format, or of an
+    ``jumped`` is the share of segments where the answers to two questions ``NEAR_M`` apart differ by more
+    than ``limit_m``.  It is a lower bound, because the search divides only the most uneven segments so far.
+    ``largest`` is the largest such jump; None without a jump.  ``steepest`` is the change with the steepest
+    slope over about 1 mm.  ``step_m`` is a step of the answers' number format, or the assumed step of an
     avoider that answers in steps.
     """
 
@@ -153,7 +159,7 @@ class Jumps:
 
     @property
     def limit_m(self) -> float:
-        """The largest change that is no jump [m]."""
+        """The largest change [m] that is no jump: half a millimetre, or two steps if these are longer."""
         return max(JUMP_M, 2.0 * self.step_m)
 
 
@@ -171,10 +177,11 @@ class WayOfAsking(Enum):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AskedAgain:
-    """A comparison of answers by their bits; ``differ`` counts the questions whose answers differ.
+    """A comparison, by bits, of the answers to the same questions, asked twice.
 
-    ``largest_m`` is the largest difference of position or spread, infinite if an answer is missing.
-    ``apart`` tells whether the second time was in another process.  Only executed files run there.
+    ``differ`` is the number of questions with different answers.  ``largest_m`` is the largest difference of
+    a position, a spread or a threshold; infinite if one of two answers is missing.  ``apart`` tells whether
+    another process gave the second answers; only avoiders from executed files have one.
     """
 
     way: WayOfAsking
@@ -187,9 +194,9 @@ class AskedAgain:
 
 @dataclass(frozen=True)
 class AnswerTimes:
-    """Answer times on this machine, one question at a time; they do not repeat.
+    """The answer times on this machine, measured one question at a time; they vary between sessions.
 
-    Other figures are independent of them.
+    No other figure depends on these times.
     """
 
     questions: int
@@ -203,7 +210,7 @@ class AnswerTimes:
 
 @dataclass(frozen=True, eq=False)
 class Scorecard:
-    """All figures of one avoider; a yardstick has neither repeats nor times."""
+    """All figures of one avoider; the card of a yardstick has neither repeats nor times."""
 
     avoider: str  # its reference
     name: str  # its own name
@@ -248,9 +255,10 @@ UNSAFE_OF_NETWORK = UNSAFE | {Kind.WRONG_AND_SURE, Kind.SPREAD_MISSES}
 
 @dataclass(frozen=True, eq=False)
 class ScoreFinding:
-    """One limit that an avoider exceeds; ``words`` has figure, unit and limit.
+    """One limit that an avoider exceeds; ``words`` states the figure, its unit and the limit.
 
-    ``region`` is empty for a finding without a region.  ``questions`` show it, the clearest first.
+    ``region`` is empty if the finding belongs to no region.  ``questions`` are examples of the finding, the
+    clearest first.
     """
 
     kind: Kind

@@ -1,4 +1,4 @@
-"""A session of scoring: avoiders one after another, with yardsticks, a search and its worst questions."""
+"""A session of scoring: it scores avoiders beside yardsticks, and searches for their worst questions."""
 
 from __future__ import annotations
 
@@ -35,20 +35,21 @@ CLAIMS = (
     f"proposals lead away to within {1e3 * TOLERANCE_M:g} mm",
     f"proposals never sure and more than {1e3 * WRONG_M:g} mm from the optimum",
 )
-MOST_SHOWN, MOST_TRIED = 10, 30  # worst questions as files, and trials for them
+MOST_SHOWN, MOST_TRIED = 10, 30  # the most worst questions that become files, and the most that are tried
 AVOIDER = Place(field="AVOIDER")
 
 
 @dataclass(eq=False)
 class ScoringSession:
-    """A session of scoring.
+    """A session of scoring: the user's choices, and the method ``run`` that scores the avoiders.
 
-    ``references`` name the avoiders.  ``questions`` is the number in the first region; None: as many as the
-    avoider's pace allows.  ``out`` keeps the worst questions as files; None: no files.  ``regions`` are
-    names, and ``spaces`` files; without both, the session takes all named regions.  ``against`` names a
-    reference.  ``on_step`` receives the next step and the finished share of the steps.  ``replaces``
-    lists files of an earlier session; the session removes them before the first question, so that nobody
-    takes them for its own.
+    ``references`` name the avoiders.  ``questions`` is the number of questions in the first region; None if
+    each avoider's pace decides.  ``budget`` is the number of questions in an avoider's search.  The session
+    writes the worst questions as files into ``out``; None means no files.  ``regions`` lists names of
+    regions, and ``spaces`` lists files of spaces; if both are empty, the session takes all named regions.
+    ``against`` names a reference avoider.  ``on_step`` receives the next step and the finished share of the
+    steps.  ``replaces`` lists files of an earlier session.  The session removes them before the first
+    question, so that nobody mistakes them for its own results.
     """
 
     references: Sequence[str]
@@ -71,7 +72,7 @@ class ScoringSession:
         self._space_regions = [space_region(read_space(path), self.seed) for path in self.spaces]
 
     def run(self) -> Scored:
-        """Score all avoiders; Ctrl-C ends the session and keeps the finished avoiders."""
+        """Score all avoiders; Ctrl-C ends the session, which keeps all finished avoiders and regions."""
         subjects = [
             (Subject.from_reference(entry, AVOIDER), self._regions(entry)) for entry in self.references
         ]  # a wrong name is found before the first question
@@ -79,7 +80,7 @@ class ScoringSession:
             None if self.against is None else Subject.from_reference(self.against, Place(field="--against"))
         )
         for file in self.replaces:
-            with suppress(OSError):  # a folder that cannot be written is refused when the page is
+            with suppress(OSError):  # a folder that is not writable is refused later, with the page
                 file.unlink()
         for _, regions in subjects:
             searched = sum(region.asked_in_runs for region in regions) if self.budget else 0
@@ -102,7 +103,7 @@ class ScoringSession:
         return self.scored
 
     def _step(self, text: str) -> None:
-        """Report the next step; known yardsticks take no steps."""
+        """Report the next step, ``text``; yardsticks that are already scored add no step."""
         self.on_step(text, min(self._steps_done / self._steps, 0.99))
         self._steps_done += 1
 
@@ -111,7 +112,7 @@ class ScoringSession:
         return seen_by(reference, folder=None, settings=DEFAULTS)
 
     def _regions(self, reference: str) -> list[QuestionRegion]:
-        """Return the wanted regions of an avoider; ScenarioError for an unknown name."""
+        """Return the regions in which to score an avoider; raise ScenarioError if a name is unknown."""
         named = named_regions(self._seen(reference), DEFAULTS)
         names = [region.name for region in named]
         for name in self.regions:
@@ -123,7 +124,7 @@ class ScoringSession:
         return [region for region in named if region.name in wanted] + self._space_regions
 
     def _take(self, subject: Subject, regions: list[QuestionRegion], rival: Subject | None = None) -> None:
-        """Score one avoider, beside a reference if there is one, and search its worst questions."""
+        """Score one avoider, beside ``rival`` if there is one, and search for its worst questions."""
         reference, counts = subject.reference, self._counts(subject, regions)
         seen = self._seen(reference).source
 
@@ -175,7 +176,7 @@ class ScoringSession:
         return paced(subject, regions[0], self.seed)
 
     def _yardsticks(self, regions: list[QuestionRegion], counts: Counts) -> tuple[Scorecard, ...]:
-        """Return the yardsticks' cards; avoiders with the same questions share them."""
+        """Return the yardsticks' cards; avoiders that answer the same questions share the cards."""
         key = (counts, *(region.about for region in regions))
         if key not in self._cards:
             self._cards[key] = yardsticks(regions, seed=self.seed, counts=counts, on_step=self._step)
@@ -188,7 +189,7 @@ class ScoringSession:
         regions: list[QuestionRegion],
         say: Callable[[str], None],
     ) -> None:
-        """Search the worst questions; the regions about which runs ask share the budget evenly."""
+        """Search for the worst questions; the regions that runs can ask about share the budget evenly."""
         posed = [(number, region) for number, region in enumerate(regions) if region.asked_in_runs]
         for number, region in posed:
             if self.budget:
@@ -207,7 +208,7 @@ class ScoringSession:
         regions: list[QuestionRegion],
         say: Callable[[str], None],
     ) -> None:
-        """Write the worst questions with which a run can begin; count all others."""
+        """Write the worst questions with which a run can begin; for the rest, list why no run can."""
         slug = _slug(scored.reference) + (f"-{len(self.scored.avoiders)}" if len(self.references) > 1 else "")
         by_name = {region.name: region for region in regions}
         for objective, tried in worst_questions(scored.searches, MOST_TRIED):
@@ -242,7 +243,7 @@ def _is_trained_here(avoider: Avoider) -> bool:
 
 
 def _description(tried: Tried, seed: int) -> str:
-    """Return the description of a worst question."""
+    """Return the description of a worst question for its scenario file."""
     return (
         f"A search of {tried.region} (seed {seed}) found this worst question; a search estimates no rate. "
         f"It is the first question of this run. The proposal leads {1e3 * tried.gained_m:.1f} mm away from "
@@ -253,10 +254,10 @@ def _description(tried: Tried, seed: int) -> str:
 
 
 def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorecard) -> list[str]:
-    """Raise a ScenarioError if two references agree by name and hash, and answered alike.
+    """Raise ScenarioError if ``reference`` and ``against`` have the same name, hash and answers.
 
-    The same Python file in another folder may load other weights.  It returns a warning if only the
-    answers agree.
+    The answers decide too, because the same Python file in another folder may load other weights.  If only
+    the answers agree, the function returns a warning.
     """
     hashes = {name: avoider_sha256(scenario_of_avoider(name)) for name in (reference, against)}
     keys = {(sha256, file_and_name(name)[1] if sha256 else name) for name, sha256 in hashes.items()}
@@ -273,7 +274,7 @@ def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorec
 
 
 def _slug(reference: str) -> str:
-    """Return a reference as part of a file's name."""
+    """Return a reference in a form that can be part of a file's name."""
     file, name = file_and_name(reference)
     text = f"{os.path.basename(file)} {name}" if file else reference
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")

@@ -1,8 +1,8 @@
-"""The further inputs of an avoider that sees more, for a question outside of a run.
+"""The further inputs of an avoider that sees more than two positions, for a question outside of a run.
 
-The arm stands with its TCP at the question's.  One hand rests at the question's hand: it was just measured
-there, and the prediction stays there.  A second hand rests beyond the TCP, at 1.5 times the distance within
-which a hand counts. The seed decides which of the two comes first.  Images are not drawn.
+The arm stands with its TCP at the question's TCP.  One hand rests at the question's hand; it was just
+measured there, and its prediction is there too.  A second hand rests beyond the TCP, at 1.5 times the
+critical distance.  The seed decides which hand comes first in the inputs.  The module draws no images.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from safety_harness.seams.contract import HANDS, JOINTS, PREDICTED_HANDS
 from safety_harness.seams.rows import seen_dtype, unpacked
 
 DRAWN = (JOINTS, HANDS, PREDICTED_HANDS)
-VARIANCES = np.diag([1e-4] * 3 + [1e-2] * 3)  # of a predicted hand: 10 mm and 0.1 m/s along each axis
+VARIANCES = np.diag([1e-4] * 3 + [1e-2] * 3)  # of a predicted hand: (10 mm)^2, (0.1 m/s)^2 along each axis
 
 
 def why_not_shown(subject: Subject, regions: Sequence[QuestionRegion]) -> str:
-    """Return why an avoider's inputs cannot be drawn; empty if they can.
+    """Return why the inputs of an avoider cannot be drawn; empty if they can be drawn.
 
     Args:
         subject: The avoider.
@@ -41,7 +41,7 @@ def why_not_shown(subject: Subject, regions: Sequence[QuestionRegion]) -> str:
 
 
 def shown(subject: Subject, region: QuestionRegion) -> Subject:
-    """Return the subject with its inputs drawn for each question of ``region``'s arm and settings."""
+    """Return the subject, with inputs drawn for each question by the arm and settings of ``region``."""
     if not shown_to(subject.avoider):
         return subject
     return replace(
@@ -54,19 +54,19 @@ def shown(subject: Subject, region: QuestionRegion) -> Subject:
 
 @dataclass(frozen=True, eq=False)
 class ShownAvoider(AvoiderAround):
-    """An avoider that sees more, in the form of one that does not; its inputs follow from the question."""
+    """A wrapper for an avoider with further inputs: a caller passes the question, and it draws the inputs."""
 
     region: QuestionRegion
 
     @property
     def sees(self) -> tuple[str, ...]:
-        """The further inputs that a caller has to give: an empty tuple."""
+        """The further inputs that a caller has to pass: an empty tuple."""
         return ()
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return the avoider's answer for positions (3,); AvoiderError if the arm cannot stand there."""
+        """Return the avoider's answer for positions (3,); raise AvoiderError if the TCP is out of reach."""
         settings, robot = self.region.settings, self.region.robot
         pose = desired_transform_tcp_to_base(settings)
         pose[:3, 3] = tcp_position_in_base_m

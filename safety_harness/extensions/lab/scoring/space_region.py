@@ -1,4 +1,4 @@
-"""The questions that the draws of a scenario space can lead to, without a run."""
+"""The region of questions that the draws of a scenario space can lead to, found without a run."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 
 DRAWS = 200
-STEP_S = 0.1  # between two places of a hand
+STEP_S = 0.1  # between two recorded positions of a hand
 
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """The places (m, 3) of one draw's hands, and start and end of its TCP, in the base frame [m]."""
+    """The positions (m, 3) of one draw's hands, and the ends of its TCP's path, in the base frame [m]."""
 
     hands_in_base_m: ArrayNx3
     start_in_base_m: Array3
@@ -33,14 +33,15 @@ class _Drawn:
 def space_region(space: ScenarioSpace, seed: int, draws: int = DRAWS) -> QuestionRegion:
     """Return the region of questions that the admitted draws of a space can lead to.
 
-    A hand is where its program has it, every 100 ms, while the TCP goes straight from its start to the
-    desired position. The TCP is anywhere on that path, and up to the repulsion radius beside it, as in a run
-    that retreats.  A pair is a hand and a TCP of the same draw, at any two times, within the critical
-    distance.  The region ignores the errors of perception.  It executes no code of a user.
+    A hand moves by its program, which the function evaluates every 100 ms.  Meanwhile the TCP moves straight
+    from its start to the desired position.  A pair joins a hand and a TCP of the same draw, at any two times.
+    The TCP of a pair is anywhere on the path, or up to the repulsion radius beside it, as in a run that
+    retreats.  Only pairs within the critical distance belong to the region.  The region ignores errors of
+    perception.  The function executes no code of a user.
 
     Args:
         space: The space.
-        seed: The stream of the draws.
+        seed: The seed of the draws.
         draws: The number of admitted draws.
 
     Raises:
@@ -76,7 +77,7 @@ def space_region(space: ScenarioSpace, seed: int, draws: int = DRAWS) -> Questio
 
 
 def _places(scenario: Scenario) -> _Drawn:
-    """Return the places of one draw."""
+    """Return the positions of the hands and the path of the TCP in one draw."""
     arm = arm_model(scenario.robot)
     start = links_in_base(arm, start_joint_position(scenario, arm))[-1, :3, 3]
     desired = np.array(scenario.settings.cell.desired_tcp_position_in_base_m)

@@ -1,9 +1,9 @@
-"""The search for an avoider's worst questions, with the searchers of ``search``, in its own ledger.
+"""The search for an avoider's worst questions, with the searchers of ``search`` and a ledger of its own.
 
-A search chooses its questions, so its results enter no estimate.  The cube of a region has the TCP, the hand
-relative to it, and one of a few seeds.  Both boxes come from some draws.  Pairs outside the region, or with
-which no run begins, are refused.  A question's seed is the seed of the first decision in a run with a
-declared seed, so that a scenario file can ask it again.
+A search chooses its questions, so its results enter no estimate.  A point of the search's cube defines the
+TCP, the hand relative to the TCP, and one of a few seeds.  Some draws of the region bound both positions.
+The search refuses pairs that lie outside the region or with which no run can begin.  A question's seed is the
+seed of the first decision in a run whose scenario seed is known.  So a scenario file can ask it again.
 """
 
 from __future__ import annotations
@@ -32,23 +32,24 @@ from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import searcher_named
 
 SEARCHER, BATCH = "diverse", 64
-SEEDS = 8  # of a region's questions; a coordinate of the search, or a random avoider would look like noise
-DRAWS = 500  # draws of the region, for the boxes of the search
-TOLERANCE_M = 0.010  # towards the hand
-APART_M = 0.05  # of hands or TCPs: nearer worst questions count as one place
-# Added to margins, which stay above zero: a descent ends at a violation, and should find the worst.
+# Seeds per region.  The seed is a coordinate, because a random avoider would otherwise look like noise.
+SEEDS = 8
+DRAWS = 500  # draws of the region, which bound the positions in the search
+TOLERANCE_M = 0.010  # the accepted step towards the hand
+APART_M = 0.05  # the least distance of hands or TCPs between two listed questions
+# Added to margins to keep them above zero: a descent ends at a violation, but should go on to the worst.
 _FAR_M = 10.0
 
 
 class Objective(Enum):
-    """The objectives of the search; the value is their text for people."""
+    """The objectives of the search; the value is the text that describes the worst questions."""
 
     TOWARDS = "leads least away from the hand"
     SURE_AND_OFF = "sure, and farthest from the optimum"
 
     @property
     def limit_m(self) -> float:
-        """The limit [m] up to which a question is not reported; the files' claims have the same limits."""
+        """The badness [m] above which a question is reported; the claims in the files use the same limit."""
         return TOLERANCE_M if self is Objective.TOWARDS else WRONG_M
 
 
@@ -57,9 +58,9 @@ OBJECTIVES = tuple(Objective)
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """A question of the search with its answer; ``gained_m`` and ``off_m`` belong to the proposal.
+    """A question of the search with its answer, which ``gained_m`` and ``off_m`` describe.
 
-    ``optimum_gained_m`` is the gain of the closed-form optimum, a yardstick.
+    ``optimum_gained_m`` is the gain of the closed-form optimum, for comparison.
     """
 
     region: str
@@ -74,20 +75,20 @@ class Tried:
     sure: bool
 
     def badness_m(self, objective: Objective) -> float:
-        """Return the badness for ``objective``, larger for a worse answer; -inf if it does not apply."""
+        """Return how bad the answer is for ``objective`` [m]; -inf if the objective does not apply."""
         if objective is Objective.TOWARDS:
             return -self.gained_m
         return self.off_m if self.sure else -np.inf
 
     def apart_m(self, second: Tried) -> float:
-        """Return the distance of two questions: the larger of the hands' and the TCPs' distance."""
+        """Return the distance from question ``second``: the larger of the hands' and the TCPs' distance."""
         hands = np.linalg.norm(self.hand_in_base_m - second.hand_in_base_m)
         return float(max(hands, np.linalg.norm(self.tcp_in_base_m - second.tcp_in_base_m)))
 
 
 @dataclass(eq=False)
 class QuestionSearch:
-    """The ledger of one region's search; ``tried`` has the questions with an answer, ``asked`` counts all."""
+    """The ledger of one region's search: ``tried`` lists the answered questions, and ``asked`` counts all."""
 
     region: str
     budget: int
@@ -99,7 +100,7 @@ class QuestionSearch:
 
 @dataclass(eq=False)
 class _Searching:
-    """An ``Evaluate`` of a search: it asks points of a region's cube, and enters them into its ledger."""
+    """The function that a search evaluates: it asks the questions at points and fills ``ledger``."""
 
     avoider: Avoider
     region: QuestionRegion
@@ -117,7 +118,7 @@ class _Searching:
         )
 
     def __call__(self, points: Points, first: int) -> Outcomes:
-        """Ask the points (n, 7) that belong to the region."""
+        """Return the outcomes at ``points`` (n, 7); ask only the questions that belong to the region."""
         at = self._low + points[:, :6] * (self._high - self._low)
         tcps, hands = at[:, :3], at[:, :3] + at[:, 3:]
         held = self.region.holds(hands, tcps)
@@ -135,7 +136,7 @@ class _Searching:
         return Outcomes(margins, known.conclusive, refused, known.mishaps, known.kinds, known.cells)
 
     def _margins_of(self, questions: Questions, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the margins (n, 2) of questions with the seeds ``numbers`` (n,); NaN if unanswered."""
+        """Return the margins (n, 2) of questions, NaN if unanswered; ``numbers`` (n,) select their seeds."""
         hands, tcps = questions.hands_in_base_m, questions.tcps_in_base_m
         answers = asked_together(self.avoider, questions)
         proposed, optimum = answers.positions_in_base_m, optimum_in_base_m(self.region.settings, hands, tcps)
@@ -172,14 +173,14 @@ def search_region(
     number: int,
     on_progress: Callable[[Findings], None] | None = None,
 ) -> QuestionSearch:
-    """Search one region for its worst questions; Ctrl-C ends the search and keeps its ledger.
+    """Return the ledger of a search for one region's worst questions; Ctrl-C ends the search early.
 
     Args:
         avoider: The avoider.
         region: The region.
         budget: The number of questions.
         seed: The root of all random numbers.
-        number: The region's number, which separates its random numbers.
+        number: The region's number, so that each region has its own random numbers.
         on_progress: Receives the findings after each batch.
 
     """
@@ -198,17 +199,17 @@ def search_region(
             searching.cube, goals, searching, make, budget=budget, batch=BATCH, on_progress=on_progress
         )
         ledger.interrupted = findings.interrupted
-    except InadmissibleError:  # almost no point of the boxes is in the region: the ledger keeps its questions
+    except InadmissibleError:  # the region holds almost no point of the cube; the ledger keeps its questions
         pass
     return ledger
 
 
 def worst_questions(searches: Sequence[QuestionSearch], most: int) -> list[tuple[Objective, Tried]]:
-    """Return the worst questions of all regions, by objective in turn; no two are near to each other.
+    """Return the worst questions of all regions, no two near each other; the objectives take turns.
 
     Args:
-        searches: The ledgers.
-        most: The greatest number of questions.
+        searches: The ledgers of the searches.
+        most: The largest number of questions.
 
     """
     queues = [_by_badness(searches, objective) for objective in OBJECTIVES]
@@ -226,7 +227,7 @@ def worst_questions(searches: Sequence[QuestionSearch], most: int) -> list[tuple
 def _by_badness(
     searches: Sequence[QuestionSearch], objective: Objective
 ) -> Iterator[tuple[Objective, Tried]]:
-    """Yield the questions beyond the objective's limit, worst first."""
+    """Yield the questions beyond the limit of ``objective``, the worst first."""
     tried = (question for ledger in searches for question in ledger.tried)
     every = [question for question in tried if question.badness_m(objective) > objective.limit_m]
     for question in sorted(every, key=lambda question: -question.badness_m(objective)):
