@@ -83,7 +83,7 @@ class BoundingBoxDetector(Protocol):
 
 
 def opencv() -> Any:
-    """Return the module cv2, which only rendered images need; ``MissingPackageError`` without it."""
+    """Return the module cv2, which only rendered images need; raise ``MissingPackageError`` without it."""
     with IMAGES.needed("rendered images"):
         import cv2
     return cv2

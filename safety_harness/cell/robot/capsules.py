@@ -137,7 +137,7 @@ class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     meshes_sha256: dict[str, str] = {}
 
     def on(self, arm: ArmModel, file: Path) -> CapsuleSet:
-        """Return the capsules as bodies of ``arm``; ``ArmFileError`` if its links do not fit."""
+        """Return the capsules as bodies of ``arm``; raise ``ArmFileError`` if its links do not fit."""
         frames = (*arm.link_names, arm.tcp_link)
         unknown = {body.link for body in self.capsules}.difference(frames)
         if unknown or not self.capsules:
@@ -162,7 +162,7 @@ def capsule_file(arm_name: str) -> Path:
 
 @lru_cache
 def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
-    """Return the fitted capsules of the shipped arm ``arm_name``; ``ArmModelError`` without any."""
+    """Return the fitted capsules of the shipped arm ``arm_name``; raise ``ArmModelError`` without any."""
     file = capsule_file(arm_name)
     if not file.is_file():
         raise ArmModelError(f"no capsules for {arm_name!r}; to fit them: safety-harness robot fit")
@@ -243,7 +243,7 @@ def _sha256(file: Path) -> str:
 
 
 def _stored(file: Path, text: bytes | None = None) -> StoredCapsules:
-    """Read a file of capsules, or its ``text``; ``ArmFileError`` for other content."""
+    """Read a file of capsules, or its ``text``; raise ``ArmFileError`` for other content."""
     try:
         return msgspec.json.decode(read_bytes(file) if text is None else text, type=StoredCapsules)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:

@@ -95,7 +95,7 @@ def has_closed_form(arm: ArmModel) -> bool:
 def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
     """Return the read-only record ARM_GEOMETRY (1,) of an arm.
 
-    ``ArmModelError`` for another wrist than the UR family's.
+    Raise ``ArmModelError`` for another wrist than the UR family's.
     """
     if len(arm.joint_names) != 6:
         raise ArmModelError(f"{arm.name}: the closed form is of six joints, not {len(arm.joint_names)}")

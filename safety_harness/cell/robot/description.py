@@ -180,7 +180,7 @@ class ArmModel:
 def urdf_file(name: str) -> Path:
     """Return the URDF of the shipped arm ``name`` ("ur3", "ur5", "ur10").
 
-    ``ArmModelError`` for another name.
+    Raise ``ArmModelError`` for another name.
     """
     folder = DATA / "ur_description" / "urdf"
     file = folder / f"{name}_robot.urdf"
@@ -379,7 +379,7 @@ def inertial(
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]] | None:
     """Return a link's mass [kg], the frame (4, 4) of its centre, and the inertia (3, 3) about it [kg m^2].
 
-    None without an <inertial>. ``ArmFileError`` unless a body of that mass can have the inertia. A link
+    None without an <inertial>. Raise ``ArmFileError`` unless a body of that mass can have the inertia. A link
     without mass may have any.
     """
     if link.find("inertial") is None:

@@ -55,7 +55,7 @@ class _OnceEach(Generic[Made]):
 def arm_model(robot: AnyRobot) -> ArmModel:
     """Return the arm in the base frame of the scenario.
 
-    For an own arm this uses the texts of its files, which a trace carries. The meshes need not exist.
+    For an own arm this uses the texts of its files, which a trace carries. The meshes need not exist. Raise
     ``ArmFileError`` for an own arm that a run cannot use.
     """
     if isinstance(robot, Robot):
@@ -72,7 +72,7 @@ def arm_model(robot: AnyRobot) -> ArmModel:
 
 @_OnceEach
 def arm_capsules(robot: AnyRobot) -> CapsuleSet:
-    """Return the capsules of the arm; ``ArmFileError`` if they belong to another arm."""
+    """Return the capsules of the arm; raise ``ArmFileError`` if they belong to another arm."""
     if isinstance(robot, Robot):
         return load_capsules(robot.arm_name)
     if isinstance(robot, EquippedArm):
@@ -94,7 +94,7 @@ def arm_capsules(robot: AnyRobot) -> CapsuleSet:
 def drive_model(robot: AnyRobot) -> DriveModel | None:
     """Return the dynamics of an own arm's drives; None for drives that follow a demand at once.
 
-    ``ArmFileError`` if their torques are limited and a link has no mass.
+    Raise ``ArmFileError`` if their torques are limited and a link has no mass.
     """
     if not isinstance(robot, OwnRobot) or robot.drives is None:
         return None

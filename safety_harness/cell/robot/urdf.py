@@ -40,7 +40,7 @@ def expand_by_xacro(file: Path) -> str:
 
 
 def read_bytes(file: Path) -> bytes:
-    """Return the bytes of a file; ``ArmFileError`` if it is unreadable or above MAX_BYTES."""
+    """Return the bytes of a file; raise ``ArmFileError`` if it is unreadable or above MAX_BYTES."""
     try:
         if not os.path.isfile(file):
             raise ArmFileError.of_file(file, "a file", "no such file")
@@ -111,14 +111,14 @@ class Urdf:
         return ArmFileError(place=place, expected=expected, got=got, hint=hint)
 
     def child(self, element: Element, tag: str) -> Element:
-        """Return the only child with ``tag``; ``ArmFileError`` for another number of them."""
+        """Return the only child with ``tag``; raise ``ArmFileError`` for another number of them."""
         children = element.findall(tag)
         if len(children) != 1:
             raise self.error(element, f"one <{tag}> in it", f"{len(children)}")
         return children[0]
 
     def text(self, element: Element, key: str) -> str:
-        """Return the attribute ``key`` of an element; ``ArmFileError`` if it is empty."""
+        """Return the attribute ``key`` of an element; raise ``ArmFileError`` if it is empty."""
         text = element.get(key, "")
         if not text.strip():
             raise self.error(element, f"an attribute {key!r}", "none")
@@ -127,7 +127,7 @@ class Urdf:
     def numbers(
         self, element: Element, key: str, count: int, default: str | None = None, largest: float = LARGEST
     ) -> NDArray[np.float64]:
-        """Return an attribute of ``count`` numbers (count,); ``ArmFileError`` for another text.
+        """Return an attribute of ``count`` numbers (count,); raise ``ArmFileError`` for another text.
 
         Args:
             element: The element.
@@ -187,7 +187,7 @@ class Urdf:
         return link
 
     def only(self, role: str, links: Iterable[str]) -> str:
-        """Return the only link of ``links``; ``ArmFileError`` for another number of them.
+        """Return the only link of ``links``; raise ``ArmFileError`` for another number of them.
 
         ``role`` is its role in the error message.
         """
@@ -257,7 +257,7 @@ class Urdf:
 def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
     """Return the root of a file with that ``text``, and the line at which each element begins.
 
-    ``ArmFileError`` for other content.
+    Raise ``ArmFileError`` for other content.
     """
     builder, lines = ElementTree.TreeBuilder(), dict[Element, int]()
     parser, open_tags = expat.ParserCreate(), list[str]()

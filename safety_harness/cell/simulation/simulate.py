@@ -82,8 +82,8 @@ def simulate_driven(
 ) -> list[Trace | ControllerError]:
     """Run many episodes with users' controllers in lanes, to their ends or to their errors.
 
-    Each trace equals that of ``simulate``, bit for bit. ``ControllerError`` for an error that stops all of
-    them together.
+    Each trace equals that of ``simulate``, bit for bit. Raise ``ControllerError`` for an error that stops all
+    of them together.
     """
     lanes = [Lane(world, controller, no_ticks(scenario)) for scenario, world, controller in episodes]
     kinds: dict[object, list[Lane]] = {}
@@ -134,7 +134,7 @@ def trace_of(
 
 
 def _interventions(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
-    """Return the INTERVENTION (n,) of the shield; ``ControllerError`` for a controller that bypasses it."""
+    """Return the shield's INTERVENTION (n,); raise ``ControllerError`` if the controller bypasses it."""
     interventions: NDArray[np.void] = getattr(controller, "interventions", no_interventions())
     if scenario.shield is not None and len(interventions) == 0:
         raise ControllerError(f"{controller.name!r} drives the arm past the shield of its scenario")

@@ -90,7 +90,7 @@ def refuse_rendered(scenario: Scenario, world: str) -> None:
 class RecordedWorld:
     """The common part of worlds whose state is in ``WorldRecords``: clock, truth and exact cameras.
 
-    A world adds its ``name`` and its ``step``. ``InadmissibleError`` for rendered images unless it
+    A world adds its ``name`` and its ``step``. Raise ``InadmissibleError`` for rendered images unless it
     ``renders``.
     """
 

@@ -83,7 +83,7 @@ class WorldEntry:
         return True
 
     def opener(self) -> OpensWorld:
-        """Return its class; ``InstallationError`` without its engine."""
+        """Return its class; raise ``InstallationError`` without its engine."""
         try:
             return self.load()
         except ModuleNotFoundError as error:
@@ -203,7 +203,7 @@ def worlds_by_label() -> dict[str, WorldEntry]:
 
 
 def world_named(label: str, option: str) -> WorldEntry:
-    """Return the world with the ``label`` of a command's ``option``; ``ScenarioError`` for another label."""
+    """Return the world ``label``, the value of a command's ``option``; ``ScenarioError`` if unknown."""
     worlds = worlds_by_label()
     for known, world in worlds.items():
         if known.casefold() == label.casefold():
@@ -212,7 +212,7 @@ def world_named(label: str, option: str) -> WorldEntry:
 
 
 def world_of_trace(name: str) -> WorldEntry:
-    """Return the world with the ``name`` that a trace gives; ``TraceError`` for another name."""
+    """Return the world with the ``name`` that a trace gives; raise ``TraceError`` for another name."""
     for world in WORLDS:
         if world.name == name:
             return world
