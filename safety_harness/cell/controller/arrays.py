@@ -53,7 +53,7 @@ def _boxes(seen: SeenRows) -> Arrays:
 
 
 def _object(seen: SeenRows) -> Arrays:
-    """Return the features of the object, with a flag that states whether they are known."""
+    """Return the features of the object, with a flag that states whether it is visible."""
     visible = _flag(seen["object_visible"])
     return {
         "object_visible": visible,
