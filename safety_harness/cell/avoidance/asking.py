@@ -82,7 +82,7 @@ class OutOfProcessAvoider(ABC):
 
 
 class _Hangs(BaseException):
-    """The interruption of an avoider at the wall limit; it is no Exception, which the avoider might catch."""
+    """The interruption of an avoider at the wall limit; no Exception, since an avoider might catch that."""
 
 
 def ask(avoider: Avoider, question: Question) -> Answer:
@@ -199,8 +199,8 @@ def limit_of(questions: Sequence[Question]) -> float:
 def answers_together(avoider: Avoider, questions: Sequence[Question]) -> list[Answer]:
     """Return the answers of a joint call for ``questions``; an empty list if each needs its own call.
 
-    That is so if the avoider does not take many, raises, hangs, or does not return two arrays (n, 3). The
-    separate calls then show which question is at fault.
+    The list is empty if the avoider does not take many, raises, hangs, or does not return two arrays (n, 3).
+    The separate calls then show which question is at fault.
     """
     if isinstance(avoider, OutOfProcessAvoider):
         return avoider.answers(questions, together=True)

@@ -35,7 +35,7 @@ class Proposal:
 
 
 class Avoider(Protocol):
-    """The members of a user's own avoider.
+    """A user's own avoider, with the members that it must have.
 
     A user's avoider may also have these attributes:
 
@@ -49,7 +49,7 @@ class Avoider(Protocol):
 
     @property
     def name(self) -> str:
-        """Its name in reports."""
+        """The avoider's name in reports."""
         ...
 
     def propose(

@@ -246,7 +246,7 @@ def model_bytes(
 
 
 def save_model(model: Model, path: Path) -> None:
-    """Write ``model`` to ``path`` in one step, so that ``path`` is never a part of a file.
+    """Write ``model`` to ``path`` in one step, so that ``path`` never holds a part of a file.
 
     Raise ``ModelError``, and write no file, if ``load_model`` would refuse the model. Raise ``OutputError``
     if the file cannot be written.

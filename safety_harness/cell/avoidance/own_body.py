@@ -2,8 +2,8 @@
 
 The body of an arm with n joints consists of the links up to n - 4. For six joints these are base, shoulder
 and upper arm. The wrist consists of the links from n - 2 on: three links and the TCP's frame. The link
-between body and wrist touches both. If the wrist's first link is near the body in most postures, the arm is
-built so. The wrist then begins at the next link. An example is a Panda's forearm at its elbow.
+between body and wrist touches both. If the wrist's first link is near the body in most postures, this is the
+arm's design. The wrist then begins at the next link. An example is a Panda's forearm at its elbow.
 """
 
 from __future__ import annotations

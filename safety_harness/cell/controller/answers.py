@@ -25,8 +25,9 @@ NOT_REPORTED = -1
 class LaneAnswers:
     """The actions of n controllers until the next tick, in arrays for ``obey``.
 
-    An action is a ``stop`` (n,), joint velocities in ``joints`` (n, j) where ``by_joints`` (n,), or else a
-    twist of the TCP in ``twists`` (n, 6). ``modes`` (n,) are the reported modes, or NOT_REPORTED.
+    Where ``stop`` (n,) is True, the action is a stop. Where ``by_joints`` (n,) is True, it is joint
+    velocities in ``joints`` (n, j). Otherwise it is a twist of the TCP in ``twists`` (n, 6). ``modes`` (n,)
+    are the reported modes, or NOT_REPORTED.
     """
 
     def __init__(self, lanes: int, joints: int, reports: tuple[str, ...]) -> None:
@@ -157,7 +158,7 @@ def ask_together(
 ) -> dict[int, str]:
     """Call the controllers of ``lanes`` (n,); return, for each lane that cannot go on, the reason.
 
-    The function does not catch an exception in ``act_many``, and raises an error for a wrong result of it.
+    An exception in ``act_many``, or a wrong result of it, raises an error for all lanes.
 
     Args:
         controllers: The controllers (n,).

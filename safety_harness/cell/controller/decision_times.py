@@ -21,8 +21,8 @@ def decision_times_s(
 
     A ``cost`` of quantiles q_0 ... q_m, evenly spaced in probability, means a distribution that is linear
     between them. The function draws from it by the inverse of the distribution function. A draw is q_k + (x -
-    k) (q_(k+1) - q_k) with x = m u, u uniform in [0, 1), and k the integer part of x. NaN stands for the
-    answer's time on the wall's clock. ``declared_s`` is the avoider's declaration.
+    k) (q_(k+1) - q_k) with x = m u, u uniform in [0, 1), and k the integer part of x. NaN means that the
+    wall's clock determines the cost. ``declared_s`` is the avoider's declaration.
     """
     if cost is DecisionCost.WALL_CLOCK:
         return ON_THE_CLOCK

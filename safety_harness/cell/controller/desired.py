@@ -19,7 +19,7 @@ LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])  # tcp axes in base: x forward, y righ
 
 
 def desired_transform_tcp_to_base(settings: Settings) -> NDArray[np.float64]:
-    """Return the desired TCP pose (4, 4), at which the camera looks straight down at the object."""
+    """Return the desired TCP pose (4, 4): straight above the object, with the z axis straight down."""
     return transform_from(LOOKING_DOWN, np.array(settings.cell.desired_tcp_position_in_base_m))
 
 
@@ -51,6 +51,6 @@ def desired_camera(settings: Settings) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def view_of(settings: Settings) -> DesiredView:
-    """Return the true camera's view of the object from the desired pose, so that it is a real image."""
+    """Return the true camera's view of the object from the desired pose, as a real image shows it."""
     object_to_camera = desired_camera(settings)[1]
     return desired_view(np.array(settings.object.polygon_m), object_to_camera, settings.servo.object_kind)

@@ -74,8 +74,9 @@ _OF_DOUBT = ("proposed_spread_m", "spread_threshold_m")
 
 
 class DrivenController:
-    """An episode of a user's controller; ``ControllerError`` if this raises or its action is invalid.
+    """An episode of a user's controller, in which the harness calls it tick by tick.
 
+    Raise ``ControllerError`` if the controller raises an exception or returns an invalid action.
     ``joint_position_rad`` (n,) is the arm's start. ``view``, the desired view, is necessary only if the
     controller sees the object. ``guard`` is the scenario's shield in this run.
     """

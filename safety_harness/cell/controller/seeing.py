@@ -245,10 +245,10 @@ def obey(
     stop: bool,
     commands: CommandRecords,
 ) -> bool:
-    """Fill the command for an action, within the limits; return False, unchanged, if it is not finite.
+    """Fill the command for an action, within the limits; return False if the action is not finite.
 
-    A stop lasts until the arm stands still and the restart delay after the last demand for a stop is over.
-    Until then the drives do not obey.
+    An action that is not finite changes nothing. A stop lasts until the arm stands still and the restart
+    delay after the last demand for a stop is over. Until then the drives do not obey.
     """
     p, s, o, command = parameters[0], states[0], observations[0], commands[0]
     joints = command.joint_velocity_radps.shape[0]

@@ -2,14 +2,15 @@
 
 The shield scales the command of any controller. If the arm then brakes from the next tick on, it stops before
 a hand at its greatest speed can reach a moving part. The theorem, its assumptions and its proof are in
-docs/explanation/shield.md. This file applies the theorem's rule, with the symbols of that page. For each hand
-i
+docs/explanation/shield.md. This file applies the theorem's rule, with the symbols of that page. For the
+distance g_i of each hand i, less its body and uncertainty, the share s of the command obeys
 
     s <= (g_i - F - v_h t_0) / (v_h V/a + R),   R = V l + D.L.|u| l + A l^2/2,
     l = P + V/2a,   t_0 = age + P + T_r
 
-with F = sum of V(c) P + D.L.D/2 over the commands c that the drives may not have executed yet. A hand may
-have an acceleration of at most b, and a measured speed of at most w. For such a hand it suffices that
+V is a bound of the arm's speed, a its deceleration, P the control period and T_r the reaction time. F is the
+sum of V(c) P + D.L.D/2 over the commands c that the drives may not have executed yet. A hand may have an
+acceleration of at most b, and a measured speed of at most w. For such a hand it suffices that
 
     w t + b t^2/2 + F + s R <= g_i,   t = t_0 + s V/a.
 """
@@ -407,9 +408,9 @@ def take_frame(shields: ShieldRecords, observations: ObservationRecords) -> None
 def measure_speeds(shields: ShieldRecords) -> None:
     """Fill a bound of the speed of each hand in the last frame, from a frame at least the window older.
 
-    |v| <= (|p - p_before| + 2 Z)/t + b t/2, with Z the uncertainty of a position, and the time t and position
-    p_before of the older frame. It is unknown which older hand is the same hand. So p_before is the farthest
-    one that the hand could come from.
+    The bound is |v| <= (|p - p_before| + 2 Z)/t + b t/2. Z is the uncertainty of a position, t the time
+    between both frames, and b the largest acceleration. It is unknown which hand of the older frame is the
+    same hand. So p_before is the farthest position there from which the hand could come.
     """
     g = shields[0]
     if g.taken_s[0] - g.taken_s[1] >= g.window_s:  # frame 1 becomes frame 2, and this frame 1

@@ -1,4 +1,4 @@
-"""Bound the closest approach of a hand and the arm between two instants from below, with a sample.
+"""Compute a lower bound and a sample of the closest approach of a hand and the arm between two instants.
 
 The module ``distance`` defines hand, arm and distance.
 """

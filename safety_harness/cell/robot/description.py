@@ -171,7 +171,7 @@ class ArmModel:
     def farthest_reach_m(self) -> float:
         """An upper bound [m] of the distance between tcp and second joint in any pose.
 
-        The bound is the sum of the distances between the frames in between.
+        The bound is the sum of the distances between successive frames.
         """
         frames = np.concatenate((self.joint_origins[2:], self.flange[None]))
         return float(np.linalg.norm(frames[:, :3, 3], axis=1).sum())

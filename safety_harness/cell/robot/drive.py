@@ -99,7 +99,7 @@ def drive(settings: Settings, joints: int, model: DriveModel | None = None) -> D
     """Return a record DRIVE (1,) at rest.
 
     Args:
-        settings: Its clock and braking times.
+        settings: The settings, for the clock and the braking times.
         joints: The number of joints.
         model: The dynamics of the drives. None: they follow a demand at once.
 

@@ -131,8 +131,8 @@ def holding_torques(arm: ArmModel, masses: np.void, joint_position_rad: ArrayN) 
 
     Args:
         arm: The arm.
-        masses: Its record of ``link_masses``.
-        joint_position_rad: Its joint position (n,).
+        masses: The arm's record of ``link_masses``.
+        joint_position_rad: The arm's joint position (n,).
 
     """
     still, torques = np.zeros((2, len(joint_position_rad)))

@@ -83,7 +83,8 @@ class InverseKinematics:
 
         The solution is within the position limits. The distance is Euclidean in joint angles. The method also
         tries full turns of each joint. The numeric inverse moves each solution along its self-motion to the
-        least distance. If it finds a solution within 0.5 rad from the reference itself, it ends the search.
+        least distance. It first searches from the reference itself, and stops if this leads to a solution
+        within 0.5 rad.
 
         Args:
             transform_tcp_to_base: The pose (4, 4).

@@ -62,7 +62,7 @@ class JointData:
 def joint_data(urdf: Urdf, joint: Element) -> JointData:
     """Return the data of a turning joint.
 
-    Raise Raise ``ArmFileError`` for another type of joint, a mimic joint, or impossible limits.
+    Raise ``ArmFileError`` for another type of joint, a mimic joint, or impossible limits.
     """
     kind = joint.get("type")
     if kind not in ("revolute", "continuous"):

@@ -234,10 +234,10 @@ def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
 def is_well_conditioned(jacobian: Array6xN, min_singular_value: float) -> bool:
     """Return whether every singular value of ``jacobian`` (6, n) exceeds ``min_singular_value`` > 0.
 
-    This takes a tenth of the work of ``smallest_singular_value``. All singular values exceed s exactly if
-    J^T J - s^2 I is positive definite, that is, if it has a Cholesky factor. For more than six joints the
-    matrix is J J^T - s^2 I. The test resolves a difference of about 1e-15 / s. Return False if an entry is
-    NaN.
+    This takes a tenth of the work of ``smallest_singular_value``. All singular values exceed this bound s
+    exactly if J^T J - s^2 I is positive definite, that is, if it has a Cholesky factor. For more than six
+    joints the matrix is J J^T - s^2 I. The test resolves a difference of about 1e-15 / s. Return False if an
+    entry is NaN.
     """
     m = min(TWIST, jacobian.shape[1])
     factor = np.empty((m, m))

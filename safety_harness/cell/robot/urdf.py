@@ -257,7 +257,7 @@ class Urdf:
 def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
     """Return the root of a file with that ``text``, and the line at which each element begins.
 
-    Raise Raise ``ArmFileError`` for other content.
+    Raise ``ArmFileError`` for other content.
     """
     builder, lines = ElementTree.TreeBuilder(), dict[Element, int]()
     parser, open_tags = expat.ParserCreate(), list[str]()

@@ -1,6 +1,6 @@
 """Serve a user's controllers in the process of their file, one controller for each lane of episodes.
 
-This module must start quickly, so that its imports do not wait for a compiler.
+This module must start quickly, so its imports do not wait for a compiler.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ to_the_process = decoder_of(Make | Reset | ActOnRows)
 
 
 def fields_of(seen: Seen, sees: tuple[str, ...]) -> dict[str, Any]:
-    """Return the view for a program, with the pixels of an image only while the image is new."""
+    """Return the view for a program, with the pixels of an image only if the image is new."""
     fields: dict[str, Any] = {"time_s": seen.time_s, "period_s": seen.period_s}
     for sight in SIGHTS:
         if sight.word in sees:

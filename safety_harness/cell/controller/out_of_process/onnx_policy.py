@@ -7,8 +7,8 @@ Inputs
     ``image``: (1, height, width, 3), the pixels of the last image.
     NAME, with an output ``next_NAME``: the policy's memory from tick to tick; zeros at first.
 Outputs
-    tcp_velocity_mps (1, 3), tcp_angular_velocity_radps (1, 3), joint_velocity_radps (1, n): as of ``Move``.
-    stop (1,), optional: a protective stop above one half.
+    tcp_velocity_mps (1, 3), tcp_angular_velocity_radps (1, 3), joint_velocity_radps (1, n): as in ``Move``.
+    stop (1,), optional: a number above one half means a protective stop.
 Metadata
     name, optional: its name in place of the file's; ticks: the duration of each action, 1 by default;
     training: its training data, which only evidence reports read.
