@@ -105,12 +105,12 @@ class SkinColourDetector:
         colour: NDArray[np.uint8],  # (h, w, 3) red, green, blue
         depth_m: NDArray[np.float64],  # (h, w) [m]
     ) -> NDArray[np.float64]:  # (k, 5)
-        """Return the boxes of the largest skin-coloured areas, ``most`` at most, from ``MINIMUM_AREA_PX``.
+        """Return the boxes of up to ``most`` skin-coloured areas of at least ``MINIMUM_AREA_PX``.
 
         The largest area comes first. The method leaves out areas without a known depth. Among the area's
-        pixels with a known depth, it takes the nine that are nearest to the box's centre. The depth is their
-        median. They are the 3 x 3 window around the centre, unless part of this window is hidden or has no
-        depth.
+        pixels with a known depth, it takes the nine that are nearest to the box's centre. The depth is the
+        median of these nine. They form the 3 x 3 window around the centre, unless part of this window is
+        hidden or has no depth.
 
         Args:
             colour: The colour image.

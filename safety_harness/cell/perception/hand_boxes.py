@@ -69,7 +69,7 @@ def sphere_box(
     The image of a sphere is an ellipse. The planes at the ellipse's left and right ends contain the camera's
     y axis and touch the sphere, so that |X - x Z| = r sqrt(1 + x^2):
 
-        x = (X Z +- r sqrt(X^2 + Z^2 - r^2)) / (Z^2 - r^2),
+        x = (X Z +- r sqrt(X^2 + Z^2 - r^2)) / (Z^2 - r^2).
 
     The same equation with Y gives the upper and lower ends. The box's depth is where the ray through its
     centre enters the sphere.

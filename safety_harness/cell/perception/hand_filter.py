@@ -161,10 +161,10 @@ def predict(track: np.void, dt_s: float, parameters: np.void) -> None:
 def wait(track: np.void, dt_s: float, parameters: np.void) -> None:
     """Advance a track's clock and covariance by ``dt_s`` >= 0 without a change of its mean.
 
-    P <- F P F' + Q with F = ((1, dt), (0, 1)). For u, v and z, Q is s^2 ((dt^4/4, dt^3/2), (dt^3/2, dt^2)).
-    This assumes an acceleration of deviation s that is constant during a step and independent between steps
-    (piecewise white). For the area, Q is q ((dt^3/3, dt^2/2), (dt^2/2, dt)), which assumes a rate on a random
-    walk of density q.
+    The covariance P of each pair becomes F P F' + Q with F = ((1, dt), (0, 1)). For u, v and z, Q is s^2
+    ((dt^4/4, dt^3/2), (dt^3/2, dt^2)). This assumes an acceleration of deviation s that is constant during a
+    step and independent between steps (piecewise white). For the area, Q is q ((dt^3/3, dt^2/2), (dt^2/2,
+    dt)), which assumes a rate on a random walk of density q.
     """
     covariance = track["pair_covariance"]
     for i in range(PAIRS):

@@ -56,7 +56,7 @@ def polygon_moments(
     m00 is the polygon's (positive) area. The function applies Green's theorem about the centroid. For a
     homogeneous integrand of order o, the theorem gives
 
-        (o + 2) mu_ij = sum over edges p -> q of (p x q) * integral_0^1 x(t)^i y(t)^j dt,
+        (o + 2) mu_ij = sum over edges p -> q of (p x q) * integral_0^1 x(t)^i y(t)^j dt.
 
     The four-point Gauss-Legendre rule is exact for these integrals. The polygon may be clockwise or
     anticlockwise. Return False, with ``out`` all NaN, if the polygon has no area or is not finite.

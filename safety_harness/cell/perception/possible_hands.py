@@ -1,7 +1,7 @@
 """Compute the box about a hand's predicted position in which the hand is with a stated probability.
 
-The filter's u, v and z of all hands are n = 3 x hands independent numbers. Each is within k of its standard
-deviations from its mean with the probability P^(1/n). Here k = q((1 + P^(1/n))/2), where q is the normal
+The filter's u, v and z of all hands are n = 3 x hands independent numbers. Each is within k standard
+deviations of its mean with the probability P^(1/n). Here k = q((1 + P^(1/n))/2), where q is the normal
 quantile. So all n numbers together are within k with probability P. If the filter extrapolates by t, the
 variance is
 

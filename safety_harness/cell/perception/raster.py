@@ -80,8 +80,8 @@ def mask_moments(
 ) -> int:
     """Fill ``out`` with the moments of a mask's non-zero pixels; return the number of these pixels.
 
-    The principal point is an argument because a renderer may have another one than our convention. Without a
-    pixel, ``out`` is all NaN.
+    The principal point is an argument because a renderer's principal point may differ from our convention.
+    Without a pixel, ``out`` is all NaN.
     """
     height_px, width_px = mask.shape
     count, sum_u, sum_v = 0, 0, 0

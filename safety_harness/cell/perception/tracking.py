@@ -39,7 +39,7 @@ def advance_tracks(
     1. The function predicts every track to the capture time.
     2. It pairs boxes and tracks so that the sum of the distances between their centres in the image is least.
        A box without a track adds ``gate_px`` to the sum, and the distance of a pair is at most ``gate_px``.
-       For up to MOST_TRIED pairings with equal sums, the earlier boxes get the lower slots.
+       If at most MOST_TRIED pairings exist and some have equal sums, earlier boxes get lower slots.
     3. It updates paired tracks. Every other box starts a track in the free slot that was seen longest ago.
        Without a free slot, the new track replaces the unpaired track that was seen longest ago.
     4. It drops tracks that no frame has shown for longer than ``track_timeout_s``.

@@ -91,7 +91,7 @@ def centred_moment_interaction(
 
 @compiled
 def centroid_interaction(moments: Array31, plane: Array3, dense: bool, out: NDArray[np.float64]) -> None:
-    """Fill ``out`` (2, 6) with the rows of x_g and y_g; second ``moments`` describe the object's size.
+    """Fill ``out`` (2, 6) with the rows of x_g and y_g, which depend on the second ``moments`` too.
 
     With 1/Z_g = A x_g + B y_g + C and s_ij = k n_ij, k = 4 for a dense object and 1 for a discrete object,
 

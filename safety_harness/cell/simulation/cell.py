@@ -102,7 +102,7 @@ def build_cell(
         client: The client.
         settings: The settings.
         arm: The arm.
-        joint_position_rad: Its joint position (n,).
+        joint_position_rad: The arm's joint position (n,).
         rendered: Whether the world renders images. Only then the cell gets visual meshes, object and hands.
         hands: The number of hands.
 

@@ -118,7 +118,7 @@ def _refuse(
 
 
 class _Asking:
-    """A callable that calls the controllers of many lanes together.
+    """A function object that calls the controllers of many lanes together.
 
     ``took_s`` is the mean time [s] of an answer at each tick. It is empty if a single call answers for all
     lanes.

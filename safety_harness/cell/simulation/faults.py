@@ -112,7 +112,7 @@ def spoil_hand_frame(
     """Apply the faults to the hand sensor's newest frame of boxes.
 
     First measurement errors shift the hands, then the function adds false hands. Then a blind sensor drops
-    all hands. At last a frozen sensor repeats the previous frame.
+    all hands. Finally a frozen sensor repeats the previous frame.
     """
     s = sensors[0]
     frame = frames[(s.hand_frames - 1) % RING]

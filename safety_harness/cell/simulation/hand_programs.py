@@ -47,7 +47,7 @@ FIRST_DRAWN = 256
 class Hands:
     """The hands of an episode, with their state and their programs.
 
-    ``samples`` (s, 7) are recorded: time, hand position and elbow position.
+    ``samples`` (s, 7) hold time, hand position and elbow position of the recorded hands.
     """
 
     state: HandRecords
