@@ -134,7 +134,7 @@ def _more(avoider: Avoider, question: Question) -> dict[str, Any]:
 
 
 def answer_of(proposal: object, threshold_m: float | None) -> Answer:
-    """Return the answer with an avoider's ``proposal``, or with a fault if that is no valid proposal."""
+    """Return the answer with an avoider's ``proposal``, or with a fault if the proposal is invalid."""
     try:
         return Answer(checked(proposal), np.nan if threshold_m is None else threshold_m)
     except AvoiderError as error:

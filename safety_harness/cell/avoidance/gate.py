@@ -284,7 +284,7 @@ def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answ
 def leads_away(
     start_in_base_m: Vector, path: Vector, hands_in_base_m: Vector, half_widths_m: Vector | None = None
 ) -> bool:
-    """Return whether a straight path leads away from each hand, everywhere.
+    """Return whether a straight path leads away from every hand at each of its points.
 
     Along a straight path, the distance from a fixed point is a convex function. So the distance from h never
     falls if it does not fall at the start, that is if (p - t) . (t - h) >= 0. Return False for a path of no

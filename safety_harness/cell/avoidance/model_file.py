@@ -104,7 +104,7 @@ class SeenSpace:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """The interval's width and the largest usable spread, from held-out TCPs within the seen space.
+    """A calibration on held-out TCPs of the seen space: interval multiplier and largest usable spread.
 
     ``more`` keeps all further records of the calibration in the file, which the harness does not interpret.
     """
