@@ -1,7 +1,8 @@
-"""Questions to an avoider, one or many in a call: the result is an answer, or a fault in words.
+"""Ask an avoider one or many questions in a call: each result is an answer, or the text of a fault.
 
-The cost of a decision in simulated time is a declaration (``decision_times``). The harness also measures the
-time of an answer on the wall's clock. It has no effect, unless the answer never comes: that ends the run.
+A declaration states how much simulated time a decision costs (``decision_times``). The harness also measures
+how long an answer takes on the wall's clock. This measured time has no effect on the run, unless the answer
+never comes: then the run ends.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from safety_harness.cell.avoidance.avoider import (
 from safety_harness.seams.contract import Seen
 
 WALL_LIMIT_S = DEFAULTS.clock.wall_limit_s
-EACH_S = 1.0  # the additional time for each of many questions
+EACH_S = 1.0  # the additional wall-clock time for each question of a joint call
 NAN_PROPOSAL = Proposal(np.full(3, np.nan), np.full(3, np.nan))
 
 
@@ -42,8 +43,8 @@ NAN_PROPOSAL = Proposal(np.full(3, np.nan), np.full(3, np.nan))
 class Answer:
     """An avoider's proposal with the largest allowed spread, or the reason for its absence.
 
-    ``latency_s`` is its wall-clock time. ``late``: it comes after the decision deadline in simulated time, so
-    the harness does not call the avoider.
+    ``latency_s`` is the wall-clock time that the answer took. ``late`` is true if the answer would come after
+    the decision deadline in simulated time. The harness then does not call the avoider.
     """
 
     proposal: Proposal = field(default=NAN_PROPOSAL)
@@ -54,9 +55,9 @@ class Answer:
 
 
 class Question(NamedTuple):
-    """A question, with the wall-clock limit of its answer. Positions are (3,).
+    """A question with the wall-clock limit ``limit_s`` [s] of its answer; positions are (3,).
 
-    ``seen`` is for an avoider that sees more; None outside of a run.
+    ``seen`` is for an avoider whose ``sees`` asks for more quantities; it is None outside of a run.
     """
 
     hand_position_in_base_m: Vector
@@ -67,28 +68,29 @@ class Question(NamedTuple):
 
 
 class OutOfProcessAvoider(ABC):
-    """An avoider in another process, which applies the wall limit itself."""
+    """An avoider in another process; this class itself limits the wall-clock time of its answers."""
 
     takes_many: bool  # in one call
 
     @abstractmethod
     def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
-        """Return an answer for each question, in one call if ``together`` and the avoider takes many.
+        """Return an answer to each question; ask in one call if ``together`` and the avoider takes many.
 
-        ``NoAnswerError``; ``SimulationError`` if the process is lost and a new one does not start.
+        Raise ``NoAnswerError`` if no answer comes in time. Raise ``SimulationError`` if the process is lost
+        and no new process starts.
         """
 
 
 class _Hangs(BaseException):
-    """An interruption of an avoider at the wall limit; not an Exception, which the avoider might catch."""
+    """The interruption of an avoider at the wall limit; no Exception, since an avoider might catch that."""
 
 
 def ask(avoider: Avoider, question: Question) -> Answer:
-    """Return an avoider's answer; anything that it raises becomes a fault in words.
+    """Return an avoider's answer; if the avoider raises an exception, the answer states it as a fault.
 
-    Only the interpreter's own exits pass. ``NoAnswerError`` if the answer takes longer than the question's
-    limit on the wall's clock. The harness interrupts Python on the main thread at the limit. It waits for
-    anything else in this process.
+    Only the interpreter's own exits pass through. Raise ``NoAnswerError`` if the answer takes longer than the
+    question's limit on the wall's clock. At the limit the harness interrupts Python code on the main thread.
+    For any other code in this process, the harness waits until it returns.
     """
     if isinstance(avoider, OutOfProcessAvoider):
         return avoider.answers([question], together=False)[0]
@@ -99,7 +101,7 @@ def ask(avoider: Avoider, question: Question) -> Answer:
 
 
 def late_fault(deadline_s: float) -> str:
-    """Return the recorded text of a decision without an answer in time."""
+    """Return the fault's text for a decision whose answer does not come within ``deadline_s``."""
     return f"no answer within {deadline_s * 1e3:g} ms"
 
 
@@ -124,7 +126,7 @@ def _ask(avoider: Avoider, question: Question) -> Answer:
 
 
 def _more(avoider: Avoider, question: Question) -> dict[str, Any]:
-    """Return the fourth keyword of an avoider that sees more."""
+    """Return the keyword ``seen`` of ``propose`` for an avoider with ``sees``; otherwise no keyword."""
     sees = shown_to(avoider)
     if sees and question.seen is None:
         raise AvoiderError(f"it sees {', '.join(sees)}, which no question outside of a run has")
@@ -132,7 +134,7 @@ def _more(avoider: Avoider, question: Question) -> dict[str, Any]:
 
 
 def answer_of(proposal: object, threshold_m: float | None) -> Answer:
-    """Check an avoider's result; return a fault in words if it is no proposal."""
+    """Return the answer with an avoider's ``proposal``, or with a fault if the proposal is invalid."""
     try:
         return Answer(checked(proposal), np.nan if threshold_m is None else threshold_m)
     except AvoiderError as error:
@@ -143,7 +145,7 @@ def answer_of(proposal: object, threshold_m: float | None) -> Answer:
 def interrupted_after(limit_s: float, name: str) -> Iterator[None]:
     """Raise ``NoAnswerError`` if the block takes longer than ``limit_s``.
 
-    This happens at once if a timer signal is free, otherwise after the block.
+    If a timer signal is free, the error comes at the limit; otherwise it comes after the block.
     """
     begun_s = time.perf_counter()
     free = threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer")
@@ -168,7 +170,7 @@ def interrupted_after(limit_s: float, name: str) -> Iterator[None]:
 
 
 class BatchAvoider(Avoider, Protocol):
-    """An avoider that answers many questions in one call, each with the bits of ``propose``."""
+    """An avoider that answers many questions in one call, each bit for bit as ``propose`` does."""
 
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
@@ -185,20 +187,20 @@ class BatchAvoider(Avoider, Protocol):
 
 
 def takes_many(avoider: Avoider) -> TypeGuard[BatchAvoider]:
-    """Return whether the avoider takes many questions in a call; an avoider that sees more does not."""
+    """Return whether the avoider takes many questions in a call; an avoider with ``sees`` never does."""
     return callable(getattr(avoider, "propose_many", None)) and not getattr(avoider, "sees", None)
 
 
 def limit_of(questions: Sequence[Question]) -> float:
-    """Return the wall-clock limit of a joint call; after it the questions go out in turn."""
+    """Return the wall-clock limit [s] of a joint call for ``questions``; after it, each gets its own call."""
     return max(question.limit_s for question in questions) + EACH_S * len(questions)
 
 
 def answers_together(avoider: Avoider, questions: Sequence[Question]) -> list[Answer]:
-    """Return the answers of a joint call; an empty list if the questions must go out in turn.
+    """Return the answers of a joint call for ``questions``; an empty list if each needs its own call.
 
-    They must if the avoider does not take many, raises, hangs, or does not return two arrays (n, 3). The
-    calls in turn then show which question is at fault.
+    The list is empty if the avoider does not take many, raises, hangs, or does not return two arrays (n, 3).
+    The separate calls then show which question is at fault.
     """
     if isinstance(avoider, OutOfProcessAvoider):
         return avoider.answers(questions, together=True)

@@ -1,7 +1,8 @@
 """The interface for a user's avoider: it proposes a position to which the TCP retreats.
 
-Its question has the nearest predicted hand, the TCP position and a *seed*, not a generator. So it may run in
-a process of its own, and a decision is the same in every process. It does not see the simulator's truth.
+A question contains the nearest predicted hand, the TCP position and a *seed* in place of a random generator.
+So the avoider may run in a process of its own, and a decision is the same in every process. The avoider does
+not see the simulator's truth.
 """
 
 from __future__ import annotations
@@ -34,21 +35,21 @@ class Proposal:
 
 
 class Avoider(Protocol):
-    """The members of a user's own avoider.
+    """A user's own avoider, with the members that it must have.
 
-    It may also have these attributes:
+    A user's avoider may also have these attributes:
 
-    - ``spread_threshold_m``, a number or None: the gate refuses a proposal whose spread is above it on any
-      axis.
+    - ``spread_threshold_m``, a number or None: the gate refuses a proposal whose spread exceeds this number
+      on any axis.
     - ``decision_time_s``, a number: the cost of a decision in simulated time, unless the scenario's settings
       state it.
-    - ``sees``, words of a controller's contract except "image": ``propose`` gets a fourth keyword, ``seen``.
-      It has the named quantities at the time of the question.
+    - ``sees``, words of a controller's contract except "image": ``propose`` gets a fourth keyword, ``seen``,
+      with the named quantities at the time of the question.
     """
 
     @property
     def name(self) -> str:
-        """Its name in reports."""
+        """The avoider's name in reports."""
         ...
 
     def propose(
@@ -65,7 +66,7 @@ class Avoider(Protocol):
             The position with its spread.
 
         Raises:
-            AvoiderError: There is no proposal. Any other exception is a fault of the decision too.
+            AvoiderError: The avoider has no proposal. The harness records any other exception as a fault too.
 
         """
         ...
@@ -73,7 +74,7 @@ class Avoider(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class AvoiderAround:
-    """An avoider around another: subclasses give ``propose``, and the rest is that of ``avoider``."""
+    """An avoider that wraps ``avoider``; a subclass defines ``propose``, ``avoider`` supplies the rest."""
 
     avoider: Avoider
 
@@ -84,24 +85,25 @@ class AvoiderAround:
 
     @property
     def spread_threshold_m(self) -> float | None:
-        """The inner avoider's threshold; ``AvoiderError`` as in ``spread_threshold_of``."""
+        """The inner avoider's threshold; it raises ``AvoiderError`` as ``spread_threshold_of`` does."""
         return spread_threshold_of(self.avoider)
 
     @property
     def decision_time_s(self) -> float:
-        """The inner avoider's time; ``AvoiderError`` as in ``decision_time_of``."""
+        """The inner avoider's time; it raises ``AvoiderError`` as ``decision_time_of`` does."""
         return decision_time_of(self.avoider)
 
     @property
     def sees(self) -> tuple[str, ...]:
-        """The inner avoider's words; a subclass that calls it passes ``seen`` on."""
+        """The words that the inner avoider sees; a subclass that calls this avoider passes ``seen`` on."""
         return shown_to(self.avoider)
 
 
 def spread_threshold_of(avoider: Avoider) -> float | None:
-    """Return the largest spread [m] of usable proposals of the avoider; None for any spread.
+    """Return the largest spread [m] at which the avoider's proposals are usable; None for no bound.
 
-    ``AvoiderError`` unless it is a finite length. Zero is valid and allows certain proposals only.
+    Raise ``AvoiderError`` unless it is a finite length. Zero is valid; it allows only proposals without
+    spread.
     """
     return _declared(avoider, "spread_threshold_m", "a length in metres", most=LARGEST)
 
@@ -109,15 +111,15 @@ def spread_threshold_of(avoider: Avoider) -> float | None:
 def decision_time_of(avoider: Avoider) -> float:
     """Return the cost [s] of a decision that the avoider declares; 0 without a declaration.
 
-    ``AvoiderError`` unless it is a valid time.
+    Raise ``AvoiderError`` unless it is a valid time.
     """
     return _declared(avoider, "decision_time_s", f"a time from 0 s to {LONGEST_S:g} s", most=LONGEST_S) or 0.0
 
 
 def shown_to(avoider: Avoider) -> tuple[str, ...]:
-    """Return the words of ``sees``, in the order of the contract's ``SIGHTS``.
+    """Return the words of the avoider's ``sees``, in the order of the contract's ``SIGHTS``.
 
-    ``AvoiderError`` for an unknown word, and for pixels.
+    Raise ``AvoiderError`` for an unknown word, and for the word of the pixels, "image".
     """
     if getattr(avoider, "sees", None) is None:
         return ()
@@ -131,9 +133,9 @@ def shown_to(avoider: Avoider) -> tuple[str, ...]:
 
 
 def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float | None:
-    """Return a number from 0 to ``most`` that the avoider may have; None without it.
+    """Return the avoider's attribute ``name``, a number from 0 to ``most``; None without this attribute.
 
-    ``AvoiderError`` for any other value.
+    Raise ``AvoiderError`` for any other value.
     """
     value = getattr(avoider, name, None)
     if value is None:
@@ -145,7 +147,7 @@ def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float |
 
 
 def checked(proposal: object) -> Proposal:
-    """Return the proposal with finite float64 arrays of shape (3,); ``AvoiderError`` for anything else."""
+    """Return the proposal with finite float64 arrays (3,); raise ``AvoiderError`` for any other object."""
     if not isinstance(proposal, Proposal):
         raise AvoiderError(f"an avoider must return a Proposal; got {type(proposal).__name__}")
     cleaned = []
@@ -154,7 +156,7 @@ def checked(proposal: object) -> Proposal:
             given = np.asarray(value)
         except (TypeError, ValueError) as error:
             raise AvoiderError(f"the proposed {name} is no array of numbers: {error}") from error
-        if given.dtype.kind not in "fiu":  # float64 would drop a complex part, and parse texts
+        if given.dtype.kind not in "fiu":  # a cast to float64 would drop an imaginary part, and parse texts
             raise AvoiderError(f"the proposed {name} must be real numbers; got {given.dtype}")
         if given.shape != (3,):
             raise AvoiderError(f"the proposed {name} must have shape (3,); got {given.shape}")

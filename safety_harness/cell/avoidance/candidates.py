@@ -1,9 +1,9 @@
 """Repulsive candidates on a quarter sphere around the TCP (section 4.1 and figure 5 of the paper).
 
-The paper draws 100 candidates per TCP "on a quarter of a sphere", "Gaussian". Our reading is the sphere of
-radius R about the TCP. Azimuth and elevation are normal with one sigma about the direction from the nominal
-hand position to the desired TCP. A candidate must be within the cone of 60 degrees about that direction,
-which covers exactly a quarter of the sphere. R and sigma are our choice.
+The paper draws 100 candidates per TCP "on a quarter of a sphere", "Gaussian". We read this as the sphere of
+radius R about the TCP. Azimuth and elevation have a normal distribution with the same sigma about an axis.
+This axis is the direction from the nominal hand position to the desired TCP. A candidate must be within 60
+degrees of the axis. This cone covers exactly a quarter of the sphere. R and sigma are our choice.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ SAME_PLACE_M = 1e-9  # at a smaller distance, a direction is rounding or the sol
 class CandidateCap:
     """The spherical cap from which candidates are drawn.
 
-    ``axis_in_base`` (3,) is a unit vector; the cap has all directions within ``cone_rad`` of it.
+    ``axis_in_base`` (3,) is a unit vector. The cap consists of all directions within ``cone_rad`` of this
+    axis.
     """
 
     axis_in_base: NDArray[np.float64]
@@ -37,9 +38,10 @@ class CandidateCap:
 
     @classmethod
     def from_settings(cls, settings: Settings) -> CandidateCap:
-        """Return the cap of the settings: away from the nominal hand, towards the desired TCP.
+        """Return the cap of the settings, whose axis points from the nominal hand to the desired TCP.
 
-        ``SettingsError`` if these coincide, or if the cone is too narrow for draws.
+        Raise ``SettingsError`` if the nominal hand and the desired TCP coincide, or if the cone is too narrow
+        for draws.
         """
         avoidance = settings.avoidance
         axis = np.subtract(
@@ -63,7 +65,8 @@ class CandidateCap:
     def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
         """Return offsets (count, 3) from the TCP in the base frame, each of length ``radius_m``.
 
-        Rejection terminates: with sigma 45 degrees some 61 % of the draws fall into the cone.
+        The function repeats draws that fall outside of the cone. This ends soon: with sigma 45 degrees some
+        61 % of the draws fall into the cone.
         """
         frame = self.frame()
         kept = np.empty((0, 3))
@@ -80,7 +83,7 @@ class CandidateCap:
         return self.radius_m * kept[: self.count]
 
     def frame(self) -> NDArray[np.float64]:
-        """Return rows (3, 3): the axis, the horizontal direction beside it, and up."""
+        """Return orthogonal unit vectors as rows (3, 3): the axis, a horizontal one, and an upward one."""
         vertical = abs(self.axis_in_base[2]) > 1.0 - 1e-12  # then any horizontal direction is a side
         side = np.array([0.0, 1.0, 0.0]) if vertical else np.cross([0.0, 0.0, 1.0], self.axis_in_base)
         side = side - product(side, self.axis_in_base) * self.axis_in_base
@@ -92,11 +95,12 @@ class CandidateCap:
 def continuous_optimum(settings: Settings, tcp_in_base: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the point of the whole cap about each TCP that is nearest to the desired position, (n, 3) [m].
 
-    |tcp + R u - desired|^2 = R^2 + |d|^2 - 2 R u . d with d = desired - tcp. So the function looks for the
-    unit vector u of the cap that is nearest in angle to d. If the cap has d's own direction, u is that.
-    Otherwise it is the point of the rim in the plane of the axis a and d. If d singles out no direction (TCP
-    at the desired position, or d opposite to the axis), all of the cap or of its rim is equally near. The
-    choice is then fixed: the axis, or the rim's point beside it.
+    |tcp + R u - desired|^2 = R^2 + |d|^2 - 2 R u . d with d = desired - tcp and R the radius. So the function
+    looks for the unit vector u of the cap that is nearest in angle to d. If the cap contains the direction of
+    d, u is this direction. Otherwise u is the point of the cap's rim in the plane of d and the cap's axis. If
+    the TCP is at the desired position, all points of the cap are equally near, and the function takes the
+    axis. If d is opposite to the axis, all points of the rim are equally near. The function then takes a
+    fixed point of the rim.
 
     ``tcp_in_base`` (n, 3).
     """

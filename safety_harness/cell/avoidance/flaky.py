@@ -1,4 +1,4 @@
-"""A test that an avoider is a function of its question and seed: it answers a run's questions again."""
+"""Ask an avoider a run's questions again, to test that its answer depends on question and seed only."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A question of a run with the avoider's answer; ``number`` is its decision's, from 1."""
+    """A question of a run with the avoider's answer; ``number`` counts the run's decisions from 1."""
 
     run: str
     number: int
@@ -27,7 +27,7 @@ class Asked:
 
 
 def asked_in(trace: Trace) -> list[Asked]:
-    """Return the questions and answers of a run; the trace has each question exactly.
+    """Return the questions and answers of a run; the trace stores each question without rounding.
 
     The result leaves out answers that came too late, and answers that a simulated fault replaced.
     """
@@ -47,9 +47,9 @@ def asked_in(trace: Trace) -> list[Asked]:
 
 
 def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
-    """Ask ``avoider`` the questions of ``trace`` again; raise ``FlakyAvoiderError`` for other bits.
+    """Ask ``avoider`` the questions of ``trace`` again; raise ``FlakyAvoiderError`` if any bit differs.
 
-    The function skips an avoider that sees more: a trace does not store all that it saw.
+    The function skips an avoider with ``sees``, because a trace does not store all that this avoider saw.
     """
     if shown_to(avoider):
         return
@@ -62,7 +62,7 @@ def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
 def difference(first: Answer, again: Answer) -> str:
     """Return the difference between an avoider's two answers, in words; empty for the same bits.
 
-    The comparison of a fault's text ends where a trace cuts it.
+    The function compares only as many characters of a fault's text as a trace keeps.
     """
     position_m, again_m = first.proposal.position_in_base_m, again.proposal.position_in_base_m
     spread_m, spread_again_m = first.proposal.spread_m, again.proposal.spread_m

@@ -1,8 +1,8 @@
 """The gate between an avoider and the arm: the arm uses a proposed position only if it passes every check.
 
-In turn: the avoider's proposal, the opposite pose under the same checks, a protective stop. The gate records
-every check that fails. (Reachability means inverse kinematics within the joint limits along the whole
-straight path, not a radius.)
+The gate first checks the avoider's proposal, then the opposite pose. If both fail, it demands a protective
+stop. The gate records every check that fails. A position is reachable if the arm can follow the whole
+straight path to it within the joint limits. Reachability is not a radius.
 """
 
 from __future__ import annotations
@@ -36,18 +36,19 @@ from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.seams.contract import Seen
 from safety_harness.trace.records import Check, DecisionOutcome
 
-REACH_MARGIN_M = 0.010  # the straight path must stay reachable this far beyond the position
+REACH_MARGIN_M = 0.010  # the arm must be able to go straight on this far beyond the position
 OWN_CLEARANCE_M = 0.020  # the least distance of the wrist's capsules from base, shoulder and upper arm
-WAY_STEP_M = 0.025  # between two samples of a path the capsules come nearer by about half of that
+WAY_STEP_M = 0.025  # between two samples of a path, capsules can come nearer by about half of this
 
 
 @dataclass(frozen=True, eq=False)
 class Query:
     """A question to the avoider: the nearest predicted hand, the TCP, the joints and a seed.
 
-    ``hands_in_base_m`` has every predicted hand, the nearest among them; only the gate sees it.
-    ``half_widths_m`` belongs to the boxes about them in which they may be; None if no rule needs it.
-    ``asked_of`` is the hand and the TCP (3,) at the time of the question, if its answer counts later.
+    ``hands_in_base_m`` contains every predicted hand, also the nearest; only the gate sees these. Each hand
+    may be anywhere in a box about its prediction. ``half_widths_m`` describes the boxes; it is None if no
+    rule needs it. If the answer counts later than its question, ``asked_of`` is the hand and the TCP (3,) at
+    the question's time.
     """
 
     hand_position_in_base_m: Vector
@@ -71,10 +72,10 @@ class Query:
 
 @dataclass(frozen=True, eq=False)
 class GateDecision:
-    """The gate's decision with its grounds. A position that does not exist is NaN.
+    """The gate's decision with its reasons; a position that does not exist is NaN.
 
     ``fault`` says why the avoider gave no usable answer; it is empty after a usable answer. ``latency_s`` is
-    the time of the answer on the wall's clock.
+    the time that the answer took on the wall's clock.
     """
 
     outcome: DecisionOutcome
@@ -90,7 +91,7 @@ class GateDecision:
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """Rules on proposals; it has no state between decisions."""
+    """The gate, which decides on each proposal and has no memory between decisions."""
 
     kinematics: InverseKinematics
     fallback: Avoider
@@ -117,7 +118,7 @@ class Gate:
             kinematics: The arm's inverse kinematics.
             capsules: The arm's capsules.
             obstacles: The boxes of the cell.
-            more: A scenario's further rule, if any.
+            more: A further rule that the scenario adds, if any.
 
         """
         return cls(
@@ -136,11 +137,11 @@ class Gate:
         return self.rule_on(answer_to(avoider, query), query)
 
     def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
-        """Check the avoider's answer, then the opposite pose if that fails, else stop.
+        """Check the avoider's answer, then the opposite pose if that fails, and stop if both fail.
 
         Args:
             proposed: The avoider's answer.
-            query: Its question, with everything that the checks need.
+            query: The question that it answers, with everything that the checks need.
 
         """
         opposite = answer_to(self.fallback, replace(query, late="", asked_of=None))
@@ -178,7 +179,7 @@ class Gate:
         return failed
 
     def _outside(self, question: Question) -> Check:
-        """Return the failed check if a question lies outside of the scenario's region."""
+        """Return the check that fails if a question lies outside of the scenario's region, or no check."""
         region = None if self.more is None else self.more.questions_within
         if region is None:
             return Check.NONE
@@ -186,9 +187,10 @@ class Gate:
         return Check.NONE if depth_m >= 0.0 else Check.OUTSIDE_REGION
 
     def check(self, position_in_base_m: Vector, query: Query) -> Check:
-        """Return the checks that a position fails, with the current orientation.
+        """Return the checks that a position fails, if the TCP goes there with its current orientation.
 
-        A straight path is lowest at an end, so the table needs no check in between.
+        A straight path is lowest at its start or its end, so the function checks the height above the table
+        only there.
 
         Args:
             position_in_base_m: The position (3,).
@@ -223,7 +225,7 @@ class Gate:
     def _met(self, path: Vector, length_m: float, query: Query) -> Check:
         """Return the check that fails on the path: the wrist near the body, or the arm near an obstacle.
 
-        An arm that is too near at the start may leave.
+        If the arm is too near at the start already, it may still move away.
         """
         arm, capsules, steps = self.kinematics.arm, self.capsules, ceil(length_m / WAY_STEP_M)
         poses = np.repeat(query.transform_tcp_to_base[None], steps, axis=0)
@@ -243,17 +245,18 @@ class Gate:
 
 
 def answer_to(avoider: Avoider, query: Query) -> Answer:
-    """Return the avoider's answer, or a fault if it is late in simulated time; ``NoAnswerError``."""
+    """Return the avoider's answer, or a fault if it is late in simulated time; raise as ``ask`` does."""
     if query.late:
         return Answer(fault=query.late, late=True)
     return ask(avoider, query.question)
 
 
 def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answer]:
-    """Return the answers, in order, with the bits of ``ask`` apart from their latency.
+    """Return the answers in the order of the queries, bit for bit as ``ask`` does, except for their latency.
 
-    The latency of a question in a batch is NaN, because the batch has only one time. Questions in turn have
-    their times. An avoider in another process gets all its questions in one message and does either there.
+    The latency of an answer in a batch is NaN, because the function only measures the whole batch. It
+    measures the latency of each question that it asks alone. An avoider in another process gets all its
+    questions in one message. That process then asks them in a batch or one by one.
 
     Args:
         avoiders: The avoider of each question.
@@ -281,18 +284,19 @@ def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answ
 def leads_away(
     start_in_base_m: Vector, path: Vector, hands_in_base_m: Vector, half_widths_m: Vector | None = None
 ) -> bool:
-    """Return whether a straight path leads away from each hand, everywhere.
+    """Return whether a straight path leads away from every hand at each of its points.
 
-    The distance from a fixed point to a straight path is convex. So it grows everywhere unless it falls at
-    the start: (p - t) . (t - h) >= 0. Return False for a path of no length and for a hand that is NaN. For
-    half widths r, this must hold for every position of the hands in their boxes. (p - t) . (t - h) is linear
-    in h, so it is least at a corner, and there less by sum |p - t|_i r_i.
+    Along a straight path, the distance from a fixed point is a convex function. So the distance from h never
+    falls if it does not fall at the start, that is if (p - t) . (t - h) >= 0. Return False for a path of no
+    length and for a hand that is NaN. With half widths r, the inequality must hold for every position of a
+    hand in its box. Its left side is linear in h, so it is least at a corner. At this corner it is less by
+    sum |p - t|_i r_i than at the middle.
 
     Args:
         start_in_base_m: The start t (3,).
         path: The vector p - t (3,).
         hands_in_base_m: The hands h (k, 3).
-        half_widths_m: The half widths r of boxes about them (k, 3). None: exact hands.
+        half_widths_m: The half widths r (k, 3) of boxes about the hands. None: the hands are exactly there.
 
     """
     if not length(path) > 0.0:

@@ -1,4 +1,4 @@
-"""The learned avoiders: a trained network, its Monte Carlo dropout passes, or an ensemble."""
+"""Answer with a trained network, once or in Monte Carlo dropout passes, or with an ensemble."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from safety_harness.cell.avoidance.resnet_kernel import FoldedNetwork, decide, f
 
 @dataclass(frozen=True, eq=False)
 class LearnedAvoider:
-    """Eqs. 9 and 10 of the paper: the mean of the passes (or members), and their standard deviation.
+    """The avoider of eqs. 9 and 10 of the paper: mean and standard deviation of the passes or members.
 
-    A decision depends on its hand, TCP and seed alone: the same bits one at a time or in a batch of any size.
-    Networks without dropout ignore the seed.
+    A decision depends on its hand, TCP and seed alone. So its bits are the same alone or in a batch of any
+    size. Networks without dropout ignore the seed.
     """
 
     model: Model
@@ -52,7 +52,7 @@ class LearnedAvoider:
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return a decision; ``seed`` is any integer from 0 to 2^64 - 1."""
+        """Return the network's proposal; ``seed`` is any integer from 0 to 2^64 - 1."""
         positions, spreads = self.propose_many(
             np.asarray(hand_position_in_base_m)[None],
             np.asarray(tcp_position_in_base_m)[None],
@@ -65,7 +65,7 @@ class LearnedAvoider:
     ) -> tuple[Vectors, Vectors]:
         """Return positions and spreads (n, 3) [m] for n questions.
 
-        A hand or TCP that is not finite gives a position that is not finite, and never a guess.
+        If a hand or a TCP is not finite, its position is not finite either; the network never guesses.
 
         Args:
             hands_in_base_m: The hands (n, 3).
@@ -76,7 +76,7 @@ class LearnedAvoider:
             ValueError: An array has another shape.
 
         """
-        # Copies, since numba would compile everything once more for an array that is read-only.
+        # Copies, since numba would compile everything once more for read-only arrays.
         hands = np.array(hands_in_base_m, dtype=np.float64, order="C")
         tcps = np.array(tcps_in_base_m, dtype=np.float64, order="C")
         keys = np.array(seeds, dtype=np.uint64, order="C")

@@ -1,4 +1,4 @@
-"""The quality of a proposal before any gate: whether it leads away, and its distance from the optimum.
+"""Measure a proposal before any gate: whether it leads away, and its distance from the optimum.
 
 Positions are (n, 3) in the base frame [m]. Results are (n,), in metres, NaN if a proposal or a question is
 not finite. The claims about proposals and the command that scores an avoider use the same functions.
@@ -15,9 +15,9 @@ from safety_harness.cell.avoidance.candidates import continuous_optimum
 
 
 def optimum_in_base_m(settings: Settings, hands: ArrayNx3, tcps: ArrayNx3) -> ArrayNx3:
-    """Return eq. 13 with the continuous optimum, (n, 3): gt = t_opt + hand_pull (t_tcp - t_h).
+    """Return the targets (n, 3) of eq. 13 with the continuous optimum t_opt: t_opt + hand_pull (t_tcp - t_h).
 
-    It is the closed form of the networks' target: a reference for comparison, not a requirement.
+    This is the closed form of the networks' target. It is a reference for comparison, not a requirement.
 
     Args:
         settings: The settings, for the cap of candidates and ``hand_pull``.
@@ -30,10 +30,11 @@ def optimum_in_base_m(settings: Settings, hands: ArrayNx3, tcps: ArrayNx3) -> Ar
 
 
 def gained_m(hands: ArrayNx3, tcps: ArrayNx3, proposed: ArrayNx3) -> NDArray[np.float64]:  # (n,)
-    """Return the component of the path to a proposal away from the hand, (n,): (p - t) . (t - h)/|t - h|.
+    """Return how far each path leads directly away from the hand, (n,) [m]: (p - t) . (t - h)/|t - h|.
 
-    The distance from a hand to a straight path is convex. So a component of zero or more leads away from the
-    hand everywhere. If the hand is at the TCP, every path leads away, and its whole length counts.
+    Along a straight path, the distance from the hand is a convex function. So if the result is zero or more,
+    the path never comes nearer to the hand. If the hand is at the TCP, every path leads away, and the result
+    is its length.
 
     Args:
         hands: The hands h (n, 3).
@@ -57,11 +58,11 @@ def is_sure(
     spreads_m: ArrayNx3,
     threshold_m: float | NDArray[np.float64],  # (n,)
 ) -> NDArray[np.bool_]:
-    """Return whether a proposal's spread is within the avoider's own threshold on every axis, (n,).
+    """Return whether each proposal's spread is within the avoider's own threshold on every axis, (n,).
 
     Args:
         spreads_m: The spreads (n, 3).
-        threshold_m: The threshold, or one for each proposal (n,). For NaN, without a threshold, every answer
+        threshold_m: The threshold, or one for each proposal (n,). NaN means no threshold: then every answer
             is sure.
 
     """

@@ -1,12 +1,13 @@
-"""Trained networks as files: safetensors with a JSON text, read without execution of any code.
+"""Read and write trained networks as safetensors files with a JSON text; no read executes any code.
 
-Tensors have the names "{member}/{name}", with the name as in a PyTorch state dict of the architecture that
-``tensor_shapes`` gives. An error names the field at fault. ``load_model`` accepts every file that
-``save_model`` writes.
+Tensors have the names "{member}/{name}". The second part is the tensor's name in a PyTorch state dict of the
+architecture that ``tensor_shapes`` describes. An error names the field at fault. ``load_model`` accepts every
+file that ``save_model`` writes.
 
-This module reads the metadata of an ONNX file from its bytes, without a runtime or any computation. A model
-is a message of protocol buffers (onnx.proto, ModelProto). Its field 14 has the metadata, each a message of
-two texts: 1 the key, 2 the value. Fields: https://protobuf.dev/programming-guides/encoding
+This module reads the metadata of an ONNX file from its bytes, without a runtime or any computation. An ONNX
+model is a message of protocol buffers (onnx.proto, ModelProto). Each metadata entry is a field 14 of the
+model: a message whose field 1 is the key and field 2 the value. The encoding of fields:
+https://protobuf.dev/programming-guides/encoding
 """
 
 from __future__ import annotations
@@ -46,21 +47,21 @@ CARD_TIME = "decision_time_s"  # of the card: the cost of a decision in simulate
 CARD_ARM = "arm"  # of the card: the training data come from this arm's cell
 LARGEST_ONNX_BYTES = 256 * 2**20
 GRAPH, METADATA = 7, 14
-MOST_FIELDS = 10_000  # the rest is not read: a file may have millions of useless fields
+MOST_FIELDS = 10_000  # further fields are not read: a file may have millions of useless fields
 FIXED = {1: 8, 5: 4}  # bytes of a value by its wire type
-PARTS = (("weight", 2), ("bias", 1))  # of a layer, and how many of its dimensions each has
-FARTHEST_M = 10.0  # a larger seen space is not in metres, or not around a robot's base
+PARTS = (("weight", 2), ("bias", 1))  # the tensors of a layer, and the number of dimensions of each
+FARTHEST_M = 10.0  # a seen space beyond this is not in metres, or not around a robot's base
 
 INPUTS = 7  # hand (3) and TCP (3) in the base frame, normalised, and the constant 1
 OUTPUTS = 3
 WIDTH = 32
 STAGES = 3
 BLOCKS = 3  # a stage: one dense block, then identity blocks
-STAGE_LAYERS = 3 * BLOCKS + 1  # a stage's one dense block has a layer in its shortcut too
+STAGE_LAYERS = 3 * BLOCKS + 1  # the dense block of a stage has one layer more, in its shortcut
 LAYERS = STAGES * STAGE_LAYERS
 PERCEPTRON_INPUTS = INPUTS - 1  # no constant: its layers have biases
 HIDDEN_LAYERS = 2
-SIZES = {RESNET: (STAGES, BLOCKS), PERCEPTRON: (HIDDEN_LAYERS, 1)}  # stages, and blocks of each
+SIZES = {RESNET: (STAGES, BLOCKS), PERCEPTRON: (HIDDEN_LAYERS, 1)}  # stages, and blocks in a stage
 NORM = ("weight", "bias", "running_mean", "running_var")  # of a batch norm
 
 Corner = Annotated[float, Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
@@ -83,7 +84,7 @@ PLACES = {Dropout.NONE: 0, Dropout.INTER: STAGES, Dropout.FULL: LAYERS + 1}  # o
 
 @dataclass(frozen=True, kw_only=True)
 class SeenSpace:
-    """The boxes that the training data filled: corners in the base frame [m]."""
+    """The two boxes that the training data filled, as corners in the base frame [m]."""
 
     hand_low_m: tuple[Corner, Corner, Corner]
     hand_high_m: tuple[Corner, Corner, Corner]
@@ -92,7 +93,7 @@ class SeenSpace:
 
     @property
     def boxes(self) -> dict[str, tuple[Vector3, Vector3]]:
-        """The low and the high corner of the box of hands, and of the box of TCPs."""
+        """The low and the high corner of each box: "hand" for the hands and "tcp" for the TCPs."""
         return {"hand": (self.hand_low_m, self.hand_high_m), "tcp": (self.tcp_low_m, self.tcp_high_m)}
 
     def __post_init__(self) -> None:
@@ -103,10 +104,9 @@ class SeenSpace:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """The results of held-out seen TCPs: the width of an interval, and the largest usable spread.
+    """A calibration on held-out TCPs of the seen space: interval multiplier and largest usable spread.
 
-    ``more`` has the other records of the calibration, which stand beside these in a file. The harness does
-    not read them.
+    ``more`` keeps all further records of the calibration in the file, which the harness does not interpret.
     """
 
     interval_multiplier: Positive
@@ -118,7 +118,7 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NetworkUse:
-    """The way to call a network and the validity of its answers, for any kind of file."""
+    """A network's dropout, seen space, calibration and card, in any kind of file."""
 
     dropout: Dropout
     dropout_probability: Annotated[float, Meta(ge=0.0, le=LARGEST_DROPOUT)]
@@ -139,7 +139,7 @@ class NetworkUse:
 
     @property
     def made_for(self) -> str:
-        """The arm in whose cell the training data were drawn; a card without it is for the UR10."""
+        """The arm in whose cell the training data were drawn; the UR10 if the card names no arm."""
         return str(self.card.get(CARD_ARM, Robot.UR10.label))
 
 
@@ -148,11 +148,11 @@ U = TypeVar("U", bound=NetworkUse)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ModelMetadata(NetworkUse):
-    """All of a model except its tensors.
+    """The metadata of a model: everything except its tensors.
 
-    The network sees x = (input - input_mean) / input_std (6,) and the constant 1. Its answer y means the
-    position target_mean + target_std y (3,) in the base frame. Means and deviations are in metres. A
-    perceptron has no constant, and two stages of one layer each.
+    The network sees x = (input - input_mean) / input_std (6,) and the constant 1. Its output y stands for the
+    position target_mean + target_std y (3,) in the base frame. Means and standard deviations are in metres. A
+    perceptron gets no constant, and has two stages of one layer each.
     """
 
     format: str = FORMAT
@@ -169,7 +169,7 @@ class ModelMetadata(NetworkUse):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Model(ModelMetadata):
-    """A network or an ensemble, with everything that its use needs.
+    """A network or an ensemble with its metadata and its tensors.
 
     ``tensors`` are read-only float32 arrays, one set for each member.
     """
@@ -192,7 +192,7 @@ def refuse(path: Path, name: str | None, expected: str, got: str, hint: str = ""
 
 
 def layer_names() -> list[tuple[str, str]]:
-    """Return (block, number) of every layer before fc_out, in the order of the tensors and of the masks."""
+    """Return (block, number) of every layer before fc_out; tensors and masks have the same order."""
     return [
         (f"stages.{stage}.{block}", number)
         for stage in range(STAGES)
@@ -202,9 +202,9 @@ def layer_names() -> list[tuple[str, str]]:
 
 
 def tensor_shapes(kind: str = RESNET) -> dict[str, tuple[int, ...]]:
-    """Return name and shape of every tensor of a member, in the order of the layers.
+    """Return the name and the shape of every tensor of a member, in the order of the layers.
 
-    Figures 3 and 4 of the paper show a ResNet's.
+    Figures 3 and 4 of the paper show the layers of a ResNet.
     """
     if kind == PERCEPTRON:
         sizes = {"fc1": (WIDTH, PERCEPTRON_INPUTS), "fc2": (WIDTH, WIDTH), "fc_out": (OUTPUTS, WIDTH)}
@@ -220,7 +220,7 @@ def tensor_shapes(kind: str = RESNET) -> dict[str, tuple[int, ...]]:
 
 
 def load_model(path: Path) -> Model:
-    """Read and check a model file; ``ModelError`` states the fault and its field."""
+    """Read and check a model file; raise a ``ModelError`` that states the fault and its field."""
     refuse_other_kind(path, FileKind.MODEL, error=ModelError)
     return _parse(model_bytes(path, "a model file", most=LARGEST_BYTES), path)
 
@@ -232,7 +232,7 @@ def model_bytes(
 
     Args:
         path: The file.
-        kind: Its kind, in words for the error.
+        kind: The kind of file, in words for the error.
         most: The largest number of bytes.
         place: The place of the error. None: the file.
         error: The class of the error.
@@ -246,10 +246,10 @@ def model_bytes(
 
 
 def save_model(model: Model, path: Path) -> None:
-    """Write ``model`` to ``path`` in one step: the path has the old file or the new one, never a part.
+    """Write ``model`` to ``path`` in one step, so that ``path`` never holds a part of a file.
 
-    ``ModelError``, and no file, if ``load_model`` would refuse it. ``OutputError`` if the file cannot be
-    written.
+    Raise ``ModelError``, and write no file, if ``load_model`` would refuse the model. Raise ``OutputError``
+    if the file cannot be written.
     """
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in model.tensors.items()}
     try:
@@ -271,7 +271,7 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 def refuse_foreign_cell(network: NetworkUse, settings: Settings, path: Path) -> None:
-    """Raise ``ModelError`` if a network never saw the cell's desired TCP or its nominal hand position.
+    """Raise ``ModelError`` unless the network's seen space contains the cell's desired TCP and nominal hand.
 
     Args:
         network: The network, with its seen space.
@@ -296,7 +296,7 @@ def refuse_foreign_cell(network: NetworkUse, settings: Settings, path: Path) -> 
 
 
 def metadata_of(model: Model) -> dict[str, Any]:
-    """Return all of a model except its tensors, as JSON objects."""
+    """Return the metadata of a model as JSON objects."""
     metadata = {item.name: plain(getattr(model, item.name)) for item in fields(ModelMetadata)}
     if model.calibration is not None:
         del metadata["calibration"]["more"]
@@ -305,7 +305,7 @@ def metadata_of(model: Model) -> dict[str, Any]:
 
 
 def _parse(data: bytes, path: Path) -> Model:
-    """Return the model in the bytes of a safetensors file; ``ModelError`` for the first fault."""
+    """Return the model in the bytes of a safetensors file; raise ``ModelError`` for the first fault."""
     try:
         stored = dict(deserialize(data))  # type: ignore[no-untyped-call]  # checks every offset and length against the file's size
     except SafetensorError as error:
@@ -316,7 +316,7 @@ def _parse(data: bytes, path: Path) -> Model:
         refuse(path, KEY, "the metadata of a model of this package", "none")
     document = of_format(parsed(text, path, "metadata", ModelError), FORMAT, path, ModelError)
     metadata = network_use(document, ModelMetadata, path)
-    # An ensemble's spread is over its members, and one pass has no spread: it would look certain.
+    # The spread of an ensemble is between its members.  A single pass would give spread 0 and look certain.
     if metadata.dropout is not Dropout.NONE and metadata.members > 1:
         refuse(path, "members", "1 with dropout", str(metadata.members))
     for name, got, size in zip(
@@ -330,13 +330,13 @@ def _parse(data: bytes, path: Path) -> Model:
 
 
 def network_use(document: Any, kind: type[U], path: Path, *, unknown_fields: bool = False) -> U:
-    """Return the metadata of a model as ``kind``; ``ModelError`` for a wrong field.
+    """Return the metadata of a model as ``kind``; raise ``ModelError`` for a wrong field.
 
     Args:
         document: The JSON object of the metadata.
         kind: The class of the result.
         path: The file, for errors.
-        unknown_fields: Whether to accept other fields, as an exported file may have them.
+        unknown_fields: Whether to accept further fields, which an exported file may have.
 
     """
     if isinstance(document, dict) and isinstance(document.get("calibration"), dict):
@@ -360,9 +360,9 @@ def network_use(document: Any, kind: type[U], path: Path, *, unknown_fields: boo
 def _tensors(
     stored: Mapping[str, Mapping[str, Any]], metadata: ModelMetadata, path: Path
 ) -> dict[str, NDArray[np.float32]]:
-    """Return every tensor of every member, read-only.
+    """Return every tensor of every member as a read-only array.
 
-    ``stored`` maps a name to its dtype, shape and bytes.
+    ``stored`` maps the name of a tensor to its dtype, shape and bytes.
     """
     kind, members = metadata.kind, metadata.members
     shapes = {f"{k}/{name}": shape for k in range(members) for name, shape in tensor_shapes(kind).items()}
@@ -389,15 +389,15 @@ def _tensors(
 def onnx_bytes(path: Path, place: Place | None = None, error: type[InputError] = ModelError) -> bytes:
     """Return the bytes of an ONNX file; raise ``error`` if it is missing or too large.
 
-    The error is at ``place``, or at the file.
+    The error states ``place`` as its place; None stands for the file.
     """
     return model_bytes(path, "an ONNX file", most=LARGEST_ONNX_BYTES, place=place, error=error)
 
 
 def onnx_metadata(path: Path, data: bytes) -> dict[str, str]:
-    """Return the metadata of the file ``path`` with the contents ``data``.
+    """Return the metadata of the ONNX file ``path`` with the contents ``data``.
 
-    ``ModelError`` unless it is an ONNX file.
+    Raise ``ModelError`` unless it is an ONNX file.
     """
     try:
         fields = list(islice(_fields(memoryview(data)), MOST_FIELDS))
@@ -428,7 +428,7 @@ def _fields(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _varint(data: memoryview, at: int) -> tuple[int, int]:
-    """Return a number of seven bits a byte, the lowest first, and the index after it."""
+    """Return the number at index ``at``, seven bits a byte with the lowest first, and the index after it."""
     number = 0
     for shift in range(0, 70, 7):
         number |= (data[at + shift // 7] & 0x7F) << shift

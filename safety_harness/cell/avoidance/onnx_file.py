@@ -1,4 +1,4 @@
-"""An ONNX file in onnxruntime, for avoiders and controllers: it is opened, laid out and run here."""
+"""Open, lay out and run an ONNX file in onnxruntime, for avoiders and controllers."""
 
 from __future__ import annotations
 
@@ -15,45 +15,45 @@ from safety_harness.cell.avoidance.onnx_names import Quantities, Tensor, laid_ou
 
 
 class OnnxFile:
-    """The function of an ONNX file, on one thread of the CPU, in one order of operations."""
+    """An ONNX file as a function, which runs on one thread of the CPU in a fixed order of operations."""
 
     inputs: list[Tensor]
     outputs: list[Tensor]
 
     def __init__(self, path: Path, data: bytes, layout: str = "") -> None:
-        """Load the file ``path`` with the contents ``data``; ``ModelError`` states its fault.
+        """Load the file ``path`` with the contents ``data``; raise a ``ModelError`` that states its fault.
 
-        ``layout`` describes inputs and outputs whose names are not ours (``onnx_names``).
+        ``layout`` states the quantities of inputs and outputs whose names are not ours (``onnx_names``).
         """
         self.path, self.session, self.layout = path, open_session(path, data), layout_of(layout)
         self.metadata: dict[str, str] = dict(self.session.get_modelmeta().custom_metadata_map)
 
     def lay_out(self, takes: Quantities, gives: Quantities, required: set[str]) -> None:
-        """Find the quantities that inputs and outputs hold; ``ModelError`` as in ``laid_out``.
+        """Find the quantities that each input and output holds; raise ``ModelError`` as ``laid_out`` does.
 
         Args:
             takes: The quantities that inputs may hold, by name.
             gives: The quantities that outputs may hold, by name.
-            required: The names that must be there.
+            required: The quantities that the file must have.
 
         """
         self.inputs, self.outputs = laid_out(self.path, self.session, self.layout, takes, gives, required)
 
     def fed(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Return the inputs, made of the ``arrays`` (1, ...) of quantities."""
+        """Return the file's inputs by name, made of the ``arrays`` (1, ...) of quantities."""
         return {tensor.name: tensor.packed(arrays) for tensor in self.inputs}
 
     def answers(
         self, arrays: Mapping[str, NDArray[Any]], widths: Mapping[str, int]
     ) -> dict[str, NDArray[Any]]:
-        """Return the quantities of the outputs, with ``widths`` columns each."""
+        """Run the file; return the quantities of its outputs, each with its columns by ``widths``."""
         values = self.session.run([tensor.name for tensor in self.outputs], self.fed(arrays))
         pairs = zip(self.outputs, values, strict=True)
         return dict(pair for tensor, value in pairs for pair in tensor.split(value, widths))
 
 
 def open_session(path: Path, data: bytes) -> Any:
-    """Return the file in onnxruntime: one thread, in order, no file beside it.
+    """Return a session of onnxruntime with the file: one thread, a fixed order, no further file.
 
     Args:
         path: The file, for errors.
@@ -71,7 +71,7 @@ def open_session(path: Path, data: bytes) -> Any:
 
 
 def _session(path: Path, data: bytes, *, optimised: bool) -> Any:
-    """Load the file in onnxruntime, with or without optimisation; ``ModelError`` if that fails."""
+    """Load the file in onnxruntime, with or without optimisation; raise ``ModelError`` if that fails."""
     import onnxruntime  # an extra, which the caller has checked
 
     options = onnxruntime.SessionOptions()
@@ -82,7 +82,7 @@ def _session(path: Path, data: bytes, *, optimised: bool) -> Any:
         options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     options.log_severity_level = 4  # errors come as exceptions
     options.add_session_config_entry("session.load_model_format", "ONNX")
-    # The runtime seeks external data in this folder.  A file is no folder, so that it finds none.
+    # The runtime seeks external data in this folder.  The path is a file, so the runtime finds none.
     options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(path))
     try:
         return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])

@@ -1,8 +1,9 @@
-"""The parts of an ONNX graph that make its answer random, or dependent on the runtime's optimisation.
+"""Find the parts of an ONNX graph that make its answer random or dependent on optimisation.
 
-An optimising runtime may replace dropout by the identity, even if the exporter left it active. Such a file
-would count as repeatable, and several passes in it would have the spread 0. So this module reads the graph
-itself, with its functions and inner graphs. It also compares answers with and without optimisation.
+An optimising runtime may replace dropout by the identity, even if the exporter left dropout active. Such a
+file would then seem repeatable, and several passes in it would have the spread 0. So this module reads the
+graph itself, with its functions and inner graphs. It also compares the file's answers with and without the
+runtime's optimisation.
 """
 
 from __future__ import annotations
@@ -27,19 +28,19 @@ MASKS_HINT = (
     "export the network in evaluation mode; safety-harness docs reference/onnx shows how to keep its passes"
 )
 SEED_HINT = "random numbers must come from the input 'seed'"
-QUESTIONS, RELATIVE, ABSOLUTE = 4, 1e-4, 1e-6  # the order of sums in float32 changes far less
+QUESTIONS, RELATIVE, ABSOLUTE = 4, 1e-4, 1e-6  # another order of float32 sums changes far less
 
 Constants = Mapping[str, NDArray[Any]]
 
 
 def refuse_chance(path: Path, data: bytes) -> None:
-    """Raise ``ModelError`` if the graph of ``data`` has a random operator, or one in training mode."""
+    """Raise ``ModelError`` if the graph in ``data`` has an operator that is random or in training mode."""
     import onnx
     import onnx.inliner
 
     try:
         model = onnx.load_from_string(data)
-        if model.functions:  # so that the arguments of their calls are known
+        if model.functions:  # inlined, so that the arguments of their calls are known
             model = onnx.inliner.inline_local_functions(model)
     except Exception as error:  # protobuf's own errors, and the inliner's
         refuse(path, None, "a graph that the package onnx can read", described(error)[:300])
@@ -49,7 +50,7 @@ def refuse_chance(path: Path, data: bytes) -> None:
 
 
 def _stored(tensors: Iterable[Any]) -> Constants:
-    """Return the single truth values among ``tensors``; larger tensors do not concern training."""
+    """Return the boolean scalars and vectors among ``tensors``; other tensors cannot set a training mode."""
     from onnx import TensorProto, numpy_helper
 
     wanted = [tensor for tensor in tensors if tensor.data_type == TensorProto.BOOL and len(tensor.dims) <= 1]
@@ -57,7 +58,7 @@ def _stored(tensors: Iterable[Any]) -> Constants:
 
 
 def _refuse_nodes(path: Path, nodes: Sequence[Any], opsets: Iterable[Any], outer: Constants) -> None:
-    """Raise ``ModelError`` for the first random node; ``outer`` are the constants around the nodes."""
+    """Raise ``ModelError`` for the first random node; ``outer`` are the constants of the enclosing graph."""
     from onnx import helper
 
     version = max((item.version for item in opsets if item.domain in ("", "ai.onnx")), default=1)
@@ -110,7 +111,7 @@ def refuse_dependence(path: Path, optimised: Any, plain: Any) -> None:
 
 
 def _feed(session: Any, rng: np.random.Generator) -> dict[str, NDArray[Any]] | None:
-    """Return numbers for each input, one row; None if an input has no numeric type."""
+    """Return one row of random numbers for each input; None if an input has no numeric type."""
     feed: dict[str, NDArray[Any]] = {}
     for tensor in session.get_inputs():
         dtype = dtype_of(tensor)
@@ -127,7 +128,7 @@ def _feed(session: Any, rng: np.random.Generator) -> dict[str, NDArray[Any]] | N
 
 
 def _answers(session: Any, feed: dict[str, NDArray[Any]] | None) -> list[Any] | None:
-    """Return the outputs, or None if the session fails; the file's user then reports the reason."""
+    """Return the session's outputs, or None if it fails; the caller that uses the file reports why."""
     try:
         return None if feed is None else list(session.run(None, feed))
     except Exception:  # onnxruntime's own errors have no other common base
@@ -135,7 +136,7 @@ def _answers(session: Any, feed: dict[str, NDArray[Any]] | None) -> list[Any] | 
 
 
 def _close(a: Any, b: Any) -> bool:
-    """Return whether two outputs agree up to the order of sums."""
+    """Return whether two outputs agree, apart from the rounding of sums in another order."""
     if not (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.dtype.kind in "bfiu"):
         return True  # no contract has a sequence or text
     left, right = a.astype(np.float64), b.astype(np.float64)

@@ -1,6 +1,6 @@
-"""An avoider in an ONNX file, from ``export`` or from anybody who follows the contract below.
+"""Run the avoider in an ONNX file, which ``export`` or any author makes by the contract below.
 
-Inputs and outputs have these names, or other names that a layout explains (``onnx_names``).
+Inputs and outputs have the following names, or other names that a layout explains (``onnx_names``).
 
 Inputs
     hand_position_in_base_m, tcp_position_in_base_m: (1, 3) or (n, 3), float16, float32 or float64, metres.
@@ -12,10 +12,10 @@ Metadata
     spread_threshold_m, optional: the largest spread of a usable proposal, as text.
     decision_time_s, optional: the cost of a decision in simulated time, as text.
 
-A file of ``export`` with dropout also has an input ``masks``. Its metadata say how to draw them from the
-seed. The harness loads files whole, from memory. It executes only ONNX's own operators and opens no other
-file. These operators have loops and make tensors of any size. So a stranger's file runs in a process of its
-own (``isolation.isolated``), while this module runs in the caller's.
+A file of ``export`` with dropout also has an input ``masks``. Its metadata say how to draw the masks from the
+seed. The harness loads a file whole, from memory. It executes only ONNX's own operators and opens no second
+file. These operators include loops and can make tensors of any size. So the harness runs a user's file in a
+process of its own (``isolation.isolated``); this module runs in the caller's process.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ GIVEN = {POSITION: NamedQuantity((3,), FLOATS), SPREAD: NamedQuantity((3,), FLOA
 
 @dataclass(frozen=True, eq=False)
 class OnnxAvoider:
-    """The function of an ONNX file, on one thread of the CPU, in one order of operations."""
+    """An avoider in an ONNX file, which runs on one thread of the CPU in a fixed order of operations."""
 
     name: str
     spread_threshold_m: float | None
@@ -74,11 +74,11 @@ class OnnxAvoider:
 
     @classmethod
     def load(cls, path: Path, data: bytes, *, hand: Vector, tcp: Vector, layout: str = "") -> OnnxAvoider:
-        """Load, check and try the file ``path`` with the contents ``data``; ``ModelError`` states its fault.
+        """Load, check and try the file ``path`` with the contents ``data``; ``ModelError`` for a faulty file.
 
-        ``layout`` describes inputs and outputs whose names are not ours (``onnx_names``). The file must
-        answer the same question, about ``hand`` and ``tcp`` (3,) [m], twice in the right shape and with the
-        same bits.
+        ``layout`` states the quantities of inputs and outputs whose names are not ours (``onnx_names``). The
+        method asks the file the same question about ``hand`` and ``tcp`` (3,) [m] twice. Both answers must
+        have the right shape and the same bits.
         """
         try:
             file = OnnxFile(path, data, layout)
@@ -91,7 +91,7 @@ class OnnxAvoider:
             takes = _inputs_of(use)
             required = {*takes} - {SEED} | {POSITION}
             if use is not None or threshold_m is not None:
-                required |= {SPREAD}  # a threshold without a spread would never refuse a proposal
+                required |= {SPREAD}  # without a spread, the threshold would never refuse a proposal
             file.lay_out(takes, GIVEN, required)
             avoider = cls(name, threshold_m, time_s, file, use)
             avoider._try(path, hand, tcp)
@@ -101,13 +101,13 @@ class OnnxAvoider:
 
     @property
     def exported(self) -> bool:
-        """Whether it is an exported network of this package."""
+        """Whether the file is a network that this package exported."""
         return self._exported is not None
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return a decision, with the spread 0 if the file has no spread.
+        """Return the file's proposal, with the spread 0 if the file has no spread.
 
         ``seed`` is any integer from 0 to 2^64 - 1.
         """
@@ -127,7 +127,7 @@ class OnnxAvoider:
         return self._file.answers(arrays, dict.fromkeys(GIVEN, 3))
 
     def _try(self, path: Path, hand: Vector, tcp: Vector) -> None:
-        """Ask the same question twice; ``ModelError`` for a fault or different answers."""
+        """Ask the same question twice; raise ``ModelError`` for a fault or different answers."""
         try:
             first, second = (self._answers(hand, tcp, seed=1) for _ in range(2))
         except Exception as error:  # onnxruntime's own errors have no other common base
@@ -149,18 +149,18 @@ class OnnxAvoider:
 
 
 def _exported(path: Path, text: str) -> NetworkUse:
-    """Return the use that the JSON in a file of ``export`` states; ``ModelError`` for a wrong field."""
+    """Return the ``NetworkUse`` in the JSON of a file of ``export``; ``ModelError`` for a wrong field."""
     document = of_format(parsed(text, path, "metadata", ModelError), EXPORT_FORMAT, path, ModelError)
     return network_use(document, NetworkUse, path, unknown_fields=True)
 
 
 def mask_shape(use: NetworkUse) -> tuple[int, int, int]:
-    """Return the numbers of passes, places and units."""
+    """Return the numbers of passes, places and units of a network's masks."""
     return use.passes, PLACES[use.dropout], WIDTH
 
 
 def drawn_masks(use: NetworkUse, seeds: NDArray[np.uint64]) -> NDArray[np.bool_]:
-    """Return the masks (n, passes, places, units) of ``LearnedAvoider`` for ``seeds`` (n,)."""
+    """Return the masks (n, passes, places, units) that ``LearnedAvoider`` uses for ``seeds`` (n,)."""
     return np.array([masks(seed, *mask_shape(use), use.dropout_probability) for seed in seeds])
 
 

@@ -1,9 +1,9 @@
-"""The quantities in each input and output of an ONNX file, by our names or by a layout.
+"""Find the quantities in each input and output of an ONNX file, by our names or by a layout.
 
-Exporters choose names (``input``, ``float_input``, ``X``, ``obs``). A layout stands behind the file, in a
-scenario and on the command line alike: ``mine.onnx:X=hand,tcp,Y=position``. The words after ``NAME=`` are the
-quantities in that tensor, in the order of its columns. The harness does not read an output that is
-``unused``.
+Exporters choose their own names, such as ``input``, ``float_input``, ``X`` or ``obs``. In a scenario and on
+the command line, a layout follows the file's name: ``mine.onnx:X=hand,tcp,Y=position``. The words after
+``NAME=`` are the quantities in the tensor NAME, in the order of its columns. The harness does not read an
+output that is ``unused``.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ HAND, TCP, SEED, MASKS = "hand_position_in_base_m", "tcp_position_in_base_m", "s
 POSITION, SPREAD, UNUSED = "position_in_base_m", "spread_m", "unused"
 SHORT = {"hand": HAND, "tcp": TCP, "position": POSITION, "spread": SPREAD}
 FLOATS = ("float16", "float32", "float64")
-ANY = 0  # an axis of any size, and the width of a quantity with such an axis
+ANY = 0  # stands for an axis of any size, and for the width of a quantity with such an axis
 MOST_FREE, MOST_WAYS, MOST_TRIED = 6, 3, 1000  # quantities laid out by shape, layouts proposed and tried
 
 
 @dataclass(frozen=True)
 class NamedQuantity:
-    """The ``sizes`` of its axes after the first (None: any axes), and its numbers' types by numpy's names."""
+    """A quantity's ``sizes``, its axes after the first (None: any), and its ``types``, by numpy's names."""
 
     sizes: tuple[int, ...] | None
     types: tuple[str, ...]
@@ -42,7 +42,7 @@ Layout = Mapping[str, tuple[str, ...]]  # the quantities in each tensor
 
 @dataclass(frozen=True)
 class Tensor:
-    """An input or output of a file, with the quantities in it."""
+    """An input or output of a file, with the quantities that it holds."""
 
     name: str
     holds: tuple[str, ...]
@@ -50,26 +50,26 @@ class Tensor:
     axes: int
 
     def packed(self, arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-        """Return its value, made of the ``arrays`` (1, ...) of its quantities."""
+        """Return the tensor's value, made of the ``arrays`` (1, ...) of its quantities."""
         value, *more = (arrays[name] for name in self.holds)
         if more or self.axes == 2 != value.ndim:
             value = np.concatenate([array.reshape(1, -1) for array in (value, *more)], axis=1)
         return value.astype(self.dtype, copy=False)
 
     def split(self, value: NDArray[Any], widths: Mapping[str, int]) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Yield its quantities with their columns of ``value`` (1, m); the last quantity gets the rest."""
+        """Yield each quantity with its columns of ``value`` (1, m); the last quantity gets all the rest."""
         ends = np.cumsum([widths[name] for name in self.holds[:-1]], dtype=int)
         yield from zip(self.holds, np.split(value, ends, axis=-1) if len(ends) else [value], strict=True)
 
 
 def dtype_of(tensor: Any) -> str:
-    """Return numpy's name for the type of an input or output of a session, or onnxruntime's own name."""
+    """Return numpy's name for the type of a session's tensor, or onnxruntime's name for another type."""
     kind = str(tensor.type).removeprefix("tensor(").removesuffix(")")
     return {"float": "float32", "double": "float64"}.get(kind, kind)
 
 
 def layout_of(text: str) -> dict[str, tuple[str, ...]]:
-    """Parse a layout to the quantities in each tensor; short names stand for long names."""
+    """Return the quantities in each tensor of the layout ``text``, whose short names become long names."""
     layout: dict[str, tuple[str, ...]] = {}
     name = ""
     for part in map(str.strip, text.split(",")) if text else ():
@@ -90,11 +90,11 @@ def laid_out(
         layout: The quantities of tensors whose names are not ours.
         takes: All quantities that inputs may hold.
         gives: All quantities that outputs may hold.
-        required: The names that must be there.
+        required: The quantities that the file must have.
 
     Raises:
-        ModelError: One error states all unknown names, with the available quantities and the layouts that fit
-            the shapes. Another states the first tensor of a wrong type or shape.
+        ModelError: A tensor has an unknown name, or a wrong type or shape. For unknown names, the error lists
+            all of them, the available quantities, and the layouts that fit the shapes.
 
     """
     inputs, given = session.get_inputs(), session.get_outputs()
@@ -125,7 +125,7 @@ def laid_out(
 
 
 def _tensor(path: Path, tensor: Any, holds: tuple[str, ...], known: Quantities) -> Tensor:
-    """Return the tensor of an input or output; ``ModelError`` for another type."""
+    """Return an input or output with its quantities ``holds``; raise ``ModelError`` for another type."""
     for name in holds:
         if dtype_of(tensor) not in known[name].types:
             refuse(path, tensor.name, " or ".join(known[name].types), tensor.type)
@@ -133,9 +133,9 @@ def _tensor(path: Path, tensor: Any, holds: tuple[str, ...], known: Quantities) 
 
 
 def _rests(quantities: Sequence[NamedQuantity]) -> list[tuple[int, ...]]:
-    """Return the possible axes after the first of a tensor of quantities.
+    """Return the possible axes, after the first, of a tensor that holds ``quantities``.
 
-    They are the axes of a single quantity, or the columns of all.
+    A single quantity may keep its own axes; several quantities lie side by side as columns.
     """
     widths = [ANY if quantity.sizes is None else prod(quantity.sizes) for quantity in quantities]
     columns = (ANY if ANY in widths else sum(widths),)
@@ -143,12 +143,12 @@ def _rests(quantities: Sequence[NamedQuantity]) -> list[tuple[int, ...]]:
 
 
 def _shape(quantities: Sequence[NamedQuantity]) -> list[int | str]:
-    """Return the expected shape for an error."""
+    """Return the shape of a tensor with ``quantities``, for an error's text."""
     return ["1 or n", *(size or "k" for size in _rests(quantities)[0])]
 
 
 def _fits(shape: Sequence[int | str | None], quantities: Sequence[NamedQuantity]) -> bool:
-    """Return whether a shape has one row or any number of rows, and the axes of the quantities."""
+    """Return whether ``shape`` has one or any number of rows, followed by the axes of ``quantities``."""
     return quantities[0].sizes is None or any(
         len(shape) == 1 + len(rest)
         and all(a == b or b == ANY or not isinstance(a, int) for a, b in zip(shape, (1, *rest), strict=True))
@@ -157,9 +157,9 @@ def _fits(shape: Sequence[int | str | None], quantities: Sequence[NamedQuantity]
 
 
 def _layouts(free: Sequence[tuple[Any, Quantities]], missing: set[str], outputs: set[str]) -> Iterator[str]:
-    """Yield the layouts of tensors by their shapes, each with the quantities that are ``free`` for it.
+    """Yield the layouts that fit the shapes of the ``free`` tensors, each given with its possible quantities.
 
-    Every layout has all ``missing`` quantities; an output that fits no quantity is unused.
+    Every layout contains all ``missing`` quantities; it calls an output unused if no quantity fits it.
     """
     short, choices = {name: short_name for short_name, name in SHORT.items()}, []
     for tensor, known in free:

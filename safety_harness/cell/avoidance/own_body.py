@@ -1,9 +1,9 @@
-"""The distance of the arm's wrist from the rest of the arm, which the gate checks along a path.
+"""Compute the distance of the arm's wrist from its body, which the gate checks along a path.
 
-The body of an arm with n joints is the links up to n - 4. For six joints these are base, shoulder and upper
-arm. The wrist is the links from n - 2 on, three of them and the TCP's frame. The link between touches both.
-If a link of the wrist is near the body in most postures, the wrist begins behind it, since the arm is built
-so. An example is a Panda's forearm at its elbow.
+The body of an arm with n joints consists of the links up to n - 4. For six joints these are base, shoulder
+and upper arm. The wrist consists of the links from n - 2 on: three links and the TCP's frame. The link
+between body and wrist touches both. If the wrist's first link is near the body in most postures, this is the
+arm's design. The wrist then begins at the next link. An example is a Panda's forearm at its elbow.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ POSTURES = 64
 
 @lru_cache(maxsize=16)
 def body_and_wrist(arm: ArmModel, capsules: CapsuleSet) -> tuple[int, int]:
-    """Return the last link of the body and the first of the wrist; links count from 0, the base."""
+    """Return the numbers of the body's last link and the wrist's first link; the base is link 0."""
     joints = len(arm.joint_names)
     body, wrist = max(joints - 4, 0), max(joints - 2, 2)
     postures = starts_of(arm)[:POSTURES]
@@ -44,14 +44,14 @@ def body_and_wrist(arm: ArmModel, capsules: CapsuleSet) -> tuple[int, int]:
 def wrist_distance(
     capsules: NDArray[np.void], last: int, first: int, capsule_endpoints_in_base_m: NDArray[np.float64]
 ) -> float:
-    """Return the least distance [m] of the wrist, links from ``first`` on, from the links up to ``last``.
+    """Return the least distance [m] between the wrist (links from ``first`` on) and the links up to ``last``.
 
-    min over pairs of wrist and body capsules of |axis, axis| - r_wrist - r_body. ``capsules`` (n,) CAPSULE,
-    ``capsule_endpoints_in_base_m`` (n, 2, 3) of ``place_capsules``. Negative in penetration, NaN if any
-    distance is NaN.
+    This is the minimum over pairs of wrist and body capsules of |axis, axis| - r_wrist - r_body. ``capsules``
+    (n,) CAPSULE, ``capsule_endpoints_in_base_m`` (n, 2, 3) of ``place_capsules``. The result is negative in
+    penetration, and NaN if any distance is NaN.
     """
     ends = capsule_endpoints_in_base_m
-    least = np.inf  # the loop skips pairs that cannot be as near
+    least = np.inf  # the loop skips pairs that cannot be nearer than this
     for wrist in range(capsules.shape[0]):
         if capsules[wrist].link_index < first:
             continue

@@ -1,14 +1,15 @@
-"""A small ReLU network's decision, compiled: three affine maps in float64, so that proofs concern few sums.
+"""Compute the decision of a small ReLU network: three affine maps in float64, so that proofs are short.
 
-The program for each member, with x (6,) the hand and the TCP in the base frame [m]:
+The kernel computes for each member, with x (6,) the hand and the TCP in the base frame [m]:
 
     h = relu(A1 x + b1),  g = relu(A2 h + b2),  p = A3 g + b3        widths 6, 32, 32, 3; p in metres.
 
-Every unit's sum starts with its bias and adds its inputs in order. Each product and each sum is rounded to
-float64 separately, without fused operations. The function relu(z) is z unless z < 0. The normalisation is
-part of A1, b1, A3 and b3: ``fold_perceptron`` rounds it into them once. These rounded numbers *are* the
-network (a file's float32 are exact in float64). The position is the members' mean, their sum in order divided
-by their number. The spread is the root of the mean of the squared differences from it, in the same order.
+The sum of every unit starts with its bias and adds its inputs in order. The kernel rounds each product and
+each sum to float64 separately, without fused operations. The function relu(z) is 0 for z < 0, and otherwise
+z. A1, b1, A3 and b3 include the normalisation, which ``fold_perceptron`` computes and rounds once. These
+rounded numbers *are* the network; float64 represents a file's float32 numbers exactly. The position is the
+members' mean: their sum in order, divided by their number. The spread is the root of the members' mean
+squared difference from the position, in the same order.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ Float64s = NDArray[np.float64]
 
 
 class Perceptron(NamedTuple):
-    """Contiguous arrays of a model with m members; weights are [input, output], in- and outputs in metres."""
+    """The contiguous arrays of a model with m members; weights are [input, output], quantities in metres."""
 
     weight1: Float64s  # (m, 6, WIDTH)
     bias1: Float64s  # (m, WIDTH)
@@ -39,9 +40,10 @@ class Perceptron(NamedTuple):
 
 
 def fold_perceptron(model: Model) -> Perceptron:
-    """Return the arrays of ``model``, with the normalisation of inputs and targets.
+    """Return the arrays of ``model``, which include the normalisation of inputs and targets.
 
-    Inputs: A1 = W1 / s, b1 = v1 - A1 m. Targets: A3 = s W3, b3 = m + s v3.
+    W and v are the file's weights and biases; m and s are mean and deviation. For the inputs, A1 = W1 / s and
+    b1 = v1 - A1 m. For the targets, A3 = s W3 and b3 = m + s v3.
     """
 
     def stacked(name: str) -> Float64s:
@@ -63,7 +65,7 @@ def fold_perceptron(model: Model) -> Perceptron:
 
 @compiled
 def _layer(weight: Float64s, bias: Float64s, x: Float64s, rectified: bool, out: Float64s) -> None:
-    """Fill out = bias + x weight, with its ReLU if ``rectified``; NaN stays NaN.
+    """Fill ``out`` with bias + x weight, or with its ReLU if ``rectified``; NaN stays NaN.
 
     ``weight`` (n, m), ``bias`` (m,), ``x`` (n,), ``out`` (m,).
     """
@@ -79,9 +81,9 @@ def _layer(weight: Float64s, bias: Float64s, x: Float64s, rectified: bool, out: 
 
 @compiled
 def answer(network: Perceptron, member: int, x: Float64s, h: Float64s, g: Float64s, out: Float64s) -> None:
-    """Fill ``out`` (3,) with a member's position [m] for x (6,), hand and TCP; h and g are scratch.
+    """Fill ``out`` (3,) with a member's position [m] for hand and TCP, ``x`` (6,).
 
-    ``x`` (6,), ``h`` (WIDTH,), ``g`` (WIDTH,), ``out`` (3,).
+    ``h`` (WIDTH,) and ``g`` (WIDTH,) are scratch arrays.
     """
     _layer(network.weight1[member], network.bias1[member], x, True, h)
     _layer(network.weight2[member], network.bias2[member], h, True, g)

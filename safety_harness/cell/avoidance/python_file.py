@@ -1,4 +1,4 @@
-"""An avoider from a user's own Python file: the checks of its text and of its execution."""
+"""Check and load an avoider from a user's own Python file."""
 
 from __future__ import annotations
 
@@ -18,23 +18,24 @@ HINT = "safety-harness docs how-to/avoider#a-python-file"
 
 
 def refuse_undefined(path: Path, name: str, place: Place) -> None:
-    """Raise ``InadmissibleError`` at ``place`` unless the file seems to define an avoider ``name``.
+    """Raise ``InadmissibleError`` at ``place`` unless the file is Python and may define an avoider ``name``.
 
-    The file must be Python.
+    The function reads the file's text and does not execute it.
     """
     refuse_undefined_there(path, name, METHODS, place, HINT, QUESTION)
 
 
 def avoider_in(path: Path, source: bytes, name: str) -> Avoider:
-    """Return the avoider ``name``: an object, or an instance of a class without required arguments.
+    """Return the avoider ``name`` of a file; if ``name`` is a class, make an instance without arguments.
 
-    ``InadmissibleError`` if the file ``path`` has no such avoider. The caller replaces the error's place.
+    Raise ``InadmissibleError`` if the file ``path`` has no such avoider. The caller replaces the place that
+    the error states.
     """
     return _admissible(path, made_by(path, source, name, "an avoider", AVOIDER, HINT), name)
 
 
 def _admissible(path: Path, candidate: object, name: str) -> Avoider:
-    """Return ``candidate`` if it has the members of an avoider."""
+    """Return ``candidate`` if it has the members of an avoider; raise ``InadmissibleError`` otherwise."""
     try:
         refuse_lacking(candidate, name, METHODS, AVOIDER, HINT)
         propose = candidate.propose  # type: ignore[attr-defined]  # checked by ``refuse_lacking``

@@ -1,13 +1,14 @@
-"""The regression ResNet's passes for one decision, compiled, in one fixed order of operations.
+"""Compute the regression ResNet's passes for one decision, in one fixed order of operations.
 
-A unit's sum starts with its bias and adds its inputs in order. The machine only computes several *units* at
-once. The kernel uses no BLAS, whose order depends on the batch. So the bits of a decision depend on its
-input, its seed and the network alone. They are the same alone and in a batch of a million.
+The sum of a unit starts with its bias and adds its inputs in order. The processor may compute several *units*
+at once, but never reorders a sum. The kernel uses no BLAS, because its order of sums depends on the batch. So
+the bits of a decision depend on its input, its seed and the network alone. They are the same for a single
+decision and in a batch of a million.
 
-A model becomes a few arrays, with batch norm folded into the layers. In evaluation mode batch norm is affine,
-bn(z) = s z + (beta - s mean), s = gamma / sqrt(var + eps). So bn(W x + b) = (s W) x + (s (b - mean) + beta),
-folded in float64, then rounded to float32 once. Only bn_out stays separate, because "full" dropout comes
-between it and the next layer.
+``fold`` turns a model into a few arrays and folds batch norm into the layers. In evaluation mode batch norm
+is affine: bn(z) = s z + (beta - s mean) with s = gamma / sqrt(var + eps). So bn(W x + b) = (s W) x + (s (b -
+mean) + beta). ``fold`` computes this in float64 and rounds it to float32 once. Only bn_out stays separate,
+because "full" dropout comes between it and the next layer.
 """
 
 from __future__ import annotations
@@ -42,20 +43,20 @@ Float64s = NDArray[np.float64]
 EPSILON = 1e-5  # PyTorch's BatchNorm1d
 STEP = 8  # inputs per loop; WIDTH is a multiple of it
 ROWS = 5  # rows per loop: a fifth quicker than row by row, with the same bits
-FULL_PLACES = LAYERS + 1  # of "full" dropout: before every layer and before fc_out
+FULL_PLACES = LAYERS + 1  # places of "full" dropout: before every layer and before fc_out
 ZERO = np.float32(0.0)
 
-# Rows of activations lie in ``work`` (SLOTS, passes, WIDTH), and functions get slots in place of views.
+# ``work`` (SLOTS, passes, WIDTH) holds the activations; functions get the number of a slot, not a view.
 X, Y, H, G, DROPPED = range(5)
 SLOTS = 5
 
 
 class FoldedNetwork(NamedTuple):
-    """Contiguous arrays of a model with m members.
+    """The contiguous arrays of a model with m members.
 
     Layers are in the state dict's order (fc1, fc2, fc3, fcs of block 0 of stage 0, then block 1, ...).
-    Weights have the outputs last, so that the kernel's innermost loop runs over memory in order. The first
-    layers' inputs beyond INPUTS have weight 0.
+    Weights have their outputs on the last axis, so that the kernel's innermost loop reads memory in order. In
+    the first layers, inputs beyond INPUTS have weight 0.
     """
 
     weight: Float32s  # (m, LAYERS, WIDTH, WIDTH), [input, output]
@@ -68,13 +69,13 @@ class FoldedNetwork(NamedTuple):
     input_std: Float64s  # (6,) [m]
     target_mean: Float64s  # (3,) [m]
     target_std: Float64s  # (3,) [m]
-    places: int  # of dropout in a pass: 0, STAGES ("inter") or FULL_PLACES
+    places: int  # places of dropout in a pass: 0, STAGES ("inter") or FULL_PLACES
     probability: float  # of dropping a unit
     passes: int  # 1 without places
 
 
 def fold(model: Model) -> FoldedNetwork:
-    """Return the arrays of ``model``."""
+    """Return the arrays of ``model``, with batch norm folded into its layers."""
     count = model.members
     network = FoldedNetwork(
         weight=np.zeros((count, LAYERS, WIDTH, WIDTH), dtype=np.float32),
@@ -110,7 +111,7 @@ def _affine(tensors: Mapping[str, Float32s], prefix: str) -> tuple[Float64s, Flo
 
 
 def _folded_layer(tensors: Mapping[str, Float32s], prefix: str, number: str) -> tuple[Float64s, Float64s]:
-    """Return weight (WIDTH, inputs) and bias (WIDTH,) of a layer with the batch norm that follows it."""
+    """Return weight (WIDTH, inputs) and bias (WIDTH,) of a layer, including the batch norm after it."""
     scale, shift = _affine(tensors, f"{prefix}.bn{number}")
     weight = tensors[f"{prefix}.fc{number}.weight"].astype(np.float64)
     bias = tensors[f"{prefix}.fc{number}.bias"].astype(np.float64)
@@ -119,12 +120,12 @@ def _folded_layer(tensors: Mapping[str, Float32s], prefix: str, number: str) -> 
 
 @compiled
 def _layer(weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int, rows: int, out: int) -> None:
-    """Fill out = bias + x weight of ``layer``, with batch norm but without ReLU.
+    """Fill slot ``out`` with bias + x weight of ``layer``, with batch norm but without ReLU.
 
-    The loop takes five rows at a time. So it loads each weight once for all of them, and no sum waits for
-    itself. It takes the remaining rows one by one. A unit's sum adds its inputs in the same order either way.
-    Everything is in one function: with calls, or with bounds that are not constants, the inner loops do not
-    become vector instructions.
+    The loop takes five rows at a time. So it loads each weight once for five rows, and no addition waits for
+    the previous addition. It takes the remaining rows one by one, and adds a unit's inputs in the same order.
+    Everything is in one function, because numba does not vectorise inner loops with calls or with bounds that
+    are not constants.
     """
     together = rows - rows % ROWS
     for row in range(together):
@@ -183,7 +184,7 @@ def _layer(weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int,
 def _layer_of_row(
     weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int, row: int, out: int
 ) -> None:
-    """Fill one row as ``_layer`` does; STEP inputs per loop keep the sums in registers."""
+    """Fill one row as ``_layer`` does; the loop takes STEP inputs at once to keep the sums in registers."""
     for j in range(WIDTH):
         work[out, row, j] = bias[layer, j]
     for i in range(0, WIDTH, STEP):
@@ -212,7 +213,7 @@ def _rectify(work: Float32s, x: int, rows: int) -> None:
 
 @compiled
 def _add_rectified(work: Float32s, h: int, shortcut: int, rows: int, out: int) -> None:
-    """Fill out = relu(h + shortcut)."""
+    """Fill slot ``out`` with relu(h + shortcut)."""
     for row in range(rows):
         for j in range(WIDTH):
             total = work[h, row, j] + work[shortcut, row, j]
@@ -221,7 +222,7 @@ def _add_rectified(work: Float32s, h: int, shortcut: int, rows: int, out: int) -
 
 @compiled
 def _drop(factors: Float32s, place: int, work: Float32s, x: int, rows: int, out: int) -> None:
-    """Fill out = x times the factors of ``place``."""
+    """Fill slot ``out`` with x times the dropout factors of ``place``."""
     for row in range(rows):
         for j in range(WIDTH):
             work[out, row, j] = work[x, row, j] * factors[place, row, j]
@@ -238,7 +239,7 @@ def _connect(
     rows: int,
     out: int,
 ) -> None:
-    """Apply "full" dropout, if it is on, and then a layer."""
+    """Apply "full" dropout, if the network has it, and then a layer."""
     if factors.shape[0] == FULL_PLACES:
         _drop(factors, layer, work, x, rows, DROPPED)
         x = DROPPED
@@ -257,7 +258,7 @@ def _block(
     rows: int,
     out: int,
 ) -> None:
-    """Apply the block whose fc1 is ``layer`` (figure 4), from x to out."""
+    """Apply the block whose fc1 is ``layer`` (figure 4 of the paper), from slot ``x`` to slot ``out``."""
     _connect(weight, bias, layer, factors, work, x, rows, H)
     _rectify(work, H, rows)
     _connect(weight, bias, layer + 1, factors, work, H, rows, G)
@@ -272,7 +273,7 @@ def _block(
 
 @compiled
 def _repeat_first_row(work: Float32s, x: int, rows: int) -> None:
-    """Copy the first row of slot x into the rows after it, ``rows`` altogether."""
+    """Copy the first row of slot ``x`` into the following rows, so that ``rows`` rows are equal."""
     for row in range(1, rows):
         for j in range(WIDTH):
             work[x, row, j] = work[x, 0, j]
@@ -280,7 +281,7 @@ def _repeat_first_row(work: Float32s, x: int, rows: int) -> None:
 
 @compiled
 def _stages(weight: Float32s, bias: Float32s, factors: Float32s, work: Float32s, x: int, y: int) -> int:
-    """Apply three stages from row 0 of x; return the slot, x or y, of all rows of the result.
+    """Apply the three stages to row 0 of slot ``x``; return the slot with the result, ``x`` or ``y``.
 
     Until the first dropout all passes are the same, so they share one row.
     """
@@ -307,7 +308,7 @@ def _stages(weight: Float32s, bias: Float32s, factors: Float32s, work: Float32s,
 def _answer(
     network: FoldedNetwork, member: int, factors: Float32s, work: Float32s, x: int, answers: Float32s
 ) -> None:
-    """Apply bn_out and fc_out for every pass: x to the answers (m, passes, OUTPUTS), normalised."""
+    """Apply bn_out and fc_out to slot ``x``; fill a member's normalised ``answers`` (m, passes, OUTPUTS)."""
     for row in range(work.shape[1]):
         for j in range(WIDTH):
             work[H, row, j] = work[x, row, j] * network.scale_out[member, j] + network.shift_out[member, j]
@@ -325,7 +326,7 @@ def _answer(
 
 @compiled
 def _summarise(network: FoldedNetwork, answers: Float32s, position: Array3, spread: Array3) -> None:
-    """Fill mean and standard deviation (ddof 0) of all answers, as positions in the base frame [m]."""
+    """Fill ``position`` and ``spread`` with mean and standard deviation (ddof 0) of all answers [m]."""
     members, passes = answers.shape[0], answers.shape[1]
     for k in range(OUTPUTS):
         mean = 0.0
@@ -351,9 +352,9 @@ def decide(
     positions: ArrayNx3,
     spreads: ArrayNx3,
 ) -> None:
-    """Fill positions and spreads (n, 3) [m] for hands and tcps (n, 3) in the base frame, seeds (n,).
+    """Fill positions and spreads (n, 3) [m] for hands and TCPs (n, 3) in the base frame and seeds (n,).
 
-    An ensemble has an answer of each member. A row with a NaN gives NaN.
+    For an ensemble, the function uses an answer of each member. A hand or TCP with a NaN gives NaN.
     """
     members, places = network.weight.shape[0], network.places
     rows = network.passes if places > 0 else 1

@@ -1,4 +1,4 @@
-"""The trained networks that come with the package, by name."""
+"""Find the trained networks that come with the package, by their names."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def shipped_model(name: str) -> Path:
 
 
 def model_file(reference: str) -> Path:
-    """Return the shipped network's file if ``reference`` names one, otherwise the file of that name."""
+    """Return the file of the shipped network ``reference``; for another text, the file with that path."""
     return shipped_model(reference) if reference in SHIPPED else Path(reference)
 
 
 def network_file_of(scenario: Scenario) -> Path | None:
-    """Return the file of a scenario's network; None if its avoider is no network of ours."""
+    """Return the file of a scenario's network; None if its avoider is not a network in our format."""
     if scenario.avoider in SHIPPED:
         return shipped_model(scenario.avoider)
     if scenario.avoider.endswith(MODEL_SUFFIX):

@@ -1,4 +1,4 @@
-"""The avoiders that need no network; they answer many questions one after another."""
+"""Define the avoiders that need no network; they answer many questions one after another."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class _QuickAvoider:
 
 @dataclass(frozen=True)
 class OppositePose(_QuickAvoider):
-    """The point ``radius_m`` away, opposite to the hand: t_tcp + R (t_tcp - t_h) / |t_tcp - t_h|."""
+    """The avoider that retreats R = ``radius_m`` from the hand: t_tcp + R (t_tcp - t_h) / |t_tcp - t_h|."""
 
     radius_m: float
     name: str = "opposite pose"
@@ -45,7 +45,7 @@ class OppositePose(_QuickAvoider):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return the opposite pose; ``AvoiderError`` if hand and TCP coincide, since it does not exist then.
+        """Return the opposite pose; raise ``AvoiderError`` if hand and TCP coincide, so that none exists.
 
         ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,).
         """
@@ -58,11 +58,11 @@ class OppositePose(_QuickAvoider):
 
 @dataclass(frozen=True, eq=False)
 class NearestCandidate(_QuickAvoider):
-    """The oracle that the networks learn from: gt = 0.05 (t_tcp - t_h) + t_opt (eq. 13).
+    """The oracle that the networks learn from, with the answer 0.05 (t_tcp - t_h) + t_opt (eq. 13).
 
-    t_opt is the candidate with the least image error. For the desired orientation, the image-moment error of
-    a candidate is exactly its displacement from the desired position. So "least image error" is "nearest to
-    the desired TCP". The decision's seed draws its candidates.
+    t_opt is the candidate with the least image error. In the desired orientation, the image-moment error of a
+    candidate equals its displacement from the desired position. So "least image error" means "nearest to the
+    desired TCP". The avoider draws the candidates by the decision's seed.
     """
 
     cap: CandidateCap
@@ -82,7 +82,7 @@ class NearestCandidate(_QuickAvoider):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return eq. 13 with fresh candidates.
+        """Return the answer of eq. 13 with new candidates, drawn by ``seed``.
 
         ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,).
         """
@@ -94,7 +94,7 @@ class NearestCandidate(_QuickAvoider):
 
 @dataclass(frozen=True, eq=False)
 class AnswersNaN:
-    """A fault of the scenario: it answers with NaN and does not call the avoider."""
+    """The avoider of a scenario's fault: it answers NaN in place of the avoider ``name``."""
 
     name: str
 
@@ -106,5 +106,5 @@ class AnswersNaN:
 
 
 def faulty(faults: NDArray[np.void], avoider: Avoider, time_s: float) -> Avoider:
-    """Return ``avoider`` at ``time_s`` under the ``faults`` (n,) FAULT."""
+    """Return ``avoider``, or its replacement by a fault that acts at ``time_s``; ``faults`` (n,) FAULT."""
     return AnswersNaN(avoider.name) if acting(faults, NAN, time_s) else avoider

@@ -1,6 +1,7 @@
-"""The answers of users' controllers, a row each: of one, or of many episodes in lanes side by side.
+"""Collect the answers of users' controllers, of one episode or of many episodes in parallel lanes.
 
-The imports of this module do not wait for a compiler: the process of a user's file uses it too.
+A lane is the row of an episode in arrays for all episodes. The process of a user's file uses this module too,
+so it imports nothing that waits for a compiler.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ NOT_REPORTED = -1
 
 
 class LaneAnswers:
-    """The action of each of n controllers until the next tick, as ``obey`` takes it.
+    """The actions of n controllers until the next tick, in arrays for ``obey``.
 
-    It is a twist of the TCP in ``twists`` (n, 6), or joint velocities in ``joints`` (n, j) if ``by_joints``
-    (n,), or a ``stop`` (n,). ``modes`` (n,) are as reported, or NOT_REPORTED.
+    Where ``stop`` (n,) is True, the action is a stop. Where ``by_joints`` (n,) is True, it is joint
+    velocities in ``joints`` (n, j). Otherwise it is a twist of the TCP in ``twists`` (n, 6). ``modes`` (n,)
+    are the reported modes, or NOT_REPORTED.
     """
 
     def __init__(self, lanes: int, joints: int, reports: tuple[str, ...]) -> None:
@@ -36,11 +38,11 @@ class LaneAnswers:
 
     @property
     def columns(self) -> tuple[NDArray[Any], ...]:
-        """All arrays of the answers."""
+        """All arrays of the answers, in a fixed order."""
         return self.twists, self.joints, self.by_joints, self.stop, self.modes
 
     def take(self, lane: int, action: object) -> None:
-        """Store an action; ``ControllerError`` states its fault."""
+        """Store the ``action`` of ``lane``; raise ``ControllerError`` if the action is invalid."""
         if self._tells:
             reported = getattr(action, "report", None)
             if not isinstance(reported, Report) or not isinstance(reported.mode, Mode):
@@ -66,7 +68,7 @@ class LaneAnswers:
         twist[3:] = 0.0 if angular is None else numbers("tcp_angular_velocity_radps", angular, (3,))
 
     def take_many(self, lanes: Sequence[int], moves: object) -> None:
-        """Store the result of ``act_many`` for all ``lanes``, as ``take`` does."""
+        """Store the result ``moves`` of ``act_many`` for all ``lanes``, with the checks of ``take``."""
         if not isinstance(moves, Moves):
             raise ControllerError(f"act_many returned no Moves: {printable(repr(moves))}")
         n, own, width_of_joints = len(lanes), np.array(lanes), self.joints.shape[1]
@@ -97,7 +99,7 @@ class LaneAnswers:
             self.joints[own] = joints
 
     def take_sent(self, lanes: Sequence[int], sent: Sequence[bytes]) -> None:
-        """Store the actions of ``lanes`` from another process; ``ValueError`` for anything else."""
+        """Store the actions of ``lanes`` from another process; raise ``ValueError`` for invalid bytes."""
         if len(sent) != len(self.columns):
             raise ValueError(f"{len(sent)} columns in place of {len(self.columns)}")
         own = np.array(lanes)
@@ -110,9 +112,9 @@ class LaneAnswers:
 
 
 def numbers(name: str, value: object, shape: tuple[int, ...], call: str = "act") -> NDArray[Any]:
-    """Return real numbers of ``shape``; ``ControllerError`` for anything else.
+    """Return ``value`` as an array of real numbers of ``shape``; raise ``ControllerError`` otherwise.
 
-    ``call`` is the method that returned them, and ``name`` their name, for the error.
+    The error states the method ``call`` that returned the value, and the value's ``name``.
     """
     try:
         given = np.asarray(value)
@@ -125,12 +127,12 @@ def numbers(name: str, value: object, shape: tuple[int, ...], call: str = "act")
 
 
 def _are_modes(modes: NDArray[Any]) -> bool:
-    """Return whether these are valid numbers of Mode, which counts from zero."""
+    """Return whether ``modes`` are valid values of ``Mode``, whose values count from zero."""
     return modes.dtype.kind in "iu" and bool((modes >= 0).all() and (modes < len(Mode)).all())
 
 
 def _flags(name: str, value: object, count: int) -> NDArray[np.bool_]:
-    """Return truths (count,), False without a value; ``ControllerError`` for anything else."""
+    """Return ``value`` as booleans (count,), all False for None; raise ``ControllerError`` otherwise."""
     if value is None:
         return np.zeros(count, np.bool_)
     given = np.asarray(value)
@@ -141,7 +143,7 @@ def _flags(name: str, value: object, count: int) -> NDArray[np.bool_]:
 
 
 def answers_many(controller: object) -> bool:
-    """Return whether its class has an ``act_many``."""
+    """Return whether the class of ``controller`` has a method ``act_many``."""
     return callable(getattr(type(controller), "act_many", None))
 
 
@@ -154,14 +156,14 @@ def ask_together(
     answers: LaneAnswers,
     file: str | None = None,
 ) -> dict[int, str]:
-    """Call the controllers of ``lanes`` (n,), and return the reason for each lane that cannot go on.
+    """Call the controllers of ``lanes`` (n,); return, for each lane that cannot go on, the reason.
 
-    An exception or a wrong result of an ``act_many`` raises.
+    An exception in ``act_many``, or a wrong result of it, raises an error for all lanes.
 
     Args:
         controllers: The controllers (n,).
-        lanes: Their rows in ``answers``.
-        rows: Their views (n, wanted), read-only.
+        lanes: The rows of these controllers in ``answers``.
+        rows: The views (n, wanted) of these controllers, read-only.
         period_s: The control period.
         layout: The layout of a row.
         answers: The answers to fill.
@@ -184,13 +186,13 @@ def ask_together(
 
 
 def in_act(error: ControllerError) -> str:
-    """Return an error's text with the name of the method."""
+    """Return an error's text, which begins with the name of the method ``act``."""
     text = str(error)
     return text if text.startswith("act") else f"act raised: {text}"
 
 
 def columns_of(rows: Floats, period_s: float, layout: SeenLayout) -> Arrays:
-    """Return the view of ``act_many`` on ``rows`` (n, wanted)."""
+    """Return the quantities in ``rows`` (n, wanted) by name, as ``act_many`` gets them."""
     dtype = seen_dtype(layout.hand_slots, layout.joints)
     whole = np.zeros((len(rows), dtype.itemsize // 8))
     whole[:, : rows.shape[1]] = rows
@@ -199,5 +201,5 @@ def columns_of(rows: Floats, period_s: float, layout: SeenLayout) -> Arrays:
 
 
 def lanes_of(live: Iterable[bool]) -> list[int]:
-    """Return the numbers of the lanes that go on."""
+    """Return the numbers of the lanes that are still ``live``."""
     return [lane for lane, goes in enumerate(live) if goes]

@@ -1,4 +1,4 @@
-"""A controller around another: the base class of controllers that change one thing in it."""
+"""Define the base class of controllers that wrap another controller and change one thing in it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from safety_harness.cell.controller.controller import AvoidingServo
 
 
 class ControllerWrapper:
-    """A controller that does everything as its ``pilot``; a subclass overrides a part of that."""
+    """A controller that passes every call to its ``pilot``; a subclass overrides some of the methods."""
 
     def __init__(self, pilot: AvoidingServo) -> None:
         self.pilot = pilot

@@ -1,7 +1,7 @@
-"""A controller's view as arrays of one shape: observations of environments and inputs of ONNX policies.
+"""Turn a controller's view into arrays, for environments (observations) and ONNX policies (inputs).
 
-The row of an absent hand is zero, and so is an unknown number; a flag beside it states that. The imports of
-this module do not wait for a compiler.
+The row of an absent hand is zero, and an unknown number is zero too; a flag beside each states its absence.
+This module imports nothing that waits for a compiler.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ Arrays = dict[str, NDArray[np.generic]]  # by name, of n rows each
 
 
 def observed(seen: SeenRows, sees: Iterable[str]) -> Arrays:
-    """Return the quantities of ``sees``, n rows each; ``seen`` (n,) SEEN.
+    """Return the arrays for the words ``sees``, with n rows each, from ``seen`` (n,) SEEN.
 
-    Names and frames are the same as in the contract's ``Seen``.
+    The arrays have the names and frames of the contract's ``Seen``.
     """
     arrays: Arrays = {}
     for sight in sees:
@@ -35,13 +35,13 @@ def _joints(seen: SeenRows) -> Arrays:
 
 
 def _hands(seen: SeenRows) -> Arrays:
-    """Return the measured hands, with flags."""
+    """Return the measured hands, each with a flag that states whether it is present."""
     there = _first(seen["hand_count"], seen["hands"])
     return {"hands": _where(there, seen["hands"]), "hands_there": there}
 
 
 def _boxes(seen: SeenRows) -> Arrays:
-    """Return the boxes of hands, with flags."""
+    """Return the boxes of hands, each with a flag that states whether it is present."""
     there = _first(seen["box_count"], seen["boxes"])
     return {
         "hand_boxes": _where(there, seen["boxes"]),
@@ -53,7 +53,7 @@ def _boxes(seen: SeenRows) -> Arrays:
 
 
 def _object(seen: SeenRows) -> Arrays:
-    """Return the object's features."""
+    """Return the features of the object, with a flag that states whether it is visible."""
     visible = _flag(seen["object_visible"])
     return {
         "object_visible": visible,
@@ -64,7 +64,7 @@ def _object(seen: SeenRows) -> Arrays:
 
 
 def _predicted(seen: SeenRows) -> Arrays:
-    """Return the predicted hands, with flags."""
+    """Return the predicted hands, each with a flag that states whether it is present."""
     there = (seen["tracked"] != 0).astype(np.int8)
     return {
         "predicted_hands": _where(there, seen["predicted"]),
@@ -85,17 +85,17 @@ _READERS: dict[str, Callable[[SeenRows], Arrays]] = {
 
 
 def _flag(true: NDArray[np.int64]) -> NDArray[np.int8]:  # (n,)
-    """Return a flag as a column (n, 1)."""
+    """Return the flag ``true`` (n,) as a column (n, 1)."""
     flags: NDArray[np.int8] = (true != 0).astype(np.int8)
     return flags[:, None]
 
 
 def _first(count: NDArray[np.int64], rows: NDArray[np.float64]) -> NDArray[np.int8]:
-    """Return whether each of k rows is among the first ``count`` (n,), as (n, k); ``rows`` (n, k, ...)."""
+    """Return flags (n, k): whether each of the k ``rows`` (n, k, ...) is among the first ``count`` (n,)."""
     return (np.arange(rows.shape[1]) < count[:, None]).astype(np.int8)
 
 
 def _where(there: NDArray[np.int8], rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ``rows`` (n, ...), with zeros for absent rows; ``there`` (n,) or (n, k)."""
+    """Return ``rows`` (n, ...) with zeros where the flags ``there``, (n,) or (n, k), are zero."""
     kept: NDArray[np.bool_] = (there != 0).reshape(there.shape + (1,) * (rows.ndim - there.ndim))
     return np.where(kept, rows, 0.0)

@@ -1,4 +1,4 @@
-"""The controller under test: it servoes, watches the hands, retreats and stops.
+"""Define the controller under test, which servoes, watches the hands, retreats and stops.
 
 ``Controller`` is the interface for a user's own controller. ``AvoidingServo`` composes the compiled control
 stack with an avoider and the gate.
@@ -51,17 +51,17 @@ from safety_harness.trace.records import FAULT_CHARACTERS, DecisionOutcome, as_c
 
 
 class Controller(Protocol):
-    """An episode's controller: it turns an observation into a command."""
+    """The controller of an episode, which turns each observation into a command."""
 
     @property
     def name(self) -> str:
-        """Its name in traces and reports."""
+        """The controller's name in traces and reports."""
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """Return the COMMAND (1,) for ``observation`` (1,) OBSERVATION; the next call may reuse the array."""
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """Write perception and decision into ``tick`` (1,) TICK, for the trace."""
+        """Write the controller's perception and decision into the trace's record ``tick`` (1,) TICK."""
 
     @property
     def decisions(self) -> NDArray[np.void]:
@@ -69,17 +69,17 @@ class Controller(Protocol):
 
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
-        """The time of each decision on the wall's clock [s], (m,)."""
+        """The time that each decision took on the wall's clock [s], (m,)."""
 
 
 class AvoidingServo:
-    """The paper's controller: ``avoider`` proposes, ``gate`` rules, the stack acts.
+    """The paper's controller: ``avoider`` proposes, ``gate`` decides, the compiled stack moves the arm.
 
-    ``decision_times_s`` (n,) [s] is the cost of each tick's question in simulated time, from the function of
-    that name. ``faults`` (n,) FAULT may make the answer later. Until it counts, or the decision deadline is
-    over, the controller goes on as before. ``recorded_late`` (m,) has the fault's text of each decision of an
-    old trace that was late by the wall's clock. ``hand_slots`` is the scenario's, and ``guard`` its shield in
-    this run.
+    ``decision_times_s`` (n,) [s] is the cost in simulated time of a question at each tick, from the function
+    of that name. ``faults`` (n,) FAULT may delay an answer further. Until the answer counts, or until the
+    decision deadline, the controller goes on as before. ``recorded_late`` (m,) has a text for each decision
+    of an old trace: the fault's text if it was late by the wall's clock. ``hand_slots`` is the scenario's
+    number of hands, and ``guard`` its shield in this run.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class AvoidingServo:
         )
         self._late = late_fault(settings.avoidance.decision_deadline_s)
         self._limit_s = settings.clock.wall_limit_s
-        self._held: Answer | None = None  # an answer that does not count yet by the wall's clock
+        self._held: Answer | None = None  # an answer that has come, but counts later by the wall's clock
         self._root_seed = root_seed
         self._decision = decision_dtype(joints)
         self._sight = Sight.from_words(shown_to(avoider), hand_slots, joints, settings.clock.control_period_s)
@@ -124,7 +124,7 @@ class AvoidingServo:
         self._latencies_s: list[float] = []
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Perceive, decide if necessary, and act; ``observation`` (1,) OBSERVATION."""
+        """Return the COMMAND (1,) for ``observation`` (1,) OBSERVATION, with a decision if necessary."""
         r, o = self.records, ObservationRecords(observation)
         decides = watch(*r[:7], o)
         if self._sight is not None and r.question[0]["asked_tick"] == r.question[0]["tick"]:
@@ -162,22 +162,22 @@ class AvoidingServo:
         return self.records.interventions
 
     def _ask_now(self, observation: NDArray[np.void]) -> None:
-        """Ask, measure the time, and let the answer count after as much simulated time."""
+        """Ask, measure the wall-clock time, and let the answer count after as much simulated time."""
         records, held = self.records, answer_to(self.answerer(), replace(self.query(observation), late=""))
         answer_after(records.parameters, records.question, records.faults, held.latency_s)
         late = Answer(fault=self._late, late=True, latency_s=held.latency_s)
         self._held = late if records.question[0]["late"] else held
 
     def answerer(self) -> Avoider:
-        """Return the avoider that answers the open question, under its faults."""
+        """Return the avoider that answers the open question, or its replacement by a fault."""
         return faulty(self.records.faults, self.avoider, float(self.records.question[0]["asked_s"]))
 
     def query(self, observation: NDArray[np.void]) -> Query:
-        """Return the decision that counts now, for the gate; ``observation`` (1,) OBSERVATION."""
+        """Return the gate's query for a decision that counts now; ``observation`` (1,) OBSERVATION."""
         state, question = self.records.state[0], self.records.question[0]
         number, nearest = len(self._decisions), state["nearest_track"]
         asked_hand, asked_tcp = question["hand_position_in_base_m"], question["tcp_position_in_base_m"]
-        # If every hand has gone since the question, the decision is about the hand of the question.
+        # If every hand has left since the question, the decision concerns the hand of the question.
         hand = state["predicted_hand_in_base_m"][nearest] if nearest >= 0 else asked_hand
         return Query(
             hand_position_in_base_m=hand.copy(),
@@ -204,12 +204,12 @@ class AvoidingServo:
 
     @property
     def _recorded_words(self) -> str:
-        """The recorded fault of the pending decision if it was late; otherwise empty."""
+        """The recorded fault's text of the pending decision if that was late; otherwise an empty text."""
         number = len(self._decisions)
         return self._recorded_late[number] if number < len(self._recorded_late) else ""
 
     def decide(self, query: Query, ruling: GateDecision) -> None:
-        """Store the gate's ruling as the answer and as a decision."""
+        """Store the gate's ``ruling`` on ``query`` as the stack's answer and as a decision of the run."""
         answer = self.records.answer
         answer["stop"] = ruling.outcome is DecisionOutcome.STOP
         answer["position_in_base_m"] = ruling.chosen_position_in_base_m
@@ -217,7 +217,7 @@ class AvoidingServo:
         self._decisions.append(self._record(query, ruling))
 
     def _record(self, query: Query, ruling: GateDecision) -> NDArray[np.void]:
-        """Return the DECISION (1,) of a ruling."""
+        """Return the record DECISION (1,) of the gate's ``ruling`` on ``query``."""
         record = np.zeros(1, self._decision)
         for name in ("tick", "time_s", "asked_tick", "decision_time_s"):
             record[name] = self.records.question[name]
@@ -235,7 +235,7 @@ class AvoidingServo:
         return record
 
 
-@lru_cache(maxsize=16)  # many episodes differ in their hands and starts alone
+@lru_cache(maxsize=16)  # many episodes differ only in their hands and starts
 def _fixed(settings: Settings, arm: ArmModel, view: DesiredView) -> tuple[NDArray[np.void], NDArray[np.void]]:
-    """Return the records that are the same for every episode."""
+    """Return PARAMETERS (1,) and FILTER_PARAMETERS (1,), which are the same in every episode."""
     return parameters(settings, arm, view), filter_parameters(settings.hand_filter, settings.hand_sensor)

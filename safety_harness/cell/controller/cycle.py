@@ -1,7 +1,7 @@
-"""One tick of ``AvoidingServo``, compiled: everything between observation and command except the decision.
+"""Compute one tick of ``AvoidingServo``: everything between observation and command but the decision.
 
-``watch`` returns whether a decision counts now. Any maker of decisions then fills the answer, and ``act``
-goes on. A single episode and many episodes use the same functions.
+``watch`` returns whether a decision counts now. If so, the caller decides and fills the answer. Then ``act``
+commands the arm. A single episode and many episodes use the same functions.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ QUESTION = np.dtype(
         ("open", np.bool_),  # there is a question whose answer does not count yet
         ("asked_tick", np.int64),
         ("asked_s", np.float64),
-        ("decision_time_s", np.float64),  # its cost without any fault; NaN: not known yet
+        ("decision_time_s", np.float64),  # the question's cost without any fault; NaN: not known yet
         ("hand_position_in_base_m", np.float64, (3,)),  # the nearest predicted hand of the question
         ("tcp_position_in_base_m", np.float64, (3,)),
         ("trigger", np.int64),
-        ("delayed", np.bool_),  # the answer counts later than at once
+        ("delayed", np.bool_),  # the answer counts at a later tick than its question
         ("counts_from", np.int64),  # tick
-        ("late", np.bool_),  # its answer comes too late to count
-        ("faults", np.int64),  # bits of the faults that act on it
+        ("late", np.bool_),  # the answer comes too late to count
+        ("faults", np.int64),  # bits of the faults that act on the question
         ("acted_faults", np.int64),  # bits, at this tick
         ("made", np.int64),  # decisions so far
         ("made_now", np.bool_),
@@ -60,10 +60,10 @@ QUESTION = np.dtype(
 
 
 class ControllerRecords(NamedTuple):
-    """The whole state of an episode's controller.
+    """The complete state of an episode's controller.
 
-    The order keeps the arguments of a step together: ``watch`` takes the first seven, ``act`` takes all
-    from ``parameters`` on, ``report`` takes ``state`` to ``command``.
+    This order lets each function take consecutive records as its arguments. ``watch`` takes the first seven,
+    ``act`` takes all from ``parameters`` on, ``report`` takes ``state`` to ``command``.
     """
 
     filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
@@ -91,9 +91,9 @@ def watch(
     questions: QuestionRecords,
     observations: ObservationRecords,
 ) -> bool:
-    """Read an observation (1,) OBSERVATION; return True if the decision on the open question counts now.
+    """Read an observation (1,) OBSERVATION; return True if the answer to the open question counts now.
 
-    Until then the controller goes on as before. An answer after a protective stop has no use.
+    Until then the controller goes on as before. After a protective stop, it discards an open question.
     """
     s, q = states[0], questions[0]
     needs_decision = begin_tick(parameters, filter_parameters, states, tracks, observations)
@@ -127,7 +127,7 @@ def ask(
     decision_times_s: NDArray[np.float64],  # (n,)
     observations: ObservationRecords,
 ) -> None:
-    """Open a question at this tick; its answer counts after its decision time."""
+    """Open a question at this tick, whose answer counts after the question's decision time."""
     s, q, time_s = states[0], questions[0], observations[0].time_s
     q.open = True
     q.asked_tick = q.tick
@@ -144,12 +144,12 @@ def ask(
 def answer_after(
     parameters: ParameterRecords, questions: QuestionRecords, faults: FaultRecords, decision_time_s: float
 ) -> None:
-    """Set the time [s] of the answer to the open question, with a fault's delay.
+    """Set the tick from which the answer to the open question counts, with any delay by a fault.
 
-    The answer counts ceil(min(late, deadline) / period) ticks after the question. At this first tick its time
-    is over; an exact multiple of the period counts at exactly that tick. An answer later than the deadline
-    does not count, and the controller gives up on it at the deadline. A NaN stands for a time that is not yet
-    known.
+    An answer takes ``decision_time_s`` [s] plus the delay, or at most the deadline. It counts from the first
+    tick at or after this time; an exact multiple of the period is exactly that tick. If the answer is later
+    than the deadline, the controller gives up at the deadline, and the answer does not count. NaN stands for
+    a time that is not yet known.
     """
     p, q = parameters[0], questions[0]
     late_s = decision_time_s + delay_s(faults, LATE, q.asked_s)
@@ -175,7 +175,7 @@ def act(
     capsules: CapsuleRecords,
     observations: ObservationRecords,
 ) -> None:
-    """Act on the answer, if there is one, and command the arm; then the shield may change the command."""
+    """Act on the answer, if any, and command the arm; then let the shield change the command."""
     q = questions[0]
     finish_tick(parameters, states, observations, answers, commands)
     if shields.shape[0] > 0:

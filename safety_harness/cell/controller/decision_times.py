@@ -1,4 +1,4 @@
-"""The cost of a run's decisions in simulated time, tick by tick: a table for the compiled loop."""
+"""Compute the table of a run's decision costs in simulated time, tick by tick, for the compiled loop."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ ON_THE_CLOCK = np.full(1, np.nan)
 def decision_times_s(
     cost: DecisionCost | DecisionTimes, declared_s: float, root_seed: int, ticks: int
 ) -> NDArray[np.float64]:
-    """Return the cost of each tick's question [s], (n,); the last number is for all later ticks.
+    """Return the cost [s] of a question at each tick, (n,); the last number is for all later ticks.
 
-    The draws use the inverse of a distribution function that is linear between the quantiles q_0 ... q_m,
-    evenly spaced in probability. This is q_k + (x - k) (q_(k+1) - q_k), x = m u, k its integer part, u
-    uniform. NaN stands for the answer's time on the wall's clock. ``declared_s`` is the avoider's
-    declaration.
+    A ``cost`` of quantiles q_0 ... q_m, evenly spaced in probability, means a distribution that is linear
+    between them. The function draws from it by the inverse of the distribution function. A draw is q_k + (x -
+    k) (q_(k+1) - q_k) with x = m u, u uniform in [0, 1), and k the integer part of x. NaN means that the
+    wall's clock determines the cost. ``declared_s`` is the avoider's declaration.
     """
     if cost is DecisionCost.WALL_CLOCK:
         return ON_THE_CLOCK
@@ -39,9 +39,9 @@ def decision_times_s(
 
 
 def recorded_times_s(recorded: Trace) -> NDArray[np.float64]:
-    """Return the costs [s] as ``decision_times_s`` does, from the record of a run by the wall's clock.
+    """Return the table of ``decision_times_s`` from a recorded run whose costs the wall's clock determined.
 
-    A question without a decision never had an answer: the arm had stopped before.
+    A question without a decision has the cost infinity, because the arm stopped before the answer.
     """
     times_s = np.full(recorded.scenario.ticks + 1, np.inf)
     times_s[recorded.decisions["asked_tick"]] = recorded.decisions["decision_time_s"]
@@ -49,10 +49,10 @@ def recorded_times_s(recorded: Trace) -> NDArray[np.float64]:
 
 
 def recorded_late(recorded: Trace) -> list[str]:
-    """Return the fault's text of each decision that was late by the wall's clock.
+    """Return a text for each decision: the fault's text if the decision was late by the wall's clock.
 
-    These decisions had no cost in simulated time. Only old traces have them; any other decision has an empty
-    text.
+    Late decisions of this kind had no cost in simulated time, and only old traces have any. The text of any
+    other decision is empty.
     """
     return [
         str(decision["fault"]) or "late"

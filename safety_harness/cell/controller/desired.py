@@ -1,4 +1,4 @@
-"""The target of servoing: the desired TCP pose and the camera's view there."""
+"""Compute the target of servoing: the desired TCP pose and the camera's view from there."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])  # tcp axes in base: x forward, y righ
 
 
 def desired_transform_tcp_to_base(settings: Settings) -> NDArray[np.float64]:
-    """Return the desired TCP pose (4, 4): straight above the object, looking down."""
+    """Return the desired TCP pose (4, 4): straight above the object, with the z axis straight down."""
     return transform_from(LOOKING_DOWN, np.array(settings.cell.desired_tcp_position_in_base_m))
 
 
 def reachable(
     positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot = Robot.UR10
 ) -> NDArray[np.bool_]:
-    """Return whether each position has inverse kinematics in the desired orientation, (n,).
+    """Return whether the arm can take each position in the desired orientation, (n,).
 
-    ``positions_in_base_m`` (n, 3). Only solutions within the robot's limits count. This concerns the end
-    alone; the gate also checks the straight path.
+    ``positions_in_base_m`` (n, 3). Only joint positions within the limits of ``robot`` count. The function
+    checks the position alone; the gate also checks the straight path to it. ``settings`` define the
+    orientation.
     """
     poses = np.repeat(desired_transform_tcp_to_base(settings)[None], len(positions_in_base_m), axis=0)
     poses[:, :3, 3] = positions_in_base_m
@@ -40,7 +41,7 @@ def reachable(
 
 
 def desired_camera(settings: Settings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return two transforms (4, 4) at the desired pose: true camera to base, and object to that camera."""
+    """Return transforms (4, 4) at the desired pose: from the true camera to base, and object to camera."""
     turn = rotation_from_vector(np.array([0.0, 0.0, settings.object.yaw_rad]))
     object_to_base = transform_from(turn, np.array(settings.object.position_in_base_m))
     camera_to_base = product(
@@ -50,6 +51,6 @@ def desired_camera(settings: Settings) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def view_of(settings: Settings) -> DesiredView:
-    """Return the true camera's view of the object at the desired pose: the desired image is a real image."""
+    """Return the true camera's view of the object from the desired pose, as a real image shows it."""
     object_to_camera = desired_camera(settings)[1]
     return desired_view(np.array(settings.object.polygon_m), object_to_camera, settings.servo.object_kind)

@@ -1,7 +1,8 @@
-"""A user's controller as a ``Controller``: observations become its view, its actions become commands.
+"""Run a user's controller: turn each observation into its view, and its actions into commands.
 
-The controller does its own perception, except for the quantities that it asks to see. Its limits, drives and
-brakes are the same as in every run. The trace leaves out everything that the controller does not report.
+The user's controller does its own perception, except for the quantities that it asks to see. Limits, drives
+and brakes are the same as for any other controller. The trace leaves out everything that the user's
+controller does not report.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ from safety_harness.trace.records import DECISION, as_compiled, decision_dtype, 
 
 Floats = NDArray[np.float64]
 
-# Columns that only the visual servo has, or a controller that reports them.
+# Columns that only the visual servo fills, or a controller that reports them.
 _OF_SERVO = ("gain", "camera_twist")
 _OF_OBJECT = ("object_visible", "features", "feature_error", "sse")
 _OF_TRACKS = ("track_valid", "predicted_hand_in_base_m", "predicted_distance_m")
@@ -73,10 +74,11 @@ _OF_DOUBT = ("proposed_spread_m", "spread_threshold_m")
 
 
 class DrivenController:
-    """An episode of a user's controller; ``ControllerError`` for an exception or an invalid action of it.
+    """An episode of a user's controller, in which the harness calls it tick by tick.
 
-    ``joint_position_rad`` (n,) is the arm's start. ``view`` is necessary only if the controller sees the
-    object. ``guard`` is the scenario's shield in this run.
+    Raise ``ControllerError`` if the controller raises an exception or returns an invalid action.
+    ``joint_position_rad`` (n,) is the arm's start. ``view``, the desired view, is necessary only if the
+    controller sees the object. ``guard`` is the scenario's shield in this run.
     """
 
     def __init__(
@@ -97,7 +99,7 @@ class DrivenController:
         records = driven_records(settings, arm, view, hand_slots)
         self._decision = decision_dtype(joints)
         self._decisions: list[NDArray[np.void]] = []
-        self.answers_took_s: list[float] = []  # on the wall's clock; without joint answers of many lanes
+        self.answers_took_s: list[float] = []  # on the wall's clock; without joint answers of lanes
         self.answers = LaneAnswers(1, joints, self.reports)
         self.period_s = settings.clock.control_period_s
         self.layout = SeenLayout(hand_slots, joints, self.sees)
@@ -116,16 +118,16 @@ class DrivenController:
             raise self.failed(f"reset raised: {described(error)}") from error
 
     def lie_in(self, records: DrivenRecords, question: QuestionRecords) -> None:
-        """Use ``records`` and ``question`` (1,) QUESTION for the controller's state from now on."""
+        """Keep the controller's state in ``records`` and ``question`` (1,) QUESTION from now on."""
         self.records, self.question = records, question
         self._floats = records.seen.view(np.float64)[: self.layout.wanted]
 
     def sees_images_of(self, image: Callable[[], Any]) -> None:
-        """Let the controller see the present ``image()``, if "image" is among its sees."""
+        """Show the controller the present ``image()`` at each tick, if its ``sees`` includes "image"."""
         self._image = image
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Return the COMMAND (1,) for an OBSERVATION (1,)."""
+        """Call the controller; return the COMMAND (1,) for ``observation`` (1,) OBSERVATION."""
         self.perceive(observation)
         self.ask()
         by_joints = bool(self.answers.by_joints[0])
@@ -133,7 +135,7 @@ class DrivenController:
         return self.carry_out(wanted, by_joints, bool(self.answers.stop[0]), observation)
 
     def perceive(self, observation: NDArray[np.void]) -> SeenRecords:
-        """Return the SEEN (1,) of an OBSERVATION (1,): the first half of ``step``."""
+        """Return the view SEEN (1,) of ``observation`` (1,) OBSERVATION: the first half of ``step``."""
         o = ObservationRecords(observation)
         r = self.records
         self._see(r.parameters, r.filter_parameters, r.state, r.tracks, o, r.seen, *self.wants)
@@ -142,11 +144,11 @@ class DrivenController:
     def carry_out(
         self, wanted: Floats, by_joints: bool, stop: bool, observation: NDArray[np.void]
     ) -> NDArray[np.void]:
-        """Return the COMMAND (1,) for an action, as ``obey`` makes it: the second half of ``step``.
+        """Return the COMMAND (1,) that ``obey`` makes of an action: the second half of ``step``.
 
         Args:
             wanted: The velocities (6,) of the TCP or (n,) of the joints.
-            by_joints: Whether these are joint velocities.
+            by_joints: Whether ``wanted`` are joint velocities.
             stop: Whether the action is a stop.
             observation: The OBSERVATION (1,) of the action.
 
@@ -162,24 +164,24 @@ class DrivenController:
         return r.command
 
     def shielded(self, observation: ObservationRecords, tick: int) -> None:
-        """Let the shield, if any, change the command; ``observation`` (1,) OBSERVATION."""
+        """Let the shield, if any, change the command of ``tick``; ``observation`` (1,) OBSERVATION."""
         if len(self.guard.shield):
             r = self.records
             keep_apart(r.parameters, r.state, *self.guard, observation, r.command, tick)
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """Write the controller's view and reports into ``tick`` (1,) TICK."""
+        """Write the controller's view and reports into the trace's record ``tick`` (1,) TICK."""
         self.report_compiled(as_compiled(tick))
 
     def report_compiled(self, tick: NDArray[np.void]) -> None:
-        """Write as ``report`` does into a tick (1,) ``as_compiled``."""
+        """Write, as ``report`` does, into the record ``tick`` (1,) ``as_compiled``."""
         self._tell(self.records.state, self.question, self.records.command, tick)
         if self.answers.modes[0] >= 0:
             tick["mode"] = self.answers.modes[0]
 
     @property
     def decisions(self) -> NDArray[np.void]:
-        """The reported decisions, (m,) DECISION."""
+        """The decisions that the controller has reported, (m,) DECISION."""
         decisions = np.zeros(len(self._decisions), self._decision)
         for k, decision in enumerate(self._decisions):
             decisions[k] = decision[0]
@@ -187,7 +189,7 @@ class DrivenController:
 
     @property
     def decision_latencies_s(self) -> Floats:
-        """NaN (m,): the harness did not ask for these decisions."""
+        """The decisions' latencies (m,), all NaN since the harness did not ask for these decisions."""
         return np.full(len(self._decisions), np.nan)
 
     @property
@@ -197,7 +199,7 @@ class DrivenController:
 
     @property
     def known(self) -> dict[str, Measurement]:
-        """The columns of its traces that are not reported."""
+        """The columns of the controller's traces that it does not report."""
         lacking = [*_OF_SERVO]
         lacking += [] if OBJECT in self.sees else _OF_OBJECT
         lacking += [] if PREDICTED_HANDS in self.sees else _OF_TRACKS
@@ -209,7 +211,7 @@ class DrivenController:
         return dict.fromkeys([*lacking, *(OF_DECISIONS + name for name in of_decisions)], NOT_REPORTED)
 
     def ask(self) -> None:
-        """Call the controller, and store its action until the next tick in ``answers``."""
+        """Call the controller, and store in ``answers`` its action for the time until the next tick."""
         row = self._floats.copy()
         row.flags.writeable = False
         seen = Seen.of_row(float(row[0]), self.period_s, self.layout, row)
@@ -227,16 +229,16 @@ class DrivenController:
             raise self.failed(f"act raised: {described(error)}") from error
 
     def not_finite(self, wanted: Floats) -> ControllerError:
-        """Return the error for ``wanted`` velocities (6,) or (n,) that are not finite."""
+        """Return the error about the velocities ``wanted``, (6,) or (n,), that are not finite."""
         return self.failed(f"act returned velocities that are not finite: {wanted.tolist()}")
 
     def failed(self, why: str) -> ControllerError:
-        """Return the error that ends the run at this tick."""
+        """Return the error with the reason ``why``, which ends the run at this tick."""
         when = f" at {float(self.records.seen[0]['time_s']):.3f} s"
         return ControllerError(f"the controller {self.name!r}: {why}{when}")
 
     def _note(self, action: Action) -> None:
-        """Record the decision that the controller reports, if any."""
+        """Record the decision that the controller reports with ``action``, if any."""
         if DECISIONS not in self.reports:
             return
         reported = action.report
@@ -247,7 +249,7 @@ class DrivenController:
             self.question["made"] += 1
 
     def _record(self, decision: Decision) -> NDArray[np.void]:
-        """Return a reported decision as DECISION (1,)."""
+        """Return a reported ``decision`` as a record DECISION (1,)."""
         record = np.zeros(1, self._decision)
         record["tick"] = record["asked_tick"] = self.question["tick"]
         for name in ("time_s", "joint_position_rad"):
@@ -265,7 +267,7 @@ class DrivenController:
 
 @lru_cache
 def _entries(hand_slots: int, joints: int) -> tuple[Callable[..., Any], ...]:
-    """Return ``see``, ``obey`` and ``report`` for such records, so that numba looks them up only once."""
+    """Return the machine code of ``see``, ``obey`` and ``report``, so that numba looks it up only once."""
     state, command = initial_state(hand_slots, joints), np.zeros(1, command_dtype(joints))
     p, question = np.zeros(1, parameters_dtype(joints)), np.zeros(1, QUESTION)
     observation = np.zeros(1, observation_dtype(hand_slots, joints))
@@ -280,9 +282,9 @@ def _entries(hand_slots: int, joints: int) -> tuple[Callable[..., Any], ...]:
 
 
 def entry_of(function: Any, *arguments: Any) -> Callable[..., Any]:
-    """Return the machine code of a compiled function for arguments of these types, without a check of types.
+    """Return the machine code of ``function`` for arguments of these types, which it no longer checks.
 
-    For small functions, numba's check of the types of records takes ten times as long as the work.
+    In small functions, numba's check of record types takes ten times as long as the work itself.
     """
     key = function, tuple(map(_kind, arguments))
     if key not in _ENTRIES:
@@ -296,7 +298,7 @@ _ENTRIES: dict[tuple[Any, tuple[Any, ...]], Callable[..., Any]] = {}
 def _kind(argument: Any) -> Any:
     """Return everything on which numba's type of an argument depends.
 
-    numba itself takes milliseconds for that in each episode.
+    numba's own look-up of the type takes milliseconds in each episode.
     """
     if isinstance(argument, tuple):
         return type(argument), tuple(map(_kind, argument))
@@ -315,7 +317,7 @@ def _frozen(array: Floats) -> Floats:
 
 
 def arm_of(model: ArmModel) -> DrivenArm:
-    """Return the description of an arm for controllers."""
+    """Return the description of the arm ``model`` that controllers get."""
     return DrivenArm(
         name=model.name,
         joint_names=model.joint_names,

@@ -1,4 +1,4 @@
-"""The twist of the TCP for a tick: servoing, retreat, and their limits."""
+"""Compute the twist of the TCP for a tick: servoing, retreat, and the limits of both."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from safety_harness.cell.servoing.control import camera_twist
 from safety_harness.trace.records import Limit, Mode
 
 OBJECT_LOST = int(Mode.OBJECT_LOST)
-# Joint velocities stand for a tick while the arm turns under them: at its end the TCP is up to
+# Joint velocities are constant within a tick while the arm turns.  So at its end the TCP is up to
 # 0.2 % faster than at its beginning, where the limit is applied.
 SPEED_RESERVE = 0.99
 LIMIT_TCP_SPEED = int(Limit.TCP_SPEED)
@@ -24,13 +24,13 @@ def servo_twist(
     states: StateRecords,
     twist_in_base_out: Array6,  # v, w [m/s, rad/s]
 ) -> None:
-    """Fill the output with eq. 1 as a twist of the TCP in the base frame.
+    """Fill ``twist_in_base_out`` with the twist of eq. 1, of the TCP in the base frame.
 
         w = R w_camera,   v_tcp = R v_camera - w x c,   R = R_tcp_to_base R_camera_to_tcp
 
-    with c the camera's origin seen from the TCP, in the base frame: both belong to the flange, a rigid body.
-    The gain lambda is ``gain_near`` if |e|^2 (eq. 15) is below ``gain_switch_sse``, otherwise ``gain_far``.
-    Without a finite twist the object counts as lost.
+    with c the vector from the TCP to the camera's origin, in the base frame. The formula holds because both
+    points belong to the flange, a rigid body. The gain lambda is ``gain_near`` if |e|^2 (eq. 15) is below
+    ``gain_switch_sse``, otherwise ``gain_far``. If the twist is not finite, the object counts as lost.
     """
     p, s = parameters[0], states[0]
     s.gain = p.gain_near if s.sse < p.gain_switch_sse else p.gain_far
@@ -74,13 +74,14 @@ def approach_twist(
     states: StateRecords,
     twist_in_base_out: Array6,  # v, w [m/s, rad/s]
 ) -> None:
-    """Fill the output with a straight motion to the repulsive position that slows down in time to arrive.
+    """Fill ``twist_in_base_out`` with a straight motion to the repulsive position, which ends at rest there.
 
         v = min(0.99 v_max, sqrt(2 (0.8 a) d), d/T) (target - tcp)/d,   d = |target - tcp|,   w = 0
 
-    The speed is the least of three. The first is the repulsion speed (less the reserve). The second still
-    allows a stop within the remaining distance, with uniform braking at 80 % of the permitted acceleration.
-    The remaining 20 % pay for the control period. The third covers the remaining distance in one tick.
+    The speed is the least of three bounds. The first is the repulsion speed v_max, less a reserve of 1 %.
+    From the second, the TCP can still stop within the remaining distance d by uniform braking at 80 % of the
+    permitted acceleration a. The remaining 20 % make up for the control period T. The third covers the
+    remaining distance in one tick.
     """
     p, s = parameters[0], states[0]
     total = 0.0
@@ -107,11 +108,11 @@ def shaped(
     max_acceleration_mps2: float,
     twist_out: Array6,
 ) -> int:
-    """Bound speed and acceleration, linear and angular apart; return the Limit flags that acted.
+    """Bound linear and angular speed and acceleration separately; return the Limit flags that acted.
 
         u = wanted min(1, v_max/|wanted|),   out = previous + (u - previous) min(1, a_max T/|u - previous|)
 
-    for the halves v and w, with T the control period. The linear v_max is reduced by ``SPEED_RESERVE``.
+    for each of the halves v and w, with T the control period. ``SPEED_RESERVE`` reduces the linear v_max.
     """
     p = parameters[0]
     limits = 0

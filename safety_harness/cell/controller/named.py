@@ -1,4 +1,4 @@
-"""The meaning of a reference to a controller: a shipped name, or a user's own file or program."""
+"""Find the controller that a reference means: a shipped one, or a user's own file or program."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ CONTROLLER = Place(field="controller")
 
 
 def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER) -> Make:
-    """Return the maker of a controller: a shipped one, or a user's in a process of its own.
+    """Return the function that makes a controller, a shipped one or a user's in a process of its own.
 
     Args:
         reference: The controller's name, file, program or address, as in a scenario.
@@ -79,7 +79,7 @@ def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER
 
 
 def _opened(opener: ControllerOpener, reference: str, place: Place) -> UserController:
-    """Return the controller of a package's opener; ``InadmissibleError`` at ``place`` for any exception."""
+    """Return the controller of a package's ``opener``; ``InadmissibleError`` at ``place`` if it raises."""
     try:
         controller = opener.open(reference)
     except Exception as error:  # another package's module may raise anything
@@ -90,7 +90,7 @@ def _opened(opener: ControllerOpener, reference: str, place: Place) -> UserContr
 
 
 def refuse_unusable_controller(reference: str, folder: Path | None, place: Place) -> None:
-    """Raise the errors of ``controller_of`` that need no execution of a user's code.
+    """Raise those errors of ``controller_of`` that can be found without execution of a user's code.
 
     Args:
         reference: The controller, as in ``controller_of``.

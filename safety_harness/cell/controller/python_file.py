@@ -1,4 +1,4 @@
-"""A user's controller from a Python file, executed in this process."""
+"""Load a user's controller from a Python file, which this process executes."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ HINT = "safety-harness docs how-to/controller"
 
 
 def controller_in(path: Path, source: bytes, name: str, place: Place) -> UserController:
-    """Return the controller ``name``: an object, or an instance of a class without required arguments."""
+    """Return the controller ``name`` of a file; if it is a class, make an instance without arguments."""
     return checked_controller(made_by(path, source, name, "a controller", place, HINT), name, place)
 
 
 def checked_controller(candidate: object, name: str, place: Place) -> UserController:
-    """Return ``candidate`` if it follows the contract; ``InadmissibleError`` at ``place`` states the gap."""
+    """Return ``candidate`` if it follows the contract; ``InadmissibleError`` at ``place`` otherwise."""
     refuse_lacking(candidate, name, METHODS, place, HINT)
     controller: UserController = candidate  # type: ignore[assignment]  # checked by ``refuse_lacking``
     try:

@@ -1,7 +1,8 @@
-"""The records that the compiled control stack reads and writes.
+"""Define the records that the compiled control stack reads and writes.
 
-``PARAMETERS`` never change in a run. STATE is the memory of an episode. OBSERVATION goes in, ``ANSWER`` comes
-back from a decision, ``COMMAND`` goes out. Many episodes are many elements of an array of each.
+``PARAMETERS`` never change in a run. STATE is the memory of an episode. The stack receives OBSERVATION, and
+``ANSWER`` from a decision, and returns ``COMMAND``. For many episodes, an array of each record type has an
+element for each episode.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def parameters_dtype(joints: int) -> np.dtype[Any]:
 def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
     """Return the record type STATE of a controller.
 
-    It has TRACKS_PER_HAND tracks for each of ``hands`` hands, and ``joints`` joints.
+    The record has TRACKS_PER_HAND tracks for each of ``hands`` hands, and ``joints`` joints.
     """
     tracks = TRACKS_PER_HAND * hands
     return np.dtype(
@@ -71,7 +72,7 @@ def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
             ("mode", np.int64),
             ("transform_tcp_to_base", np.float64, (4, 4)),  # from the measured joints
             ("link_transforms", np.float64, (joints + 2, 4, 4)),
-            ("placed", np.bool_),  # a world has set them for the next observation
+            ("placed", np.bool_),  # a world has set the transforms for the next observation
             # the image of the object, as last delivered
             ("object_visible", np.bool_),
             ("moments", np.float64, (MOMENT_COUNT,)),
@@ -83,19 +84,19 @@ def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
             ("predicted_hand_in_base_m", np.float64, (tracks, 3)),
             ("predicted_distance_m", np.float64),
             ("nearest_track", np.int64),
-            ("known_track_ids", np.int64, (tracks,)),  # inside the distance at the last decision
+            ("known_track_ids", np.int64, (tracks,)),  # within the critical distance at the last decision
             # the present motion
             ("trigger", np.int64),
             ("decision_pending", np.bool_),
             ("target_in_base_m", np.float64, (3,)),
-            ("clear_since_s", np.float64),  # the time since which the distance has been free of hands
+            ("clear_since_s", np.float64),  # since this time no hand has been within the critical distance
             ("previous_twist_in_base", np.float64, (6,)),
             ("gain", np.float64),
             ("camera_twist", np.float64, (6,)),
             ("limits", np.int64),
             # scratch arrays of a tick
             ("jacobian", np.float64, (6, joints)),
-            ("room", np.float64, (6, 6)),  # of ``joint_velocity_with``
+            ("room", np.float64, (6, 6)),  # for ``joint_velocity_with``
             ("wanted_twist_in_base", np.float64, (6,)),
             ("twist_in_base", np.float64, (6,)),
             ("transform_sensor_to_base", np.float64, (4, 4)),
@@ -108,7 +109,7 @@ def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
 def observation_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
     """Return the record type OBSERVATION.
 
-    It has ``joints`` joints, and TRACKS_PER_HAND boxes for each of ``hands`` hands.
+    The record has ``joints`` joints, and TRACKS_PER_HAND boxes for each of ``hands`` hands.
     """
     boxes = TRACKS_PER_HAND * hands
     return np.dtype(

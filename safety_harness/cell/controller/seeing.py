@@ -1,4 +1,4 @@
-"""A user's controller's view of an observation, and the command of its action, compiled."""
+"""Compute the view that a user's controller gets of an observation, and the command of its action."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ SeenRecords = NewType("SeenRecords", NDArray[np.void])  # (1,) SEEN
 
 
 class DrivenRecords(NamedTuple):
-    """All records between an episode's observations and the commands of an outside controller."""
+    """All records between the observations of an episode and the commands of a user's controller."""
 
     parameters: ParameterRecords  # (1,) PARAMETERS
     filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
@@ -72,7 +72,7 @@ _NOTHING = DesiredView(  # for a controller that does not see the object
 def driven_records(
     settings: Settings, arm: ArmModel, view: DesiredView | None, hand_slots: int
 ) -> DrivenRecords:
-    """Return the records at the start of an episode: empty views, and no stop with a restart delay.
+    """Return the records at the start of an episode, with empty views and without a stop.
 
     Args:
         settings: The settings.
@@ -106,7 +106,7 @@ def see(
     objects: bool,
     predicts: bool,
 ) -> None:
-    """Fill ``seen`` with everything that has arrived; ``objects`` and ``predicts`` select its parts."""
+    """Fill ``seen`` from the newest observation; ``objects`` and ``predicts`` select optional parts."""
     p, s, o = parameters[0], states[0], observations[0]
     forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
     copy_matrix(s.link_transforms[p.chain.joint_axes.shape[0] + 1], s.transform_tcp_to_base)
@@ -129,9 +129,10 @@ def show(
     objects: bool,
     predicts: bool,
 ) -> None:
-    """Fill ``seen`` with the control stack's perception.
+    """Fill ``seen`` from the control stack's perception.
 
-    ``hands``, ``objects`` and ``predicts`` select its parts. The hands come from the sensor's last frame.
+    ``hands``, ``objects`` and ``predicts`` select optional parts. The hands come from the sensor's last
+    frame.
     """
     p, s, o, out = parameters[0], states[0], observations[0], seen[0]
     out.time_s = o.time_s
@@ -165,7 +166,7 @@ def show(
 def measured_hands(
     filter_parameters: FilterRecords, observations: ObservationRecords, seen: SeenRecords
 ) -> None:
-    """Fill the boxes of a new frame, and the centres of their hands by the sensor's present pose."""
+    """Fill ``seen`` with a new frame's boxes and the hands' centres, placed by the sensor's present pose."""
     f, o, out = filter_parameters[0], observations[0], seen[0]
     out.boxes_time_s = o.boxes_time_s
     out.box_count = out.hand_count = o.box_count
@@ -184,25 +185,25 @@ def measured_hands(
 def spread_of_track(
     filter_parameters: FilterRecords, tracks: TrackRecords, number: int, at_s: float, seen: SeenRecords
 ) -> None:
-    """Fill velocity (3,) and covariance (6, 6) of position and velocity of a track at ``at_s``.
+    """Fill a track's velocity (3,) at ``at_s``, and the covariance (6, 6) of its position and velocity.
 
-    Both are in the base frame. With p = R g(u, v, z) + t and the Jacobian A of g:  p' = R A (u', v', z'),
-    and, to first order,
+    Both are in the base frame. (R, t) is the sensor's pose, and p = R g(u, v, z) + t the hand's position.
+    With the Jacobian A of g, p' = R A (u', v', z'), and, to first order,
 
         cov = J diag-pairs J^T,   J = R [[A, 0], [0, A]]
 
-    of the pairs' covariances at ``at_s``. The rates have the filter's uncertainty, which grows by its process
-    noise.
+    where diag-pairs are the covariances of the filter's pairs (value, rate) at ``at_s``. They include the
+    growth by the filter's process noise.
     """
     f, t, out = filter_parameters[0], tracks[number], seen[0]
     dt = at_s - t.time_s
     u, v, z = t.mean[0] + dt * t.mean[5], t.mean[1] + dt * t.mean[6], t.mean[2] + dt * t.mean[7]
-    if not z > 0.0:  # as ``predict_positions``: the present position
+    if not z > 0.0:  # use the present position, as ``predict_positions`` does
         u, v, z = t.mean[0], t.mean[1], t.mean[2]
     x, y = (u - f.c_u) / f.focal_px, (v - f.c_v) / f.focal_px
     norm = np.sqrt(x * x + y * y + 1.0)
     depth = z + f.assumed_radius_m / norm
-    slope = -f.assumed_radius_m / (norm * norm * norm) / f.focal_px  # of the depth, times x or y
+    slope = -f.assumed_radius_m / (norm * norm * norm) / f.focal_px  # times x or y: slope of the depth
     a, ra = np.zeros((3, 3)), np.zeros((3, 3))
     a[0, 0], a[0, 1], a[0, 2] = depth / f.focal_px + x * slope * x, x * slope * y, x
     a[1, 0], a[1, 1], a[1, 2] = y * slope * x, depth / f.focal_px + y * slope * y, y
@@ -244,10 +245,10 @@ def obey(
     stop: bool,
     commands: CommandRecords,
 ) -> bool:
-    """Fill the command for an action, within the limits; return False, without effect, if it is not finite.
+    """Fill the command for an action, within the limits; return False if the action is not finite.
 
-    A stop lasts to standstill, and for the restart delay after its last demand. Until then the drives do not
-    obey.
+    An action that is not finite changes nothing. A stop lasts until the arm stands still and the restart
+    delay after the last demand for a stop is over. Until then the drives do not obey.
     """
     p, s, o, command = parameters[0], states[0], observations[0], commands[0]
     joints = command.joint_velocity_radps.shape[0]

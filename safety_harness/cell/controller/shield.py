@@ -1,14 +1,16 @@
-"""Speed and separation for every link: the last step of a control tick, behind any controller.
+"""Apply speed and separation monitoring to every link, as the last step of a control tick.
 
-The shield scales a command. If the arm then brakes from the next tick on, it comes to a stop before a hand at
-its greatest speed can reach a moving part. The theorem, its assumptions and its proof are in
-docs/explanation/shield.md. This file is its rule, with the names of that page. For each hand i
+The shield scales the command of any controller. If the arm then brakes from the next tick on, it stops before
+a hand at its greatest speed can reach a moving part. The theorem, its assumptions and its proof are in
+docs/explanation/shield.md. This file applies the theorem's rule, with the symbols of that page. For the
+distance g_i of each hand i, less its body and uncertainty, the share s of the command obeys
 
     s <= (g_i - F - v_h t_0) / (v_h V/a + R),   R = V l + D.L.|u| l + A l^2/2,
     l = P + V/2a,   t_0 = age + P + T_r
 
-with F = sum of V(c) P + D.L.D/2 over the commands c that may still be on their way. For a hand that cannot
-speed up at once (acceleration at most b, seen no faster than w), it suffices that
+V is a bound of the arm's speed, a its deceleration, P the control period and T_r the reaction time. F is the
+sum of V(c) P + D.L.D/2 over the commands c that the drives may not have executed yet. A hand may have an
+acceleration of at most b, and a measured speed of at most w. For such a hand it suffices that
 
     w t + b t^2/2 + F + s R <= g_i,   t = t_0 + s V/a.
 """
@@ -56,7 +58,7 @@ Interventions = NewType("Interventions", Records)  # (n,) INTERVENTION, one a ti
 def shield_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
     """Return the record type SHIELD.
 
-    It has ``joints`` joints, and TRACKS_PER_HAND boxes for each of ``hands`` hands.
+    The record has ``joints`` joints, and TRACKS_PER_HAND boxes for each of ``hands`` hands.
     """
     boxes = TRACKS_PER_HAND * hands
     return np.dtype(
@@ -68,7 +70,7 @@ def shield_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
             ("reaction_time_s", np.float64),  # in whole control periods
             ("deceleration_mps2", np.float64),
             ("window_s", np.float64),  # the least span of a measurement of a hand's speed
-            ("reach_m", np.float64, (joints,)),  # of ``chain_lengths``
+            ("reach_m", np.float64, (joints,)),  # from ``chain_lengths``
             # for the positions of boxes
             ("transform_sensor_to_base", np.float64, (4, 4)),
             ("focal_px", np.float64),
@@ -96,7 +98,7 @@ def shield_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
 
 
 class Guard(NamedTuple):
-    """A shield in a run, as ``act`` takes it; all arrays are empty without a shield."""
+    """The shield's records in a run, as ``act`` takes them; all arrays are empty without a shield."""
 
     shield: ShieldRecords  # (1,) SHIELD
     interventions: Interventions  # (n,) INTERVENTION
@@ -113,7 +115,7 @@ def guard_of(
 ) -> Guard:
     """Return the shield's records for a run of ``ticks`` ticks, with the arm at rest and no frame yet.
 
-    Without a ``shield`` they are empty.
+    Without a ``shield`` the records are empty.
 
     Args:
         shield: The scenario's shield, if any.
@@ -147,7 +149,7 @@ def guard_of(
 
 
 def no_guard(hand_slots: int = HAND_SLOTS[0], joints: int = JOINTS) -> Guard:
-    """Return empty records of the same types, for a run without a shield."""
+    """Return a guard of empty records, with the types of a real guard, for a run without a shield."""
     return Guard(
         ShieldRecords(np.zeros(0, shield_dtype(hand_slots, joints))),
         Interventions(np.zeros(0, intervention_dtype(hand_slots, joints))),
@@ -166,10 +168,11 @@ def keep_apart(
     commands: CommandRecords,
     tick: int,
 ) -> None:
-    """Scale the command of this tick, or brake along the path of the last one; a NaN brakes.
+    """Scale the command of this tick, or brake along the last command's path; for a NaN, brake.
 
-    The shield also brakes for a stop that the controller demands, and passes the stop to the drives at
-    standstill. The drives' own stop begins with the reaction time, in which the arm would go on.
+    If the controller demands a stop, the shield brakes first, and passes the stop to the drives at
+    standstill. The reason is that the drives' own stop begins with the reaction time, in which the arm would
+    go on.
     """
     p, s, g, command = parameters[0], states[0], shields[0], commands[0]
     joints, period_s = command.joint_velocity_radps.shape[0], p.control_period_s
@@ -194,7 +197,7 @@ def keep_apart(
     left_s = g.stop_s - period_s
     if command.protective_stop or (share < 1.0 and not share * stop_s >= left_s):
         kept = left_s / g.stop_s if left_s > 0.0 else 0.0
-        # The drives may still execute the latest command that no later command must have replaced yet.
+        # The drives may still execute the latest command that no later one need have replaced by now.
         stands, done_with = True, max(tick - 1 - round(g.reaction_time_s / period_s), 0)
         for i in range(joints):
             stands = stands and g.last_radps[i] == 0.0 and g.flight_rad[i] == 0.0
@@ -214,7 +217,7 @@ def keep_apart(
         copy_vector(g.hand_in_base_m[0, k], done.hand_in_base_m[k])
     if share < 1.0:
         s.limits |= LIMIT_SHIELD
-        for i in range(6):  # the controller continues from the arm's motion, not from its own demand
+        for i in range(6):  # the controller must continue from the arm's motion, not from its own demand
             s.previous_twist_in_base[i] = 0.0
             for j in range(joints):
                 s.previous_twist_in_base[i] += s.jacobian[i, j] * command.joint_velocity_radps[j]
@@ -230,10 +233,10 @@ def in_flight(
     tick: int,
     period_s: float,
 ) -> float:
-    """Return how far [m] the commands of the last reaction time may still take a point along a straight path.
+    """Return how far [m] the commands of the last reaction time may still move a point in a straight line.
 
-    Fills the largest turn of each joint by them: the drives execute each command at most once, and within
-    that time.
+    The function also fills the largest turn of each joint by these commands. Both hold because the drives
+    execute each command at most once, and within the reaction time.
     """
     g, flight_m = shields[0], 0.0
     g.flight_rad[:] = 0.0
@@ -271,9 +274,9 @@ def fastest_point(
     shields: ShieldRecords,
     capsules: CapsuleRecords,
 ) -> float:
-    """Return a bound V of the speed of every point of an axis; NaN if a speed is NaN.
+    """Return a bound V [m/s] of the speed of every point of a capsule's axis; NaN if a speed is NaN.
 
-    A point of an axis is faster than its middle by at most |w| times half its length.
+    The speed of a point exceeds the speed of its axis's middle by at most |w| times half the axis's length.
     """
     g, fastest_mps, joints = shields[0], 0.0, joint_axes.shape[0]
     link_twists(joint_axes, transforms, rates_radps, g.twists)
@@ -296,10 +299,11 @@ def clearances(
     shields: ShieldRecords,
     capsules: CapsuleRecords,
 ) -> None:
-    """Fill each hand's distance from the arm, with the nearest capsule.
+    """Fill each hand's distance [m] from the arm, and the index of its nearest capsule.
 
-    It is from the surface of all moving parts, without the base, to the measured centre of the hand. Every
-    point of an axis is within half its length of its middle, so the loop skips most parts.
+    The distance is from the surface of the moving parts, without the base, to the measured centre of the
+    hand. No point of an axis is farther from its middle than half its length, so the loop can skip most
+    capsules.
     """
     g = shields[0]
     for i in range(g.count[0]):
@@ -334,7 +338,7 @@ def allowed_share(
     period_s: float,
     time_s: float,
 ) -> tuple[float, int]:
-    """Return the allowed share s of the command, and the capsule that determines it; -1 without a frame.
+    """Return the allowed share s of the command, and the capsule that determines s (-1: none).
 
     ``flight_m`` comes from ``in_flight``.
     """
@@ -370,9 +374,10 @@ def allowed_share(
 def share_within(
     free_m: float, robot_m: float, known_s: float, stop_s: float, hand_mps: float, hand_mps2: float
 ) -> float:
-    """Return the largest s with w t + b t^2/2 + s R within ``free_m``, t = t_0 + s V/a.
+    """Return the largest s for which w t + b t^2/2 + s R <= ``free_m``, with t = t_0 + s V/a.
 
-    0 without such an s, or for a NaN.
+    R is ``robot_m``, t_0 ``known_s``, V/a ``stop_s``, w ``hand_mps`` and b ``hand_mps2``. Return 0 if there
+    is no such s or a number is NaN.
     """
     room_m = free_m - hand_mps * known_s - 0.5 * hand_mps2 * known_s * known_s
     if not room_m > 0.0:
@@ -384,7 +389,7 @@ def share_within(
 
 @njit_no_nrt
 def take_frame(shields: ShieldRecords, observations: ObservationRecords) -> None:
-    """Store the hands of a new frame, unless it shows fewer than the last: then those stay, and age."""
+    """Store the hands of a new frame; if it shows fewer hands than the last, keep the old hands instead."""
     g, o = shields[0], observations[0]
     if o.box_count < g.count[0]:
         return
@@ -401,10 +406,11 @@ def take_frame(shields: ShieldRecords, observations: ObservationRecords) -> None
 
 @inlined
 def measure_speeds(shields: ShieldRecords) -> None:
-    """Fill a bound of the speed of each hand of the last frame, from a frame at least the window before it.
+    """Fill a bound of the speed of each hand in the last frame, from a frame at least the window older.
 
-    |v| <= (|p - p_before| + 2 Z)/t + b t/2. The identity of the hands is unknown, so the farthest possible
-    one counts.
+    The bound is |v| <= (|p - p_before| + 2 Z)/t + b t/2. Z is the uncertainty of a position, t the time
+    between both frames, and b the largest acceleration. It is unknown which hand of the older frame is the
+    same hand. So p_before is the farthest position there from which the hand could come.
     """
     g = shields[0]
     if g.taken_s[0] - g.taken_s[1] >= g.window_s:  # frame 1 becomes frame 2, and this frame 1

@@ -1,7 +1,7 @@
-"""The compiled control stack: ``begin_tick`` perceives, ``finish_tick`` acts.
+"""Run the compiled control stack: ``begin_tick`` perceives, ``finish_tick`` acts.
 
-Between the two comes a decision, if necessary, from any maker of decisions. ``controller`` makes them one by
-one, or in a batch for many episodes. Both worlds call exactly these two functions. The state table is in
+Between the two functions, the caller decides if necessary. ``controller`` makes these decisions one by one,
+or in a batch for many episodes. Both worlds use exactly these two functions. The table of states is in
 docs/reference/controller.md.
 """
 
@@ -48,7 +48,7 @@ def begin_tick(
     tracks: TrackRecords,  # (tracks,) TRACK
     observations: ObservationRecords,  # (1,) OBSERVATION
 ) -> bool:
-    """Take in an observation; return True if ``finish_tick`` needs a decision."""
+    """Read an observation and update the state; return True if ``finish_tick`` needs a decision."""
     p, s, o = parameters[0], states[0], observations[0]
     if not s.placed:
         forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
@@ -65,7 +65,7 @@ def begin_tick(
 
 @njit_no_nrt
 def see_object(parameters: ParameterRecords, states: StateRecords, observations: ObservationRecords) -> None:
-    """Set features f (eqs. 3 to 5), e = f - f* and |e|^2 (eq. 15) of a new image; else keep the last ones."""
+    """Set the features f (eqs. 3 to 5), e = f - f* and |e|^2 (eq. 15) from a new image, if there is one."""
     p, s, o = parameters[0], states[0], observations[0]
     if not o.image_new:
         return
@@ -92,7 +92,7 @@ def see_hands(
 ) -> None:
     """Filter the boxes (eqs. 7, 8), predict each hand at now + horizon, and find the nearest to the TCP.
 
-    The sensor's pose is fixed, or T_tcp_to_base T_camera_to_tcp of the camera on the flange.
+    The sensor's pose is fixed, or for the camera on the flange T_tcp_to_base T_camera_to_tcp.
     """
     p, s, o = parameters[0], states[0], observations[0]
     if o.boxes_new:
@@ -114,7 +114,7 @@ def see_hands(
     for i in range(tracks.shape[0]):
         if s.track_valid[i]:
             distance = distance_to_tcp_m(states, s.predicted_hand_in_base_m[i])
-            # a NaN must not hide: it counts as the nearest
+            # a NaN must not stay hidden, so it counts as the nearest
             if not (distance >= s.predicted_distance_m or np.isnan(s.predicted_distance_m)):
                 s.predicted_distance_m = distance
                 s.nearest_track = i
@@ -125,14 +125,14 @@ def see_hands(
 
 @inlined
 def hand_inside(parameters: ParameterRecords, states: StateRecords, track: int) -> bool:
-    """Return whether a tracked hand is within the critical distance, |h - t| < d_crit; also for NaN."""
+    """Return whether a tracked hand is within the critical distance, |h - t| < d_crit; True for NaN."""
     way_m = distance_to_tcp_m(states, states[0].predicted_hand_in_base_m[track])
     return not way_m >= parameters[0].critical_distance_m
 
 
 @inlined
 def distance_to_tcp_m(states: StateRecords, position_in_base_m: Array3) -> float:
-    """Return |p - t| [m] of a position p, such as a predicted hand, and the TCP t, both in the base frame."""
+    """Return the distance [m] of ``position_in_base_m`` (3,), such as a predicted hand, from the TCP."""
     s = states[0]
     total = 0.0
     for i in range(3):
@@ -145,9 +145,9 @@ def distance_to_tcp_m(states: StateRecords, position_in_base_m: Array3) -> float
 def decide_mode(
     parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords, observations: ObservationRecords
 ) -> bool:
-    """Make the transitions that need no decision; return True, with the trigger set, if one is necessary.
+    """Make the transitions that need no decision; if one is necessary, set the trigger and return True.
 
-    docs/reference/controller.md has them as a table.
+    docs/reference/controller.md lists all transitions in a table.
     """
     p, s, o = parameters[0], states[0], observations[0]
     inside = s.nearest_track >= 0 and hand_inside(parameters, states, s.nearest_track)
@@ -181,7 +181,7 @@ def decide_mode(
 
 @njit_no_nrt
 def unknown_hand_inside(parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords) -> bool:
-    """Return whether a hand is within the critical distance that was not there at the last decision."""
+    """Return whether a hand is within the critical distance now, but was not at the last decision."""
     s = states[0]
     for i in range(tracks.shape[0]):
         if s.track_valid[i] and hand_inside(parameters, states, i):
@@ -195,7 +195,7 @@ def unknown_hand_inside(parameters: ParameterRecords, states: StateRecords, trac
 
 @njit_no_nrt
 def remember_hands(parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords) -> None:
-    """Store the hands within the critical distance at a decision."""
+    """Store which hands are within the critical distance at a decision."""
     s = states[0]
     for i in range(tracks.shape[0]):
         is_inside = s.track_valid[i] and hand_inside(parameters, states, i)
@@ -212,7 +212,7 @@ def finish_tick(
 ) -> None:
     """Act on the answer, if a decision is pending, and command the arm for this tick.
 
-    The wanted twist is eq. 1, the path to the repulsive position, or zero.
+    The wanted twist comes from eq. 1 or from the path to the repulsive position, or is zero.
     """
     p, s, answer = parameters[0], states[0], answers[0]
     if s.decision_pending:
@@ -241,7 +241,7 @@ def finish_tick(
 
 @inlined
 def clip_joints(parameters: ParameterRecords, rates_radps: ArrayN) -> None:
-    """Cut joint speeds at their limits; after scaling, rounding may leave a speed one float above."""
+    """Cut joint speeds at their limits, since rounding may leave a scaled speed one float above."""
     limit_radps = parameters[0].joint_velocity_limit_radps
     for i in range(rates_radps.shape[0]):
         if abs(rates_radps[i]) > limit_radps[i]:
@@ -257,12 +257,13 @@ def command_arm(
     acceleration_mps2: float,
     commands: CommandRecords,
 ) -> None:
-    """Command the wanted twist, bounded by ``shaped``, with the present Jacobian.
+    """Command the joint velocities q' of the wanted twist, bounded by ``shaped``, by the present Jacobian J.
 
         q' = k J^-1 (v, w),   k = min(1, min_i limit_i/|q'_i|),
 
-    so a joint at its limit slows all joints down and the TCP keeps its direction. ``clip_joints`` removes any
-    excess by rounding. Near a singularity (``joint_velocity``) the result is a protective stop.
+    so that a joint at its limit slows all joints down, and the TCP keeps its direction. ``clip_joints``
+    removes any excess by rounding. Near a singularity (``joint_velocity``) the function commands a protective
+    stop.
     """
     p, s, o, command = parameters[0], states[0], observations[0], commands[0]
     jacobian, wanted, twist = s.jacobian, s.wanted_twist_in_base, s.twist_in_base

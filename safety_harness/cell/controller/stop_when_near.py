@@ -1,4 +1,4 @@
-"""The simplest shipped controller: straight to the desired TCP, with a stop while a hand is near."""
+"""Define the simplest shipped controller: straight to the desired TCP, with a stop near a hand."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ _GOING, _STOPPED = Report(mode=Mode.SERVOING), Report(mode=Mode.PROTECTIVE_STOP)
 
 
 class StopWhenNear:
-    """Servoing by the encoders alone, v = g (t* - t), w = g r.
+    """A controller that servoes by the encoders alone: v = g (t* - t), w = g r.
 
-    r is the rotation vector to the desired pose, and g the settings' ``gain_far``. The controller stops while
-    any hand of the sensor's last frame is within the critical distance of the TCP.
+    t is the TCP's position, t* the desired position, r the rotation vector to the desired pose, and g the
+    settings' ``gain_far``. The controller stops while any hand in the sensor's last frame is within the
+    critical distance of the TCP.
     """
 
     name = "stop when near"
@@ -48,7 +49,7 @@ class StopWhenNear:
         self._numbers = (*self._target_in_base_m.tolist(), self._gain, self._near_m)
 
     def another(self) -> StopWhenNear:
-        """Return a further controller, for an episode in another lane."""
+        """Return a second controller, for an episode in another lane."""
         return StopWhenNear()
 
     def act(self, seen: Seen) -> Action:
@@ -58,7 +59,7 @@ class StopWhenNear:
             offset = hand.position_in_base_m - tcp
             if (
                 not product(offset, offset) >= self._near_m * self._near_m
-            ):  # true of a NaN: such a hand counts as near
+            ):  # also true for a NaN: such a hand counts as near
                 return Stop(report=_STOPPED)
         return Move(
             tcp_velocity_mps=self._gain * (self._target_in_base_m - tcp),
@@ -68,11 +69,11 @@ class StopWhenNear:
 
     @staticmethod
     def act_many(controllers: Sequence[StopWhenNear], seen: Mapping[str, NDArray[Any]]) -> Moves:
-        """Return the moves of ``act`` for each controller, to the last bit.
+        """Return the moves of all controllers, bit for bit as ``act`` returns each.
 
         Args:
             controllers: The controllers (n,).
-            seen: Their views, by name, n rows each.
+            seen: The controllers' views, by name, with n rows each.
 
         """
         numbers = np.array([controller._numbers for controller in controllers])
@@ -90,7 +91,7 @@ class StopWhenNear:
 
 
 def _squared(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the squares (...,) of vectors (..., 3), with the bits of ``product(v, v)``."""
+    """Return the squares (...,) of ``vectors`` (..., 3), bit for bit as ``product(v, v)``."""
     squares: NDArray[np.float64] = (vectors * vectors).sum(axis=-1)
     return squares
 
@@ -105,9 +106,9 @@ def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _turns(transforms_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation vectors (n, 3) of transforms (n, 4, 4), with the bits of ``_turn``.
+    """Return the rotation vectors (n, 3) of transforms (n, 4, 4), bit for bit as ``_turn``.
 
-    Each angle comes from the same function.
+    Both functions compute each angle by the same function.
     """
     x, y, z = (transforms_tcp_to_base[:, row] for row in range(3))
     halves = 0.5 * (z[:, 1] - y[:, 2]), 0.5 * (z[:, 0] + x[:, 2]), -0.5 * (x[:, 1] + y[:, 0])

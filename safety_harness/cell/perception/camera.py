@@ -1,4 +1,4 @@
-"""The eye-in-hand camera: a pinhole without distortion, its mount, and its view of the object.
+"""Model the eye-in-hand camera: a pinhole without distortion, its mount, and its view of the object.
 
 Normalised coordinates are x = X/Z, y = Y/Z. Pixels are u = f x + c_u, v = f y + c_v. The centre of pixel (0,
 0) has the coordinates (0, 0) (docs/reference/conventions.md).
@@ -15,8 +15,8 @@ from safety_harness.base.geometry.rotations import rotation_from_vector
 from safety_harness.base.geometry.transforms import transform_from
 from safety_harness.base.settings import Camera
 
-NEAR_PLANE_M = 0.01  # a nearer point is out of focus, or behind the lens; 10 mm is a choice
-BORDER_PX = 1.0  # an object that reaches this far into the border may be cropped
+NEAR_PLANE_M = 0.01  # a nearer point is out of focus or behind the lens; 10 mm is our choice
+BORDER_PX = 1.0  # the image may crop an object that comes nearer to its border
 
 
 @njit_no_nrt
@@ -26,11 +26,12 @@ def principal_point_px(width_px: int, height_px: int) -> tuple[float, float]:
 
 
 def transform_camera_to_tcp(camera: Camera, *, calibrated: bool) -> NDArray[np.float64]:  # (4, 4)
-    """Return the camera's mount on the flange: T = (R_z(yaw), offset), true or calibrated.
+    """Return the camera's mount on the flange, T = (R_z(yaw), offset), as it is or as calibrated.
 
-    ``calibrated=False`` gives the true mount. ``calibrated=True`` gives the result of the hand-eye
-    calibration, which the controller assumes: (R_z(yaw) R(error), offset + error's). This is the true mount,
-    turned by the error's rotation vector (camera frame) and shifted by its offset (TCP frame).
+    ``calibrated=False`` gives the true mount of ``camera``. ``calibrated=True`` gives the result of the
+    hand-eye calibration, which the controller assumes: (R_z(yaw) R(error), offset + error's offset). This is
+    the true mount, turned by the calibration error's rotation vector (camera frame) and shifted by the
+    error's offset (TCP frame).
     """
     rotation = rotation_from_vector(np.array([0.0, 0.0, camera.mount_yaw_rad]))
     offset_in_tcp = np.array(camera.mount_offset_in_tcp_m)
@@ -48,7 +49,7 @@ def polygon_in_camera(
 ) -> None:
     """Fill ``out`` with the vertices of a flat object in the camera frame [m]: R (x, y, 0) + t.
 
-    (R, t) is the transform from the object to the camera.
+    (R, t) is ``transform_object_to_camera``, and (x, y) a vertex.
     """
     t = transform_object_to_camera
     for k in range(polygon_m.shape[0]):
@@ -63,8 +64,9 @@ def object_plane(
 ) -> bool:
     """Fill ``out`` with (A, B, C) of the object's plane 1/Z = A x + B y + C [1/m] in the camera frame.
 
-    The plane's normal n and a point p of it give n . X = n . p; divide by Z n . p. Return False if the plane
-    goes through the centre of projection. The camera then sees it as a line.
+    With the plane's normal n and a point p of the plane, n . X = n . p. Division by Z n . p gives the
+    equation. Return False if the plane goes through the centre of projection. The camera then sees the plane
+    as a line.
     """
     t = transform_object_to_camera
     distance_m = t[0, 2] * t[0, 3] + t[1, 2] * t[1, 3] + t[2, 2] * t[2, 3]
@@ -78,7 +80,7 @@ def project(
     points_in_camera: NDArray[np.float64],  # (n, 3)
     normalised_out: NDArray[np.float64],  # (n, 2)
 ) -> bool:
-    """Project points by x = X/Z, y = Y/Z; return False if a point is not beyond the near plane."""
+    """Project points by x = X/Z, y = Y/Z; return False unless every point is beyond the near plane."""
     for k in range(points_in_camera.shape[0]):
         depth_m = points_in_camera[k, 2]
         if not depth_m > NEAR_PLANE_M:  # also for NaN
@@ -95,11 +97,11 @@ def polygon_inside_image(
     width_px: int,
     height_px: int,
 ) -> bool:
-    """Return whether every vertex is a pixel or more inside the image's border.
+    """Return whether every vertex is at least a pixel inside the image's border.
 
-    A vertex is at u = f x + c_u, v = f y + c_v. If the border crops a triangle parallel to a side, the rest
-    is a similar triangle. The invariants gamma and delta do not notice this, so this test is necessary. NaN
-    is outside.
+    A vertex is at u = f x + c_u, v = f y + c_v. If the border crops a triangle parallel to one of its sides,
+    the rest is a similar triangle. The invariants gamma and delta do not change then, so this test is
+    necessary. A NaN counts as outside.
     """
     c_u, c_v = principal_point_px(width_px, height_px)
     for k in range(normalised.shape[0]):

@@ -1,8 +1,8 @@
-"""The bounding boxes of hands in a colour and a depth image: the interface for a user's detector.
+"""Detect the bounding boxes of hands in a colour and a depth image, also by a user's detector.
 
-The paper's detector is a YOLO network. The detector here needs no network: the simulator paints only its
-hands in this colour. Any object with a ``detect`` method like that of ``BoundingBoxDetector`` can replace it,
-such as a YOLO network exported to ONNX:
+The paper's detector is a YOLO network. The detector here needs no network, because the simulator paints only
+its hands in the colour of skin. Any object with a ``detect`` method like that of ``BoundingBoxDetector`` can
+replace it, such as a YOLO network exported to ONNX:
 
     class YoloDetector:
         def __init__(self, file: Path) -> None:
@@ -18,12 +18,13 @@ such as a YOLO network exported to ONNX:
             return np.array(rows).reshape(-1, 5)
 
 Note the half pixel: ``left`` and ``right`` are edges here, as most networks give them. Edge 0 is the boundary
-before pixel 0, whose *centre* is at u = 0. A detector should be stateless from frame to frame. The tracks
-hold the state, so that you can repeat a run.
+before pixel 0, whose *centre* is at u = 0. A detector should keep no state from frame to frame. The tracks
+keep the state, so that you can repeat a run.
 
-A threshold finds the object's pixels, as in the paper (OpenCV). In view, only the object is nearly black, on
-a light table. Black means dark in *every* colour channel, so the order of the channels does not matter. A
-blue sleeve has a low brightness but a high blue, so it does not count as black.
+The module finds the object's pixels by a threshold, as the paper does (OpenCV). Only the object is nearly
+black; the table is light. A pixel is black if it is dark in *every* colour channel, so the order of the
+channels does not matter. A blue sleeve has a low brightness but a high blue value, so it does not count as
+black.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ HAND_COLOUR_RGBA = (0.87, 0.67, 0.53, 1.0)
 SLEEVE_COLOUR_RGBA = (0.15, 0.25, 0.60, 1.0)
 
 # The range of skin, ends included: hue from 0 to 179, saturation and value from 0 to 255.
-# Shading changes the value only, so hue and saturation decide.  Grey, white and black
+# Shading changes only the value, so hue and saturation decide.  Grey, white and black
 # things have hardly any saturation, and blue things a very different hue.
 SKIN_HSV_LEAST = (4, 60, 40)
 SKIN_HSV_GREATEST = (22, 180, 255)
@@ -62,17 +63,17 @@ DEPTH_SAMPLES = 9
 
 
 class BoundingBoxDetector(Protocol):
-    """A detector of hands in a frame of the hand sensor."""
+    """A detector that finds hands in a frame of the hand sensor."""
 
     def detect(
         self,
         colour: NDArray[np.uint8],  # (h, w, 3) red, green, blue
         depth_m: NDArray[np.float64],  # (h, w) camera Z; 0 or not finite where unknown
     ) -> NDArray[np.float64]:
-        """Return the boxes (k, 5) of all hands: u_px, v_px, z_m, area_px2, width/height.
+        """Return the boxes (k, 5) of all hands, with the columns u_px, v_px, z_m, area_px2, width/height.
 
-        Integer coordinates are pixel centres. z is the depth of the surface at the box's centre. The harness
-        ignores rows without a finite, positive depth; k may be 0.
+        Integer coordinates are pixel centres. z_m is the depth of the surface at the box's centre. The
+        harness ignores rows without a finite, positive depth; k may be 0.
 
         Args:
             colour: The colour image.
@@ -83,16 +84,17 @@ class BoundingBoxDetector(Protocol):
 
 
 def opencv() -> Any:
-    """Return the module cv2, which only rendered images need; ``MissingPackageError`` without it."""
+    """Return the module cv2, which only rendered images need; raise ``MissingPackageError`` without it."""
     with IMAGES.needed("rendered images"):
         import cv2
     return cv2
 
 
 class SkinColourDetector:
-    """A detector of connected skin-coloured areas.
+    """A detector that takes connected skin-coloured areas for hands.
 
-    A hand behind something narrow gives two boxes: one hand too many, not one too few.
+    A hand behind something narrow gives two boxes. So the detector then reports one hand too many, not too
+    few.
     """
 
     def __init__(self, most: int = 4) -> None:
@@ -103,11 +105,12 @@ class SkinColourDetector:
         colour: NDArray[np.uint8],  # (h, w, 3) red, green, blue
         depth_m: NDArray[np.float64],  # (h, w) [m]
     ) -> NDArray[np.float64]:  # (k, 5)
-        """Return the boxes of the ``most`` largest skin-coloured areas of at least ``MINIMUM_AREA_PX``.
+        """Return the boxes of up to ``most`` skin-coloured areas of at least ``MINIMUM_AREA_PX``.
 
-        Largest first, without the areas that have no known depth. The depth is the median over the nine
-        pixels of the area with a known depth that are nearest to the box's centre. These are the 3 x 3 window
-        around it, unless part of that is hidden or without a depth.
+        The largest area comes first. The method leaves out areas without a known depth. Among the area's
+        pixels with a known depth, it takes the nine that are nearest to the box's centre. The depth is the
+        median of these nine. They form the 3 x 3 window around the centre, unless part of this window is
+        hidden or has no depth.
 
         Args:
             colour: The colour image.
@@ -135,10 +138,10 @@ class SkinColourDetector:
 def _depth_near(
     area: NDArray[np.bool_], depth_m: NDArray[np.float64], u_px: float, v_px: float
 ) -> float | None:
-    """Return the median over the ``DEPTH_SAMPLES`` pixels of ``area`` that are nearest to (u, v) [m].
+    """Return the median depth [m] of the ``DEPTH_SAMPLES`` pixels of ``area`` that are nearest to (u, v).
 
-    Only pixels with a depth count. ``area`` is (h, w). ``depth_m`` (h, w) is 0 or not finite where it is
-    unknown. None if it is unknown everywhere.
+    Only pixels with a known depth count. ``area`` is (h, w). ``depth_m`` (h, w) is 0 or not finite where the
+    depth is unknown. Return None if it is unknown in the whole area.
     """
     v, u = np.nonzero(area & np.isfinite(depth_m) & (depth_m > 0.0))
     if u.size == 0:
@@ -150,14 +153,14 @@ def _depth_near(
 def copy_detections(boxes: NDArray[np.float64], boxes_out: NDArray[np.float64]) -> int:
     """Copy a detector's result into ``boxes_out`` (n, 5) and return the number of rows.
 
-    If there are more than n boxes, it keeps the largest in the image, in the detector's order.
+    Of more than n boxes, the function keeps the n largest in the image, in the detector's order.
 
     Args:
         boxes: The detector's result (k, 5).
         boxes_out: The rows to fill (n, 5).
 
     Raises:
-        SimulationError: ``boxes`` (k, 5) is not an array of numbers of this shape.
+        SimulationError: ``boxes`` is not an array of numbers of the shape (k, 5).
 
     """
     try:
@@ -177,9 +180,9 @@ def copy_detections(boxes: NDArray[np.float64], boxes_out: NDArray[np.float64]) 
 def object_mask(colour: NDArray[np.uint8]) -> NDArray[np.uint8]:  # (h, w, 3) -> (h, w)
     """Return 1 on the object's pixels and 0 on the rest; all 0 if no complete object is in view.
 
-    The object is the largest connected black region that does not touch the image border. The border may crop
-    a region that touches it, and a cropped triangle can have the features of a whole triangle. The function
-    does not notice a hand in front of the object: the hand cuts the region or changes its shape.
+    The object is the largest connected black region that does not touch the image border. The border may have
+    cropped a region that touches it, and a cropped triangle can have the features of a whole triangle. The
+    function does not notice a hand in front of the object, which cuts the region or changes its shape.
     """
     cv2 = opencv()
     black = cv2.inRange(colour, (0, 0, 0), (OBJECT_BRIGHTEST,) * 3)

@@ -1,8 +1,8 @@
-"""A hand (a sphere), its bounding box in an image, and the way back (section 3.2 of the paper).
+"""Project a hand (a sphere) to its bounding box in an image, and back (section 3.2 of the paper).
 
 A *box* is a float64 array (5,): u_px, v_px of the box's centre, z_m, area_px2, and the aspect ratio
-width/height. The depth z_m is the camera-Z of the surface at that pixel. Pixel centres have integer
-coordinates, so an image of w x h pixels covers [-1/2, w - 1/2] x [-1/2, h - 1/2].
+width/height. The depth z_m is the camera's Z coordinate of the surface at that pixel. Pixel centres have
+integer coordinates, so an image of w x h pixels covers [-1/2, w - 1/2] x [-1/2, h - 1/2].
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ BOX_LENGTH = 5
 
 
 def rendered_principal_point_px(width_px: int, height_px: int) -> tuple[float, float]:
-    """Return (c_u, c_v) of PyBullet's software renderer for a symmetric projection matrix.
+    """Return the principal point (c_u, c_v) of PyBullet's software renderer with a symmetric projection.
 
-    The renderer samples pixel (i, j) at its lower left corner instead of its centre. Then it turns the image
-    upside down. This gives (w/2, h/2 - 1), where an exact camera has ((w - 1)/2, (h - 1)/2).
+    The renderer samples pixel (i, j) at the pixel's lower left corner instead of its centre. Then it turns
+    the image upside down. This gives (w/2, h/2 - 1), whereas an exact camera has ((w - 1)/2, (h - 1)/2).
     """
     return width_px / 2.0, height_px / 2.0 - 1.0
 
 
 def sensor_principal_point_px(sensor: HandSensor) -> tuple[float, float]:
-    """Return (c_u, c_v) of the images in which ``sensor`` finds hands, exact or rendered."""
+    """Return the principal point (c_u, c_v) of the images, exact or rendered, that ``sensor`` takes."""
     if sensor.detector is DetectorKind.RENDERED:
         return rendered_principal_point_px(sensor.width_px, sensor.height_px)
     return principal_point_px(sensor.width_px, sensor.height_px)
@@ -40,8 +40,9 @@ def sensor_principal_point_px(sensor: HandSensor) -> tuple[float, float]:
 def _front_depth(centre: NDArray[np.float64], radius_m: float, x: float, y: float) -> float:
     """Return the depth [m] at which the ray d = (x, y, 1) enters the sphere about ``centre`` (3,), or NaN.
 
-    It is the smaller root Z of |Z d - C|^2 = r^2 with C the centre, computed as (|C|^2 - r^2)/(d . C +
-    sqrt((d . C)^2 - |d|^2 (|C|^2 - r^2))). NaN for a ray that misses the sphere.
+    The depth is the smaller root Z of |Z d - C|^2 = r^2 with C the centre and r the radius. The function
+    computes it as (|C|^2 - r^2)/(d . C + sqrt((d . C)^2 - |d|^2 (|C|^2 - r^2))). A ray that misses the sphere
+    gives NaN.
     """
     ray_squared = x * x + y * y + 1.0
     along = x * centre[0] + y * centre[1] + centre[2]
@@ -49,7 +50,7 @@ def _front_depth(centre: NDArray[np.float64], radius_m: float, x: float, y: floa
     discriminant = along * along - ray_squared * (centre_squared - radius_m * radius_m)
     if not (discriminant >= 0.0 and along > 0.0):
         return nan
-    # The nearer root is the product of both roots over the larger root, which loses no digits.
+    # The smaller root is the product of both roots divided by the larger root; this loses no digits.
     depth_m: float = (centre_squared - radius_m * radius_m) / (along + sqrt(discriminant))
     return depth_m
 
@@ -63,18 +64,19 @@ def sphere_box(
     c_v: float,
     box_out: NDArray[np.float64],  # (5,)
 ) -> bool:
-    """Fill ``box_out`` with the bounding box of a sphere's image, as if the image had no border.
+    """Fill ``box_out`` with the bounding box of a sphere's image, without regard to the image's border.
 
-    The image of a sphere is an ellipse. Two planes through the camera and parallel to its y axis touch the
-    sphere at its left and right ends, |X - x Z| = r sqrt(1 + x^2):
+    The image of a sphere is an ellipse. The planes at the ellipse's left and right ends contain the camera's
+    y axis and touch the sphere, so that |X - x Z| = r sqrt(1 + x^2):
 
-        x = (X Z +- r sqrt(X^2 + Z^2 - r^2)) / (Z^2 - r^2),
+        x = (X Z +- r sqrt(X^2 + Z^2 - r^2)) / (Z^2 - r^2).
 
-    and the same with Y for its upper and lower ends. The depth is that of the sphere's front on the ray
-    through the box's centre.
+    The same equation with Y gives the upper and lower ends. The box's depth is where the ray through its
+    centre enters the sphere.
 
-    Return whether the whole sphere is in front of the camera's plane and all numbers are finite. Z > r also
-    means that the camera is outside the sphere. Otherwise the function does not change ``box_out``.
+    Return whether the whole sphere is in front of the camera's plane (Z > r) and all numbers are finite. Z >
+    r also means that the camera is outside the sphere. If the result is False, the function does not change
+    ``box_out``.
     """
     x_m, y_m, z_m = centre_in_camera[0], centre_in_camera[1], centre_in_camera[2]
     if not (radius_m > 0.0 and z_m > radius_m):
@@ -107,14 +109,14 @@ def box_in_image(
 ) -> bool:
     """Cut the box of ``sphere_box`` at the border of the image, and return whether the hand is visible.
 
-    A hand is visible if the sphere's *centre* projects into the image. Half a hand is still a hand to a
-    detector; a sliver is not. The function replaces a visible box by its part within the image, as a detector
-    would draw it. It has a new centre, area and aspect ratio, and the depth of the sphere at the *new*
-    centre. A box wholly inside stays the same, bit for bit.
+    A hand is visible if the sphere's *centre* projects into the image, because a detector finds half a hand,
+    but not a sliver. The function replaces a visible box by its part within the image, as a detector would
+    draw it. This part has a new centre, area and aspect ratio, and the depth of the sphere at the *new*
+    centre. A box wholly inside the image stays the same, bit for bit.
 
-    If the hand is not visible, ``box`` does not change. A hand is also not visible if the new centre lies
-    beside the sphere: a depth camera would read the background there. That takes a lens with a view of more
-    than 130 degrees.
+    If the hand is not visible, ``box`` does not change. A hand is also not visible if the ray through the new
+    centre misses the sphere, because a depth camera would read the background there. This happens only with a
+    field of view above 130 degrees.
     """
     u_centre = focal_px * centre_in_camera[0] / centre_in_camera[2] + c_u
     v_centre = focal_px * centre_in_camera[1] / centre_in_camera[2] + c_v
@@ -147,11 +149,11 @@ def line_of_sight_blocked(
     capsules: NDArray[np.float64],  # (n, 2, 3) [m]: the two ends of each axis
     capsule_radii_m: NDArray[np.float64],  # (n,)
 ) -> bool:
-    """Return whether a capsule cuts the straight line from the camera to the hand's nearest point.
+    """Return whether a capsule cuts the straight line from the camera to the nearest point of the hand.
 
-    All positions are in the same frame, for example base. This line stands for the whole hand. A capsule that
-    contains the camera does not count. It is the generous hull of the link that carries the camera, and the
-    real camera looks past that link.
+    All positions are in the same frame, for example the base frame. The line stands for the whole hand. The
+    function ignores a capsule that contains the camera. Such a capsule is the generous hull of the link that
+    carries the camera, and the real camera looks past that link.
     """
     dx = camera_position[0] - hand_position[0]
     dy = camera_position[1] - hand_position[1]
@@ -182,21 +184,22 @@ def position_from_box(
     assumed_radius_m: float,
     position_in_camera_out: NDArray[np.float64],  # (3,)
 ) -> None:
-    """Fill the output with the hand's centre [m].
+    """Fill ``position_in_camera_out`` with the hand's centre [m].
 
-    It is on the ray through (u, v) at depth z, then one radius deeper:
+    The function takes the point at depth z on the ray through (u, v), then goes one radius r deeper:
 
         (X, Y, Z) = (x, y, 1) (z + r/sqrt(x^2 + y^2 + 1)),   x = (u - c_u)/f,   y = (v - c_v)/f
 
     This is the pinhole conversion of section 3.2. Take a sphere of radius r at depth Z, at the angle theta to
-    the optical axis. The centre of its box lies outward of the projection of its centre. The ray therefore
-    misses the centre by
+    the optical axis. The centre of its box is farther out in the image than the projection of the sphere's
+    centre. The ray therefore misses the sphere's centre by
 
         e <= sin(theta) r^2 Z / (Z^2 - r^2).
 
-    The result is sqrt(2 r (r - sqrt(r^2 - e^2))) from the centre, which is e to first order and zero on the
-    axis. An example is the corner of a 640 x 480 image with f = 615 px and r = 60 mm: about 2.0 mm at Z = 1 m
-    and 6.7 mm at Z = 0.3 m. A wrong assumed radius adds its error along the ray.
+    The distance of the result from the true centre is sqrt(2 r (r - sqrt(r^2 - e^2))). This is e to first
+    order, and zero on the axis. In the corner of a 640 x 480 image with f = 615 px and r = 60 mm, this is
+    about 2.0 mm at Z = 1 m and 6.7 mm at Z = 0.3 m. The error of the assumed radius adds to this along the
+    ray.
     """
     x, y, z = place_of_pixel(box[0], box[1], box[2], focal_px, c_u, c_v, assumed_radius_m)
     position_in_camera_out[0] = x
@@ -208,7 +211,7 @@ def position_from_box(
 def place_of_pixel(
     u_px: float, v_px: float, z_m: float, focal_px: float, c_u: float, c_v: float, assumed_radius_m: float
 ) -> tuple[float, float, float]:
-    """Return (X, Y, Z) [m] of ``position_from_box`` in the camera frame."""
+    """Return the position (X, Y, Z) [m] of ``position_from_box`` in the camera frame."""
     x, y = (u_px - c_u) / focal_px, (v_px - c_v) / focal_px
     depth_m = z_m + assumed_radius_m / sqrt(x * x + y * y + 1.0)
     return x * depth_m, y * depth_m, depth_m

@@ -1,10 +1,10 @@
-"""The Kalman filter of a hand's bounding box (eq. 7 of the paper) on compiled records.
+"""Filter a hand's bounding box by a Kalman filter (eq. 7 of the paper), on compiled records.
 
 The state is x = (u, v, z, area, aspect, u', v', z', area'). A measurement is a box, the first five entries.
-Value and rate of u, v, z and the area form four pairs; the aspect ratio is constant. Initial and measurement
-covariances are diagonal, and the noise acts on each pair separately. So the nine-state filter separates
-*exactly* into four filters of two states and a filter of one state. A track therefore stores 4 x 3 + 1
-numbers of its covariance, and the filter inverts no matrix.
+The values and rates of u, v, z and the area form four pairs; the aspect ratio has no rate. Initial and
+measurement covariances are diagonal, and the noise acts on each pair separately. So the filter of nine states
+separates *exactly* into four filters of two states and a filter of one state. Therefore a track stores only 4
+x 3 + 1 numbers of its covariance, and the filter inverts no matrix.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from safety_harness.cell.perception.hand_boxes import sensor_principal_point_px
 
 PAIRS = 4  # u, v, z, area: pair i has its value in mean[i] and its rate in mean[5 + i]
 ASPECT = 4
-FEW_BOXES = 4  # up to so many boxes, the assignment tries all pairings with tracks
+FEW_BOXES = 4  # up to this number of boxes, the assignment tries all pairings with tracks
 
 TRACK = np.dtype(
     [
@@ -34,7 +34,7 @@ TRACK = np.dtype(
         ("aspect_variance", np.float64),
         # of the present frame
         ("box", np.int64),  # the index of this track's box; -1: the frame has no box of it
-        ("distance_px", np.float64, (FEW_BOXES,)),  # of its first boxes; infinite: impossible pair
+        ("distance_px", np.float64, (FEW_BOXES,)),  # from the frame's first boxes; infinite: impossible pair
     ],
     align=True,
 )
@@ -74,14 +74,14 @@ _NOT_NEGATIVE = (
 
 
 def filter_parameters(hand_filter: HandFilter, hand_sensor: HandSensor) -> NDArray[np.void]:
-    """Return the settings for compiled code: an array (1,) of ``FILTER_PARAMETERS``.
+    """Return the filter's settings for compiled code, as an array (1,) of ``FILTER_PARAMETERS``.
 
     Args:
         hand_filter: The filter's settings.
         hand_sensor: The sensor, for its focal length and principal point.
 
     Raises:
-        SettingsError: A value for which the filter is not defined.
+        SettingsError: A setting has a value for which the filter is not defined.
 
     """
     _require(hand_filter, _POSITIVE, zero_allowed=False)
@@ -125,11 +125,11 @@ def _require(settings: HandFilter | HandSensor, names: tuple[str, ...], *, zero_
 
 @njit_no_nrt
 def initialise(track: np.void, box: NDArray[np.float64], time_s: float, parameters: np.void) -> None:
-    """Start ``track`` (a ``TRACK`` record) at rest at ``box`` (5,), seen at ``time_s``: x = (box, 0).
+    """Start ``track``, a ``TRACK`` record, at rest at ``box`` (5,), seen at ``time_s``: x = (box, 0).
 
-    Values have the uncertainty of a measurement, rates that of the settings. The area's rate has no setting
-    of its own. Area ~ 1/z^2, hence area' = -2 (area/z) z'. So its initial standard deviation is that of z'
-    times 2 area/z. The caller sets the id.
+    The values are as uncertain as a measurement; the settings state the uncertainty of the rates. The area's
+    rate has no setting of its own. The area is proportional to 1/z^2, hence area' = -2 (area/z) z'. So the
+    initial standard deviation of area' is the deviation of z' times 2 area/z. The caller sets the id.
     """
     mean, covariance = track["mean"], track["pair_covariance"]
     for i in range(5):
@@ -150,7 +150,7 @@ def initialise(track: np.void, box: NDArray[np.float64], time_s: float, paramete
 
 @njit_no_nrt
 def predict(track: np.void, dt_s: float, parameters: np.void) -> None:
-    """Advance a track by ``dt_s`` >= 0: value + dt rate, and growing uncertainty (``wait``)."""
+    """Advance a track by ``dt_s`` >= 0: add dt rate to each value, and call ``wait`` for the uncertainty."""
     mean = track["mean"]
     for i in range(PAIRS):
         mean[i] += dt_s * mean[5 + i]
@@ -161,9 +161,10 @@ def predict(track: np.void, dt_s: float, parameters: np.void) -> None:
 def wait(track: np.void, dt_s: float, parameters: np.void) -> None:
     """Advance a track's clock and covariance by ``dt_s`` >= 0 without a change of its mean.
 
-    P <- F P F' + Q with F = ((1, dt), (0, 1)). Q of u, v and z comes from an acceleration that is constant
-    during a step and independent between steps (piecewise white), s^2 ((dt^4/4, dt^3/2), (dt^3/2, dt^2)). Q
-    of the area comes from a rate on a random walk, q ((dt^3/3, dt^2/2), (dt^2/2, dt)).
+    The covariance P of each pair becomes F P F' + Q with F = ((1, dt), (0, 1)). For u, v and z, Q is s^2
+    ((dt^4/4, dt^3/2), (dt^3/2, dt^2)). This assumes an acceleration of deviation s that is constant during a
+    step and independent between steps (piecewise white). For the area, Q is q ((dt^3/3, dt^2/2), (dt^2/2,
+    dt)), which assumes a rate on a random walk of density q.
     """
     covariance = track["pair_covariance"]
     for i in range(PAIRS):
@@ -186,9 +187,9 @@ def wait(track: np.void, dt_s: float, parameters: np.void) -> None:
 def update(track: np.void, box: NDArray[np.float64], parameters: np.void) -> None:
     """Correct a track by ``box`` (5,), seen at the time of its state.
 
-    x <- x + K (z - H x) with H = (1, 0) for each pair. With S = P00 + R its gain K is (P00, P01)/S. The
-    covariance becomes P00 R/S, P01 R/S, P11 - P01^2/S. This is Joseph's form multiplied out, symmetric by
-    construction.
+    For each pair, x <- x + K (z - H x) with H = (1, 0) and the measurement z of variance R. The gain is K =
+    (P00, P01)/S with S = P00 + R. The covariance becomes P00 R/S, P01 R/S, P11 - P01^2/S. This is Joseph's
+    form multiplied out, which is symmetric by construction.
     """
     mean, covariance = track["mean"], track["pair_covariance"]
     for i in range(PAIRS):

@@ -1,9 +1,9 @@
-"""Image moments up to order six, of a polygon in closed form and of a set of points.
+"""Compute image moments up to order six, of a polygon in closed form and of a set of points.
 
-A *moment vector* is a float64 array (31,): m00, the centroid xg, yg, then the 28 centred moments. These are
-mu_ij = integral (or sum) of (x - xg)^i (y - yg)^j, i + j <= 6, in rising order i + j and, within an order, in
-rising j. Coordinates are normalised image coordinates. Order six is necessary because the invariants gamma
-and delta are of order five and the interaction matrix goes one order higher.
+A *moment vector* is a float64 array (31,): m00, the centroid xg, yg, then the 28 centred moments. A centred
+moment mu_ij is the integral (or sum) of (x - xg)^i (y - yg)^j, with i + j <= 6. The moments are in rising
+order i + j and, within an order, in rising j. Coordinates are normalised image coordinates. The invariants
+gamma and delta are of order five, and the interaction matrix needs one order more. So order six is necessary.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _WEIGHTS = np.array([_OUTER_WEIGHT, _INNER_WEIGHT, _INNER_WEIGHT, _OUTER_WEIGHT]
 
 @inlined
 def mu_index(i: int, j: int) -> int:
-    """Return the index of mu_ij in a moment vector: 3 + o (o + 1)/2 + j with the order o = i + j."""
+    """Return the index of mu_ij in a moment vector, 3 + o (o + 1)/2 + j with the order o = i + j."""
     order = i + j
     return FIRST_MU + (order * (order + 1)) // 2 + j
 
@@ -53,13 +53,13 @@ def polygon_moments(
 ) -> bool:
     """Fill ``out`` with the moments of the region inside a simple polygon, exact to rounding.
 
-    m00 is its (positive) area. The function uses Green's theorem about the centroid. For a homogeneous
-    integrand of order o it reads
+    m00 is the polygon's (positive) area. The function applies Green's theorem about the centroid. For a
+    homogeneous integrand of order o, the theorem gives
 
-        (o + 2) mu_ij = sum over edges p -> q of (p x q) * integral_0^1 x(t)^i y(t)^j dt,
+        (o + 2) mu_ij = sum over edges p -> q of (p x q) * integral_0^1 x(t)^i y(t)^j dt.
 
-    and the Gauss-Legendre rule above is exact for these integrals. The winding does not matter. Return False,
-    with ``out`` all NaN, if the polygon has no area or is not finite.
+    The four-point Gauss-Legendre rule is exact for these integrals. The polygon may be clockwise or
+    anticlockwise. Return False, with ``out`` all NaN, if the polygon has no area or is not finite.
     """
     n = vertices.shape[0]
     x0, y0 = vertices[0, 0], vertices[0, 1]  # relative to a vertex, to avoid cancellation
@@ -100,8 +100,8 @@ def point_moments(
 ) -> bool:
     """Fill ``out`` with the moments of a set of points: mu_ij = sum_k (x_k - x_g)^i (y_k - y_g)^j (eq. 6).
 
-    The points are the *discrete* object. m00 is their number n, (x_g, y_g) their mean. Return False, with
-    ``out`` all NaN, without points or for points that are not finite.
+    The points are the *discrete* object of the paper. m00 is their number n, and (x_g, y_g) their mean.
+    Return False, with ``out`` all NaN, if there are no points or some are not finite.
     """
     n = points.shape[0]
     sum_x, sum_y = 0.0, 0.0
@@ -117,7 +117,7 @@ def point_moments(
 
 @inlined
 def _finish(xg: float, yg: float, out: NDArray[np.float64]) -> bool:
-    """Write m00 and the centroid into ``out`` (31,), and mu_10 = mu_01 = 0, which they are by definition.
+    """Complete ``out`` (31,): write m00 and the centroid, and mu_10 = mu_01 = 0, which holds by definition.
 
     Return False, with ``out`` all NaN, if a number is not finite.
     """

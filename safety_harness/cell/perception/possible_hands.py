@@ -1,14 +1,15 @@
-"""The possible places of a tracked hand: a box about its predicted position, with a stated probability.
+"""Compute the box about a hand's predicted position in which the hand is with a stated probability.
 
-The filter's u, v and z are independent. So each is within k = z((1 + P^(1/n))/2) of its standard deviations
-with probability P^(1/n), where z is the normal quantile. All n = 3 x hands of them are within k with
-probability P. Extrapolated by t, the variance is
+The filter's u, v and z of all hands are n = 3 x hands independent numbers. Each is within k standard
+deviations of its mean with the probability P^(1/n). Here k = q((1 + P^(1/n))/2), where q is the normal
+quantile. So all n numbers together are within k with probability P. If the filter extrapolates by t, the
+variance is
 
     P00 + 2 t P01 + t^2 P11 + t^4/4 s^2
 
-(``hand_filter.wait``). Interval arithmetic turns these into X = x D, Y = y D, D = z + r/sqrt(x^2 + y^2 + 1),
-and into a box along the base's axes. The box assumes that the filter's covariance is right; this module does
-not check it.
+(``hand_filter.wait``). From the intervals of u, v and z, interval arithmetic computes those of X = x D, Y = y
+D and D. Here D = z + r/sqrt(x^2 + y^2 + 1). The result is a box along the base's axes. The module assumes,
+without a check, that the filter's covariance is right.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ def possible_half_widths_m(
     transform_sensor_to_base: Floats,
     probability: float,
 ) -> Floats:
-    """Return the half widths (k, 3) [m], along the base's axes, of a box for each of k valid tracks.
+    """Return the half widths (k, 3) [m], along the base's axes, of the boxes of the k valid tracks.
 
-    A box is about the position that ``predict_positions`` gives for ``at_time_s``. The probability that every
-    hand is in its box is ``probability``. ``tracks`` (n,) TRACK, ``parameters`` (1,) FILTER_PARAMETERS,
+    The centre of a box is the position that ``predict_positions`` gives for ``at_time_s``. Every hand is in
+    its box with this ``probability``. ``tracks`` (n,) TRACK, ``parameters`` (1,) FILTER_PARAMETERS,
     ``transform_sensor_to_base`` (4, 4).
     """
     valid, p = tracks[tracks["valid"]], parameters[0]

@@ -1,8 +1,8 @@
-"""Moments of the image of a camera with square pixels: sums over the pixels of an object.
+"""Compute the moments of an object in an image with square pixels, as sums over its pixels.
 
-A pixel belongs to the object if its *centre* lies inside. Each pixel stands for the area 1/f^2 of the
-normalised image, so the sums converge to the integrals of ``moments.polygon_moments``. A closed form sums a
-run of pixels in a row, so the code needs no image.
+A pixel belongs to the object if its *centre* is inside the object. Each pixel stands for the area 1/f^2 of
+the normalised image, so the sums converge to the integrals of ``moments.polygon_moments``. A closed form
+gives the sum over a run of adjacent pixels in a row, so the code needs no image.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ def raster_moments(
     height_px: int,
     out: NDArray[np.float64],  # (31,)
 ) -> int:
-    """Fill ``out`` with the moments of a simple polygon as an image samples it; return its number of pixels.
+    """Fill ``out`` with the moments of a simple polygon as an image samples it; return the number of pixels.
 
-    A centre on a left or upper edge is inside, on a right or lower edge outside. So polygons with a common
-    edge have no common pixel. The image crops the parts beyond it. Without a pixel, ``out`` is all NaN.
+    A pixel's centre on a left or upper edge is inside, and one on a right or lower edge is outside. So
+    polygons with a common edge have no common pixel. The function ignores the parts of the polygon outside of
+    the image. Without a pixel, ``out`` is all NaN.
     """
     n = vertices.shape[0]
     c_u, c_v = principal_point_px(width_px, height_px)
@@ -77,10 +78,10 @@ def mask_moments(
     c_v: float,
     out: NDArray[np.float64],  # (31,)
 ) -> int:
-    """Fill ``out`` with the moments of the non-zero pixels of a mask; return their number.
+    """Fill ``out`` with the moments of a mask's non-zero pixels; return the number of these pixels.
 
-    The principal point is an argument because a renderer need not follow our convention. Without a pixel,
-    ``out`` is all NaN.
+    The principal point is an argument because a renderer's principal point may differ from our convention.
+    Without a pixel, ``out`` is all NaN.
     """
     height_px, width_px = mask.shape
     count, sum_u, sum_v = 0, 0, 0
@@ -123,7 +124,7 @@ def _row_crossings(
 ) -> int:
     """Fill ``out`` with the sorted u [px] where the polygon's outline crosses the row ``v``.
 
-    Return their number, which is even.
+    Return the number of crossings, which is even.
     """
     n = corners.shape[0]
     count = 0
@@ -133,7 +134,7 @@ def _row_crossings(
         u1, v1 = corners[following, 0], corners[following, 1]
         if (v0 <= v) == (v1 <= v):  # half-open: a vertex on the row counts once
             continue
-        if v0 > v1:  # always downwards, so that two polygons agree about a shared edge to the last bit
+        if v0 > v1:  # go always downwards, so that two polygons agree about a shared edge to the last bit
             u0, v0, u1, v1 = u1, v1, u0, v0
         u = u0 + (v - v0) / (v1 - v0) * (u1 - u0)
         place = count
@@ -157,8 +158,9 @@ def _run(u_left: float, u_right: float, width_px: int) -> tuple[int, int]:
 def _add_run(middle: float, length: int, y: float, out: NDArray[np.float64]) -> None:
     """Add the pixels of a run, in centred pixel coordinates, to every mu_ij of ``out`` (31,).
 
-    With n pixels at middle + d, d = -(n-1)/2 ... (n-1)/2, odd powers of d cancel. The even power sums are
-    polynomials in n (Faulhaber's formula). The binomial theorem gives the rest:
+    The run has n pixels at middle + d, d = -(n-1)/2 ... (n-1)/2, so the sums of odd powers of d are zero. The
+    sums of even powers are polynomials in n (Faulhaber's formula, below). From all these, the binomial
+    theorem gives the sums of powers of middle + d.
 
         sum d^2 = n (n^2 - 1)/12,   sum d^4 = sum d^2 (3 n^2 - 7)/20,
         sum d^6 = sum d^2 (3 n^4 - 18 n^2 + 31)/112.
@@ -192,9 +194,10 @@ def _add_run(middle: float, length: int, y: float, out: NDArray[np.float64]) -> 
 def _to_normalised(
     u_g: float, v_g: float, focal_px: float, c_u: float, c_v: float, out: NDArray[np.float64]
 ) -> None:
-    """Turn centred sums over pixels in ``out`` (31,) into a moment vector: mu_ij / f^(i + j + 2).
+    """Turn the centred sums over pixels in ``out`` (31,) into a moment vector: mu_ij / f^(i + j + 2).
 
-    Lengths are over f, and each pixel has the area 1/f^2; x_g = (u_g - c_u)/f, y_g = (v_g - c_v)/f.
+    The function divides lengths by f, and counts each pixel as the area 1/f^2. The centroid is x_g = (u_g -
+    c_u)/f, y_g = (v_g - c_v)/f.
     """
     scale = 1.0 / (focal_px * focal_px)
     for order in range(MAX_ORDER + 1):

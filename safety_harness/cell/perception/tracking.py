@@ -1,7 +1,7 @@
-"""Tracks of hands: the pairing of boxes with tracks, and the predicted position of each hand.
+"""Track hands: pair boxes with tracks, and predict the position of each hand.
 
-Everything here errs on the safe side. A hand stays in its track until no frame has shown it for the timeout.
-A track that the filter cannot extrapolate stays at its place and does not disappear.
+Everything here errs on the safe side. A track ends only if no frame has shown its hand for as long as the
+timeout. If the filter cannot extrapolate a track, the track stays at its place and does not disappear.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.trace.records import TRACKS_PER_HAND
 
 MOST_TRIED = 625  # pairings: (4 + 1)^4 of four boxes with four tracks
-FARTHEST_PX = 1e9  # the largest distance of a box from its track if the gate is larger
+FARTHEST_PX = 1e9  # the largest distance of a box from its track, even if the gate is larger
 
 
 def no_tracks(hand_slots: int = HAND_SLOTS[0]) -> NDArray[np.void]:
-    """Return an array (n,) of ``TRACK`` without any track, n = TRACKS_PER_HAND x ``hand_slots``."""
+    """Return an array (n,) of unused ``TRACK`` records, with n = TRACKS_PER_HAND x ``hand_slots``."""
     return np.zeros(TRACKS_PER_HAND * hand_slots, TRACK)
 
 
@@ -34,22 +34,22 @@ def advance_tracks(
     capture_time_s: float,
     parameters: NDArray[np.void],  # (1,) of FILTER_PARAMETERS
 ) -> bool:
-    """Update the tracks with a frame of the hand sensor; ``count`` = 0 is a frame without a hand.
+    """Update the tracks with a frame of the hand sensor; ``count`` = 0 means a frame without a hand.
 
     1. The function predicts every track to the capture time.
-    2. It pairs boxes and tracks so that the sum of the distances of their centres in the image is least.
-       A box without a track costs ``gate_px``, and the distance of a pair is at most ``gate_px``. For up to
-       MOST_TRIED pairings, the pairing that gives the earlier boxes the lower slots wins among equal sums.
+    2. It pairs boxes and tracks so that the sum of the distances between their centres in the image is least.
+       A box without a track adds ``gate_px`` to the sum, and the distance of a pair is at most ``gate_px``.
+       If at most MOST_TRIED pairings exist and some have equal sums, earlier boxes get lower slots.
     3. It updates paired tracks. Every other box starts a track in the free slot that was seen longest ago.
-       Without a free slot, it replaces the unpaired track that was seen longest ago.
+       Without a free slot, the new track replaces the unpaired track that was seen longest ago.
     4. It drops tracks that no frame has shown for longer than ``track_timeout_s``.
 
-    The function ignores a box that is not a measurement (a value not finite, no positive depth or area). If a
+    The function ignores a box with a value that is not finite, or without a positive depth and area. If a
     track's predicted depth would not be positive, the track stays at its place, with growing uncertainty. So
     the depth of a track is always positive.
 
-    Return ``False``, without any change, if the frame is older than a track's state or its time is not
-    finite. Such a frame must not count as "no hand seen".
+    Change nothing and return ``False`` if the frame is older than a track's state or if its time is not
+    finite. Such a frame must not count as a frame without a hand.
     """
     if not isfinite(capture_time_s):
         return False
@@ -72,7 +72,7 @@ def advance_tracks(
             tracks[slot]["id"] = _greatest_id(tracks) + 1
             initialise(tracks[slot], boxes[j], capture_time_s, parameters[0])
             tracks[slot]["box"] = j
-    for i in range(tracks.shape[0]):  # so that equal tracks have equal bytes after different frames
+    for i in range(tracks.shape[0]):  # reset, so that equal tracks have equal bytes after other frames
         tracks[i]["box"] = 0
         for j in range(FEW_BOXES):
             tracks[i]["distance_px"][j] = 0.0
@@ -88,15 +88,15 @@ def predict_positions(
     positions_in_base_out: NDArray[np.float64],  # (n, 3) [m]
     valid_out: NDArray[np.bool_],  # (n,)
 ) -> None:
-    """Fill the output with the centre of every tracked hand at ``at_time_s``; change no track.
+    """Fill ``positions_in_base_out`` with the centre of every tracked hand at ``at_time_s``; change no track.
 
-    The function extrapolates the filtered box at its rates, and converts it by the pinhole model
-    (``position_from_box``). Rows of slots without a track are NaN and not valid.
+    The function extrapolates the filtered box by its rates, and converts it by the pinhole model
+    (``position_from_box``). The rows of slots without a track are NaN and not valid.
 
-    An extrapolated depth that is not positive means that the hand would pass the sensor's plane, where a
-    pixel and a depth have no meaning. The function then uses the filter's present position, whose depth
-    ``advance_tracks`` keeps positive. It does the same if the extrapolation is not finite. So a tracked hand
-    always has a position, and never one behind the sensor.
+    An extrapolated depth that is not positive means that the hand would pass through the sensor's plane.
+    There a pixel and a depth have no meaning. The function then uses the filter's present position, whose
+    depth ``advance_tracks`` keeps positive. It does the same if the extrapolation is not finite. So a tracked
+    hand always has a position, which is never behind the sensor.
     """
     focal_px, radius_m = parameters[0]["focal_px"], parameters[0]["assumed_radius_m"]
     c_u, c_v = parameters[0]["c_u"], parameters[0]["c_v"]
@@ -127,7 +127,7 @@ def _is_place(u_px: float, v_px: float, z_m: float) -> bool:
 
 @njit_no_nrt
 def _is_measurement(box: NDArray[np.float64]) -> bool:
-    """Return whether ``box`` (5,) is finite, with a positive depth and area."""
+    """Return whether ``box`` (5,) is finite and has a positive depth and a positive area."""
     return _is_place(box[0], box[1], box[2]) and isfinite(box[3]) and box[3] > 0.0 and isfinite(box[4])
 
 
@@ -140,7 +140,7 @@ def _extrapolated(track: np.void, dt_s: float) -> tuple[float, float, float]:
 
 @njit_no_nrt
 def _predict_to(track: np.void, time_s: float, parameters: np.void) -> None:
-    """Predict a track to ``time_s``; its mean stays if the predicted depth would not be positive."""
+    """Predict a track to ``time_s``; leave its mean if the predicted depth would not be positive."""
     dt_s = time_s - track["time_s"]
     if track["mean"][2] + dt_s * track["mean"][7] > 0.0:
         predict(track, dt_s, parameters)
@@ -156,7 +156,7 @@ def _assign(
     count: int,
     gate_px: float,
 ) -> None:
-    """Write into each track its box of the cheapest pairing.
+    """Find the cheapest pairing, and write into each track the index of its box.
 
     For few boxes the function tries all pairings; otherwise it calls ``_assign_many``.
     """
@@ -177,8 +177,8 @@ def _assign(
         total = 0.0
         used = 0
         rest = code
-        for j in range(count - 1, -1, -1):  # the first box is the slowest digit
-            i = rest % (slots + 1)  # the last: this box starts a track of its own
+        for j in range(count - 1, -1, -1):  # the first box is the digit that changes last
+            i = rest % (slots + 1)  # the last value: this box starts a track of its own
             rest //= slots + 1
             if i == slots:
                 total += gate_px  # less than any pair beyond the gate
@@ -210,7 +210,7 @@ def _distance_px(track: np.void, box: NDArray[np.float64]) -> float:
 
 @njit_no_nrt
 def _has_track(tracks: NDArray[np.void], box: int) -> bool:
-    """Return whether a track has the box."""
+    """Return whether any track is paired with ``box``."""
     has_track = False
     for i in range(tracks.shape[0]):
         has_track = has_track or tracks[i]["box"] == box
@@ -226,8 +226,8 @@ def _assign_many(
 ) -> None:
     """Find the cheapest pairing by shortest augmenting paths (Hungarian method).
 
-    It takes count^2 (tracks + count) steps. Every box has a column of its own at ``gate_px`` beside the
-    tracks. Columns and boxes count from 1.
+    The method takes count^2 (tracks + count) steps. Beside the columns of the tracks, every box has a column
+    of its own with the cost ``gate_px``. Columns and boxes count from 1.
     """
     slots = tracks.shape[0]
     size, gate = slots + count + 1, gate_px if gate_px < FARTHEST_PX else FARTHEST_PX
@@ -268,10 +268,10 @@ def _assign_many(
 
 @njit_no_nrt
 def _slot_for_new_track(tracks: NDArray[np.void]) -> int:
-    """Return the free slot seen longest ago; without a free slot, the unpaired track seen longest ago.
+    """Return the free slot that was seen longest ago, or else the unpaired track that was seen longest ago.
 
-    There is always such a slot: there are at most as many boxes as slots, and a box without a pair leaves a
-    slot unpaired.
+    Such a slot always exists, because there are at most as many boxes as slots. So a box without a track
+    leaves at least one slot without a box.
     """
     best = -1
     for i in range(tracks.shape[0]):
@@ -289,7 +289,7 @@ def _slot_for_new_track(tracks: NDArray[np.void]) -> int:
 
 @njit_no_nrt
 def _greatest_id(tracks: NDArray[np.void]) -> int:
-    """Return the greatest id of all slots.
+    """Return the greatest track id in all slots.
 
     A slot keeps the id of a dropped track until its next use, so that every id is unique.
     """

@@ -1,7 +1,8 @@
-"""Link capsules: few simple bodies that enclose every mesh of the arm.
+"""Read link capsules: a few simple bodies that enclose every mesh of the arm.
 
-``safety-harness robot fit`` fits them once and stores them as JSON. Those of the shipped arms lie beside this
-file. Distances to capsules are never longer than distances to the meshes, which is the safe side.
+``safety-harness robot fit`` fits capsules to an arm once and stores them as JSON. The capsules of the shipped
+arms lie beside this file. A distance to a capsule is never longer than the distance to the meshes inside. So
+an error is on the safe side.
 """
 
 from __future__ import annotations
@@ -29,10 +30,11 @@ from safety_harness.cell.robot.urdf import ArmFileError, read_bytes
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CapsuleSet:
-    """``n`` capsules, each fixed in a frame of forward kinematics; arrays are read-only.
+    """A set of ``n`` capsules, each fixed in a frame of forward kinematics; arrays are read-only.
 
-    ``link_index`` (n,) counts the base as 0, then the moving links, and the tcp as ``frames`` - 1.
-    ``start_in_link`` and ``end_in_link`` (n, 3) [m] are the ends of the axis, in that frame.
+    ``link_index`` (n,) is the number of a capsule's frame: 0 for the base, then the moving links, and
+    ``frames`` - 1 for the tcp. ``start_in_link`` and ``end_in_link`` (n, 3) [m] are the ends of a capsule's
+    axis in its frame.
     """
 
     names: tuple[str, ...]
@@ -69,7 +71,7 @@ class CapsuleSet:
         return records
 
     def of_links(self, links: Collection[int]) -> CapsuleSet:
-        """Return the capsules of some links; 0 is the base."""
+        """Return the capsules of the given ``links``; 0 is the base."""
         kept = [k for k, link in enumerate(self.link_index) if link in links]
         return CapsuleSet(
             names=tuple(self.names[k] for k in kept),
@@ -81,7 +83,7 @@ class CapsuleSet:
         )
 
     def carried_by(self, link: int, transform: NDArray[np.float64]) -> CapsuleSet:
-        """Return the same set with a link's capsules in another frame.
+        """Return the same set, with the capsules of ``link`` expressed in another frame.
 
         ``transform`` (4, 4) leads from the old frame of ``link`` to the new one.
         """
@@ -93,14 +95,14 @@ class CapsuleSet:
     def with_capsule(
         self, name: str, link_index: int, start: ArrayLike, end: ArrayLike, radius: float
     ) -> CapsuleSet:
-        """Return a new set with a further capsule, such as a tool, at its end.
+        """Return a new set with one more capsule, such as a tool, after the others.
 
         Args:
             name: The capsule's name.
-            link_index: Its frame.
-            start: An end of its axis (3,) [m], in that frame.
+            link_index: The number of the capsule's frame.
+            start: An end of the capsule's axis (3,) [m], in its frame.
             end: The other end (3,) [m].
-            radius: Its radius [m].
+            radius: The capsule's radius [m].
 
         """
         return CapsuleSet(
@@ -114,7 +116,7 @@ class CapsuleSet:
 
 
 class StoredCapsule(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """A capsule in a file: the ends of its axis [m] in the frame of ``link``."""
+    """A capsule in a file, with the ends of its axis [m] in the frame of ``link``."""
 
     name: str
     link: str
@@ -124,9 +126,9 @@ class StoredCapsule(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """A file of capsules, with the SHA-256 of the URDF and of each mesh, by name, that they were fitted to.
+    """The content of a capsule file, with the SHA-256 of the URDF and of each mesh that they were fitted to.
 
-    The shipped sets have no hashes: their meshes lie beside them.
+    The shipped files have no hashes, because their meshes lie beside them.
     """
 
     arm: str
@@ -137,7 +139,7 @@ class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     meshes_sha256: dict[str, str] = {}
 
     def on(self, arm: ArmModel, file: Path) -> CapsuleSet:
-        """Return the capsules as bodies of ``arm``; ``ArmFileError`` if its links do not fit."""
+        """Return the capsules on ``arm``; raise ``ArmFileError`` if they name links that it does not have."""
         frames = (*arm.link_names, arm.tcp_link)
         unknown = {body.link for body in self.capsules}.difference(frames)
         if unknown or not self.capsules:
@@ -162,7 +164,7 @@ def capsule_file(arm_name: str) -> Path:
 
 @lru_cache
 def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
-    """Return the fitted capsules of the shipped arm ``arm_name``; ``ArmModelError`` without any."""
+    """Return the fitted capsules of the shipped arm ``arm_name``; raise ``ArmModelError`` without any."""
     file = capsule_file(arm_name)
     if not file.is_file():
         raise ArmModelError(f"no capsules for {arm_name!r}; to fit them: safety-harness robot fit")
@@ -172,14 +174,14 @@ def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
 def read_capsules(
     file: Path, arm: ArmModel, *, text: bytes | None = None, urdf_sha256: str | None = None
 ) -> CapsuleSet:
-    """Read the capsules that were fitted to an arm.
+    """Return the capsules in ``file``, if they were fitted to ``arm`` as it is now.
 
     Args:
         file: The file of capsules.
         arm: The arm.
-        text: The bytes of the file, read in its place.
-        urdf_sha256: The hash of a URDF that was read before. With it the function reads neither the arm's
-            file nor its meshes.
+        text: The bytes of the file, used in place of the file.
+        urdf_sha256: The hash of the arm's URDF, if the caller knows it. The function then reads neither the
+            arm's file nor its meshes.
 
     Raises:
         ArmFileError: The capsules were fitted to another arm; the error names the difference.
@@ -204,9 +206,10 @@ def read_capsules(
 
 
 def unenclosed_links(arm: ArmModel, enclosed: Collection[int], accepted: Collection[str] = ()) -> list[str]:
-    """Return the names of links that are not in ``enclosed``, between its first and its last; 0 is the base.
+    """Return the names of the links without a capsule between the first and the last link with capsules.
 
-    The result leaves out the names in ``accepted``.
+    ``enclosed`` has the numbers of the links with capsules; 0 is the base. The result leaves out the names in
+    ``accepted``.
     """
     names = arm.link_names
     inner = range(min(enclosed), min(max(enclosed), len(names)))
@@ -214,9 +217,10 @@ def unenclosed_links(arm: ArmModel, enclosed: Collection[int], accepted: Collect
 
 
 def tcp_beyond(arm: ArmModel, capsules: CapsuleSet) -> float:
-    """Return how far [m] the TCP lies outside of every capsule near it; 0 inside a capsule.
+    """Return the distance [m] of the TCP from the nearest capsule at the arm's end; 0 inside a capsule.
 
-    The capsules are those at the TCP and on the last link that has any. Joints behind that link stand at 0.
+    The function uses the capsules in the TCP's frame and on the last link that has capsules. It takes joints
+    behind that link at position 0.
     """
     point_m, nearest_m = np.zeros(3), np.inf
     frames = enumerate((arm.flange, *arm.joint_origins[::-1], np.eye(4)))
@@ -231,7 +235,7 @@ def tcp_beyond(arm: ArmModel, capsules: CapsuleSet) -> float:
 
 
 def hashes_of(arm: ArmModel) -> tuple[str, dict[str, str]]:
-    """Return the SHA-256 of an arm's URDF, and of each mesh by its name in the URDF."""
+    """Return the SHA-256 of an arm's URDF, and that of each mesh by the mesh's name in the URDF."""
     shapes = [shape for link in arm.links for shape in (*link.collision, *link.visual)]
     meshes = {shape.uri: _sha256(shape.file) for shape in shapes if shape.file is not None}
     return _sha256(arm.file), meshes
@@ -243,7 +247,7 @@ def _sha256(file: Path) -> str:
 
 
 def _stored(file: Path, text: bytes | None = None) -> StoredCapsules:
-    """Read a file of capsules, or its ``text``; ``ArmFileError`` for other content."""
+    """Return the content of a capsule file, or of its ``text``; raise ``ArmFileError`` if it is invalid."""
     try:
         return msgspec.json.decode(read_bytes(file) if text is None else text, type=StoredCapsules)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -251,9 +255,10 @@ def _stored(file: Path, text: bytes | None = None) -> StoredCapsules:
 
 
 class Arm(NamedTuple):
-    """An arm with everything on it, for a kernel that runs once for a whole trace or path.
+    """An arm with its capsules, for a kernel that runs once for a whole trace or path.
 
-    A kernel that runs at every tick takes the records apart: a tuple costs a microsecond per call.
+    A kernel that runs at every tick takes the records as separate arguments, since a tuple costs a
+    microsecond per call.
     """
 
     chain: ChainRecords
@@ -263,13 +268,13 @@ class Arm(NamedTuple):
 
 @lru_cache(maxsize=16)
 def arm_with(arm: ArmModel, capsules: CapsuleSet) -> Arm:
-    """Return ``arm`` with the capsules on it."""
+    """Return the ``Arm`` of the model ``arm`` with the given ``capsules``."""
     return Arm(arm.chain, capsules.records, chain_lengths(arm.chain, capsules.records))
 
 
 @lru_cache(maxsize=16)
 def tcp_alone(arm: ArmModel) -> Arm:
-    """Return ``arm`` with a single capsule, which is a point at its TCP."""
+    """Return the ``Arm`` of the model ``arm`` with a single capsule, a point at its TCP."""
     point = np.zeros(1, CAPSULE)
     point["link_index"] = len(arm.joint_names) + 1
     point.setflags(write=False)

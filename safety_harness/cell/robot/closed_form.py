@@ -1,19 +1,20 @@
-"""The closed form of inverse kinematics for arms with the wrist of the UR family.
+"""Solve inverse kinematics in closed form for arms with the wrist of the UR family.
 
-Joints 2, 3 and 4 have parallel axes h. The axis of joint 1 is perpendicular to h. The axis of joint 5 is
-perpendicular to h and to the axis of joint 6. It meets axis 6, which is parallel to h at zero. Vectors are in
-the frame (h_1, h x h_1, h). Its first two axes span the plane in which joints 2 to 4 move. There a complex
-number stands for a vector. E_i is the turn about joint i, R the rotation of the pose, and w the point where
-axes 5 and 6 meet, from joint 1:
+Joints 2, 3 and 4 of such an arm have parallel axes h. The axis of joint 1 is perpendicular to h. The axis of
+joint 5 is perpendicular to h and to the axis of joint 6. Axes 5 and 6 meet, and axis 6 is parallel to h if
+all joints are at zero. Vectors are in the frame (h_1, h x h_1, h). The first two axes of this frame span the
+plane in which joints 2 to 4 move. A complex number stands for a vector in this plane. E_i is the turn about
+joint i, and R the rotation of the pose. w is the vector from joint 1 to the point where axes 5 and 6 meet:
 
     (E_1 h) . w = h . (steps between the joints)          gives theta_1, two of them
     R^T E_1 h = (E_5 E_6)^T h                             gives theta_5 and theta_6, two of them
     z = l_2 e^(i theta_2) + l_3 e^(i (theta_2 + theta_3)) + k e^(i psi),   psi = theta_2 + theta_3 + theta_4
 
-The third equation is in the plane. R and the angles before give psi, and there are two elbows. The angles
-theta_5 and theta_6 come from sines, not from a cosine, so they also hold near the wrist's singularity. If sin
-theta_5 vanishes, theta_6 is free: every psi for which joints 2 and 3 reach is a solution. (Hawkins, Analytic
-inverse kinematics for the Universal Robots, 2013, with the sines.)
+The third equation is in the plane. R and the angles found before determine psi; the equation then has two
+solutions, one for each elbow. The angles theta_5 and theta_6 come from sines, not from a cosine, so they stay
+accurate near the wrist's singularity. If sin theta_5 vanishes, theta_6 is free. Every psi that joints 2 and 3
+can reach is then a solution. (Hawkins, Analytic inverse kinematics for the Universal Robots, 2013, with the
+sines.)
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ from safety_harness.base.geometry.arrays import Array3, Array3x3, Array4x4, Arra
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.kinematics import TCP, links_in_base
 
-PARALLEL = 1e-9  # the largest error of an axis, and the largest gap [m] between axes that should meet
+PARALLEL = 1e-9  # the largest error of an axis's direction, and of the gap [m] between axes that meet
 NEAR_SINE = 1e-4  # |sin theta_5| below which psi corrects a distance that is too long or too short
 FREE = 5e-10  # |sin theta_5| below which theta_6 is free: half of the largest difference of an exact pose
-EDGE_M = 1e-6  # beyond the reach: the largest effect of rounding on it at a singularity
-AT_ONCE = 24  # for two theta_1, two theta_5, three psi and two elbows
+EDGE_M = 1e-6  # allowed beyond the reach, which rounding changes by at most this at a singularity
+AT_ONCE = 24  # rows: two theta_1, two theta_5, three psi and two elbows
 
 ARM_GEOMETRY = np.dtype(
     [
@@ -59,13 +60,13 @@ ArmGeometryRecords = NDArray[np.void]  # (1,) ARM_GEOMETRY
 
 
 class ArmGeometry(Protocol):
-    """A record of ARM_GEOMETRY, as compiled code reads it; a complex number is a vector in the plane.
+    """A record of ARM_GEOMETRY, as compiled code reads it; complex numbers are vectors in the plane.
 
-    ``plane_to_tool`` is at zero. ``wrist_in_tool``: the point where axes 5 and 6 meet, from the TCP.
-    ``offset_m``: the sum of all steps along h. ``shoulder_m``, ``upper_m``, ``lower_m``, ``wrist_m``: the
-    steps from joint 1 to 2, to 3, to 4 and to the point where axes 5 and 6 meet. ``axis_5_rad``: the
-    direction of axis 5 at zero. ``sense``: 1 if axis 6 points along h there, -1 if against it. The last two
-    are the position limits.
+    ``plane_to_tool`` is a rotation with all joints at zero. ``wrist_in_tool`` is the vector from the TCP to
+    the point where axes 5 and 6 meet. ``offset_m`` is the sum of all steps along h. ``shoulder_m``,
+    ``upper_m``, ``lower_m`` and ``wrist_m`` are the steps from joint 1 to 2, 3, 4 and the point where axes 5
+    and 6 meet. ``axis_5_rad`` is the direction of axis 5 at zero. ``sense`` is 1 if axis 6 points along h at
+    zero, and -1 if it points against h. ``lower_rad`` and ``upper_rad`` are the position limits.
     """
 
     base_to_plane: Array3x3
@@ -95,7 +96,7 @@ def has_closed_form(arm: ArmModel) -> bool:
 def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
     """Return the read-only record ARM_GEOMETRY (1,) of an arm.
 
-    ``ArmModelError`` for another wrist than the UR family's.
+    Raise ``ArmModelError`` for another wrist than the UR family's.
     """
     if len(arm.joint_names) != 6:
         raise ArmModelError(f"{arm.name}: the closed form is of six joints, not {len(arm.joint_names)}")
@@ -105,7 +106,7 @@ def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
     axes = product(axes, base_to_plane.T)
     steps = np.diff(zero[:, :3, 3], axis=0)
     inner = product(steps[1:6], base_to_plane.T)
-    along_6 = axes[5] * product(inner[4], axes[5])  # joint 6 is where its axis meets axis 5
+    along_6 = axes[5] * product(inner[4], axes[5])  # moves joint 6 to the point where its axis meets axis 5
     inner[4] -= along_6
     fits = (
         abs(axes[0, 2]) <= PARALLEL  # perpendicular to h, otherwise the frame is not orthonormal
@@ -137,8 +138,9 @@ def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
 def candidate_branches(arm: ArmGeometry, pose: Array4x4, out: ArrayNx6) -> int:
     """Fill ``out`` (AT_ONCE, 6) with joint positions that may give ``pose`` (4, 4), and return their number.
 
-    They give a pose within reach up to rounding. The function does not check them or wrap angles, and repeats
-    some at a singularity. They are in order of theta_1, then theta_5, then psi, then theta_3.
+    If the pose is within reach, the joint positions give it up to rounding. The function does not check this,
+    and does not wrap angles. At a singularity, it repeats some positions. The order is by theta_1, then
+    theta_5, then psi, then theta_3.
     """
     wx, wy, wz = _wrist(arm, pose, 0), _wrist(arm, pose, 1), _wrist(arm, pose, 2)
     radius = hypot(wy, wz)
@@ -181,11 +183,11 @@ def _with_wrist(
     out: ArrayNx6,
     count: int,
 ) -> int:
-    """Append the solutions with these angles to the ``count`` rows of ``out`` (AT_ONCE, 6).
+    """Append the solutions with the given angles to the first ``count`` rows of ``out`` (AT_ONCE, 6).
 
-    Return the new count. Beside the singularity psi is ill determined. If it leaves joints 2 and 3 a distance
-    that they cannot bridge, the function takes the nearest psi with a possible distance. At the singularity
-    it adds the two psi in the middle of the possible range.
+    Return the new count. Near the singularity psi is ill determined. If joints 2 and 3 cannot bridge the
+    distance that ``psi`` leaves, the function takes the nearest psi with a possible distance. At the
+    singularity it also uses the two psi in the middle of the possible range.
     """
     k = arm.wrist_m * _unit(psi)
     distance, angle_apart = _size(z - k), _direction(k / z)
@@ -222,7 +224,7 @@ def _with_wrist(
 
 @inlined
 def _turn(arm: ArmGeometry, pose: Array4x4, i: int, j: int) -> float:
-    """Return entry (i, j) of the pose's rotation since zero, in the plane's frame; ``pose`` (4, 4)."""
+    """Return entry (i, j) of the rotation from zero to ``pose`` (4, 4), in the plane's frame."""
     total = 0.0
     for m in range(3):
         for n in range(3):
@@ -232,7 +234,7 @@ def _turn(arm: ArmGeometry, pose: Array4x4, i: int, j: int) -> float:
 
 @inlined
 def _wrist(arm: ArmGeometry, pose: Array4x4, i: int) -> float:
-    """Return entry i of the point where axes 5 and 6 meet [m], from joint 1, in the plane's frame.
+    """Return entry i of the vector [m] from joint 1 to where axes 5 and 6 meet, in the plane's frame.
 
     ``pose`` (4, 4).
     """
@@ -247,7 +249,7 @@ def _wrist(arm: ArmGeometry, pose: Array4x4, i: int) -> float:
 
 @inlined
 def _angle_for(z: complex, k: complex, distance: float) -> float:
-    """Return the angle between z and k at which |z - k| is ``distance``, or as near to it as possible."""
+    """Return the angle between z and k for which |z - k| is ``distance``, or as near to it as possible."""
     cosine = (_size(z) ** 2 + _size(k) ** 2 - distance * distance) / (2.0 * _size(z) * _size(k))
     return float(arccos(min(max(cosine, -1.0), 1.0)))
 

@@ -1,6 +1,6 @@
-"""The closest approach of a hand and the arm between two instants: a guaranteed lower bound and a sample.
+"""Compute a lower bound and a sample of the closest approach of a hand and the arm between two instants.
 
-Hand, arm and distance have the meaning of ``distance``.
+The module ``distance`` defines hand, arm and distance.
 """
 
 from __future__ import annotations
@@ -36,20 +36,21 @@ def closest_approach_between(
     tolerance_m: float,
     not_below_m: float,
 ) -> tuple[float, float, float, float]:
-    """Return a guaranteed lower bound [m] of ``hand_distance`` while joints and hand move linearly.
+    """Return a guaranteed lower bound [m] of ``hand_distance`` during a linear motion of joints and hand.
 
-    Joints go from ``q0`` to ``q1`` [rad]. The hand's two points go from state 0 to state 1 [m, base frame],
-    in the same parameter t from 0 to 1. Returns (bound, t of the least sampled distance, that distance,
-    distance at t = 1). The bound is never above the true minimum, and at most ``tolerance_m`` > 0 below it. A
-    bound above ``not_below_m`` may be farther below, for less work. NaN if the distance at either end is NaN.
+    As t goes from 0 to 1, the joints go from ``q0`` to ``q1`` [rad]. The hand's two points go from state 0 to
+    state 1 [m, base frame]. The function returns the bound, the t of the least sampled distance, this
+    distance, and the distance at t = 1. The bound is never above the true minimum, and at most
+    ``tolerance_m`` > 0 below it. To save work, a bound above ``not_below_m`` may be farther below the
+    minimum. The bound is NaN if the distance at either end is NaN.
 
-    Branch and bound, from left to right. The function halves an interval [a, b] until its bound is good
-    enough,
+    The method is branch and bound, from left to right. The function halves an interval [a, b] until its bound
+    is good enough:
 
         min d >= min d_linear - B (b - a)^2 / 8,
 
-    with d_linear the distance if all axis ends moved linearly from a to b (``_linear_bound``), and B of
-    ``_bend``. A curve with |p''| <= B leaves its chord by at most the last term.
+    where d_linear is the distance if all axis ends moved linearly from a to b (``_linear_bound``), and B
+    comes from ``_bend``. A curve with |p''| <= B leaves its chord by at most the last term.
     """
     if not tolerance_m > 0.0:
         raise ValueError("tolerance_m must be positive")
@@ -92,7 +93,7 @@ def closest_approach_between(
                 return min(coarse, best), t_best, best, last
         at[depth] = t_next
         depth += 1
-        # Pass over every interval whose bound is good enough.
+        # Skip every interval whose bound is good enough.
         while depth > 0:
             right = at[depth - 1]
             _hand_at(left, hand0, hand1, elbow0, elbow1, hands[0])
@@ -115,7 +116,7 @@ def closest_approach_between(
 
 @inlined
 def _longest_chord(left: ArrayNx2x3, right: ArrayNx2x3) -> float:
-    """Return the longest distance [m] between an axis end of a capsule in ``left`` and in ``right``."""
+    """Return the longest distance [m] between the same axis end of a capsule in ``left`` and ``right``."""
     longest = 0.0
     for capsule in range(left.shape[0]):
         for i in range(2):
@@ -130,7 +131,7 @@ def _longest_chord(left: ArrayNx2x3, right: ArrayNx2x3) -> float:
 def _hand_at(
     t: float, hand0: Array3, hand1: Array3, elbow0: Array3, elbow1: Array3, hand_out: Array2x3
 ) -> None:
-    """Fill hand and elbow (2, 3) at the share t of the path from state 0 to state 1."""
+    """Fill ``hand_out`` with hand and elbow (2, 3) at the share ``t`` of the path from state 0 to state 1."""
     for i in range(3):
         hand_out[0, i] = hand0[i] + t * (hand1[i] - hand0[i])
         hand_out[1, i] = elbow0[i] + t * (elbow1[i] - elbow0[i])
@@ -138,12 +139,12 @@ def _hand_at(
 
 @njit_no_nrt
 def _bend(reach_m: ArrayN, q0: ArrayN, q1: ArrayN) -> float:
-    """Return a bound on |d^2 p / dt^2| [m] of every point p on a capsule's axis, t from 0 to 1.
+    """Return a bound B on |d^2 p / dt^2| [m] for every point p on a capsule's axis and t from 0 to 1.
 
-    B = sum over joints i, j of |dq_i dq_j| l_max(i, j), with l of ``chain_lengths``. For i <= j, d^2 p / dq_i
-    dq_j = a_i x (a_j x (p - p_j)) is at most |p - p_j|. The chain of links from joint j to p is at least as
-    long in every joint position. A point with this bound b leaves the chord of an interval of length h by at
-    most b h^2 / 8.
+    B = sum over joints i, j of |dq_i dq_j| l_max(i, j), with l from ``chain_lengths``. For i <= j, d^2 p /
+    dq_i dq_j = a_i x (a_j x (p - p_j)) is at most |p - p_j|. The chain of links from joint j to p is at least
+    as long as this in every joint position. Over an interval of length h, a point leaves its chord by at most
+    B h^2 / 8.
 
     ``reach_m``, ``q0`` and ``q1`` (n,).
     """
@@ -165,9 +166,9 @@ def _linear_bound(
 ) -> float:
     """Return a lower bound [m] of the hand distance if all axis ends moved linearly from left to right.
 
-    min over capsules and both bodies of ``_linear_pair_bound`` less the two radii. ``left`` and ``right`` (n,
-    2, 3): the capsules. ``hands`` (3, 2, 3): hand and elbow at the left end, at the right end, and at the
-    middle, which the function writes.
+    The bound is the minimum of ``_linear_pair_bound`` less the two radii, over all capsules with the hand and
+    with the forearm. ``left`` and ``right`` (n, 2, 3) are the ends of the capsules' axes. ``hands`` (3, 2, 3)
+    has hand and elbow at the left end, at the right end, and at the middle, which the function writes.
     """
     for i in range(2):
         for j in range(3):
@@ -207,18 +208,19 @@ def _linear_bound(
 def _linear_pair_bound(
     left: Array2x3, right: Array2x3, middle: Array2x3, hands: NDArray[np.float64], points: int
 ) -> float:
-    """Return a lower bound [m] of the distance of two segments whose ends move linearly, over the interval.
+    """Return a lower bound [m], over the interval, of the distance of two segments whose ends move linearly.
 
     ``left``, ``right`` and ``middle`` (2, 3) are the capsule's segment at either end and half-way; ``hands``
     (3, 2, 3) as in ``_linear_bound``. ``points`` is 1 for the hand's centre and 2 for the forearm.
 
-    max(0, |m| - max |u_ij(1) - u_ij(0)|/2, min over ends i, j and t in {0, 1} of u_ij(t) . m/|m|). u_ij goes
-    from an end of the hand's segment to an end of the capsule's, and m is the shortest vector at half-way.
+    The bound is max(0, |m| - max |u_ij(1) - u_ij(0)|/2, min over ends i, j and t in {0, 1} of u_ij(t) .
+    m/|m|). The vector u_ij goes from end i of the hand's segment to end j of the capsule's segment. m is the
+    shortest vector between the segments at half-way.
 
-    The result is the largest of 0 and two bounds. (1) The distance at half-way, less half of the longest
-    relative displacement of two ends. (2) The gap between the segments along a fixed direction, from nearest
-    point to nearest point at half-way. It is a minimum of functions that are linear in time, so it is
-    smallest at an end of the interval.
+    The result is thus the largest of 0 and two bounds. The first is the distance at half-way, less half of
+    the longest relative displacement of two ends. The second is the gap between the segments along the fixed
+    direction of m. This gap is a minimum of functions that are linear in time, so it is smallest at an end of
+    the interval.
     """
     x, y, z = segment_segment_vector(hands[2, 0], hands[2, points - 1], middle[0], middle[1])
     distance = sqrt(x * x + y * y + z * z)

@@ -1,6 +1,6 @@
-"""The arm as numbers: joint frames, axes, limits and link shapes, read from a URDF.
+"""Read an arm from a URDF as numbers: joint frames, axes, limits and link shapes.
 
-The shipped robot descriptions, and their sources, lie in ``data`` beside this file.
+The shipped robot descriptions and their sources lie in the folder ``data`` beside this file.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ PACKAGES = {"example-robot-data/robots": DATA}  # the name of that folder in the
 BASE_LINK = "base_link"
 TCP_LINK = "tool0"
 FEWEST, MOST = 3, 8  # turning joints
-MOMENT_EXCESS = 1.2  # of a principal moment over the sum of the rest: published URDFs reach 1.16 (xArm6)
+MOMENT_EXCESS = 1.2  # principal moment / sum of the other two, at most: URDFs reach 1.16 (xArm6)
 SIZES = {"mesh": "scale", "box": "size", "cylinder": "radius length", "sphere": "radius"}
 
 
 def chain_of(joints: int) -> np.dtype[np.void]:
     """Return the record type of a chain of ``joints`` joints.
 
-    Its size is part of the type, so that numba compiles code for each number of joints.
+    The number of joints is part of the type, so that numba compiles code for each number.
     """
     return np.dtype(
         [
@@ -49,7 +49,7 @@ ChainRecords = NDArray[np.void]  # (1,) of chain_of(n)
 
 
 class Chain(Protocol):
-    """A record of a chain, as compiled code reads it; its arrays have the meaning of ``ArmModel``."""
+    """A record of a chain, as compiled code reads it; ``ArmModel`` explains its arrays."""
 
     joint_origins: NDArray[np.float64]  # (n, 4, 4)
     joint_axes: NDArray[np.float64]  # (n, 3)
@@ -58,10 +58,10 @@ class Chain(Protocol):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Shape:
-    """A shape of a link, with its place in the link's frame.
+    """A shape of a link, placed in the link's frame.
 
     ``size`` depends on ``kind``: a mesh's scale (3,), a box's edges (3,) [m], a cylinder's radius and length
-    (2,) [m] along z, or a sphere's radius (1,) [m]. A mesh also has ``uri``, its name in the URDF, and
+    (2,) [m] along z, or a sphere's radius (1,) [m]. A mesh also has its name in the URDF, ``uri``, and its
     ``file``.
     """
 
@@ -74,7 +74,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinkShapes:
-    """The shapes of a link and of everything fixed to it; ``index`` counts the base as 0."""
+    """The shapes of a link and of everything fixed to it; ``index`` is the link's number, 0 for the base."""
 
     link: str
     index: int
@@ -84,14 +84,14 @@ class LinkShapes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ArmModel:
-    """An arm of n turning joints from its base to its tcp; arrays are read-only.
+    """An arm with n turning joints between its base and its tcp; arrays are read-only.
 
-    ``joint_origins`` (n, 4, 4): frame of link i + 1 at q = 0 to the frame of link i. ``joint_axes`` (n, 3):
-    unit axis of joint i in the frame of the link that it moves. ``flange`` (4, 4): from the tcp to the last
-    moving link. The limits are (n,); ``effort_limit`` is in N m. A joint without an end (continuous) has the
-    position limits -inf and inf. ``left_out`` names the links with shapes that are not fixed to any link of
-    the arm. ``transform_seat`` (4, 4): from the base link's frame to the base frame, the identity until the
-    arm is ``seated``.
+    ``joint_origins`` (n, 4, 4) transform from the frame of link i + 1 at q = 0 to the frame of link i.
+    ``joint_axes`` (n, 3) are the unit axes of the joints, each in the frame of the link that it moves.
+    ``flange`` (4, 4) transforms from the tcp to the last moving link. The limits are (n,); ``effort_limit``
+    is in N m. A continuous joint has the position limits -inf and inf. ``left_out`` names the links with
+    shapes that are not fixed to any link of the arm. ``transform_seat`` (4, 4) leads from the base link's
+    frame to the base frame; it is the identity until the arm is ``seated``.
     """
 
     name: str
@@ -123,7 +123,7 @@ class ArmModel:
 
     @cached_property
     def chain(self) -> ChainRecords:
-        """The record (1,) of ``chain_of(n)``: joint frames, axes and flange for compiled code, read-only."""
+        """The joint frames, axes and flange for compiled code: a read-only record (1,) of ``chain_of(n)``."""
         chain = np.zeros(1, chain_of(len(self.joint_names)))
         for name in chain.dtype.names or ():
             chain[name] = getattr(self, name)
@@ -140,7 +140,7 @@ class ArmModel:
 
     @property
     def lacks(self) -> tuple[Lack, ...]:
-        """The numbers that the URDF does not state, with the uses that need them."""
+        """The numbers that the URDF does not state, each with the uses that need it."""
         missing = [
             (self._joints(self.velocity_limit_radps), "speed", (Use.RUN,), "joint speed limits"),
             (self._joints(self.effort_limit), "effort", (Use.TORQUES, Use.PYBULLET), "joint torque limits"),
@@ -169,9 +169,9 @@ class ArmModel:
 
     @property
     def farthest_reach_m(self) -> float:
-        """A bound [m] of the distance of the tcp from the second joint in every pose.
+        """An upper bound [m] of the distance between tcp and second joint in any pose.
 
-        It is the sum of the distances between the frames.
+        The bound is the sum of the distances between successive frames.
         """
         frames = np.concatenate((self.joint_origins[2:], self.flange[None]))
         return float(np.linalg.norm(frames[:, :3, 3], axis=1).sum())
@@ -180,7 +180,7 @@ class ArmModel:
 def urdf_file(name: str) -> Path:
     """Return the URDF of the shipped arm ``name`` ("ur3", "ur5", "ur10").
 
-    ``ArmModelError`` for another name.
+    Raise ``ArmModelError`` for another name.
     """
     folder = DATA / "ur_description" / "urdf"
     file = folder / f"{name}_robot.urdf"
@@ -191,9 +191,9 @@ def urdf_file(name: str) -> Path:
 
 
 def resolved_urdf(arm: ArmModel, *, visuals: bool) -> str:
-    """Return an arm's URDF with absolute mesh paths, without the links that are not fixed to the arm.
+    """Return an arm's URDF with absolute mesh paths and without links that are not fixed to the arm.
 
-    The root is the arm's base. Without ``visuals`` it has no <visual> elements.
+    The arm's base becomes the root. Unless ``visuals``, the result has no <visual> elements.
     """
     urdf = Urdf.read(arm.file, arm.text)
     for joint in urdf.root.findall("joint"):
@@ -214,7 +214,7 @@ def resolved_urdf(arm: ArmModel, *, visuals: bool) -> str:
 
 @lru_cache
 def load_arm(name: str = "ur10") -> ArmModel:
-    """Return the shipped arm ``name``."""
+    """Return the shipped arm ``name`` ("ur3", "ur5", "ur10")."""
     return read_arm(urdf_file(name), base=BASE_LINK, tcp=TCP_LINK, packages=PACKAGES)
 
 
@@ -227,19 +227,19 @@ def read_arm(
     text: bytes | None = None,
     meshes: bool = True,
 ) -> ArmModel:
-    """Read the arm between two links of a URDF: three to eight turning joints, any number of fixed joints.
+    """Return the arm between two links of a URDF, with three to eight turning joints and any fixed joints.
 
     Args:
         file: The URDF.
-        base: The link that stands still. By default the only link without a joint above it.
-        tcp: The link that ends the arm. By default the only link without a joint below it.
-        packages: The folders of names in package://NAME/PATH. Other packages are in the URDF's folder or a
-            folder above it, as NAME/PATH or else as PATH.
-        text: The URDF's bytes, read in place of the file.
+        base: The link that stands still. None: the only link without a joint above it.
+        tcp: The link at the end of the arm. None: the only link without a joint below it.
+        packages: The folder of each NAME in package://NAME/PATH. The function seeks other packages in the
+            URDF's folder and the folders above it, as NAME/PATH, then as PATH.
+        text: The URDF's bytes, used in place of the file.
         meshes: False accepts a missing mesh file; its shape then has no ``file``.
 
     Raises:
-        ArmFileError: With file and line, if the file has no such arm or the arm cannot be used.
+        ArmFileError: The file has no such arm, or the arm cannot be used; the error states file and line.
 
     """
     text = read_bytes(file) if text is None else text
@@ -285,7 +285,7 @@ def read_arm(
 
 
 def _below(urdf: Urdf, base: str) -> Iterator[str]:
-    """Yield a note for each joint that may move the base, which stands still here."""
+    """Yield a note for each joint that could move the base, because the base stands still here."""
     link, passed = base, {base}
     while (joint := urdf.above.get(link)) is not None and (link := urdf.parent(joint)) not in passed:
         passed.add(link)
@@ -295,7 +295,7 @@ def _below(urdf: Urdf, base: str) -> Iterator[str]:
 
 
 class _Shapes:
-    """The shapes of the links ``names`` and of everything fixed to them, with the names of links left out."""
+    """A collector of the shapes of the links ``names`` and of all links fixed to these."""
 
     def __init__(
         self, urdf: Urdf, names: tuple[str, ...], packages: Mapping[str, Path], meshes: bool
@@ -310,7 +310,7 @@ class _Shapes:
                 continue
             try:
                 inertial(urdf, link)
-            except ArmFileError:  # reported by the uses that need it; the base stands still
+            except ArmFileError:  # uses that need the inertia report this; the base stands still
                 self.without_inertia += [name] if carrier != names[0] else []
             for kind in ("collision", "visual"):
                 for part in link.findall(kind):
@@ -335,7 +335,7 @@ class _Shapes:
 
 
 def is_empty(urdf: Urdf, part: ElementTree.Element) -> bool:
-    """Return whether a <collision> or <visual> has size 0, a box of size "0 0 0" for example."""
+    """Return whether a <collision> or <visual> has size 0, for example a box of size "0 0 0"."""
     for element in urdf.child(part, "geometry"):
         if (keys := SIZES.get(element.tag)) and all(element.get(key) for key in keys.split()):
             sizes = [urdf.numbers(element, key, 3 if key in ("scale", "size") else 1) for key in keys.split()]
@@ -350,7 +350,7 @@ def _shape(
     packages: Mapping[str, Path],
     meshes: bool,
 ) -> Shape:
-    """Read a <collision> or <visual>; ``frame`` (4, 4) leads from the shape to the link."""
+    """Return the shape in a <collision> or <visual>; ``frame`` (4, 4) leads from the shape to the link."""
     inside = list(urdf.child(part, "geometry"))
     if len(inside) != 1 or inside[0].tag not in SIZES:
         tags = [element.tag for element in inside]
@@ -377,10 +377,10 @@ def _shape(
 def inertial(
     urdf: Urdf, link: ElementTree.Element
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return a link's mass [kg], the frame (4, 4) of its centre, and the inertia (3, 3) about it [kg m^2].
+    """Return a link's mass [kg], its centre's frame (4, 4), and its inertia (3, 3) [kg m^2] about the centre.
 
-    None without an <inertial>. ``ArmFileError`` unless a body of that mass can have the inertia. A link
-    without mass may have any.
+    Return None without an <inertial>. Raise ``ArmFileError`` unless a body of that mass can have the inertia.
+    A link without mass may have any inertia.
     """
     if link.find("inertial") is None:
         return None

@@ -1,7 +1,7 @@
-"""Surface-to-surface distance between a hand and the arm's capsules at an instant.
+"""Compute the distance between the surfaces of a hand and of the arm's capsules at an instant.
 
-A hand is a sphere about ``hand`` and a capsule about the segment from ``hand`` to ``elbow``, its forearm. A
-distance is the distance of the axes less both radii: negative in penetration.
+A hand is a sphere about ``hand``, with a forearm: a capsule about the segment from ``hand`` to ``elbow``. A
+distance is the distance of the axes less both radii, so it is negative in penetration.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ def place_capsules(
 ) -> None:
     """Fill ``capsule_endpoints_in_base_m_out`` (n, 2, 3) with the axis ends of ``capsules`` (n,) CAPSULE.
 
-    p_base = T_link p_link for start and end, with ``transforms`` T (n + 2, 4, 4) of ``forward_kinematics``.
+    p_base = T_link p_link for start and end, with the ``transforms`` T (n + 2, 4, 4) of
+    ``forward_kinematics`` for n joints.
     """
     for k in range(capsules.shape[0]):
         capsule = capsules[k]
@@ -55,12 +56,13 @@ def hand_distance(
     hand_radius_m: float,
     forearm_radius_m: float,
 ) -> tuple[float, int]:
-    """Return the least distance [m] of a hand and its forearm from all capsules, and the nearest capsule.
+    """Return the least distance [m] of hand and forearm from the capsules, and the nearest capsule's index.
 
-    The second result is the capsule's index. The distance is min over capsules c of min(|h, c| - r_h, |h e,
-    c| - r_f) - r_c. |., .| is the distance of a point or segment from an axis. ``capsules`` (n,) CAPSULE,
-    ``capsule_endpoints_in_base_m`` (n, 2, 3) as ``place_capsules`` fills it, ``hand`` h and ``elbow`` e (3,)
-    [m] in the base frame. NaN, with the index of its capsule, if any number read is NaN.
+    The distance is min over capsules c of min(|h, c| - r_h, |h e, c| - r_f) - r_c. Here |., .| is the
+    distance of a point or segment from an axis, and r are the radii of hand, forearm and capsule.
+    ``capsules`` (n,) CAPSULE, ``capsule_endpoints_in_base_m`` (n, 2, 3) as ``place_capsules`` fills it,
+    ``hand`` h and ``elbow`` e (3,) [m] in the base frame. If any number that the function reads is NaN, it
+    returns NaN with the index of that capsule.
     """
     last = capsules.shape[0] - 1  # the arm's end first: usually the nearest
     return hand_distance_from(
@@ -78,9 +80,9 @@ def hand_distance_from(
     forearm_radius_m: float,
     likely: int,
 ) -> tuple[float, int]:
-    """Return ``hand_distance``, sooner if the capsule ``likely`` is the nearest.
+    """Return the result of ``hand_distance``, with less work if ``likely`` is the nearest capsule.
 
-    A bound then skips most of the capsules.
+    The function then skips most of the other capsules by a bound on their distance.
     """
     best = np.inf
     nearest = -1
@@ -108,7 +110,7 @@ def hand_distance_from(
         if isnan(to_hand + to_forearm + distance):
             if turn < capsules.shape[0]:
                 return nan, capsule
-            likely = -1  # search in order, so that the first capsule with NaN is returned
+            likely = -1  # search again in order, to return the first capsule with NaN
         elif distance < best or (distance == best and capsule > nearest):
             best = distance
             nearest = capsule
@@ -124,11 +126,11 @@ def segment_length(start: Array3, end: Array3) -> float:
 
 @compiled
 def chain_lengths(chains: ChainRecords, capsules: CapsuleRecords) -> NDArray[np.float64]:
-    """Return the lengths (n,) [m] of the chain from each joint to the farthest capsule axis that it moves.
+    """Return the greatest length (n,) [m] of the chain from each joint to a capsule's axis that it moves.
 
     l_j = max over capsules and their ends p of |p| + sum of |o_i| over the joints i between j and the link.
-    Here o_i is the step from joint i - 1 to i. Joint positions cannot take p farther from joint j. ``chains``
-    (1,) of n joints, ``capsules`` (m,) CAPSULE.
+    Here o_i is the step from joint i - 1 to i. No joint position takes p farther than l_j from joint j.
+    ``chains`` (1,) of n joints, ``capsules`` (m,) CAPSULE.
     """
     origins, flange = chains[0].joint_origins, chains[0].flange
     n = origins.shape[0]

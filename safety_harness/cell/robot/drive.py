@@ -1,13 +1,14 @@
-"""The arm's drives: they follow a demanded joint velocity, and a protective stop takes time.
+"""Model the arm's drives, which follow a demanded joint velocity and need time for a protective stop.
 
-Both worlds put the drives between the controller's command and their motors. The robot performs a protective
+Both worlds put the drives between the controller's command and the motors. The robot performs a protective
 stop by itself. During the reaction time the drives keep their velocity. Then they brake uniformly to zero
-within T_s(v) = base + slope v, where v is the TCP speed when braking begins. A stop that has begun ends at
-standstill, whichever commands the controller sends meanwhile.
+within T_s(v) = base + slope v, where v is the TCP speed when braking begins. A stop that has begun ends only
+at standstill, whatever the controller commands meanwhile.
 
-Drives with a ``DriveModel`` follow a demand after a dead time and with a lag. A joint never gets more torque
-than its limit: one factor scales back the wanted change of all set points, also while braking. Drives with a
-lag or a torque limit change their velocity over a control period, not at its start. Motors then get the mean.
+Drives with a ``DriveModel`` follow a demand after a dead time and with a lag. If a joint's torque would
+exceed its limit, a single factor scales back the change of all set points, also while braking. Drives with a
+lag or a torque limit change their velocity during a control period, not at its start. The motors then get the
+period's mean velocity.
 """
 
 from __future__ import annotations
@@ -27,15 +28,15 @@ from safety_harness.base.geometry.linear import copy_vector
 from safety_harness.base.settings import Settings
 from safety_harness.cell.robot.dynamics import joint_torques, masses_dtype, torque_share
 
-MOST_DELAY_TICKS = 100  # the longest dead time in the shortest control periods
+MOST_DELAY_TICKS = 100  # the longest dead time, in control periods of the shortest length
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DriveModel:
-    """The way in which drives follow a demand.
+    """The dynamics with which drives follow a demand.
 
-    ``lag_s`` is the time constant. ``torque_limit_nm`` (n,) needs ``masses``; without masses torque has no
-    limit.
+    ``lag_s`` is the time constant of the lag. ``torque_limit_nm`` (n,) applies only with ``masses``; without
+    masses the torque is unlimited.
     """
 
     dead_time_s: float = 0.0
@@ -63,11 +64,11 @@ def drive_dtype(joints: int) -> np.dtype[Any]:
             # of a ``DriveModel``
             ("delay_ticks", np.int64),
             ("oldest", np.int64),
-            ("delayed_radps", np.float64, (MOST_DELAY_TICKS, joints)),  # demands on their way, in a ring
-            ("lag_share", np.float64),  # how much of the way to a demand a tick takes
+            ("delayed_radps", np.float64, (MOST_DELAY_TICKS, joints)),  # demands within the dead time: a ring
+            ("lag_share", np.float64),  # share of the way to a demand in a tick
             ("gradual", np.bool_),  # the set point is reached at the end of the tick, not at its start
             ("limited", np.bool_),
-            ("before_radps", np.float64, (joints,)),  # the set point of the tick before
+            ("before_radps", np.float64, (joints,)),  # the set point of the previous tick
             ("torque_limit_nm", np.float64, (joints,)),
             ("masses", masses_dtype(joints)),
         ],
@@ -81,9 +82,9 @@ def delay_ticks(dead_time_s: float, period_s: float) -> int:
 
 
 def settled_s(model: DriveModel | None, period_s: float) -> float:
-    """Return the time [s] after which drives have carried out a demand; 0 without a model.
+    """Return the time [s] after which drives follow a constant demand; 0 without a model.
 
-    A lag has then covered all except a thousandth of the change. The torques must suffice.
+    After this time, a lag has covered all except a thousandth of the change. The torques must suffice for it.
     """
     if model is None:
         return 0.0
@@ -98,9 +99,9 @@ def drive(settings: Settings, joints: int, model: DriveModel | None = None) -> D
     """Return a record DRIVE (1,) at rest.
 
     Args:
-        settings: Its clock and braking times.
+        settings: The settings, for the clock and the braking times.
         joints: The number of joints.
-        model: The dynamics of the drives. Without a model they follow a demand at once.
+        model: The dynamics of the drives. None: they follow a demand at once.
 
     """
     drives = np.zeros(1, drive_dtype(joints))
@@ -123,17 +124,18 @@ def drive(settings: Settings, joints: int, model: DriveModel | None = None) -> D
 def drive_tick(
     drives: DriveRecords, demanded_radps: ArrayN, protective_stop: bool, tcp_speed_mps: float, time_s: float
 ) -> bool:
-    """Set ``setpoint_radps`` for the tick that begins at ``time_s``; return True while braking acts.
+    """Set ``setpoint_radps`` for the tick that begins at ``time_s``; return True during a protective stop.
 
-    While braking q' = q'_b max(0, 1 - (t + dt/2 - t_b)/T_s). Here q'_b [rad/s] is the set point when braking
-    began, at t_b = t_requested + T_r. T_s = base + slope v, with the TCP's speed v at that time. A braking
-    tick uses the ramp's value at the middle of the tick. So the covered distance is the integral of the ramp.
+    The set point of a braking tick is q' = q'_b max(0, 1 - (t + dt/2 - t_b)/T_s). Here q'_b [rad/s] is the
+    set point when braking began, at t_b = t_requested + T_r with the reaction time T_r. T_s = base + slope v,
+    with the TCP's speed v at t_b. The tick uses the ramp's value at its middle, t + dt/2. So the covered
+    distance is the integral of the ramp.
     """
     d = drives[0]
     copy_vector(d.setpoint_radps, d.before_radps)
     if protective_stop and not d.stopping:
         d.stopping = True
-        for row in range(d.delay_ticks):  # delayed demands do not outlive the stop
+        for row in range(d.delay_ticks):  # the stop discards demands within the dead time
             for i in range(d.setpoint_radps.shape[0]):
                 d.delayed_radps[row, i] = 0.0
         d.braking = False
@@ -170,9 +172,9 @@ def _stand_still(drives: DriveRecords) -> bool:
 
 @inlined
 def _follow(drives: DriveRecords, demanded_radps: ArrayN) -> None:
-    """Set ``setpoint_radps`` by the demand d of a dead time ago: u + (1 - exp(-dt/T)) (d - u).
+    """Set ``setpoint_radps`` to u + (1 - exp(-dt/T)) (d - u), with the demand d of a dead time ago.
 
-    u is the last set point. A first-order lag of time constant T reaches this value within the tick.
+    u is the last set point. A first-order lag with the time constant T reaches this value within the tick dt.
     """
     d = drives[0]
     row = d.oldest
@@ -190,7 +192,7 @@ def _follow(drives: DriveRecords, demanded_radps: ArrayN) -> None:
 
 @inlined
 def tell_motors(drives: DriveRecords, commanded_radps: ArrayN) -> None:
-    """Fill ``commanded_radps`` (n,) with the set points, or with their mean if they change over the tick."""
+    """Fill ``commanded_radps`` (n,) with the set points, or with the tick's mean if they change gradually."""
     d = drives[0]
     for i in range(commanded_radps.shape[0]):
         setpoint = d.setpoint_radps[i]
@@ -199,12 +201,12 @@ def tell_motors(drives: DriveRecords, commanded_radps: ArrayN) -> None:
 
 @compiled
 def limit_torques(drives: DriveRecords, joint_axes: ArrayNx3, transforms: ArrayNx4x4) -> None:
-    """Scale back the tick's change of ``setpoint_radps`` so that every joint has the torque for it.
+    """Scale back the tick's change of ``setpoint_radps`` until the torque of every joint suffices.
 
-    One factor for all joints keeps the direction. The torque that holds the arm against gravity comes first.
-    If this torque alone exceeds a limit, the function makes the change only if it brings the torque back
-    within the limit. ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics`` at the arm's position;
-    ``joint_axes`` (n, 3).
+    A single factor for all joints keeps the direction of the change. The torque that the present motion needs
+    against gravity comes first. If this torque alone exceeds a limit, the function makes only a change that
+    brings the torque back within the limit. ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics`` at
+    the arm's position; ``joint_axes`` (n, 3).
     """
     d = drives[0]
     n = joint_axes.shape[0]

@@ -1,4 +1,4 @@
-"""The torque of each joint for a motion, from the masses of the arm's URDF and a payload."""
+"""Compute the torque of each joint for a motion, from the masses in the arm's URDF and a payload."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Triple = tuple[float, float, float]
 
 @lru_cache
 def masses_dtype(joints: int) -> np.dtype[Any]:
-    """Return the record type of the masses of ``joints`` links, each in the frame of its link."""
+    """Return the record type for the masses of ``joints`` links, each given in the frame of its link."""
     return np.dtype(
         [
             ("mass_kg", np.float64, (joints,)),
@@ -33,14 +33,14 @@ def masses_dtype(joints: int) -> np.dtype[Any]:
 
 
 def link_masses(arm: ArmModel, payload_kg: float = 0.0, payload_in_link_m: Array3 | None = None) -> np.void:
-    """Return the record of the masses of the moving links, each with everything fixed to it.
+    """Return the record of the masses of the moving links, each including everything fixed to it.
 
     A link without mass has no inertia, even if the URDF states one.
 
     Args:
         arm: The arm.
         payload_kg: A point mass that the last link carries.
-        payload_in_link_m: Its place (3,) in the frame of the last link. None: no payload.
+        payload_in_link_m: The payload's place (3,) in the frame of the last link. None: no payload.
 
     Raises:
         ArmFileError: A moving link has no mass.
@@ -75,7 +75,7 @@ def link_masses(arm: ArmModel, payload_kg: float = 0.0, payload_in_link_m: Array
 
 
 def _spread(at_m: Array3) -> NDArray[np.float64]:
-    """Return the inertia (3, 3) about the origin of 1 kg at ``at_m``: the parallel axis theorem."""
+    """Return the inertia (3, 3) about the origin of a point mass of 1 kg at ``at_m`` (3,)."""
     return float(product(at_m, at_m)) * np.eye(3) - np.outer(at_m, at_m)
 
 
@@ -92,9 +92,10 @@ def joint_torques(
 
     All vectors are in the base frame, whose z points up. An upward acceleration g of the base stands for
     gravity. The first pass goes outwards from the base. Link i turns with w_i = w_(i-1) + a_i q'_i, and its
-    origin accelerates with the link before it. Force and moment at its centre of mass are m c'' and I w' + w
-    x I w. The second pass adds them inwards from the TCP. A joint's torque is their moment about its axis
-    a_i. (Luh, Walker and Paul 1980; Lynch and Park, Modern Robotics, 2017, 8.3.)
+    origin accelerates as a point of link i - 1. At the link's centre of mass c, the force is m c'' and the
+    moment I w' + w x I w. The second pass adds forces and moments inwards from the TCP. The torque of joint i
+    is the sum's moment about the joint's axis a_i. (Luh, Walker and Paul 1980; Lynch and Park, Modern
+    Robotics, 2017, 8.3.)
 
     ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics``; ``joint_axes`` (n, 3).
     """
@@ -126,12 +127,12 @@ def joint_torques(
 
 
 def holding_torques(arm: ArmModel, masses: np.void, joint_position_rad: ArrayN) -> ArrayN:
-    """Return the torques (n,) [N m] that hold an arm still.
+    """Return the torques (n,) [N m] that hold an arm still against gravity.
 
     Args:
         arm: The arm.
-        masses: Its record of ``link_masses``.
-        joint_position_rad: Its joint position (n,).
+        masses: The arm's record of ``link_masses``.
+        joint_position_rad: The arm's joint position (n,).
 
     """
     still, torques = np.zeros((2, len(joint_position_rad)))
@@ -143,8 +144,8 @@ def holding_torques(arm: ArmModel, masses: np.void, joint_position_rad: ArrayN) 
 def torque_share(bias: ArrayN, wanted: ArrayN, limit: ArrayN) -> float:
     """Return the largest s in [0, 1] for which |bias + s (wanted - bias)| <= limit in every joint.
 
-    All are (n,) [N m]. ``bias`` holds the arm in its present motion; ``wanted`` accelerates it as well. 0 if
-    no such s exists. A joint does not count if its torque is the same for every s.
+    All torques are (n,) [N m]. ``bias`` keeps the arm in its present motion; ``wanted`` also accelerates it.
+    Return 0 if no such s exists. The function ignores a joint whose torque is the same for every s.
     """
     least, most = 0.0, 1.0
     for i in range(bias.shape[0]):
@@ -169,20 +170,20 @@ def _plus(a: Triple, factor: float, b: Triple) -> Triple:
 
 @inlined
 def _carried(turn: Triple, turn_change: Triple, lever: Triple) -> Triple:
-    """Return the acceleration of a point relative to another of the same body: w' x r + w x (w x r)."""
+    """Return the acceleration w' x r + w x (w x r) of a body's point at ``lever`` r from another point."""
     return _plus(_cross(turn_change, lever), 1.0, _cross(turn, _cross(turn, lever)))
 
 
 @inlined
 def _from_to(transforms: ArrayNx4x4, k: int, j: int) -> Triple:
-    """Return the vector from the origin of frame k to that of frame j; ``transforms`` (n + 2, 4, 4)."""
+    """Return the vector from the origin of frame k to the origin of frame j; ``transforms`` (n + 2, 4, 4)."""
     a, b = transforms[k], transforms[j]
     return b[0, 3] - a[0, 3], b[1, 3] - a[1, 3], b[2, 3] - a[2, 3]
 
 
 @inlined
 def _turned(pose: Array4x4, vector: Array3) -> Triple:
-    """Return the ``vector`` (3,) of a link in the base frame; ``pose`` (4, 4)."""
+    """Return a link's ``vector`` (3,), turned into the base frame by the link's ``pose`` (4, 4)."""
     x, y, z = vector[0], vector[1], vector[2]
     return (
         pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z,
@@ -193,7 +194,7 @@ def _turned(pose: Array4x4, vector: Array3) -> Triple:
 
 @inlined
 def _inertia_times(pose: Array4x4, inertia: NDArray[np.float64], v: Triple) -> Triple:
-    """Return R I R^T v, with ``inertia`` (3, 3) in the link, v in the base frame and ``pose`` (4, 4)."""
+    """Return R I R^T v for a link: ``inertia`` I (3, 3) in its frame, R the rotation of ``pose`` (4, 4)."""
     x = pose[0, 0] * v[0] + pose[1, 0] * v[1] + pose[2, 0] * v[2]
     y = pose[0, 1] * v[0] + pose[1, 1] * v[1] + pose[2, 1] * v[2]
     z = pose[0, 2] * v[0] + pose[1, 2] * v[1] + pose[2, 2] * v[2]

@@ -1,4 +1,4 @@
-"""Inverse kinematics: the branches of a pose, the nearest branch, and straight paths of the TCP."""
+"""Solve inverse kinematics: the branches of a pose, the nearest branch, and straight paths of the TCP."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ from safety_harness.cell.robot.numeric_inverse import (
 
 MENDED_POSE = 1e-6  # the largest error of a branch's pose that is polished
 MOST_POLISHING = 4  # steps
-POLISH_DAMPING = 1e-6  # of a singular arm: steps do not use directions with a smaller singular value
+POLISH_DAMPING = 1e-6  # steps do not use the directions of smaller singular values
 REACH_RESOLUTION_M = 1e-4
 MOST_STEPS = 4000  # of ``straight_way``
 
 
 class InverseKinematics:
-    """Joint positions of poses: in closed form for the wrist of the UR family, numeric for other arms.
+    """The joint positions of poses: in closed form for the wrist of the UR family, else numeric.
 
-    An arm of more than six joints has infinitely many joint positions for a pose. An arm of fewer than six
-    can take some poses only.
+    An arm with more than six joints has infinitely many joint positions for a pose. An arm with fewer than
+    six joints can take only some poses.
     """
 
     def __init__(self, arm: ArmModel) -> None:
@@ -57,14 +57,15 @@ class InverseKinematics:
         self._starts = starts_of(arm)
 
     def branches(self, transform_tcp_to_base: Array4x4) -> NDArray[np.float64]:
-        """Return all joint positions (k, n) [rad] of a pose, wrapped into (-pi, pi]; (0, n) out of reach.
+        """Return all joint positions (k, n) [rad] of a pose, wrapped into (-pi, pi]; k = 0 out of reach.
 
-        Forward kinematics checks each of them to 1e-9 (metres, and entries of the rotation). The closed form
-        gives two shoulders, two wrists and two elbows, in the order of ``candidate_branches``. Positions less
-        than 1e-6 apart, as at a singularity, count as the same. The method ignores position limits. At a
-        wrist singularity (|sin theta_5| below 5e-10) joints can move while the TCP stays. The result then has
-        some of these positions. The numeric inverse returns the positions that 200 starts led to. For more
-        than six joints they are some of infinitely many.
+        The method checks each position by forward kinematics, to 1e-9 in metres and in entries of the
+        rotation. The closed form gives two shoulders, two wrists and two elbows, in the order of
+        ``candidate_branches``. Positions less than 1e-6 rad apart, as at a singularity, count as the same.
+        The method ignores position limits. At a wrist singularity (|sin theta_5| below 5e-10) joints can move
+        while the TCP stays. The result then contains only some of the possible positions. The numeric inverse
+        returns the positions that it finds from 200 starts. For more than six joints these are some of
+        infinitely many.
 
         Args:
             transform_tcp_to_base: The pose (4, 4).
@@ -78,11 +79,12 @@ class InverseKinematics:
     def nearest(
         self, transform_tcp_to_base: Array4x4, reference_joint_position: Array6
     ) -> NDArray[np.float64] | None:
-        """Return the joint position (n,) of a pose that is nearest to a reference; None without any.
+        """Return the joint position (n,) of a pose that is nearest to a reference; None without a solution.
 
-        The solution is within the position limits. The distance is Euclidean in joint angles. The method
-        tries full turns of each joint. The numeric inverse carries each solution along its self-motion to the
-        least distance. A solution within 0.5 rad ends the search.
+        The solution is within the position limits. The distance is Euclidean in joint angles. The method also
+        tries full turns of each joint. The numeric inverse moves each solution along its self-motion to the
+        least distance. It first searches from the reference itself, and stops if this leads to a solution
+        within 0.5 rad.
 
         Args:
             transform_tcp_to_base: The pose (4, 4).
@@ -97,11 +99,11 @@ class InverseKinematics:
         transforms_tcp_to_base: NDArray[np.float64],  # (m, 4, 4)
         reference_joint_position: Array6,
     ) -> NDArray[np.float64]:
-        """Return ``nearest`` of many poses: (m, n), NaN for a pose without a solution within the limits.
+        """Return ``nearest`` of many poses (m, n); a pose without a solution within the limits gives NaN.
 
         Args:
             transforms_tcp_to_base: The poses (m, 4, 4).
-            reference_joint_position: The joint position (n,) to be near to.
+            reference_joint_position: The joint position (n,) to which each solution is nearest.
 
         """
         poses = np.array(transforms_tcp_to_base, dtype=np.float64)
@@ -116,13 +118,13 @@ class InverseKinematics:
         transforms_tcp_to_base: NDArray[np.float64],  # (m, 4, 4)
         joint_position_rad: Array6,
     ) -> NDArray[np.float64]:
-        """Return ``nearest`` of poses in turn, each near to the solution of the pose before: (m, n).
+        """Return for each pose in turn the solution nearest to the previous pose's solution, (m, n).
 
-        Rows are NaN from the first pose without a solution within the limits.
+        From the first pose without a solution within the limits on, all rows are NaN.
 
         Args:
             transforms_tcp_to_base: The poses (m, 4, 4).
-            joint_position_rad: The joint position (n,) that the first solution is near to.
+            joint_position_rad: The joint position (n,) to which the first solution is nearest.
 
         """
         poses, joints = np.array(transforms_tcp_to_base), np.array(joint_position_rad)
@@ -144,16 +146,16 @@ class InverseKinematics:
         step_m: float = 0.005,
         min_singular_value: float,
     ) -> float:
-        """Return how far [m] the TCP can go straight along a direction without turning, at most ``length_m``.
+        """Return how far [m] the TCP can go straight along a direction without a turn, at most ``length_m``.
 
-        The joints follow continuously within the position limits; more than six take the least steps. Every
-        singular value of the Jacobian stays above ``min_singular_value``. The result is at most 0.1 mm too
-        short. It is 0 if the start itself violates these bounds.
+        On this path the joints move continuously within the position limits. Every singular value of the
+        Jacobian stays above ``min_singular_value``. If there are more than six joints, they take the least
+        steps. The result is at most 0.1 mm too short. It is 0 if the start itself violates these bounds.
 
         Args:
             joint_position_rad: The start (n,).
             direction_in_base: The direction (3,), of any length above 0.
-            length_m: The longest path of interest.
+            length_m: The longest result, at which the method ends.
             step_m: The longest distance between two checks.
             min_singular_value: The bound of the singular values, above 0.
 
@@ -176,7 +178,7 @@ class InverseKinematics:
 
 @compiled
 def _branches(chains: ChainRecords, geometries: ArmGeometryRecords, pose: Array4x4) -> ArrayNx6:
-    """Return the candidates (k, 6) that give ``pose`` (4, 4), without repetitions up to rounding."""
+    """Return the candidates (k, 6) that give ``pose`` (4, 4), each once even if repeated up to rounding."""
     candidates, transforms = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4))
     kept = 0
     for k in range(candidate_branches(geometries[0], pose, candidates)):
@@ -188,10 +190,10 @@ def _branches(chains: ChainRecords, geometries: ArmGeometryRecords, pose: Array4
 
 @compiled
 def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: ArrayNx4x4) -> bool:
-    """Return whether ``joints`` (6,) give ``pose`` to EXACT_POSE in every entry, once wrapped and polished.
+    """Wrap and polish ``joints`` (6,); return whether they give ``pose`` to EXACT_POSE in every entry.
 
-    Near a singularity the rounding of the pose moves joints by its square root. Steps of ``_polish`` correct
-    this. The function writes ``joints`` and ``transforms``.
+    Near a singularity, the joints change by the square root of the pose's rounding. Steps of ``_polish``
+    correct this. The function writes ``joints`` and ``transforms``.
     """
     for _ in range(MOST_POLISHING):
         exact = nearly = True
@@ -211,8 +213,8 @@ def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: Arr
 def _polish(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: ArrayNx4x4) -> bool:
     """Move ``joints`` by a damped Newton step towards ``pose``: (J^T J + d^2 I) dq = J^T e.
 
-    e = (p* - p, log(R* R^T)) as in ``follow_pose``. ``transforms`` belong to ``joints``. Return False if the
-    equation has no solution.
+    J is the Jacobian, d is POLISH_DAMPING, and e = (p* - p, log(R* R^T)) as in ``follow_pose``.
+    ``transforms`` belong to ``joints``. Return False if the equation has no solution.
     """
     jacobian, matrix = np.empty((6, 6)), np.empty((6, 6))
     error, step = np.empty(6), np.empty(6)
@@ -240,9 +242,10 @@ def _nearest_of_each(
     poses: NDArray[np.float64],  # (n, 4, 4)
     reference: Array6,
 ) -> ArrayNx6:
-    """Return for each pose the nearest of its branches and their full turns within the limits (n, 6), or NaN.
+    """Return for each pose the branch, with full turns within the limits, nearest to ``reference`` (n, 6).
 
-    argmin over branches q and turns k of |q + 2 pi k - reference|, joint by joint in [lower, upper].
+    This is argmin over branches q and turns k of |q + 2 pi k - reference|, joint by joint in [lower, upper].
+    A pose without a solution gives NaN.
     """
     solutions = np.full((poses.shape[0], 6), np.nan)
     candidates, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
@@ -258,7 +261,7 @@ def _followed(
     poses: NDArray[np.float64],  # (n, 4, 4)
     reference: Array6,
 ) -> ArrayNx6:
-    """Return the nearest solution for each pose to the solution of the pose before (n, 6), or NaN.
+    """Return for each pose the solution nearest to the previous pose's solution (n, 6), or NaN.
 
     The first solution is the nearest to ``reference``.
     """
@@ -301,7 +304,7 @@ def _nearest(
 def _turned_towards(geometries: ArmGeometryRecords, reference: Array6, joints: Array6, out: Array6) -> float:
     """Fill ``out`` with the full turns of ``joints`` within the limits that are nearest to ``reference``.
 
-    Return their distance [rad], infinity if a joint has no turn within its limits.
+    Return the distance [rad] from ``reference``, or infinity if a joint has no turn within its limits.
     """
     total = 0.0
     for i in range(6):
@@ -326,9 +329,10 @@ def _straight_reach(
     step_m: float,
     min_singular_value: float,
 ) -> float:
-    """Return how far [m] the TCP follows p + s d, its orientation constant, from the joints ``start_rad``.
+    """Return how far [m] the TCP can follow p + s d with constant orientation, from the joints ``start_rad``.
 
-    Each failure of ``follow_pose`` or ``_acceptable`` halves the step of s; each success doubles it.
+    p is the TCP at the start, d the ``direction`` of length 1. Each failure of ``follow_pose`` or
+    ``_acceptable`` halves the step of s; each success doubles it.
     """
     n = start_rad.shape[0]
     transforms = np.empty((n + 2, 4, 4))
@@ -364,7 +368,7 @@ def _straight_reach(
 def _acceptable(
     joints: Array6, lower_rad: Array6, upper_rad: Array6, jacobian: Array6x6, min_singular_value: float
 ) -> bool:
-    """Return whether joints (n,) are within their limits and the Jacobian's singular values large enough."""
+    """Return whether ``joints`` (n,) are within their limits, and the singular values above the bound."""
     for i in range(joints.shape[0]):
         if not (lower_rad[i] <= joints[i] <= upper_rad[i]):
             return False
@@ -377,12 +381,12 @@ def follow_pose(
 ) -> bool:
     """Carry ``joints`` (overwritten) to the pose ``target`` on the same branch, by Newton's method.
 
-    J dq = (p* - p, log(R* R^T)), q <- q + dq, with the pose (R, p) at q and the target (R*, p*). Both are in
-    the base frame [m]; log is a rotation's vector [rad]. (Lynch and Park, Modern Robotics, 2017, 6.2.) The
-    first Newton step predicts. The later steps together may correct it by at most half of its own size.
-    Otherwise the prediction was poor, and the solution may belong to another branch. For more than six joints
-    dq is the least step J^T (J J^T)^-1 e; fewer joints cannot follow. The function writes ``transforms`` and
-    ``jacobian``. On success they belong to the solution.
+    A step is J dq = e = (p* - p, log(R* R^T)), q <- q + dq, with the pose (R, p) at q and the target (R*,
+    p*). Both are in the base frame [m]; log is a rotation's vector [rad]. (Lynch and Park, Modern Robotics,
+    2017, 6.2.) The first step is a prediction. All later steps together may correct it by at most half of its
+    own size. Otherwise the prediction was poor, and the solution may belong to another branch. The function
+    then returns False. For more than six joints dq is the least step J^T (J J^T)^-1 e; fewer joints cannot
+    follow. The function writes ``transforms`` and ``jacobian``. On success both belong to the solution.
     """
     n = joints.shape[0]
     step, twist = np.empty(n), np.empty(6)
@@ -421,16 +425,16 @@ def follow_pose(
 def straight_way(
     arm: ArmModel, joint_position_rad: Array6, position_in_base_m: Array3, *, step_m: float
 ) -> NDArray[np.float64]:
-    """Return joints (k, n) along a straight path of the TCP, k >= 1, the orientation constant.
+    """Return joint positions (k, n), k >= 1, along a straight path of the TCP with constant orientation.
 
-    Neighbouring rows are at most ``step_m`` apart, or more on a path of over 4000 steps. The rows end where
-    the arm cannot follow continuously. The function ignores position limits and singularities.
+    Neighbouring rows are at most ``step_m`` of the path apart, or more if the path had over 4000 steps. The
+    rows end where the arm cannot follow continuously. The function ignores position limits and singularities.
 
     Args:
         arm: The arm.
         joint_position_rad: The start (n,).
         position_in_base_m: The end of the path (3,).
-        step_m: The distance between rows.
+        step_m: The largest distance of the TCP between neighbouring rows.
 
     """
     start, end = (np.array(given, dtype=np.float64) for given in (joint_position_rad, position_in_base_m))
@@ -439,7 +443,7 @@ def straight_way(
 
 @compiled
 def _straight_way(chains: ChainRecords, start_rad: Array6, end_in_base_m: Array3, step_m: float) -> ArrayNx6:
-    """Return joints (k, n) at p + i/m (p* - p), i = 0 to m, until ``follow_pose`` fails."""
+    """Return joints (k, n) with the TCP at p + i/m (p* - p), i = 0 to m, until ``follow_pose`` fails."""
     joint_count = start_rad.shape[0]
     transforms, jacobian = np.empty((joint_count + 2, 4, 4)), np.empty((6, joint_count))
     forward_kinematics(chains[0], start_rad, transforms)

@@ -1,9 +1,9 @@
-"""The axis and limits of a turning joint of a URDF, and the numbers that the URDF leaves unknown.
+"""Read the axis and the limits of a URDF's turning joint, and note the numbers that are unknown.
 
-A URDF for display leaves out numbers or sets them to 0, such as efforts and speeds in most files of
-industrial arms. Such a number is unknown (NaN) here, and a command that needs it asks the user for it
-(``Lack``). Source: the specification of the URDF's <joint> element. It gives an axis, a lower and an upper
-limit a default.
+A URDF for display leaves out some numbers or sets them to 0. Most files of industrial arms do so with efforts
+and speeds. Here such a number is unknown (NaN), and a command that needs it asks the user for it (``Lack``).
+The specification of the URDF's <joint> element states defaults for the axis and for the lower and upper
+limit.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from safety_harness.base.elementary import length
 from safety_harness.cell.robot.urdf import LARGEST, Urdf
 
-NO_LIMIT = 1e3  # rad, rad/s: exporters write such numbers for "none"
-DEGREES = (90.0, 180.0, 270.0, 360.0)  # as position limits they are degrees, beside a speed above ...
+NO_LIMIT = 1e3  # rad, rad/s: exporters write such numbers for "no limit"
+DEGREES = (90.0, 180.0, 270.0, 360.0)  # such position limits are degrees if the speed exceeds ...
 FAST_RADPS = 30.0
 LARGEST_LIMIT = 1e300
 
 
 class Use(StrEnum):
-    """The use of an arm's number."""
+    """A use that needs certain numbers of an arm."""
 
     RUN = "a run"
     TORQUES = "drives with a torque limit"
@@ -34,7 +34,7 @@ class Use(StrEnum):
 
 @dataclass(frozen=True)
 class Lack:
-    """A quantity that an arm's URDF does not state, its uses, and the way in which the user supplies it."""
+    """A quantity that an arm's URDF does not state, with its uses and with how the user supplies it."""
 
     what: str
     uses: tuple[Use, ...]
@@ -43,10 +43,10 @@ class Lack:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointData:
-    """A turning joint; unknown numbers are NaN, and a joint without ends has the limits -inf and inf.
+    """A turning joint; unknown numbers are NaN, and a continuous joint has the limits -inf and inf.
 
-    ``axis`` (3,) has any length above 0. ``soft_rad`` (lower, upper) are the limits of <safety_controller>.
-    ``degrees`` states whether the position limits look like degrees.
+    ``axis`` (3,) may have any length above 0. ``soft_rad`` (lower, upper) are the limits of
+    <safety_controller>. ``degrees`` states whether the position limits look like degrees.
     """
 
     axis: NDArray[np.float64]
@@ -60,9 +60,9 @@ class JointData:
 
 
 def joint_data(urdf: Urdf, joint: Element) -> JointData:
-    """Read a turning joint.
+    """Return the data of a turning joint.
 
-    ``ArmFileError`` for another type, a mimic joint, or impossible limits.
+    Raise ``ArmFileError`` for another type of joint, a mimic joint, or impossible limits.
     """
     kind = joint.get("type")
     if kind not in ("revolute", "continuous"):
@@ -99,7 +99,7 @@ def joint_data(urdf: Urdf, joint: Element) -> JointData:
 
 
 def _known(urdf: Urdf, limit: Element, key: str) -> float:
-    """Return a speed or effort; NaN, which means unknown, if it is missing or 0."""
+    """Return the speed or effort ``key`` of a <limit>; NaN (unknown) if it is missing or 0."""
     number = urdf.number(limit, key, "0")
     if number < 0.0:
         raise urdf.error(limit, f"{key} 0, which is unknown, or above", f"{number:g}")
@@ -107,9 +107,9 @@ def _known(urdf: Urdf, limit: Element, key: str) -> float:
 
 
 def _ends(urdf: Urdf, limit: Element) -> tuple[float, float]:
-    """Return the lower and upper position limit [rad], within ``LARGEST``.
+    """Return the lower and the upper position limit [rad], each within ``LARGEST``.
 
-    They are -inf and inf if both exceed ``NO_LIMIT``.
+    If both exceed ``NO_LIMIT``, return -inf and inf.
     """
     lower, upper = (float(urdf.numbers(limit, key, 1, "0", LARGEST_LIMIT)[0]) for key in ("lower", "upper"))
     if not lower < upper:
@@ -120,7 +120,7 @@ def _ends(urdf: Urdf, limit: Element) -> tuple[float, float]:
 
 
 def _soft_limits(urdf: Urdf, joint: Element) -> tuple[float, float]:
-    """Return the limits [rad] of <safety_controller>; NaN without them."""
+    """Return the position limits [rad] of <safety_controller>, or NaN if it states none."""
     if joint.find("safety_controller") is None:
         return np.nan, np.nan
     controller = urdf.child(joint, "safety_controller")

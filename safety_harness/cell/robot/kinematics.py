@@ -1,7 +1,7 @@
-"""Forward kinematics, geometric Jacobian, distance to singularity and joint velocities, compiled.
+"""Compute forward kinematics, geometric Jacobian, distance to singularity and joint velocities.
 
-Frames count as 0 = base, 1 to n = the links that n joints move, n + 1 = tcp. The arrays determine the number
-of joints: the type of a chain's record contains it.
+Frame 0 is the base, frames 1 to n are the links that n joints move, and frame n + 1 is the tcp. The functions
+take the number of joints from the arrays and from the type of a chain's record.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from safety_harness.base.geometry.linear import invert_with, solve_in_place
 from safety_harness.base.geometry.rotations import rotation_entries
 from safety_harness.cell.robot.description import ArmModel, Chain
 
-FRAMES = 8  # of an arm with six joints
+FRAMES = 8  # frames of an arm with six joints
 TCP = 7
 TWIST = 6  # numbers of a twist (v, w): the rows of a Jacobian
 
@@ -36,9 +36,9 @@ TWIST = 6  # numbers of a twist (v, w): the rows of a Jacobian
 def forward_kinematics(chain: Chain, joint_position_rad: ArrayN, transforms_out: ArrayNx4x4) -> None:
     """Fill ``transforms_out`` (n + 2, 4, 4) with link-to-base transforms: base, n links, tcp.
 
-    T_0 = I, T_i = T_(i-1) O_i R(a_i, q_i), T_(n+1) = T_n F: the product of transforms along the chain of a
-    URDF. ``chain.joint_origins`` is O (n, 4, 4) [m], ``chain.joint_axes`` a (n, 3), ``chain.flange`` F (4, 4)
-    and ``joint_position_rad`` q (n,). (Lynch and Park, Modern Robotics, 2017, 4.2.)
+    T_0 = I, T_i = T_(i-1) O_i R(a_i, q_i) and T_(n+1) = T_n F are the products of transforms along the chain
+    of a URDF. Here ``chain.joint_origins`` is O (n, 4, 4) [m], ``chain.joint_axes`` a (n, 3),
+    ``chain.flange`` F (4, 4) and ``joint_position_rad`` q (n,). (Lynch and Park, Modern Robotics, 2017, 4.2.)
     """
     n = chain.joint_axes.shape[0]
     for i in range(4):
@@ -69,7 +69,7 @@ def links_in_base(arm: ArmModel, joint_position_rad: ArrayN) -> ArrayNx4x4:
 
 @inlined
 def _compose(transforms: ArrayNx4x4, k: int, inner: Array4x4) -> None:
-    """Fill transform k + 1 with transform k times ``inner`` (4, 4); ``transforms`` (n + 2, 4, 4).
+    """Fill ``transforms[k + 1]`` with ``transforms[k]`` times ``inner`` (4, 4); ``transforms`` (n + 2, 4, 4).
 
     The loops use indices, because array views cost time.
     """
@@ -84,7 +84,7 @@ def _compose(transforms: ArrayNx4x4, k: int, inner: Array4x4) -> None:
 
 @inlined
 def geometric_jacobian(joint_axes: ArrayNx3, transforms: ArrayNx4x4, jacobian_out: Array6xN) -> None:
-    """Fill ``jacobian_out`` (6, n): joint velocities to the TCP origin's twist (v, w) in the base frame.
+    """Fill ``jacobian_out`` (6, n), which maps joint velocities to the TCP's twist (v, w) in the base frame.
 
     Column i is (a_i x (p_tcp - p_i), a_i) with joint i's axis a_i and a point p_i on it, both in the base
     frame. ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics``; ``joint_axes`` (n, 3).
@@ -103,7 +103,7 @@ def geometric_jacobian(joint_axes: ArrayNx3, transforms: ArrayNx4x4, jacobian_ou
 def tcp_velocity(
     joint_axes: ArrayNx3, transforms: ArrayNx4x4, joint_velocity_radps: ArrayN
 ) -> tuple[float, float, float]:
-    """Return (x, y, z) [m/s] of the TCP in the base frame: the Jacobian's first three rows times q' (n,)."""
+    """Return the TCP's velocity [m/s] in the base frame: the Jacobian's first three rows times q' (n,)."""
     x = y = z = 0.0
     for joint in range(joint_axes.shape[0]):
         _, _, _, vx, vy, vz = _joint_twist(joint_axes, transforms, joint)
@@ -117,7 +117,7 @@ def tcp_velocity(
 def _joint_twist(
     joint_axes: ArrayNx3, transforms: ArrayNx4x4, joint: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Return a joint's axis a, and a x (p_tcp - p) with a point p on it, all in the base frame.
+    """Return a joint's axis a, and a x (p_tcp - p) with a point p on the axis, all in the base frame.
 
     ``joint_axes`` (n, 3), ``transforms`` (n + 2, 4, 4).
     """
@@ -139,10 +139,10 @@ def link_twists(
     rates_radps: NDArray[np.float64],  # (joints,)
     twists: NDArray[np.float64],  # (joints + 1, 6), written
 ) -> None:
-    """Fill ``twists`` with each link's angular velocity and the velocity of its point at the base's origin.
+    """Fill ``twists`` with each link's angular velocity w and its point's velocity v at the base's origin.
 
-    w_j = w_(j-1) + q'_j a_j and v_j = v_(j-1) - q'_j a_j x p_j, with the axis a_j and a point p_j on it, in
-    the base frame. (Spatial velocities: Featherstone, Rigid Body Dynamics Algorithms, 2008.)
+    w_j = w_(j-1) + q'_j a_j and v_j = v_(j-1) - q'_j a_j x p_j, with the axis a_j of joint j and a point p_j
+    on it, in the base frame. (Spatial velocities: Featherstone, Rigid Body Dynamics Algorithms, 2008.)
     """
     twists[0] = 0.0
     for joint in range(joint_axes.shape[0]):
@@ -161,7 +161,7 @@ def link_twists(
 
 @inlined
 def point_velocity(twist: Array6, point: Array3) -> tuple[float, float, float]:
-    """Return the velocity v + w x p [m/s] of a point p of a link, both in the base frame."""
+    """Return the velocity v + w x p [m/s] of a link's ``point`` p (3,), both in the base frame."""
     x, y, z = point[0], point[1], point[2]
     return (
         twist[3] + twist[1] * z - twist[2] * y,
@@ -172,7 +172,7 @@ def point_velocity(twist: Array6, point: Array3) -> tuple[float, float, float]:
 
 @inlined
 def fastest_end(twist: Array6, ends: Array2x3) -> float:
-    """Return the speed [m/s] of the faster of two points of a link."""
+    """Return the larger of the speeds [m/s] of a link's two points ``ends`` (2, 3)."""
     fastest = 0.0
     for end in range(2):
         x, y, z = point_velocity(twist, ends[end])
@@ -184,11 +184,11 @@ def fastest_end(twist: Array6, ends: Array2x3) -> float:
 
 @compiled
 def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
-    """Return the smallest singular value of ``jacobian`` (m, n), which mixes metres and radians.
+    """Return the smallest singular value of ``jacobian`` (m, n), in mixed units of metres and radians.
 
-    One-sided Jacobi rotations (Hestenes 1958) make the columns orthogonal, or the rows if they are fewer.
-    Their lengths are then the singular values, small values as accurate as large values. NaN if an entry is
-    NaN.
+    One-sided Jacobi rotations (Hestenes 1958) make the columns orthogonal, or the rows if there are fewer
+    rows. The lengths of these columns or rows are then the singular values. Small singular values are as
+    accurate as large ones. Return NaN if an entry is NaN.
     """
     m, length = min(jacobian.shape), max(jacobian.shape)
     wide = jacobian.shape[1] > jacobian.shape[0]
@@ -234,9 +234,10 @@ def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
 def is_well_conditioned(jacobian: Array6xN, min_singular_value: float) -> bool:
     """Return whether every singular value of ``jacobian`` (6, n) exceeds ``min_singular_value`` > 0.
 
-    This is a tenth of the work of ``smallest_singular_value``. All singular values exceed s exactly if J^T J
-    - s^2 I is positive definite, that is, has a Cholesky factor. For more than six joints the matrix is J J^T
-    - s^2 I. It resolves a difference of about 1e-15 / s. False if an entry is NaN.
+    This takes a tenth of the work of ``smallest_singular_value``. All singular values exceed this bound s
+    exactly if J^T J - s^2 I is positive definite, that is, if it has a Cholesky factor. For more than six
+    joints the matrix is J J^T - s^2 I. The test resolves a difference of about 1e-15 / s. Return False if an
+    entry is NaN.
     """
     m = min(TWIST, jacobian.shape[1])
     factor = np.empty((m, m))
@@ -276,11 +277,12 @@ def joint_velocity(
     min_singular_value: float,
     joint_velocity_out: ArrayN,
 ) -> bool:
-    """Solve J q' = (v, w); return False, with zeros, nearer to a singularity than ``min_singular_value``.
+    """Solve J q' = (v, w); return False, with zeros, if a singular value is below ``min_singular_value``.
 
-    J comes from ``geometric_jacobian``; q' [rad/s], v [m/s] and w [rad/s] are in its frame. The inverse gives
-    1/|J^-1|_F, which is never above the least singular value. Only if it is below the bound, the function
-    computes the singular value itself. An arm without six joints uses ``_pseudo_inverse_velocity``.
+    J comes from ``geometric_jacobian``; q' [rad/s], v [m/s] and w [rad/s] are in its frame. The function
+    computes 1/|J^-1|_F, which never exceeds the least singular value. Only if this number is below the bound,
+    the function computes the singular value itself. For an arm with fewer or more than six joints, it uses
+    ``_pseudo_inverse_velocity``.
     """
     scratch = np.empty((TWIST, TWIST))
     return joint_velocity_with(jacobian, twist, min_singular_value, scratch, joint_velocity_out)
@@ -294,9 +296,9 @@ def joint_velocity_with(
     scratch: Array6x6,  # overwritten
     joint_velocity_out: ArrayN,
 ) -> bool:
-    """Fill ``joint_velocity_out`` as ``joint_velocity`` does, with a given array to work in.
+    """Fill ``joint_velocity_out`` as ``joint_velocity`` does, with the array ``scratch`` to work in.
 
-    An allocation costs as much time as the computation in it.
+    The allocation of such an array takes as much time as the computation in it.
     """
     if jacobian.shape[1] != TWIST:
         return _pseudo_inverse_velocity(jacobian, twist, min_singular_value, joint_velocity_out)
@@ -320,11 +322,12 @@ def joint_velocity_with(
 def _pseudo_inverse_velocity(
     jacobian: Array6xN, twist: Array6, min_singular_value: float, joint_velocity_out: ArrayN
 ) -> bool:
-    """Fill ``joint_velocity_out`` with q' = J^+ (v, w), without damping, for any number n of joints but six.
+    """Fill ``joint_velocity_out`` with q' = J^+ (v, w), without damping, for fewer or more than six joints.
 
-    More than six: the q' of least norm with J q' = (v, w), which is J^T (J J^T)^-1 (v, w). Fewer: the q'
-    whose twist is nearest, (J^T J)^-1 J^T (v, w), which mixes metres and radians. Every q' gives a twist in
-    the columns' span. (Golub and Van Loan, 2013, 5.5.) Return False, with zeros, near a singularity.
+    For more than six joints, this is the q' of least norm with J q' = (v, w), which is J^T (J J^T)^-1 (v, w).
+    For fewer joints, the arm cannot execute every twist. The result is the q' whose twist is nearest, (J^T
+    J)^-1 J^T (v, w), in a norm that mixes metres and radians. (Golub and Van Loan, 2013, 5.5.) Return False,
+    with zeros, near a singularity.
     """
     n = jacobian.shape[1]
     m = min(TWIST, n)

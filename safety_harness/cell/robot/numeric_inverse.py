@@ -1,16 +1,16 @@
-"""Inverse kinematics of any chain of turning joints, by damped Newton steps from many starts.
+"""Solve inverse kinematics of any chain of turning joints, by damped Newton steps from many starts.
 
 A step from the joints q towards the pose (R*, p*), with e = (p* - p, log(R* R^T)) and J the Jacobian at q:
 
     dq = d + J^T (J J^T + l^2 I)^-1 (e - J d),        l^2 = DAMPING |e|^2
 
-Without d this is the damped least squares of Nakamura and Hanafusa (1986), which is Newton's method near a
-solution. A share d of q_r - q makes it also descend the distance to the joints q_r. An arm of more than six
-joints then moves along its self-motions to a place where that distance is stationary. If a step takes a joint
-beyond its limit, the joint goes to the limit and the rest make the step. The starts are a sequence that fills
-the limits evenly (Roberts, 2018), the same every time.
+With d = 0 this is the damped least squares of Nakamura and Hanafusa (1986), which is Newton's method near a
+solution. With a share d of q_r - q, the steps also reduce the distance to the joints q_r. An arm with more
+than six joints then moves along its self-motions to a place where this distance is stationary. If a step
+would take a joint beyond its limit, the joint goes to the limit and the other joints make the step. The
+starts are always the same sequence, which fills the limits evenly (Roberts, 2018).
 
-The search is not proven complete: docs/results/arms.md states the share of branches that it finds.
+The search is not proven to be complete; docs/results/arms.md states the share of branches that it finds.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from safety_harness.cell.robot.description import ArmModel, Chain, ChainRecords
 from safety_harness.cell.robot.kinematics import TWIST, forward_kinematics, geometric_jacobian
 
 # The figures are in docs/results/arms.md.
-STARTS = 200  # for all branches: they find all those of the closed form for the UR family
-GIVEN_UP = 96  # starts before a pose counts as out of reach: 1 in 1,000 of a Panda's needs more
-ENOUGH = 48  # starts for the nearest solution, once there is one
-NEAR_RAD = 0.5  # a solution so near to the reference, reached from there, counts as the nearest
+STARTS = 200  # to find all branches; for the UR family they find all that the closed form gives
+GIVEN_UP = 96  # starts before a pose counts as out of reach; 1 in 1,000 poses of a Panda needs more
+ENOUGH = 48  # starts for the nearest solution, if there is any solution
+NEAR_RAD = 0.5  # a solution within this of the reference, found from it, counts as the nearest
 MOST_STEPS = 80
 MOST_SLIDES = 60  # steps along a self-motion
 DAMPING = 0.01
@@ -55,7 +55,7 @@ SAME_RAD = 1e-6
 def starts_of(arm: ArmModel) -> NDArray[np.float64]:
     """Return joint positions (STARTS, n) that fill the position limits evenly.
 
-    A joint with a range above one full turn gets one full turn.
+    If the range of a joint exceeds one full turn, the positions fill one full turn.
     """
     lower, upper = arm.position_lower_rad, arm.position_upper_rad
     wide = ~(upper - lower < 2.0 * np.pi)
@@ -116,7 +116,7 @@ def solve_from(
     transforms: ArrayNx4x4,
     jacobian: Array6xN,
 ) -> bool:
-    """Carry ``joints`` (n,) to the pose (4, 4), within limits (n,); return whether the steps converge.
+    """Move ``joints`` (n,) to the pose (4, 4), within limits (n,); return whether the steps converge.
 
     The function writes ``transforms`` and ``jacobian``.
     """
@@ -154,10 +154,11 @@ def slide(
     transforms: ArrayNx4x4,
     jacobian: Array6xN,
 ) -> float:
-    """Carry a solution, ``joints`` (n,), along its self-motion and full turns to the least distance.
+    """Move a solution, ``joints`` (n,), along its self-motion and by full turns to the least distance.
 
-    Each step goes a share of the way down the distance to the reference (n,), then back to the pose. If it
-    has not come nearer, the function undoes it and makes it shorter. Returns the distance [rad].
+    Each step goes a share of the way to ``reference_rad`` (n,), then back to the pose. If the joints are not
+    nearer afterwards, the function undoes the step and makes the next one shorter. It returns the distance
+    [rad].
     """
     n = joints.shape[0]
     step, pull, error, trial = np.empty(n), np.empty(n), np.empty(TWIST), joints.copy()
@@ -193,7 +194,7 @@ def _error_at(
     jacobian: Array6xN,
     error: Array6,
 ) -> float:
-    """Fill transforms, Jacobian and e at the joints; return the largest entry of e."""
+    """Fill ``transforms``, ``jacobian`` and ``error`` e at the joints; return the largest entry of e."""
     forward_kinematics(chains[0], joints, transforms)
     geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
     pose_error(pose, transforms[joints.shape[0] + 1], error)
@@ -213,10 +214,10 @@ def _step(
     upper_rad: ArrayN,
     step: ArrayN,
 ) -> bool:
-    """Move ``joints`` (n,) by a damped step and fill ``step`` with it; return False if it is not finite.
+    """Move ``joints`` (n,) by a damped step, which ``step`` returns; return False if it is not finite.
 
-    If the step takes a joint beyond a limit, the joint goes to the limit. The function then computes the step
-    again without it.
+    If the step would take a joint beyond a limit, the joint goes to the limit. The function then computes the
+    step of the other joints again.
     """
     n = joints.shape[0]
     fixed, rest = np.zeros(n, np.bool_), np.empty(TWIST)
@@ -266,7 +267,7 @@ def _damped(jacobian: Array6xN, error: Array6, rest: Array6, fixed: NDArray[np.b
 
 @compiled
 def all_found(chains: ChainRecords, starts: NDArray[np.float64], pose: Array4x4) -> NDArray[np.float64]:
-    """Return the different solutions (k, n) for ``pose`` (4, 4) from ``starts`` (m, n), in (-pi, pi]."""
+    """Return the different solutions (k, n) in (-pi, pi] found for ``pose`` (4, 4) from ``starts`` (m, n)."""
     n = starts.shape[1]
     transforms, jacobian = np.empty((n + 2, 4, 4)), np.empty((TWIST, n))
     free = np.full(n, np.inf)
@@ -284,7 +285,7 @@ def all_found(chains: ChainRecords, starts: NDArray[np.float64], pose: Array4x4)
 
 @compiled
 def is_among(joints: ArrayN, known: ArrayNx6) -> bool:
-    """Return whether (n,) is less than SAME_RAD from a row of (k, n) in every joint, up to whole turns."""
+    """Return whether ``joints`` equals a row of ``known`` (k, n) to SAME_RAD, up to whole turns."""
     for k in range(known.shape[0]):
         same = True
         for i in range(joints.shape[0]):
@@ -310,9 +311,9 @@ def nearest_found(
     poses: NDArray[np.float64],  # (m, 4, 4)
     reference_rad: ArrayN,
 ) -> NDArray[np.float64]:
-    """Return for each pose the solution within limits that is nearest to the reference, (m, n); else NaN.
+    """Return for each pose the found solution within limits that is nearest to the reference, (m, n).
 
-    The nearest is among the solutions that the search found.
+    A pose without such a solution gives NaN.
     """
     n = starts.shape[1]
     transforms, jacobian, joints = np.empty((n + 2, 4, 4)), np.empty((TWIST, n)), np.empty(n)
@@ -339,7 +340,7 @@ def nearest_found(
 
 @inlined
 def _is_beyond(chain: Chain, pose: Array4x4) -> bool:
-    """Return whether the pose (4, 4) is farther from the first joint than the sum of all later frames."""
+    """Return whether a pose (4, 4) is farther from the first joint than the sum of all frames after it."""
     reach_m, away_m = 0.0, 0.0
     for joint in range(1, chain.joint_origins.shape[0]):
         reach_m += _length_m(chain.joint_origins[joint])
@@ -350,15 +351,15 @@ def _is_beyond(chain: Chain, pose: Array4x4) -> bool:
 
 @inlined
 def _length_m(frame: Array4x4) -> float:
-    """Return the length [m] of a frame's position."""
+    """Return the length [m] of the position in ``frame``."""
     return sqrt(frame[0, 3] ** 2 + frame[1, 3] ** 2 + frame[2, 3] ** 2)
 
 
 @inlined
 def _turned_towards(lower_rad: ArrayN, upper_rad: ArrayN, reference_rad: ArrayN, joints: ArrayN) -> float:
-    """Give each joint the full turns within its limits that are nearest to the reference.
+    """Turn each joint by the full turns that bring it nearest to the reference within its limits.
 
-    Return the distance [rad] from the reference.
+    Return the remaining distance [rad] from the reference.
     """
     total = 0.0
     for i in range(joints.shape[0]):

@@ -1,4 +1,4 @@
-"""The distance of the arm from the boxes that stand in its cell."""
+"""Compute the distance of the arm from the boxes in its cell."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ def box_records(obstacles: Sequence[Obstacle]) -> BoxRecords:
 def distance_from(
     boxes: BoxRecords, arm: ArmModel, capsules: CapsuleSet, joint_position_rad: ArrayN
 ) -> float:
-    """Return the ``obstacle_distance`` [m] of an arm; infinity without boxes.
+    """Return the ``obstacle_distance`` [m] of an arm at a joint position; infinity without boxes.
 
     Args:
-        boxes: Records BOX (n,) of ``box_records``.
+        boxes: The records BOX (n,) from ``box_records``.
         arm: The arm.
-        capsules: The capsules that enclose it.
-        joint_position_rad: Its joint position (n,).
+        capsules: The capsules that enclose the arm.
+        joint_position_rad: The arm's joint position (n,).
 
     """
     if len(boxes) == 0:
@@ -74,11 +74,12 @@ def distances_m(arm: Arm, boxes: BoxRecords, joints_rad: NDArray[np.float64]) ->
 def obstacle_distance(
     boxes: BoxRecords, capsules: CapsuleRecords, capsule_endpoints_in_base_m: ArrayNx2x3
 ) -> float:
-    """Return the least distance [m] of a moving link's capsule from a box; infinity without boxes.
+    """Return the least distance [m] of the moving links' capsules from the boxes; infinity without boxes.
 
-    The distance is min over capsules and boxes of |axis, box| - r. An axis inside a box gives -r and no less.
-    The base stands still and does not count. NaN if any distance is NaN. ``capsules`` (n,) CAPSULE,
-    ``capsule_endpoints_in_base_m`` (n, 2, 3).
+    The distance is min over capsules and boxes of |axis, box| - r, with r the capsule's radius. An axis
+    inside a box gives -r, however deep it is inside. The function ignores the base, which stands still. The
+    result is NaN if any distance is NaN. ``capsules`` (n,) CAPSULE, ``capsule_endpoints_in_base_m`` (n, 2,
+    3).
     """
     least = np.inf
     for b in range(boxes.shape[0]):
@@ -87,7 +88,7 @@ def obstacle_distance(
                 continue
             start, end = capsule_endpoints_in_base_m[k, 0], capsule_endpoints_in_base_m[k, 1]
             distance = segment_box_distance(boxes, b, start, end) - capsules[k].radius_m
-            if not distance >= least:  # takes a NaN over, and nothing is less than a NaN
+            if not distance >= least:  # lets a NaN replace ``least``, and no number is less than a NaN
                 least = distance
                 if np.isnan(least):
                     return float(least)
@@ -96,11 +97,11 @@ def obstacle_distance(
 
 @compiled
 def segment_box_distance(boxes: BoxRecords, b: int, start: Array3, end: Array3) -> float:
-    """Return the distance [m] of a segment from box ``b``; 0 where the segment is within the box.
+    """Return the distance [m] of a segment from box ``b``; 0 if the segment reaches into the box.
 
-    ``start`` and ``end`` (3,) are in the base frame. The distance from a convex body is convex along a
-    segment. So a search by 60 golden sections finds its least value, to 1e-12 of the length. (Boyd and
-    Vandenberghe, Convex Optimization, 2004, 3.2.)
+    ``start`` and ``end`` (3,) are in the base frame. The distance from a convex body is a convex function
+    along a segment. So a search by 60 golden sections finds its least value, to 1e-12 of the segment's
+    length. (Boyd and Vandenberghe, Convex Optimization, 2004, 3.2.)
     """
     low, high = 0.0, 1.0
     inner, outer = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
@@ -122,7 +123,7 @@ def segment_box_distance(boxes: BoxRecords, b: int, start: Array3, end: Array3) 
 
 @inlined
 def _away(boxes: BoxRecords, b: int, start: Array3, end: Array3, share: float) -> float:
-    """Return |p - nearest point of the box| [m], with p at ``share`` of the segment."""
+    """Return the distance [m] from box ``b`` of the point at ``share`` of the segment."""
     squared = 0.0
     for i in range(3):
         local = boxes[b].transform_base_to_box[i, 3]

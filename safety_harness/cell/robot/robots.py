@@ -1,4 +1,4 @@
-"""The model, capsules, drives and inverse kinematics of a scenario's arm, each computed once."""
+"""Make the model, capsules, drives and inverse kinematics of a scenario's arm, each once."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from safety_harness.cell.robot.urdf import ArmFileError
 from safety_harness.scenario.robots import AnyRobot, EquippedArm, OwnRobot, Piece, Robot, Seat, Tool, YesNo
 
 Made = TypeVar("Made")
-# A gap in which a finger fits: beyond a shorter tool there may be a part that no distance includes.
+# A finger fits into a larger gap.  There, beyond the capsules, may be a part that no distance includes.
 TCP_BEYOND_M = 0.02
 
 
 class _OnceEach(Generic[Made]):
-    """A function with a cache; its key is the robot and the paths of its files.
+    """A function with a cache, whose key is the robot together with the paths of the robot's files.
 
-    The paths do not take part in the comparison of two robots.
+    The paths are part of the key because the comparison of two robots ignores them.
     """
 
     def __init__(self, make: Callable[[AnyRobot], Made]) -> None:
@@ -55,8 +55,8 @@ class _OnceEach(Generic[Made]):
 def arm_model(robot: AnyRobot) -> ArmModel:
     """Return the arm in the base frame of the scenario.
 
-    For an own arm this uses the texts of its files, which a trace carries. The meshes need not exist.
-    ``ArmFileError`` for an own arm that a run cannot use.
+    For a user's own arm, the function uses the texts of the arm's files, which a trace contains. The meshes
+    need not exist. Raise ``ArmFileError`` for an own arm that a run cannot use.
     """
     if isinstance(robot, Robot):
         return load_arm(robot.arm_name)
@@ -72,7 +72,7 @@ def arm_model(robot: AnyRobot) -> ArmModel:
 
 @_OnceEach
 def arm_capsules(robot: AnyRobot) -> CapsuleSet:
-    """Return the capsules of the arm; ``ArmFileError`` if they belong to another arm."""
+    """Return the capsules of the robot's arm; raise ``ArmFileError`` if they belong to another arm."""
     if isinstance(robot, Robot):
         return load_capsules(robot.arm_name)
     if isinstance(robot, EquippedArm):
@@ -92,9 +92,9 @@ def arm_capsules(robot: AnyRobot) -> CapsuleSet:
 
 @_OnceEach
 def drive_model(robot: AnyRobot) -> DriveModel | None:
-    """Return the dynamics of an own arm's drives; None for drives that follow a demand at once.
+    """Return the dynamics of a user's arm's drives; None for drives that follow a demand at once.
 
-    ``ArmFileError`` if their torques are limited and a link has no mass.
+    Raise ``ArmFileError`` if the drives' torques are limited but a link has no mass.
     """
     if not isinstance(robot, OwnRobot) or robot.drives is None:
         return None
@@ -113,7 +113,7 @@ def drive_model(robot: AnyRobot) -> DriveModel | None:
 def transform_seat(seat: Seat) -> NDArray[np.float64]:
     """Return the transform (4, 4) from the arm's base link to the base frame.
 
-    It is Rz(yaw) R(tilt), then the position.
+    The rotation is Rz(yaw) R(tilt); the translation is the seat's position.
     """
     turn = rotation_from_vector(np.array([0.0, 0.0, seat.yaw_rad]))
     return transform_from(
@@ -141,9 +141,9 @@ def inverse_kinematics(robot: AnyRobot) -> InverseKinematics:
 
 @_OnceEach
 def refuse_unfit(robot: AnyRobot) -> None:
-    """Raise ``ArmFileError`` if an own arm's files have changed since the scenario was read.
+    """Raise ``ArmFileError`` if a user's arm's URDF has changed since the program read the scenario.
 
-    It also raises for meshes that its capsules were not fitted to, and as ``refuse_unenclosed`` does.
+    The function also raises if the capsules were fitted to other meshes, and as ``refuse_unenclosed`` does.
     """
     refuse_unenclosed(robot)
     if not isinstance(robot, OwnRobot):
@@ -158,9 +158,9 @@ def refuse_unfit(robot: AnyRobot) -> None:
 
 @_OnceEach
 def refuse_unenclosed(robot: AnyRobot) -> None:
-    """Raise ``ArmFileError`` for a link or a TCP outside of all capsules.
+    """Raise ``ArmFileError`` if a link has no capsule, or if the TCP is too far from all capsules.
 
-    The arm's file may accept it.
+    The arm's file may accept both by a statement.
     """
     if isinstance(robot, Robot):
         return
@@ -197,7 +197,7 @@ def _sha256_of(file: Path) -> str:
 
 
 def _own(robot: OwnRobot, *, meshes: bool) -> ArmModel:
-    """Return the arm of the URDF; limits in the arm's file replace the URDF's."""
+    """Return the arm of a user's URDF; limits in the arm's file replace the limits in the URDF."""
     arm = read_arm(
         robot.files[0],
         base=robot.base,
@@ -218,7 +218,7 @@ def _own(robot: OwnRobot, *, meshes: bool) -> ArmModel:
 def _of_each(arm: ArmModel, key: str, numbers: tuple[float, ...]) -> NDArray[np.float64]:
     """Return ``numbers`` as an array (n,), one for each joint.
 
-    ``ArmFileError``, with the ``key``, for another count.
+    Raise ``ArmFileError`` with the ``key`` if the count differs.
     """
     if len(numbers) != len(arm.joint_names):
         expected = f"{key} of its {len(arm.joint_names)} joints"
@@ -227,7 +227,7 @@ def _of_each(arm: ArmModel, key: str, numbers: tuple[float, ...]) -> NDArray[np.
 
 
 def _softly_limited(arm: ArmModel) -> ArmModel:
-    """Return the same arm with the position limits of its <safety_controller>."""
+    """Return the same arm, with position limits also bounded by its <safety_controller>."""
     lower, upper = arm.soft_limits_rad.T
     if np.isnan(lower).all():
         expected = "a <safety_controller> with soft limits"

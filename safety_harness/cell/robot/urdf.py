@@ -1,4 +1,4 @@
-"""A URDF as a tree with line numbers: links, joints, numbers, files, and errors about them."""
+"""Read a URDF as a tree with line numbers: links, joints, numbers, files, and errors about these."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from safety_harness.base.geometry.rotations import rotation_about
 from safety_harness.base.geometry.transforms import transform_from
 
 MAX_BYTES = 200_000_000
-DEEPEST = 100  # elements within each other: Python's writer of XML is recursive
+DEEPEST = 100  # nested elements, since Python's writer of XML is recursive
 LARGEST = 1e9  # of any number in SI units: products of these stay finite
 _COUNTED = {1: "a number", 3: "three numbers"}
 
 
 class ArmFileError(InputError, ArmModelError):
-    """A file that describes an arm (URDF, mesh or capsules) is unusable.
+    """The error that a file about an arm (URDF, mesh or capsules) is unusable.
 
     The error states file, line and field.
     """
 
 
 def expand_by_xacro(file: Path) -> str:
-    """Return the hint with the command that makes a URDF of a xacro file."""
+    """Return the hint that states the command which makes a URDF of the xacro ``file``."""
     name = file.name.removesuffix(".xacro").removesuffix(".urdf")
     return f"xacro expands it: xacro {file.name} > {name}-expanded.urdf"
 
 
 def read_bytes(file: Path) -> bytes:
-    """Return the bytes of a file; ``ArmFileError`` if it is unreadable or above MAX_BYTES."""
+    """Return the bytes of a file; raise ``ArmFileError`` if it is unreadable or above MAX_BYTES."""
     try:
         if not os.path.isfile(file):
             raise ArmFileError.of_file(file, "a file", "no such file")
@@ -53,7 +53,7 @@ def read_bytes(file: Path) -> bytes:
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
-    """A URDF whose joints form one or several trees; ``above`` maps a link's name to the joint above it."""
+    """A URDF whose joints form one or more trees; ``above`` maps a link's name to the joint above it."""
 
     file: Path
     root: Element
@@ -96,12 +96,12 @@ class Urdf:
             settled |= visited
 
     def error(self, element: Element, expected: str, got: str, hint: str = "") -> ArmFileError:
-        """Return an error about an element, with its line.
+        """Return an error about an element, which states the element's line.
 
         Args:
             element: The element.
             expected: The expected content, in words.
-            got: The content, in words.
+            got: The content of the file, in words.
             hint: Advice, if any.
 
         """
@@ -111,14 +111,14 @@ class Urdf:
         return ArmFileError(place=place, expected=expected, got=got, hint=hint)
 
     def child(self, element: Element, tag: str) -> Element:
-        """Return the only child with ``tag``; ``ArmFileError`` for another number of them."""
+        """Return an element's child with ``tag``; raise ``ArmFileError`` unless there is exactly one."""
         children = element.findall(tag)
         if len(children) != 1:
             raise self.error(element, f"one <{tag}> in it", f"{len(children)}")
         return children[0]
 
     def text(self, element: Element, key: str) -> str:
-        """Return the attribute ``key`` of an element; ``ArmFileError`` if it is empty."""
+        """Return the attribute ``key`` of an element; raise ``ArmFileError`` if it is empty."""
         text = element.get(key, "")
         if not text.strip():
             raise self.error(element, f"an attribute {key!r}", "none")
@@ -127,13 +127,13 @@ class Urdf:
     def numbers(
         self, element: Element, key: str, count: int, default: str | None = None, largest: float = LARGEST
     ) -> NDArray[np.float64]:
-        """Return an attribute of ``count`` numbers (count,); ``ArmFileError`` for another text.
+        """Return the ``count`` numbers (count,) in an attribute; raise ``ArmFileError`` for another text.
 
         Args:
             element: The element.
             key: The attribute's name.
             count: The expected number of numbers, 1 or 3.
-            default: The text of an absent attribute. None: it must be there.
+            default: The text in place of an absent attribute. None: the attribute must be there.
             largest: The largest absolute value.
 
         """
@@ -149,13 +149,13 @@ class Urdf:
         return np.array(numbers)
 
     def number(self, element: Element, key: str, default: str | None = None) -> float:
-        """Return an attribute that is one finite number, as ``numbers`` does."""
+        """Return the finite number in an attribute, with the arguments of ``numbers``."""
         return float(self.numbers(element, key, 1, default)[0])
 
     def origin(self, element: Element) -> NDArray[np.float64]:
-        """Return the transform (4, 4) of an <origin>: fixed-axis roll, pitch, yaw, so R = Rz Ry Rx.
+        """Return the transform (4, 4) of an element's <origin>: fixed-axis roll, pitch, yaw, so R = Rz Ry Rx.
 
-        The identity without an <origin>.
+        Return the identity without an <origin>.
         """
         if element.find("origin") is None:
             return np.eye(4)
@@ -177,9 +177,9 @@ class Urdf:
         return self.known(self.text(end, "link"), end)
 
     def known(self, link: str, element: Element) -> str:
-        """Return ``link`` if the file has it; otherwise raise ``ArmFileError`` with the nearest names.
+        """Return ``link`` if the file has it; otherwise raise ``ArmFileError`` with the most similar names.
 
-        The error points at ``element``.
+        The error states the line of ``element``.
         """
         if link not in self.links:
             similar = difflib.get_close_matches(link, self.links, n=3, cutoff=0.4) or list(self.links)[:20]
@@ -187,9 +187,9 @@ class Urdf:
         return link
 
     def only(self, role: str, links: Iterable[str]) -> str:
-        """Return the only link of ``links``; ``ArmFileError`` for another number of them.
+        """Return the only member of ``links``; raise ``ArmFileError`` unless there is exactly one.
 
-        ``role`` is its role in the error message.
+        ``role`` is the link's role, for the error.
         """
         candidates = list(links)
         if len(candidates) != 1:
@@ -201,7 +201,7 @@ class Urdf:
         return candidates[0]
 
     def chain(self, base: str | None, tcp: str | None) -> tuple[str, str, list[Element]]:
-        """Return base, tcp and the joints between them, base first; None stands for the only root or leaf."""
+        """Return base, tcp and the joints from base to tcp; an argument None means the only root or leaf."""
         if base is None:
             base = self.only("base", (link for link in self.links if link not in self.above))
         if tcp is None:
@@ -217,9 +217,9 @@ class Urdf:
         return base, tcp, joints[::-1]
 
     def carrier(self, link: str, among: Collection[str]) -> tuple[str | None, list[NDArray[np.float64]]]:
-        """Return the link of ``among`` that ``link`` is or is fixed to, and the frames (4, 4) in between.
+        """Return the link in ``among`` that ``link`` is or is fixed to, and the frames (4, 4) in between.
 
-        The frames belong to the fixed joints. (None, []) without such a link.
+        The frames belong to the fixed joints. Return (None, []) without such a link.
         """
         frames: list[NDArray[np.float64]] = []
         while link not in among:
@@ -230,7 +230,7 @@ class Urdf:
         return link, frames
 
     def mesh_file(self, mesh: Element, packages: Mapping[str, Path]) -> Path:
-        """Return the file of a <mesh>: relative to the URDF, file://, or package:// (see ``read_arm``)."""
+        """Return the file of a <mesh>: relative to the URDF, file://, or package:// (as in ``read_arm``)."""
         uri = self.text(mesh, "filename")
         scheme, _, rest = uri.rpartition("://")
         name, _, inner = rest.partition("/")
@@ -257,7 +257,7 @@ class Urdf:
 def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
     """Return the root of a file with that ``text``, and the line at which each element begins.
 
-    ``ArmFileError`` for other content.
+    Raise ``ArmFileError`` for other content.
     """
     builder, lines = ElementTree.TreeBuilder(), dict[Element, int]()
     parser, open_tags = expat.ParserCreate(), list[str]()
@@ -279,7 +279,7 @@ def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
         open_tags.pop()
         builder.end(tag)
 
-    def refuse(*_: object) -> None:  # of entities, which can be as large as they like
+    def refuse(*_: object) -> None:  # refuses entities, whose size has no limit
         raise refused("a URDF, which has no DOCTYPE", "one")
 
     parser.StartElementHandler = start

@@ -1,4 +1,4 @@
-"""The control law v = -lambda L^+ e (eq. 1) and the desired view, to which it drives the camera."""
+"""Compute the control law v = -lambda L^+ e (eq. 1) and the desired view, its target."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from safety_harness.cell.servoing.interaction import interaction_matrix
 # Numbers of InteractionChoice for compiled code.
 DESIRED, CURRENT, MEAN = range(3)
 
-# A bracket pair or a singular value this much smaller than the largest is rounding, not geometry.
+# If a bracket pair or a singular value is this much smaller than the largest, it is only rounding.
 NEGLIGIBLE = 1e-6
 
 
 def choice_code(choice: InteractionChoice) -> int:
-    """Return the number of ``choice`` for ``camera_twist``."""
+    """Return the number that stands for ``choice`` in ``camera_twist``."""
     return (InteractionChoice.DESIRED, InteractionChoice.CURRENT, InteractionChoice.MEAN).index(choice)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DesiredView:
-    """The camera's view at the desired pose, and L* there; arrays are read-only.
+    """The camera's view from the desired pose, and the interaction matrix L* there; arrays are read-only.
 
-    ``area`` is the a* of eq. 3, ``depth_m`` the depth Z* of the object's centroid, ``plane`` its (A, B, C).
-    ``condition_number`` is the ratio of the largest to the smallest singular value of L*.
+    ``area`` is a* of eq. 3, ``depth_m`` the depth Z* of the object's centroid, and ``plane`` the (A, B, C) of
+    the object's plane. ``condition_number`` is the ratio of the largest to the smallest singular value of L*.
     """
 
     dense: bool
@@ -60,10 +60,10 @@ def desired_view(
     *,
     place: Place = Place(field="object.polygon"),  # noqa: B008 (frozen)
 ) -> DesiredView:
-    """Return the desired view of a flat object that is given in its own frame.
+    """Return the desired view of a flat object, whose polygon is in its own frame.
 
-    An isosceles triangle's mirror symmetry makes two rows of L* dependent (rank 5). An equilateral triangle
-    makes gamma 0/0.
+    The mirror symmetry of an isosceles triangle makes two rows of L* dependent (rank 5). For an equilateral
+    triangle gamma is 0/0.
 
     Args:
         polygon_m: The object's vertices (n, 2).
@@ -72,7 +72,8 @@ def desired_view(
         place: The place of an error.
 
     Raises:
-        SettingsError: The camera cannot see the object from there, or it is too symmetric to servo on.
+        SettingsError: The camera cannot see the object from there, or the object is too symmetric for
+            servoing.
 
     """
     dense = object_kind is ObjectKind.DENSE
@@ -122,9 +123,9 @@ def desired_view(
 
 
 def _refuse_threefold_symmetry(moments: Array31, place: Place) -> None:
-    """Raise ``SettingsError`` if In3 of ``moments`` (31,) is only rounding.
+    """Raise ``SettingsError`` if the invariant In3 of ``moments`` (31,) is zero up to rounding.
 
-    gamma and delta are then 0/0 or x/0.
+    The features gamma and delta would then be 0/0 or x/0.
     """
     pairs = np.empty((3, 2))
     brackets(moments, pairs)
@@ -156,11 +157,11 @@ def camera_twist(
 
         (v, w) = -lambda L^+ e,   L = L* (desired), L_f (current) or (L* + L_f)/2 (mean)
 
-    with lambda the ``gain`` and e the ``error``; three choices of Chaumette and Hutchinson (2006). The
-    current matrix is eq. 2. It assumes that the object's plane is parallel to the image, at the depth a_n,
-    since the camera has no better estimate. "Mean" inverts the mean of L and L*. A square matrix of full rank
-    has its inverse as pseudoinverse, so the last two choices solve L v = -lambda e. Return False for an
-    exactly singular matrix or a result that is not finite.
+    with lambda the ``gain`` and e the ``error``. Chaumette and Hutchinson (2006) describe these three
+    choices. The current matrix L_f is eq. 2. It assumes that the object's plane is parallel to the image, at
+    the depth a_n, since the camera has no better estimate. "Mean" inverts the mean of L_f and L*. The
+    pseudoinverse of a square matrix of full rank is its inverse, so the last two choices solve L (v, w) =
+    -lambda e. Return False for an exactly singular matrix or a result that is not finite.
     """
     if choice == DESIRED:
         for row in range(6):
@@ -191,7 +192,7 @@ def _solve(
     mean: bool,
     vector: Array6,  # overwritten
 ) -> bool:
-    """Solve L x = ``vector``, with L the current matrix at ``depth_m``, or its ``mean`` with L*."""
+    """Solve L x = ``vector``, where L is the current matrix at ``depth_m``, or its ``mean`` with L*."""
     parallel, matrix = np.zeros(3), np.empty((6, 6))
     parallel[2] = 1.0 / depth_m
     if not interaction_matrix(moments, parallel, desired_area, desired_depth_m, dense, matrix):

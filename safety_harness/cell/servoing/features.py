@@ -1,4 +1,4 @@
-"""The six visual features f = (x_n, y_n, a_n, gamma, delta, alpha) of the paper, eqs. 3 to 5."""
+"""Compute the paper's six visual features f = (x_n, y_n, a_n, gamma, delta, alpha), eqs. 3 to 5."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ X_N, Y_N, A_N, GAMMA, DELTA, ALPHA = range(6)
 
 @njit_no_nrt
 def area(moments: Array31, dense: bool) -> float:
-    """Return the a of eq. 3 from ``moments`` (31,).
+    """Return the quantity a of eq. 3 from ``moments`` (31,).
 
-    It is m00 of a dense object, and mu20 + mu02 (eq. 5) of a discrete object.
+    For a dense object a is m00, and for a discrete object mu20 + mu02 (eq. 5).
     """
     return float(moments[M00] if dense else moments[mu_index(2, 0)] + moments[mu_index(0, 2)])
 
@@ -35,8 +35,8 @@ def brackets(
         c_2 = mu50 - 2 mu32 - 3 mu14       s_2 = mu05 - 2 mu23 - 3 mu41
         c_3 = mu50 - 10 mu32 + 5 mu14      s_3 = mu05 - 10 mu23 + 5 mu41
 
-    They are real and imaginary parts of the complex moments of order five with the rotational symmetries 1, 3
-    and 5. So the sums of squares are invariant to a turn of the image.
+    Each pair consists of the real and the imaginary part of a complex moment of order five. These moments
+    have the rotational symmetries 1, 3 and 5. So a turn of the image does not change the sums of squares.
     """
     c_1, s_1, c_2, s_2, c_3, s_3 = bracket_pairs(moments)
     out[0, 0], out[0, 1] = c_1, s_1
@@ -66,8 +66,8 @@ def features(moments: Array31, desired_area: float, desired_depth_m: float, dens
         a_n = Z* sqrt(a*/a)    x_n = a_n x_g    y_n = a_n y_g
         gamma = In1/In3        delta = In2/In3  alpha = atan2(2 mu11, mu20 - mu02)/2
 
-    with ``desired_area`` a*, ``desired_depth_m`` Z* and the a of ``area``. Over a plane parallel to the
-    image, (a_n x_g, a_n y_g, a_n) is the object's centroid in the camera frame. alpha is the direction of the
+    with ``desired_area`` a*, ``desired_depth_m`` Z* and a from ``area``. If the object's plane is parallel to
+    the image, (x_n, y_n, a_n) is the object's centroid in the camera frame. alpha is the direction of the
     object's long axis, in (-pi/2, pi/2]. The form with atan2 has no jump at 45 degrees. Return False if a
     feature is not finite.
     """
@@ -89,9 +89,10 @@ def features(moments: Array31, desired_area: float, desired_depth_m: float, dens
 
 @njit_no_nrt
 def feature_error(current: Array6, desired: Array6, out: Array6) -> float:
-    """Fill ``out`` with e = f - f*; return |e|^2, the squared error of eq. 15 in metres and radians.
+    """Fill ``out`` with e = f - f*; return |e|^2, the squared error of eq. 15, in metres and radians.
 
-    An axis has no head, so the error of alpha is modulo pi, in (-pi/2, pi/2].
+    The two directions of the object's axis are equivalent, so the error of alpha is modulo pi, in (-pi/2,
+    pi/2].
     """
     total = 0.0
     for k in range(6):

@@ -1,19 +1,19 @@
-"""Interaction matrices: the change of image moments, and of features of them, as the camera moves.
+"""Compute interaction matrices: the change of image moments, and of features, as the camera moves.
 
-For a camera twist (v, w) in the camera frame [m/s, rad/s], df/dt = L (v, w). All of it follows from the
-motion of a single image point of a static object (Chaumette and Hutchinson 2006),
+For a camera twist (v, w) in the camera frame [m/s, rad/s], the features f change by df/dt = L (v, w). All
+matrices follow from the motion of a single image point of a static object (Chaumette and Hutchinson 2006),
 
     x' = -v_x/Z + x v_z/Z + x y w_x - (1 + x^2) w_y + y w_z
     y' = -v_y/Z + y v_z/Z + (1 + y^2) w_x - x y w_y - x w_z,
 
-with the object in the plane 1/Z = A x + B y + C [1/m]. A sum over points changes by its terms. An integral
-over a region also changes by (dx'/dx + dy'/dy) dx dy, the area element's own change. The forms for dense
-objects are those of Chaumette (2004), for discrete objects those of Tahri and Chaumette (2005). The features'
-rows follow by the chain rule, and eq. 2 of the paper is the case A = B = 0. Tests compare every entry with
-finite differences.
+with the object in the plane 1/Z = A x + B y + C [1/m]. A sum over points changes because each term changes.
+An integral over a region changes also because the area element changes, by (dx'/dx + dy'/dy) dx dy. Chaumette
+(2004) derives the forms for dense objects, and Tahri and Chaumette (2005) the forms for discrete objects. The
+features' rows follow by the chain rule, and eq. 2 of the paper is the case A = B = 0. Tests compare every
+entry with finite differences.
 
-Symbols: mu_ij centred moments, (x_g, y_g) the centroid, m00 the area (dense) or the number of points
-(discrete), n_ij = mu_ij/m00. All are in normalised image coordinates, without a unit.
+mu_ij are the centred moments, (x_g, y_g) is the centroid, m00 the area (dense) or the number of points
+(discrete), and n_ij = mu_ij/m00. All are in normalised image coordinates, without a unit.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ VX, VY, VZ, WX, WY, WZ = range(6)
 
 @compiled
 def _mu(moments: Array31, i: int, j: int) -> float:
-    """Return mu_ij of ``moments`` (31,), or 0 for a negative index, whose term has the factor 0."""
+    """Return mu_ij of ``moments`` (31,), or 0 for a negative index, whose terms all have the factor 0."""
     if i < 0 or j < 0:
         return 0.0
     return float(moments[mu_index(i, j)])
@@ -41,7 +41,7 @@ def _mu(moments: Array31, i: int, j: int) -> float:
 def centred_moment_interaction(
     moments: Array31, plane: Array3, dense: bool, i: int, j: int, out: Array6
 ) -> None:
-    """Fill ``out`` with the row of mu_ij, i + j <= 5 (it needs moments of one order more).
+    """Fill ``out`` with the row of mu_ij, i + j <= 5; the row needs moments of one order more.
 
     With s = 3, o = 1, k = 4 for a dense object and s = 0, o = 0, k = 1 for a discrete object,
 
@@ -54,7 +54,7 @@ def centred_moment_interaction(
         L_vy = -j A mu_(i+1,j-1) - (j+o) B mu_ij
         L_vz = -A L_wy + B L_wx + (i+j+2o) C mu_ij.
 
-    ``out`` is per metre in its first three entries and per radian in the last three.
+    The first three entries of ``out`` are per metre, the last three per radian.
     """
     a, b, c = plane[0], plane[1], plane[2]
     xg, yg, m00 = moments[XG], moments[YG], moments[M00]
@@ -62,10 +62,10 @@ def centred_moment_interaction(
     n11 = moments[mu_index(1, 1)] / m00
     n02 = moments[mu_index(0, 2)] / m00
     mu = moments[mu_index(i, j)]
-    # The area element's own change: 3 in a rotation, 1 in a shift along x or y, 2 along z.
+    # The change of the area element adds 3 in a rotation, 1 in a shift along x or y, and 2 along z.
     spread = 3.0 if dense else 0.0
     own = 1.0 if dense else 0.0
-    k = 4.0 if dense else 1.0  # of the centroid's motion
+    k = 4.0 if dense else 1.0  # the factor of the centroid's motion
 
     w_x = (
         (i + j + spread) * moments[mu_index(i, j + 1)]
@@ -91,7 +91,7 @@ def centred_moment_interaction(
 
 @compiled
 def centroid_interaction(moments: Array31, plane: Array3, dense: bool, out: NDArray[np.float64]) -> None:
-    """Fill ``out`` (2, 6) with the rows of x_g and y_g; second moments count because the object has a size.
+    """Fill ``out`` (2, 6) with the rows of x_g and y_g, which depend on the second ``moments`` too.
 
     With 1/Z_g = A x_g + B y_g + C and s_ij = k n_ij, k = 4 for a dense object and 1 for a discrete object,
 
@@ -125,10 +125,10 @@ def interaction_matrix(
 ) -> bool:
     """Fill ``out`` with L_f of the features of eqs. 3 to 5 over a general plane.
 
-    ``plane`` is (A, B, C) of 1/Z = A x + B y + C, 1/m. ``desired_area`` is a*, ``desired_depth_m`` Z*. Rows
-    are in the order of ``features``, the first three in metres. The row of alpha = atan2(2 mu11, d)/2, d =
-    mu20 - mu02, is (d mu11' - mu11 d')/(d^2 + 4 mu11^2), with the rows mu11' and d' of centred moments.
-    Return False if an entry is not finite.
+    ``plane`` is (A, B, C) of 1/Z = A x + B y + C, in 1/m. ``desired_area`` is a*, ``desired_depth_m`` Z*.
+    ``moments`` (31,) describe the object. The rows are in the order of ``features``; the first three features
+    are in metres. alpha is atan2(2 mu11, d)/2 with d = mu20 - mu02. Its row is (d mu11' - mu11 d')/(d^2 + 4
+    mu11^2), where mu11' and d' are the rows of mu11 and d. Return False if an entry is not finite.
     """
     second_order = np.empty((3, 6))
     for j in range(3):  # in a loop: numba compiles a copy for every pair of literal numbers
@@ -162,8 +162,8 @@ def _position_rows(
 ) -> None:
     """Fill the rows of x_n = a_n x_g, y_n = a_n y_g and a_n = Z* sqrt(a*/a) in ``out``.
 
-    a_n' = -(a_n/2) a'/a and x_n' = a_n' x_g + a_n x_g'; a is m00 (dense) or mu20 + mu02 (discrete).
-    ``mu20_row`` and ``mu02_row`` come from ``centred_moment_interaction``.
+    The rows are a_n' = -(a_n/2) a'/a and x_n' = a_n' x_g + a_n x_g', and likewise for y_n. Here a is m00
+    (dense) or mu20 + mu02 (discrete). ``mu20_row`` and ``mu02_row`` come from ``centred_moment_interaction``.
     """
     a = area(moments, dense)
     a_n = desired_depth_m * np.sqrt(desired_area / a)
@@ -186,9 +186,9 @@ def _position_rows(
 def _invariant_rows(moments: Array31, plane: Array3, dense: bool, out: Array6x6) -> None:
     """Fill the rows of gamma = In1/In3 and delta = In2/In3, In_k = c_k^2 + s_k^2, in ``out``.
 
-    gamma' = 2 [c_1 c_1' + s_1 s_1' - gamma (c_3 c_3' + s_3 s_3')]/In3, and delta' with c_2, s_2. The pairs
-    (c_k, s_k) are linear in the moments of order five (``brackets``), so their rows are the same sums of
-    rows.
+    The row of gamma is gamma' = 2 [c_1 c_1' + s_1 s_1' - gamma (c_3 c_3' + s_3 s_3')]/In3. The row of delta
+    is the same with delta, c_2 and s_2. The pairs (c_k, s_k) are linear in the moments of order five
+    (``brackets``), so their rows are the same sums of the moments' rows.
     """
     pair = np.empty((3, 2))
     brackets(moments, pair)

@@ -1,4 +1,4 @@
-"""The cameras of an episode: their records, their noise and the frames under way."""
+"""Hold the cameras of an episode: their records, their noise, and the frames not yet delivered."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from safety_harness.cell.perception.moments import MOMENT_COUNT
 from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.trace.records import TRACKS_PER_HAND
 
-RING = 64  # frames under way at a time
+RING = 64  # taken but undelivered frames at a time
 
 SENSORS = np.dtype(
     [
         ("transform_mount_to_tcp", np.float64, (4, 4)),  # the true mount
-        ("transform_camera_to_tcp", np.float64, (4, 4)),  # the present one, knocked out of the mount or not
+        ("transform_camera_to_tcp", np.float64, (4, 4)),  # at present, in the mount or knocked out of it
         ("object_focal_px", np.float64),
         ("object_width_px", np.int64),
         ("object_height_px", np.int64),
@@ -77,7 +77,7 @@ OBJECT_FRAME = np.dtype(
 
 @lru_cache
 def hand_frame_dtype(hands: int) -> np.dtype[Any]:
-    """Return the record type HAND_FRAME with TRACKS_PER_HAND boxes for each of ``hands`` hands."""
+    """Return the record type HAND_FRAME, with TRACKS_PER_HAND boxes for each of ``hands`` hands."""
     boxes = TRACKS_PER_HAND * hands
     return np.dtype(
         [
@@ -96,7 +96,7 @@ HandFrames = NewType("HandFrames", NDArray[np.void])  # (RING,) HAND_FRAME
 
 
 class Sensors(NamedTuple):
-    """An episode's cameras and the frames under way."""
+    """The cameras of an episode and the frames that they have not yet delivered."""
 
     state: SensorRecords
     object_frames: ObjectFrames
@@ -113,7 +113,7 @@ def object_polygon_in_base(settings: Settings) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=16)
 def _polygon_in_base(shape: Object) -> NDArray[np.float64]:
-    """Return the vertices of ``object_polygon_in_base``, cached."""
+    """Return the vertices (n, 3) of ``object_polygon_in_base``, cached for each object."""
     c, s = cos(shape.yaw_rad), sin(shape.yaw_rad)
     polygon = np.array(shape.polygon_m)
     flat = product(polygon, np.array([[c, s], [-s, c]]))
@@ -127,7 +127,7 @@ def sensors(
     transform_sensor_to_base: Array4x4,
     hand_slots: int = HAND_SLOTS[0],
 ) -> Sensors:
-    """Return the cameras before their first frame, with their noise, by frame and detection.
+    """Return the cameras before their first frame, with the noise of every frame and detection.
 
     Args:
         settings: The settings of cameras and object.
@@ -143,7 +143,7 @@ def sensors(
     noisy = hand.pixel_noise_px > 0.0 or hand.depth_noise_per_m > 0.0 or hand.dropout_probability > 0.0
     boxes = TRACKS_PER_HAND * hand_slots
     normals, uniforms = np.zeros((1, boxes, 3)), np.zeros((1, boxes))
-    if noisy:  # in streams of four boxes, so that the first four have the same noise with any hand_slots
+    if noisy:  # in streams of four boxes, so that hand_slots does not change the noise of the first four
         streams = [generator(seed, Branch.HAND_SENSOR_NOISE, k) for k in range(boxes // 2)]
         normals = np.hstack([standard_normal(noise, (ticks + 1, 4, 3)) for noise in streams[::2]])
         uniforms = np.hstack([misses.random((ticks + 1, 4)) for misses in streams[1::2]])
@@ -157,9 +157,9 @@ def sensors(
     )
 
 
-@lru_cache(maxsize=16)  # many episodes differ in their hands and starts alone
+@lru_cache(maxsize=16)  # many episodes differ only in their hands and starts
 def camera_state(settings: Settings) -> SensorRecords:
-    """Return the read-only record SENSORS (1,) before the first frame, without a fixed sensor's pose."""
+    """Return the read-only record SENSORS (1,) before the first frame; a fixed sensor's pose is not in it."""
     state = np.zeros(1, SENSORS)
     camera, hand = settings.camera, settings.hand_sensor
     state["transform_mount_to_tcp"] = transform_camera_to_tcp(camera, calibrated=False)
@@ -189,7 +189,7 @@ def camera_state(settings: Settings) -> SensorRecords:
 
 
 def _timing(field: str, rate_hz: float | None, latency_s: float, settings: Settings) -> tuple[float, float]:
-    """Return (period, latency) [s]; raise ``SettingsError`` for more frames under way than the ring holds."""
+    """Return (period, latency) [s]; ``SettingsError`` if the ring cannot hold all undelivered frames."""
     period_s = 0.0 if rate_hz is None else 1.0 / rate_hz
     under_way = latency_s / max(period_s, settings.clock.control_period_s) + 2.0
     if under_way > RING:

@@ -1,4 +1,4 @@
-"""The PyBullet side of the cell: robot, table, object and hands as bodies of a client, and its images."""
+"""Build the cell in PyBullet, with robot, table, object and hands as bodies, and render its images."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ TABLE_COLOUR_RGBA = (*(value / 255.0 for value in TABLE_RGB), 1.0)
 
 @dataclass(frozen=True)
 class Bodies:
-    """PyBullet's numbers of the bodies in the cell; hands exist only if images are rendered."""
+    """PyBullet's numbers of the bodies in the cell; hands are bodies only if the world renders images."""
 
     robot: int
     joints: tuple[int, ...]
@@ -51,7 +51,7 @@ class Bodies:
 
 @lru_cache(maxsize=16)
 def urdf_file(arm: ArmModel, visuals: bool) -> Path:
-    """Write the resolved URDF to a file for PyBullet, once per process, and remove it at the end."""
+    """Return a file with the resolved URDF for PyBullet, written once and removed when the process ends."""
     handle, path = tempfile.mkstemp(prefix="safety_harness_", suffix=".urdf")
     atexit.register(Path(path).unlink, missing_ok=True)
     with os.fdopen(handle, "w") as file:
@@ -60,12 +60,12 @@ def urdf_file(arm: ArmModel, visuals: bool) -> Path:
 
 
 def load_robot(client: int, arm: ArmModel, *, visuals: bool) -> tuple[int, tuple[int, ...]]:
-    """Return PyBullet's numbers of an arm, at its seat, and of its joints.
+    """Load an arm at its seat; return PyBullet's numbers of the arm and of its joints.
 
     Args:
         client: PyBullet's client.
         arm: The arm.
-        visuals: Whether to load its visual meshes.
+        visuals: Whether to load the arm's visual meshes.
 
     Raises:
         ArmFileError: The arm lacks an effort or an inertia.
@@ -96,14 +96,14 @@ def build_cell(
     rendered: bool,
     hands: int = 2,
 ) -> Bodies:
-    """Load the cell into a client of PyBullet.
+    """Load the cell into a client of PyBullet, and return the numbers of its bodies.
 
     Args:
         client: The client.
         settings: The settings.
         arm: The arm.
-        joint_position_rad: Its joint position (n,).
-        rendered: Whether images are rendered; only then the cell has visual meshes, object and hands.
+        joint_position_rad: The arm's joint position (n,).
+        rendered: Whether the world renders images. Only then the cell gets visual meshes, object and hands.
         hands: The number of hands.
 
     """
@@ -121,7 +121,7 @@ def build_cell(
         robot, joints, [[q] for q in joint_position_rad], [[0.0]] * len(joints), physicsClientId=client
     )
     for joint in range(-1, pybullet.getNumJoints(robot, physicsClientId=client)):
-        # the model includes the drives, but neither friction nor air
+        # the model includes the drives, but no friction and no air drag
         pybullet.changeDynamics(
             robot, joint, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=client
         )
@@ -136,14 +136,14 @@ def build_cell(
 
 
 def _table(client: int, settings: Settings, *, rendered: bool) -> None:
-    """Load the table."""
+    """Load the table into the client, visible if ``rendered``."""
     height_m = settings.cell.table_height_m
     collision = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=TABLE_HALF_M, physicsClientId=client
     )
     visual = -1
     if rendered:
-        # the visible table lies lower than the thin object, which is therefore above it
+        # the visible table lies lower, so that the thin object is above it
         visual = pybullet.createVisualShape(
             pybullet.GEOM_BOX,
             halfExtents=TABLE_HALF_M,
@@ -157,7 +157,7 @@ def _table(client: int, settings: Settings, *, rendered: bool) -> None:
 
 
 def _paint_object(client: int, settings: Settings) -> None:
-    """Load the object as a thin painted prism; its upper face is the plane that servoing sees."""
+    """Load the object as a thin painted prism, whose upper face lies in the plane that servoing sees."""
     top = object_polygon_in_base(settings)
     n = len(top)
     if np.cross(top[1] - top[0], top[2] - top[0])[2] < 0.0:
@@ -183,21 +183,21 @@ def _painted(
     kind: int = pybullet.GEOM_MESH,
     **shape: Any,
 ) -> int:
-    """Load a body that is visible but has no collisions."""
+    """Load a body that is visible but never collides; return its number."""
     visual = pybullet.createVisualShape(kind, rgbaColor=colour, physicsClientId=client, **shape)
     return int(pybullet.createMultiBody(0.0, -1, visual, basePosition=at, physicsClientId=client))
 
 
 def _hand(client: int, settings: Settings) -> int:
-    """Load a hand's sphere."""
+    """Load the sphere of a hand; return its number."""
     vertices, faces = _round_mesh(settings.hand.radius_m)  # PyBullet's own sphere errs by up to 9 px
     return _painted(client, HAND_COLOUR_RGBA, vertices=vertices, indices=faces, normals=vertices)
 
 
 def _round_mesh(radius_m: float, rings: int = 24) -> tuple[list[list[float]], list[int]]:
-    """Return the vertices and triangle indices of a sphere.
+    """Return the vertices of a sphere's mesh and the vertex indices of its triangles.
 
-    It has ``rings`` parallels and twice as many meridians.
+    The mesh has ``rings`` parallels and twice as many meridians.
     """
     around = 2 * rings
     polar = np.pi * np.arange(rings + 1) / rings
@@ -215,7 +215,7 @@ def _round_mesh(radius_m: float, rings: int = 24) -> tuple[list[list[float]], li
 
 
 def _forearm(client: int, settings: Settings) -> int:
-    """Load a forearm's capsule."""
+    """Load the capsule of a forearm; return its number."""
     hand, kind = settings.hand, pybullet.GEOM_CAPSULE
     return _painted(
         client, SLEEVE_COLOUR_RGBA, kind=kind, radius=hand.forearm_radius_m, length=hand.forearm_length_m
@@ -223,7 +223,7 @@ def _forearm(client: int, settings: Settings) -> int:
 
 
 def place_hands(client: int, bodies: Bodies, hands: NDArray[np.void]) -> None:
-    """Move the painted hands to their positions; a forearm lies between hand and elbow.
+    """Move the painted hands to their positions, and each forearm between its hand and its elbow.
 
     ``hands`` (hands,) HAND.
     """
@@ -262,14 +262,14 @@ NEAR_M, FAR_M = 0.02, 5.0
 def render(
     client: int, transform_camera_to_base: Array4x4, focal_px: float, width_px: int, height_px: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Return colour (h, w, 3) and depth along the optical axis (h, w) [m], +inf for an empty pixel.
+    """Return an image's colour (h, w, 3), and the depth (h, w) [m] along the optical axis, +inf if empty.
 
-    OpenGL's camera looks along -z with y up; ours looks along z with y down.
+    OpenGL's camera looks along its -z axis with y up; ours looks along z with y down.
 
     Args:
         client: PyBullet's client.
         transform_camera_to_base: The camera's pose (4, 4).
-        focal_px: Its focal length.
+        focal_px: The camera's focal length.
         width_px: The image's width w.
         height_px: The image's height h.
 
@@ -302,7 +302,7 @@ def render(
 
 
 def rendered_object(colour: NDArray[np.uint8], focal_px: float) -> tuple[bool, NDArray[np.float64]]:
-    """Return (visible, moments (31,)) of the thresholded object in a rendered image.
+    """Return whether the object is in view in a rendered image, and its moments (31,) by a threshold.
 
     ``colour`` (height, width, 3).
     """

@@ -1,8 +1,8 @@
-"""Users' controllers in the kinematic world: one episode, or many in lanes, a tick of all at a time.
+"""Run users' controllers in the kinematic world: one episode, or many in lanes, tick by tick together.
 
-This is the loop of ``simulate`` without numba's look-up at each call. In lanes all controllers answer
-together: in one call of their ``act_many``, in one exchange with the process that they share, or one after
-another.
+This is the loop of ``simulate`` without numba's look-up at each call. A lane is an episode's row in stacked
+records. At each tick, all controllers answer together: in one call of their ``act_many``, in one exchange
+with their common process, or one after another.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from safety_harness.cell.simulation.lanes import look_lanes, obey_lanes, placed,
 from safety_harness.cell.simulation.records import WorldRecords
 from safety_harness.trace.records import as_compiled
 
-_PADDED = {"moves", "samples", "normals", "uniforms"}  # a lane never reads beyond its own rows of these
+_PADDED = {"moves", "samples", "normals", "uniforms"}  # of these, a lane never reads more than its own rows
 
 
 @dataclass(eq=False)
 class Lane:
-    """An episode: its ``ticks`` (n,) TICK, the number ``done`` of filled ticks, and its error, if any."""
+    """An episode with its ``ticks`` (n,) TICK, the number ``done`` of filled ticks, and any error."""
 
     world: KinematicWorld
     controller: DrivenController
@@ -42,17 +42,17 @@ class Lane:
 
     @property
     def kind(self) -> object:
-        """A key of the lanes that may run together: they differ only in hands, noise and values."""
+        """A key, equal for lanes that may run together: these differ only in hands, noise and values."""
         records = self.world.records._asdict().items()
         shapes = tuple((record.dtype, record.shape) for name, record in records if name not in _PADDED)
         return shapes, self.controller.sees, self.controller.reports, self.controller.period_s
 
 
 def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -> None:
-    """Run all lanes of a kind as ``simulate`` does, bit for bit; ``Lane.failed`` receives an error of a lane.
+    """Run all lanes of a kind as ``simulate`` does, bit for bit; store a lane's error in ``Lane.failed``.
 
-    The function raises the error of a single lane. It also raises an error that stops many lanes together.
-    Then their results do not count.
+    If there is only one lane, the function raises its error. It also raises an error that stops many lanes
+    together; the results of these lanes are then invalid.
     """
     first, n = lanes[0].controller, len(lanes)
     worlds, controllers, questions = _together(lanes)
@@ -74,7 +74,7 @@ def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -
     ask = _Asking(lanes, controllers, answers) if n > 1 else None
     shielded = any(len(lane.controller.guard.shield) for lane in lanes)
     for k in range(most):
-        rows[:, k] = of_truth  # bytes: else the padding between fields would be anything
+        rows[:, k] = of_truth  # as bytes, since the padding between fields would otherwise be arbitrary
         entry_look(*looks, k, *first.wants)
         if ask is None:
             first.ask()
@@ -103,9 +103,9 @@ def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -
 def _refuse(
     lanes: Sequence[Lane], finite: NDArray[np.bool_], answers: LaneAnswers, lasts: NDArray[np.int64], k: int
 ) -> None:
-    """Store the error of each lane whose action is not finite; ``finite`` (lanes,), ``lasts`` (lanes,).
+    """Store an error for each lane whose action is not finite; ``finite`` (lanes,), ``lasts`` (lanes,).
 
-    The error of a single lane is raised.
+    If there is only one lane, the function raises its error.
     """
     for lane in lanes_of(~finite & (lasts >= k)):
         by_joints = answers.by_joints[lane]
@@ -118,9 +118,10 @@ def _refuse(
 
 
 class _Asking:
-    """The controllers of many lanes, called together.
+    """A function object that calls the controllers of many lanes together.
 
-    ``took_s`` is the mean time [s] of an answer at each tick; empty if a single call answers for all.
+    ``took_s`` is the mean time [s] of an answer at each tick. It is empty if a single call answers for all
+    lanes.
     """
 
     def __init__(self, lanes: Sequence[Lane], controllers: DrivenRecords, answers: LaneAnswers) -> None:
@@ -151,7 +152,7 @@ class _Asking:
 
 
 def _together(lanes: Sequence[Lane]) -> tuple[WorldRecords, DrivenRecords, NDArray[np.void]]:
-    """Return the stacked records of all lanes; the controllers' records now lie in them."""
+    """Return the stacked records of all lanes, and let the controllers use their rows from now on."""
     first = lanes[0]
     worlds = stacked(first.world.records, len(lanes))
     controllers = stacked(first.controller.records, len(lanes))

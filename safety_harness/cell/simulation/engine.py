@@ -1,4 +1,4 @@
-"""PyBullet, imported without its greeting: its C code prints its build time on standard error."""
+"""Import PyBullet without its greeting, the build time that its C code prints on standard error."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def _quiet_standard_error() -> Iterator[None]:
-    """Discard the output of C code to file descriptor 2."""
+    """Discard the output of C code to file descriptor 2 within the block."""
     sys.stderr.flush()
     kept = os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -1,6 +1,6 @@
-"""The exact views of the cameras: the projected object's moments and the hands' bounding boxes, compiled.
+"""Compute the exact views of the cameras: the projected object's moments and the hands' boxes.
 
-``cell`` has the functions for rendered pixels.
+The module ``cell`` has the functions for rendered pixels.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from safety_harness.cell.simulation.hand_motion import HandRecords
 def exact_object(
     sensors: SensorRecords, polygon_in_base_m: ArrayNx3, transform_tcp_to_base: Array4x4, moments_out: Array31
 ) -> bool:
-    """Fill ``moments_out`` with the moments of the projected polygon; return False if it is out of view.
+    """Fill ``moments_out`` with the moments of the projected polygon; return False if it is not in view.
 
-    They are in closed form or at pixel centres. ``polygon_in_base_m`` (n, 3).
+    The camera's record selects moments in closed form, or as sums over pixels. ``polygon_in_base_m`` (n, 3).
     """
     s = sensors[0]
     n = polygon_in_base_m.shape[0]
@@ -57,7 +57,7 @@ def exact_object(
 
 @compiled
 def sensor_pose(sensors: SensorRecords, transform_tcp_to_base: Array4x4) -> Array4x4:
-    """Return the hand sensor's true pose ``transform_sensor_to_base``: fixed, or of the hand-eye camera."""
+    """Return the true pose (sensor to base) of the hand sensor, which is fixed or the hand-eye camera."""
     pose = np.empty((4, 4))
     put_sensor_pose(sensors, transform_tcp_to_base, pose)
     return pose
@@ -65,7 +65,7 @@ def sensor_pose(sensors: SensorRecords, transform_tcp_to_base: Array4x4) -> Arra
 
 @njit_no_nrt
 def put_sensor_pose(sensors: SensorRecords, transform_tcp_to_base: Array4x4, pose_out: Array4x4) -> None:
-    """Fill ``pose_out`` (4, 4) with the ``sensor_pose``."""
+    """Fill ``pose_out`` (4, 4) with the pose of ``sensor_pose``."""
     s = sensors[0]
     if s.eye_in_hand:
         compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, pose_out)
@@ -80,9 +80,9 @@ def hand_box(
     position_in_base_m: Array3,
     box_out: Array5,
 ) -> bool:
-    """Fill ``box_out`` with the box of an unhidden hand; return False if the sensor cannot see it.
+    """Fill ``box_out`` with the box of a hand that nothing hides; return False if it is out of view.
 
-    The ideal sensor also sees beyond the image, but only hands in front of it.
+    The ideal sensor also sees hands beyond the image's border, but only in front of the sensor.
     """
     s = sensors[0]
     centre = s.hand_in_sensor
@@ -116,7 +116,7 @@ def exact_boxes(
     capsule_endpoints_in_base_m: ArrayNx2x3,
     boxes_out: NDArray[np.float64],  # (n, 5), n at least the number of hands
 ) -> int:
-    """Fill ``boxes_out`` with the bounding boxes of the visible hands; return their number.
+    """Fill ``boxes_out`` with the bounding boxes of the visible hands; return the number of boxes.
 
     The ideal sensor sees through the robot.
     """
@@ -144,7 +144,7 @@ def _blocked(
     capsules: CapsuleRecords,
     capsule_endpoints_in_base_m: ArrayNx2x3,
 ) -> bool:
-    """Return whether part of the arm is between the hand sensor and a hand."""
+    """Return whether a part of the arm is between the hand sensor and a hand."""
     s = sensors[0]
     eye = s.transform_hand_sensor_to_base[:3, 3].copy()
     return line_of_sight_blocked(

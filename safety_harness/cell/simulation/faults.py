@@ -1,10 +1,10 @@
-"""Faults of sensors and joints, compiled for both worlds: each function returns the acting faults as bits.
+"""Apply faults of sensors and joints in both worlds; each function returns the acting faults as bits.
 
-A fault acts if it changes something: a blind sensor without a hand in view does not act.
+A fault acts if it changes something. So a blind sensor without a hand in view does not act.
 
 A world calls ``mount_camera`` before its cameras take frames. It calls ``spoil_object_frame`` and
-``spoil_hand_frame`` on each new frame, and ``hold_joints`` on the motors' set points. Without faults they
-change nothing. The noise depends on the frame's number, so a fault never shifts it.
+``spoil_hand_frame`` on each new frame, and ``hold_joints`` on the motors' set points. Without faults these
+functions change nothing. The noise depends on the frame's number, so a fault never shifts the noise.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from safety_harness.scenario.faults import FaultKind
 
 @compiled
 def mount_camera(faults: FaultRecords, sensors: SensorRecords, time_s: float) -> int:
-    """Set the hand-eye camera's pose at ``time_s``: in its mount, or knocked out of it."""
+    """Set the hand-eye camera's pose at ``time_s``, in its mount or knocked out of it."""
     s = sensors[0]
     bits = acting(faults, FaultKind.CAMERA_KNOCKED, time_s)
     copy_matrix(s.transform_mount_to_tcp, s.transform_camera_to_tcp)
@@ -59,7 +59,7 @@ def spoil_object_frame(
     transform_tcp_to_base: Array4x4,
     time_s: float,
 ) -> int:
-    """Apply the faults to the object's newest frame; a frozen camera repeats the frame before it."""
+    """Apply the faults to the object's newest frame; a frozen camera repeats the previous frame."""
     s = sensors[0]
     frame = frames[(s.object_frames - 1) % RING]
     bits = 0
@@ -85,7 +85,7 @@ def spoil_object_frame(
 def hides_object(
     sensors: SensorRecords, polygon_in_base_m: ArrayNx3, hands: HandRecords, transform_tcp_to_base: Array4x4
 ) -> bool:
-    """Return whether part of a hand or forearm is between the camera's lens and part of the object."""
+    """Return whether a part of a hand or forearm is between the camera's lens and a part of the object."""
     s = sensors[0]
     camera_to_base = np.empty((4, 4))
     compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, camera_to_base)
@@ -109,10 +109,10 @@ def spoil_hand_frame(
     transform_tcp_to_base: Array4x4,
     time_s: float,
 ) -> int:
-    """Apply the faults to the newest frame of boxes.
+    """Apply the faults to the hand sensor's newest frame of boxes.
 
-    The order is: measurement errors shift hands, false hands join them, a blind sensor drops all of them, a
-    frozen sensor repeats the frame before.
+    First measurement errors shift the hands, then the function adds false hands. Then a blind sensor drops
+    all hands. Finally a frozen sensor repeats the previous frame.
     """
     s = sensors[0]
     frame = frames[(s.hand_frames - 1) % RING]
@@ -145,7 +145,7 @@ def spoil_hand_frame(
             copy_matrix(earlier.boxes, frame.boxes)
     if seen == 0 and frame.count == 0:
         frozen = 0
-    if frame.count:  # an empty frame makes no difference if it is late
+    if frame.count:  # a late frame makes no difference if it is empty
         bits |= acting(faults, FaultKind.HAND_SENSOR_LATE, time_s)
     frame.late_s = delay_s(faults, FaultKind.HAND_SENSOR_LATE, time_s)
     return bits | blind | frozen
@@ -159,10 +159,10 @@ def shift_boxes(
     boxes: NDArray[np.float64],  # (n, 5), changed in place
     count: int,
 ) -> int:
-    """Shift the fronts of hands in ``boxes``; return how many remain in front of the sensor.
+    """Shift the hands in ``boxes`` by a measurement error; return how many remain in front of the sensor.
 
-    The point at a box's centre and depth moves by ``by_in_base_m``. The size in the image changes with the
-    depth.
+    The function moves the point at a box's centre and depth by ``by_in_base_m``. The box's size in the image
+    changes with the depth.
     """
     s = sensors[0]
     shift = np.zeros(3)
@@ -188,7 +188,7 @@ def shift_boxes(
 
 @compiled
 def hold_joints(faults: FaultRecords, velocity_radps: ArrayN, time_s: float) -> int:
-    """Set the motors' set points of stuck joints to zero."""
+    """Set the motors' set points of stuck joints to zero; return the acting faults as bits."""
     bits = 0
     for k in range(faults.shape[0]):
         if acts(faults, k, FaultKind.JOINT_STUCK, time_s) and velocity_radps[faults[k].joint] != 0.0:

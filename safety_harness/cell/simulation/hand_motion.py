@@ -1,8 +1,8 @@
-"""Hands that move as the scenario states: an interpreter of hand moves, compiled for both worlds.
+"""Move the hands as the scenario states: an interpreter of hand moves for both worlds.
 
-The velocity of a moving hand is continuous. It changes by at most its acceleration times the time. Straight
-paths are in closed form from rest to rest (``follow_leg``). A hand that heads for the TCP turns its velocity
-towards it (``pursue``). A hand that must stop brakes along its path (``brake``).
+The velocity of a moving hand is continuous. Its rate of change is at most the hand's largest acceleration. A
+closed form gives straight paths from rest to rest (``follow_leg``). A hand that heads for the TCP turns its
+velocity towards the TCP (``pursue``). A hand that must stop brakes along its path (``brake``).
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from safety_harness.base.geometry.arrays import Array3
 
 LEG, WAIT, REACH_FOR_TCP, FOLLOW_TCP = range(4)  # kinds of compiled moves
 
-# A move of a scenario is a group of one or more of these, with one time limit.
+# A move of a scenario is a group of one or more MOVE records with a common time limit.
 MOVE = np.dtype(
     [
         ("kind", np.int64),
         ("target_in_base_m", np.float64, (3,)),  # of a leg
         ("speed_mps", np.float64),
-        ("distance_m", np.float64),  # how near to the target, or to the TCP
+        ("distance_m", np.float64),  # the distance from the target or TCP at which the hand arrives
         ("duration_s", np.float64),  # of a wait
-        ("within_s", np.float64),  # of the group: then it is over
+        ("within_s", np.float64),  # time limit of the group
         ("after", np.int64),  # where the next group begins, counted from the hand's first move
     ],
     align=True,
@@ -34,7 +34,7 @@ HAND = np.dtype(
     [
         ("present", np.bool_),
         ("recorded", np.bool_),
-        ("leader", np.int64),  # the hand that this one is joined to, else -1
+        ("leader", np.int64),  # the hand with which this hand moves, else -1
         ("apart_in_base_m", np.float64, (3,)),  # from its leader
         ("position_in_base_m", np.float64, (3,)),
         ("elbow_in_base_m", np.float64, (3,)),
@@ -44,9 +44,9 @@ HAND = np.dtype(
         ("tremor_m", np.float64),  # along each axis
         ("tremor_radps", np.float64),
         ("tremor_phase_rad", np.float64, (3,)),
-        ("first", np.int64),  # of this hand's moves or samples
+        ("first", np.int64),  # index of this hand's first move or sample
         ("count", np.int64),
-        ("current", np.int64),  # which move or sample interval
+        ("current", np.int64),  # number of the present move or sample interval
         ("elapsed_s", np.float64),  # in the current move
         ("spent_s", np.float64),  # in its group
         ("steady_in_base_m", np.float64, (3,)),  # without tremor, as the next
@@ -60,7 +60,7 @@ HAND = np.dtype(
     align=True,
 )
 MoveRecords = NDArray[np.void]  # (m,) MOVE
-HandRecords = NDArray[np.void]  # (hands,) HAND, those that are there first
+HandRecords = NDArray[np.void]  # (hands,) HAND, present hands first
 
 ARRIVED_M = 1e-9
 
@@ -76,8 +76,8 @@ def advance_hands(
 ) -> None:
     """Move every hand from ``time_s`` to ``time_s + dt_s``.
 
-    If a move ends within the tick, the next move gets the rest of it. Hands that head for the TCP aim at its
-    position at ``time_s``.
+    If a move ends within the tick, the next move gets the rest of the tick. Hands that head for the TCP aim
+    at the TCP's position at ``time_s``.
     """
     for k in range(hands.shape[0]):
         hand = hands[k]
@@ -109,7 +109,7 @@ def advance_hands(
 def advance_move(
     hands: HandRecords, k: int, moves: MoveRecords, tcp_position_in_base_m: Array3, left_s: float
 ) -> float:
-    """Spend up to ``left_s`` on the current move; return the rest of it [s]."""
+    """Spend up to ``left_s`` on the current move; return the time [s] that remains of ``left_s``."""
     hand = hands[k]
     move = moves[hand.first + hand.current]
     allowed_s = min(left_s, move.within_s - hand.spent_s)
@@ -138,7 +138,7 @@ def advance_move(
 
 @njit_no_nrt
 def brake(hands: HandRecords, k: int, dt_s: float) -> float:
-    """Slow down along the path, for at most ``dt_s``; return the time [s] that this takes."""
+    """Slow down along the path for at most ``dt_s`` or to standstill; return the time [s] that this takes."""
     hand = hands[k]
     squared = 0.0
     for i in range(3):
@@ -159,7 +159,7 @@ def brake(hands: HandRecords, k: int, dt_s: float) -> float:
 def follow_leg(
     hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: float, speed_mps: float, dt_s: float
 ) -> tuple[float, bool]:
-    """Move straight until ``distance_m`` from the target, from rest to rest; return (time used, arrived).
+    """Move straight, from rest to rest, to ``distance_m`` from the target; return (time used, arrived).
 
     The speed is a trapezoid over time, or a triangle if the path is too short for ``speed_mps``.
     """
@@ -198,7 +198,7 @@ def follow_leg(
 
 @njit_no_nrt
 def begin_leg(hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: float) -> None:
-    """Set the leg's start, direction and length, from the hand's present position."""
+    """Set the start, direction and length of a leg that begins at the hand's present position."""
     hand = hands[k]
     hand.on_leg = True
     hand.leg_s = 0.0
@@ -217,10 +217,10 @@ def begin_leg(hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: 
 def pursue(
     hands: HandRecords, k: int, goal_in_base_m: Array3, distance_m: float, speed_mps: float, dt_s: float
 ) -> tuple[float, bool]:
-    """Turn the velocity towards the goal for ``dt_s``; return (time used, within ``distance_m`` of it).
+    """Turn the velocity towards the goal for ``dt_s``; return (time used, within ``distance_m`` of the goal).
 
     The hand approaches at the largest speed w from which it can still stop within the remaining gap g. The
-    present speed v and the deceleration a give (v + w)/2 dt + w^2/2a = g.
+    equation is (v + w)/2 dt + w^2/2a = g, with the present speed v and the deceleration a.
     """
     hand = hands[k]
     total, closing = 0.0, 0.0
@@ -252,14 +252,14 @@ def pursue(
 
 @njit_no_nrt
 def point_forearm(hands: HandRecords, k: int) -> None:
-    """Put the elbow one forearm's length from the hand towards the person."""
+    """Put the elbow at the forearm's length from the hand, towards the person."""
     hand = hands[k]
     total = 0.0
     for i in range(3):
         total += (hand.elbow_towards_in_base_m[i] - hand.position_in_base_m[i]) ** 2
     distance = np.sqrt(total)
     for i in range(3):
-        direction = 1.0 if i == 2 else 0.0  # straight up if the hand is where the person stands
+        direction = 1.0 if i == 2 else 0.0  # straight up if the hand is at the person's place
         if distance > 0.0:
             direction = (hand.elbow_towards_in_base_m[i] - hand.position_in_base_m[i]) / distance
         hand.elbow_in_base_m[i] = hand.position_in_base_m[i] + hand.forearm_length_m * direction
@@ -267,7 +267,7 @@ def point_forearm(hands: HandRecords, k: int) -> None:
 
 @njit_no_nrt
 def follow_recording(hands: HandRecords, k: int, samples: NDArray[np.float64], time_s: float) -> None:
-    """Put hand and elbow at their recorded positions: linear between samples, at rest after the last one.
+    """Put hand and elbow at their recorded positions, linear between samples, at rest after the last sample.
 
     ``samples`` (s, 7).
     """

@@ -1,6 +1,6 @@
-"""A scenario's hands as records for the interpreter: each move becomes legs, waits and pursuits.
+"""Turn a scenario's hands into records for the interpreter: each move into legs, waits and pursuits.
 
-The points of a wander come from the scenario's seed, the hand's number and the move's number.
+The scenario's seed, the hand's number and the move's number determine the points of a wander.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ FIRST_DRAWN = 256
 
 @dataclass(frozen=True, eq=False)
 class Hands:
-    """The hands of an episode: their state and their programs.
+    """The hands of an episode, with their state and their programs.
 
-    ``samples`` (s, 7): time, hand, elbow.
+    ``samples`` (s, 7) hold time, hand position and elbow position of the recorded hands.
     """
 
     state: HandRecords
@@ -56,7 +56,7 @@ class Hands:
 
 
 class Step(NamedTuple):
-    """An entry of a program: a MOVE, in the order of its fields."""
+    """An entry of a hand's program, with the fields of the record MOVE in their order."""
 
     kind: int = LEG
     target_in_base_m: Vector3 = NOWHERE
@@ -101,7 +101,7 @@ def hands_at_start(scenario: Scenario) -> Hands:
 
 
 def _begin(record: np.void, hand: MovingHand, number: int, scenario: Scenario) -> None:
-    """Set a moving hand's start, at rest, and its tremor."""
+    """Set a moving hand's start position, at rest, and its tremor."""
     record["steady_in_base_m"] = shifted(hand.starts_at_in_base_m, hand.shift_in_base_m)
     record["max_acceleration_mps2"] = hand.max_acceleration_mps2
     if hand.tremor is not None:
@@ -150,7 +150,7 @@ def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> list[Step]:
 
 
 def _reach(move: Reach, object_position_in_base_m: Vector3) -> list[Step]:
-    """Return the steps to the TCP or to the object, with or without a hesitation on the way."""
+    """Return the steps of a reach to the TCP or to the object, with any hesitation on the way."""
     kind, near_m = REACH_FOR_TCP if isinstance(move, ReachForTcp) else LEG, move.until_distance_m
     go = Step(kind, object_position_in_base_m, move.speed_mps, near_m, within_s=move.at_most_s)
     if move.hesitation is None:
@@ -160,7 +160,7 @@ def _reach(move: Reach, object_position_in_base_m: Vector3) -> list[Step]:
 
 
 def _wander(move: Wander, hand: MovingHand, longest_s: float, rng: np.random.Generator) -> list[Step]:
-    """Return enough legs for the duration of the move or of the run, however near the first points are."""
+    """Return legs to random points, enough for the whole duration of the move or of the run."""
     corners = np.sort(np.array(move.corners_in_base_m) + hand.shift_in_base_m, axis=0)
     points, filled_s = np.empty((0, 3)), 0.0
     while filled_s < min(move.duration_s, longest_s):
@@ -175,7 +175,7 @@ def _wander(move: Wander, hand: MovingHand, longest_s: float, rng: np.random.Gen
 
 
 def _leg_s(path_m: NDArray[np.float64], speed_mps: float, acceleration_mps2: float) -> NDArray[np.float64]:
-    """Return the durations [s] of straight paths from rest to rest."""
+    """Return the durations [s] of straight paths of the lengths ``path_m``, from rest to rest."""
     peak = np.minimum(speed_mps, np.sqrt(acceleration_mps2 * path_m))
     return np.divide(path_m, peak, out=np.zeros_like(path_m), where=peak > 0.0) + peak / acceleration_mps2
 

@@ -1,9 +1,9 @@
-"""The second world: the joints follow the set points exactly, and bodies have no mass.
+"""Simulate the second world, in which joints follow their set points exactly and bodies have no mass.
 
-Everything except the motion of the arm uses the reference world's own compiled steps. In the reference world
-the velocity motors reach their set points within the first physics sub-step, to 1e-9 rad/s, unless their
-torque limit prevents it. So each joint turns by its set point times the period over a tick, as it always does
-here. Joints have no stops, and the arm meets neither the table nor itself.
+Apart from the motion of the arm, this world uses the same compiled steps as the reference world. In the
+reference world, the velocity motors reach their set points within the first physics sub-step, to 1e-9 rad/s,
+unless their torque limit prevents it. So in a tick each joint turns by its set point times the period, as it
+always does here. Joints have no stops here, and the arm cannot touch the table or itself.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ BRAKING = int(Limit.BRAKING)
 
 
 class KinematicWorld(RecordedWorld):
-    """A scenario without an engine, for any controller, tick by tick; ``advance`` runs our own controller."""
+    """A scenario without an engine, for any controller; ``advance`` is only for our own controller."""
 
     name = "kinematic"
 
     def advance(
         self, controller: ControllerRecords, ticks: NDArray[np.void], decided: bool
     ) -> NDArray[np.void] | None:
-        """Run the loop of ``simulate``, compiled, as ``BatchWorld.advance`` describes.
+        """Go on to the next decision or the end, as ``BatchWorld.advance`` describes, in compiled code.
 
         ``ticks`` (n,) TICK.
         """
@@ -84,12 +84,12 @@ def step(
 def advance(
     world: WorldRecords,
     controller: ControllerRecords,
-    ticks: Records,  # (n,) ``as_compiled``, those from now on written
+    ticks: Records,  # (n,) ``as_compiled``, written from the present tick on
     decided: bool,
 ) -> bool:
-    """Go on to the next decision (True) or the end of the run (False): the loop of ``simulate``, compiled.
+    """Go on to the next decision (True) or to the run's end (False); this is the loop of ``simulate``.
 
-    ``decided``: the run is at a decision, and the controller has its answer.
+    ``decided`` states that the run is at a decision, and that the controller has the answer.
     """
     w, c = world, controller
     last, alike = ticks.shape[0] - 1, same_chain(w.arm, c.parameters)

@@ -1,8 +1,9 @@
-"""Kinematic episodes side by side: a few compiled calls take all of them a tick further.
+"""Run kinematic episodes side by side: a few compiled calls take all of them one tick further.
 
-Each record of ``WorldRecords`` and ``DrivenRecords`` is stacked. A lane is a row of it, as long as the
-longest of its kind so far. Entries beyond a lane's own end are zero: moves do not begin there, faults do not
-act, and the noise is not read. The functions come from the kinematic world and from a user's controller.
+The functions stack each record of ``WorldRecords`` and ``DrivenRecords``. A lane is a row of a stack, as long
+as the longest record so far. Entries beyond the end of a lane's own record are zero. There no moves begin and
+no faults act, and the functions do not read the noise. The functions call the compiled steps of the kinematic
+world and of users' controllers.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Stacked = TypeVar("Stacked", WorldRecords, DrivenRecords)
 
 
 def stacked(like: Stacked, lanes: int) -> Stacked:
-    """Return zero records for ``lanes`` lanes, each (lanes, ...) of an episode's record."""
+    """Return zero records for ``lanes`` lanes, with a first axis of lanes before the axes of ``like``."""
 
     def zeros(record: Any) -> Any:
         return np.zeros((lanes, *record.shape), record.dtype)
@@ -36,7 +37,7 @@ def stacked(like: Stacked, lanes: int) -> Stacked:
 
 
 def placed(lanes: Stacked, lane: int, own: Stacked) -> Stacked:
-    """Return ``lanes`` with an episode's records ``own`` in row ``lane``, in new arrays if necessary."""
+    """Return ``lanes`` with an episode's records ``own`` in row ``lane``; make wider arrays if necessary."""
     pairs: Any = zip(lanes, own, strict=True)
     filled: Any = (_placed(rows, lane, record) for rows, record in pairs)
     return type(lanes)(*filled)
@@ -61,7 +62,7 @@ def _bytes(records: Any) -> NDArray[np.uint8]:
 
 @inlined
 def _world_of(w: WorldRecords, lane: int) -> WorldRecords:
-    """Return the records of one lane."""
+    """Return the records of the lane with the number ``lane``."""
     return WorldRecords(
         w.drives[lane],
         w.moves[lane],
@@ -92,7 +93,7 @@ def look_lanes(
     objects: bool,
     predicts: bool,
 ) -> None:
-    """Let sensors deliver and controllers see in each lane whose last tick, of ``lasts``, is not over."""
+    """Let sensors deliver and fill the controllers' views, in each lane with ``tick`` <= ``lasts``."""
     c = controllers
     for lane in range(lasts.shape[0]):
         if tick > lasts[lane]:
@@ -123,7 +124,7 @@ def obey_lanes(
     stop: Flags,  # (lanes,)
     finite: Flags,  # (lanes,), filled
 ) -> None:
-    """Make a command of the action of each lane; ``finite`` is False for an action that is not finite."""
+    """Make a command of each lane's action; set ``finite`` to False where the action is not finite."""
     c = controllers
     for lane in range(lasts.shape[0]):
         if tick > lasts[lane]:
@@ -145,7 +146,7 @@ def step_lanes(
     tick: int,
     modes: Numbers,  # (lanes,), negative: not reported
 ) -> None:
-    """Record the controllers' views and answers, then execute their commands for a control period."""
+    """Record the controllers' views and answers, then execute the commands for a control period."""
     for lane in range(lasts.shape[0]):
         if tick > lasts[lane]:
             continue

@@ -1,4 +1,4 @@
-"""The reference world: the arm in PyBullet, with its meshes, motors and physics."""
+"""Simulate the reference world: the arm in PyBullet, with its meshes, motors and physics."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ from safety_harness.trace.records import as_compiled
 from safety_harness.trace.trace import Trace
 
 UNNOTICED_RADPS = 1e-7  # motors miss their speeds by less than this unless they are saturated
-AMPLE = 1e4  # times the torque limits: enough for several times the mass within a sub-step
+AMPLE = 1e4  # this factor on torque limits is enough for several times the mass within a sub-step
 
 
 class PyBulletWorld(RecordedWorld):
-    """A scenario in a PyBullet client of its own; use it as a context manager, once.
+    """A scenario in a PyBullet client of its own, to be used once, as a context manager.
 
-    The drives follow velocity motors with the torque limits of the URDF. A control period is
-    ``physics_substeps`` steps of the engine. Hands do not push anything: a contact is only a distance below
-    zero.
+    The set points of the drives go to velocity motors with the torque limits of the URDF. A control period
+    has ``physics_substeps`` steps of the engine. Hands do not push anything; a contact is only a distance
+    below zero.
     """
 
     name, renders = "pybullet", True
@@ -68,7 +68,7 @@ class PyBulletWorld(RecordedWorld):
         self._detector = detector or SkinColourDetector(self.records.observation["boxes"].shape[1])
         self._commanded_radps = np.empty(len(arm.joint_names))
         self.overshoot_radps = np.zeros((scenario.ticks + 1, len(arm.joint_names)))  # for the trace
-        self._pictures: dict[int, NDArray[np.uint8]] = {}  # of the object, by the number of the frame
+        self._pictures: dict[int, NDArray[np.uint8]] = {}  # images of the object, by the number of the frame
         self._client = int(pybullet.connect(pybullet.DIRECT))
         if self._client < 0:
             raise SimulationError("PyBullet gave no client")
@@ -96,7 +96,7 @@ class PyBulletWorld(RecordedWorld):
             self._client = -1
 
     def observe(self) -> NDArray[np.void]:
-        """Let the cameras take each frame that is due and deliver each that has arrived.
+        """Let the cameras take each frame that is due, and deliver each frame that has arrived.
 
         Encoders are exact.
         """
@@ -151,7 +151,7 @@ class PyBulletWorld(RecordedWorld):
         return braking
 
     def image(self) -> Image:
-        """Return the last rendered image of the object that has been delivered."""
+        """Return the last rendered image of the object that the camera has delivered."""
         r = self.records
         number = int(r.sensors[0]["object_delivered"]) - 1
         if number < 0:
@@ -177,7 +177,7 @@ class PyBulletWorld(RecordedWorld):
                 yield self.image()
 
     def _keep(self, colour: NDArray[np.uint8]) -> None:
-        """Store the newest frame's pixels, after the faults; a frozen camera repeats the frame before.
+        """Store the newest frame's pixels, after the faults; a frozen camera repeats the previous frame.
 
         ``colour`` (height, width, 3).
         """
@@ -201,7 +201,7 @@ class PyBulletWorld(RecordedWorld):
         return colour
 
     def _object(self, colour: NDArray[np.uint8] | None) -> tuple[bool, NDArray[np.float64]]:
-        """Return whether the object is in view, with its moments, from a rendered image or exactly.
+        """Return whether the object is in view, and its moments, from a rendered image or exactly.
 
         ``colour`` (height, width, 3); None for an exact view.
         """
@@ -212,7 +212,7 @@ class PyBulletWorld(RecordedWorld):
         return exact_object(r.sensors, r.polygon_in_base_m, pose, moments), moments
 
     def _boxes(self) -> tuple[NDArray[np.float64], int]:
-        """Return the bounding boxes of the hands, from a rendered image or exactly, and their number."""
+        """Return the bounding boxes of the hands and their number, from a rendered image or exactly."""
         sensor, r = self._settings.hand_sensor, self.records
         pose = r.truth[0]["transform_tcp_to_base"]
         boxes = np.zeros_like(r.observation["boxes"][0])

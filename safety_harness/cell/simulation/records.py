@@ -1,4 +1,4 @@
-"""The records of an episode's world, except those with which each world moves the arm."""
+"""Define the records of an episode's world, except those with which each world moves the arm."""
 
 from __future__ import annotations
 
@@ -46,10 +46,11 @@ def clock_dtype(joints: int) -> np.dtype[Any]:
 
 
 class WorldRecords(NamedTuple):
-    """An episode's hands, cameras, drives, faults and present truth.
+    """The hands, cameras, drives, faults and present truth of an episode.
 
-    The order keeps the arguments of a step together. ``step`` of the kinematic world takes the first ten.
-    ``move_on`` takes these without the first and the last. ``sense`` takes all from ``truth`` on.
+    This order lets each function take consecutive records as its arguments. ``step`` of the kinematic world
+    takes the first ten records. ``move_on`` takes these ten without the first and the last. ``sense`` takes
+    all records from ``truth`` on.
     """
 
     drives: DriveRecords  # (1,) DRIVE
@@ -72,7 +73,7 @@ class WorldRecords(NamedTuple):
 
 
 def world_records(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> WorldRecords:
-    """Return the records at the start of the scenario, the arm at rest at ``joint_position_rad`` (n,)."""
+    """Return the records at the scenario's start, with the arm at rest at ``joint_position_rad`` (n,)."""
     settings, slots = scenario.settings, scenario.hand_slots
     joints = len(arm.joint_names)
     clock = np.zeros(1, clock_dtype(joints))

@@ -1,6 +1,7 @@
-"""The whole system on one page: a world and a controller, tick by tick, into a trace.
+"""Run the whole system: a world and a controller, tick by tick, into a trace.
 
-It also runs many episodes in one world: all go to their next decision, then one call of the avoider.
+The module also runs many episodes in one world. All episodes go on to their next decision, then one call of
+the avoider answers all questions.
 """
 
 from __future__ import annotations
@@ -34,16 +35,16 @@ INTERRUPTED = "interrupted by the user"
 def simulate(
     world: World, controller: Controller, scenario: Scenario, *, on_tick: Callable[[int], None] | None = None
 ) -> Trace:
-    """Run a scenario to its end and record both ends of its duration.
+    """Run a scenario to its end, and return the trace, with a tick at both ends of the duration.
 
-    Ctrl-C between ticks ends the run early. The trace then states the interruption, and no property counts it
-    as holding.
+    Ctrl-C between ticks ends the run early. The trace then states the interruption, and no property can hold
+    on it.
 
     Args:
         world: The open world.
         controller: The controller.
-        scenario: The scenario of both.
-        on_tick: A receiver of the number of finished ticks, for progress.
+        scenario: The scenario of world and controller.
+        on_tick: A function that receives the number of finished ticks, to show progress.
 
     """
     ticks = no_ticks(scenario)
@@ -73,17 +74,17 @@ def simulate(
                 on_tick(done)
     except KeyboardInterrupt:
         ended = INTERRUPTED
-    # without a copy of the ticks, which would leave arbitrary bytes in the padding between fields
+    # without a copy of the ticks, whose padding between fields would be arbitrary
     return trace_of(scenario, world, controller, ticks[:done], ended)
 
 
 def simulate_driven(
     episodes: Sequence[tuple[Scenario, KinematicWorld, DrivenController]],
 ) -> list[Trace | ControllerError]:
-    """Run many episodes with users' controllers in lanes, to their ends or to their errors.
+    """Run many episodes with users' controllers in parallel lanes, each to its end or to its error.
 
-    Each trace equals that of ``simulate``, bit for bit. ``ControllerError`` for an error that stops all of
-    them together.
+    Each trace equals the trace of ``simulate``, bit for bit. Raise ``ControllerError`` for an error that
+    stops all episodes together.
     """
     lanes = [Lane(world, controller, no_ticks(scenario)) for scenario, world, controller in episodes]
     kinds: dict[object, list[Lane]] = {}
@@ -98,7 +99,7 @@ def simulate_driven(
 
 
 def no_ticks(scenario: Scenario) -> NDArray[np.void]:
-    """Return empty records TICK (n,) for a scenario's hands and arm."""
+    """Return zero records TICK (n,) for a scenario's duration, hands and arm."""
     joints = len(arm_model(scenario.robot).joint_names)
     return np.zeros(scenario.ticks + 1, tick_dtype(scenario.hand_slots, joints))
 
@@ -110,14 +111,14 @@ def trace_of(
 
     Args:
         scenario: The scenario.
-        world: Its world, for the provenance and measurements.
-        controller: Its controller, for the decisions.
+        world: The world of the run, for the provenance and measurements.
+        controller: The controller of the run, for the decisions.
         ticks: The ticks (n,) TICK.
-        ended: The way in which the run ended.
+        ended: How the run ended, in a word.
 
     """
     decisions = controller.decisions
-    decisions = decisions[decisions["tick"] < len(ticks)]  # without that of a tick that Ctrl-C interrupted
+    decisions = decisions[decisions["tick"] < len(ticks)]  # without the decision of an interrupted tick
     trace = Trace(
         scenario=scenario,
         ticks=ticks,
@@ -134,7 +135,7 @@ def trace_of(
 
 
 def _interventions(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
-    """Return the INTERVENTION (n,) of the shield; ``ControllerError`` for a controller that bypasses it."""
+    """Return the shield's INTERVENTION (n,); raise ``ControllerError`` if the controller bypasses it."""
     interventions: NDArray[np.void] = getattr(controller, "interventions", no_interventions())
     if scenario.shield is not None and len(interventions) == 0:
         raise ControllerError(f"{controller.name!r} drives the arm past the shield of its scenario")
@@ -142,7 +143,7 @@ def _interventions(scenario: Scenario, controller: Controller) -> NDArray[np.voi
 
 
 def _system(scenario: Scenario, controller: Controller) -> SystemUnderTest:
-    """Return the system under test of a run; the reader of a user's file adds its hash."""
+    """Return the system under test of a run; the code that reads a user's file adds the file's hash."""
     part = Component(name=controller.name)
     asks = isinstance(controller, AvoidingServo | ControllerWrapper)
     own = {"avoider" if asks else "controller": part}
@@ -151,7 +152,7 @@ def _system(scenario: Scenario, controller: Controller) -> SystemUnderTest:
 
 @dataclass(eq=False)
 class Episode:
-    """A scenario under way, with a world and a controller of its own."""
+    """A running scenario, with a world and a controller of its own."""
 
     scenario: Scenario
     world: BatchWorld
@@ -163,7 +164,7 @@ class Episode:
         self.ticks = no_ticks(self.scenario)
 
     def advance(self) -> bool:
-        """Go on to the next decision (True) or to the end (False)."""
+        """Go on to the next decision and return True, or to the end and return False."""
         decided = self.observation is not None
         self.observation = self.world.advance(self.controller.records, self.ticks, decided)
         return self.observation is not None
@@ -174,9 +175,9 @@ class Episode:
 
 
 def simulate_many(episodes: Sequence[Episode]) -> list[Trace]:
-    """Run all episodes to their ends; each trace equals that of ``simulate`` in the same world, bit for bit.
+    """Run all episodes to their ends; each trace equals the trace of ``simulate``, bit for bit.
 
-    Only the latency differs: it is NaN for joint decisions, which are not timed (``ask_many``).
+    Only the latency differs: it is NaN for joint decisions, whose times ``ask_many`` does not measure.
     """
     under_way = list(episodes)
     while under_way:

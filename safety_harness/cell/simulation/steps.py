@@ -1,12 +1,12 @@
-"""The compiled parts of a control tick in both worlds: cameras, drives, hands and the truth.
+"""Compute the parts of a control tick that both worlds share: cameras, drives, hands and the truth.
 
 A world calls ``sense``, gives the observation to the controller, then calls ``drive_on``. It moves the arm in
 its own way and passes the new joint state to ``move_on``. The functions take the arrays of ``WorldRecords``,
-in its order. These are separate arguments, because a tuple of them costs more than the steps themselves. Each
-kind of record has a type of its own, so that a type checker notices two swapped arguments.
+in the order of that class. The arrays are separate arguments, because a tuple costs more time than the steps
+themselves. Each kind of record has a type of its own, so that a type checker notices two swapped arguments.
 
-A camera takes a frame at the first control tick at or after its due time. It delivers the frame at the first
-tick at or after that plus the latency. If a fault delays a frame, the frames behind it wait too.
+A camera takes a frame at the first control tick at or after the frame's due time. It delivers the frame at
+the first tick at or after this tick plus the latency. If a fault delays a frame, the later frames wait too.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ TruthRecords = NewType("TruthRecords", Records)  # (1,) of a tick ``as_compiled`
 
 @inlined
 def now_s(clocks: ClockRecords) -> float:
-    """Return the start of the coming control tick [s]: a multiple of the period, never a running sum."""
+    """Return the start [s] of the coming control tick, as a multiple of the period, not as a running sum."""
     return float(clocks[0].tick * clocks[0].control_period_s)
 
 
@@ -64,7 +64,7 @@ def sense(
     normals: Floats,  # (frames, boxes, 3)
     uniforms: Floats,  # (frames, boxes)
 ) -> None:
-    """Let the exact cameras take each frame that is due; give the controller each that has arrived."""
+    """Let the exact cameras take each frame that is due; give the controller each frame that has arrived."""
     mount(clocks, faults, sensors)
     pose = truths[0].transform_tcp_to_base
     if object_frame_due(clocks, sensors):
@@ -84,13 +84,13 @@ def sense(
 
 @inlined
 def mount(clocks: ClockRecords, faults: FaultRecords, sensors: SensorRecords) -> None:
-    """Set the hand-eye camera's pose before the cameras take frames, and start the tick's bits of faults."""
+    """Set the hand-eye camera's pose before the cameras take frames; set the tick's first bits of faults."""
     clocks[0].acted_faults = mount_camera(faults, sensors, now_s(clocks)) if faults.shape[0] > 0 else 0
 
 
 @inlined
 def object_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
-    """Return whether the object's camera takes a frame at this tick; the call advances its clock."""
+    """Return whether the object's camera takes a frame at this tick; if so, set the next due time."""
     s = sensors[0]
     due, s.object_due_s = take_due(now_s(clocks), s.object_period_s, s.object_due_s)
     return due
@@ -98,7 +98,7 @@ def object_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
 
 @inlined
 def hand_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
-    """Return whether the hand sensor takes a frame at this tick; the call advances its clock."""
+    """Return whether the hand sensor takes a frame at this tick; if so, set the next due time."""
     s = sensors[0]
     due, s.hand_due_s = take_due(now_s(clocks), s.hand_period_s, s.hand_due_s)
     return due
@@ -126,7 +126,7 @@ def send_object_frame(
     visible: bool,
     moments: Array31,
 ) -> None:
-    """Put a frame of the object on its way, after the faults."""
+    """Store a new frame of the object, with the faults applied, for later delivery."""
     s, time_s = sensors[0], now_s(clocks)
     frame = object_frames[s.object_frames % RING]
     frame.time_s, frame.late_s = time_s, 0.0
@@ -152,10 +152,10 @@ def send_hand_frame(
     boxes: Floats,  # (n, 5)
     count: int,
 ) -> None:
-    """Put a frame of boxes on its way, after noise and faults.
+    """Store a new frame of boxes, with noise and faults applied, for later delivery.
 
-    ``boxes`` may be the frame's own array. The sensor misses some hands. The rest get pixel and depth noise.
-    Depth noise grows with the square of the depth, as a stereo camera's does.
+    ``boxes`` may be the frame's own array. The sensor misses some hands. The other boxes get pixel and depth
+    noise. The depth noise grows with the square of the depth, as in a stereo camera.
     """
     s, time_s = sensors[0], now_s(clocks)
     frame = hand_frames[s.hand_frames % RING]
@@ -187,7 +187,7 @@ def hand_over(
     object_frames: ObjectFrames,
     hand_frames: HandFrames,
 ) -> None:
-    """Give the controller the newest frames that have arrived by now; encoders are exact."""
+    """Give the controller the newest frames that have arrived by now, and the exact joint state."""
     s, o, truth, time_s = sensors[0], observations[0], truths[0], now_s(clocks)
     o.time_s = time_s
     o.image_new = False
@@ -223,7 +223,7 @@ def drive_on(
     commands: CommandRecords,
     commanded_radps: ArrayN,
 ) -> bool:
-    """Fill the motors' set points, ``commanded_radps``, from a command; return True while the brakes act."""
+    """Fill the motors' set points ``commanded_radps`` from a command; return True while the brakes act."""
     command, time_s = commands[0], now_s(clocks)
     braking = drive_tick(
         drives, command.joint_velocity_radps, command.protective_stop, truths[0].tcp_speed_mps, time_s
@@ -249,7 +249,7 @@ def move_on(
     joints_rad: ArrayN,
     joints_radps: ArrayN,
 ) -> None:
-    """Move the hands by a control period, and write the truth at its end with the given joint state."""
+    """Move the hands by a control period, and write the truth at the period's end for a given joint state."""
     clock = clocks[0]
     for i in range(3):
         clock.tcp_in_base_m[i] = truths[0].transform_tcp_to_base[i, 3]

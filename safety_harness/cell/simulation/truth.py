@@ -1,4 +1,4 @@
-"""The world's truth at a control tick, written into the trace: poses, speeds, distances."""
+"""Write the world's truth at a control tick into the trace: poses, speeds, distances."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def arm_record(arm: ArmModel, settings: Settings) -> NDArray[np.void]:
 
 @lru_cache(maxsize=16)
 def _arm_record(arm: ArmModel, hand: Hand) -> NDArray[np.void]:
-    """Return the record of ``arm_record``, cached."""
+    """Return the record of ``arm_record``, cached for each arm and hand."""
     record = np.zeros(1, arm_dtype(len(arm.joint_names)))
     record["chain"] = arm.chain
     record["hand_radius_m"] = hand.radius_m
@@ -50,17 +50,18 @@ def _arm_record(arm: ArmModel, hand: Hand) -> NDArray[np.void]:
 
 
 def cell_capsules(capsules: CapsuleSet, settings: Settings) -> CapsuleSet:
-    """Return the arm's capsules with a further capsule for the body of the hand-eye camera.
+    """Return the arm's capsules and one more capsule for the body of the hand-eye camera.
 
-    A D435 is 90 mm wide, 25 mm high and 25 mm deep (Intel's data sheet). Its capsule is about the optical
-    centre and along the image's u axis. The radius is half the diagonal of its section.
+    A D435 camera is 90 mm wide, 25 mm high and 25 mm deep (Intel's data sheet). The middle of its capsule is
+    the optical centre, and the axis is along the image's u axis. The radius is half the diagonal of the
+    camera's cross-section.
     """
     return _with_camera(capsules, settings.camera)
 
 
 @lru_cache(maxsize=16)
 def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
-    """Return the capsules of ``cell_capsules``, cached."""
+    """Return the capsules of ``cell_capsules``, cached for each set and camera."""
     offset = np.array(camera.mount_offset_in_tcp_m)
     along = np.array([cos(camera.mount_yaw_rad), sin(camera.mount_yaw_rad), 0.0])
     radius_m = 0.0177
@@ -81,7 +82,7 @@ def fill_truth(
     joint_velocity_radps: ArrayN,
     time_s: float,
 ) -> None:
-    """Write the truth part of a tick, and the capsules and link poses for the sensors."""
+    """Write the truth part of a tick, and update the capsules and link poses for the sensors."""
     arm, tick = arms[0], ticks[0]
     tick.time_s = time_s
     copy_vector(joint_position_rad, tick.joint_position_rad)
@@ -99,7 +100,7 @@ def fill_truth(
             tick.elbow_position_in_base_m[k, i] = hand.elbow_in_base_m[i] if hand.present else 0.0
         likely = min(
             tick.hand_distance_capsule[k], capsules.shape[0] - 1
-        )  # the nearest one of the tick before, if the hand was there: likely the nearest again
+        )  # the nearest capsule of the previous tick, if the hand was there: likely the nearest again
         tick.hand_distance_m[k] = np.inf
         tick.hand_distance_capsule[k] = -1
         if hand.present:

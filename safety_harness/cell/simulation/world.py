@@ -1,4 +1,4 @@
-"""The interface of every world for the loop of ``simulate``: a truth, an observation and a step."""
+"""Define the interface of every world for the loop of ``simulate``: a truth, an observation, a step."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 
 class World(Protocol):
-    """An episode of a scenario; use it once and close it on every path (a context manager)."""
+    """An episode of a scenario, to be used once, as a context manager, so that it is closed in any case."""
 
     @property
     def name(self) -> str:
-        """Its name in traces and reports."""
+        """The world's name in traces and reports."""
 
     @property
     def time_s(self) -> float:
@@ -34,7 +34,7 @@ class World(Protocol):
 
     @property
     def acted_faults(self) -> int:
-        """Bits of the scenario's faults that have acted since the last observation."""
+        """The scenario's faults that have acted since the last observation, as bits."""
 
     def true_state(self, tick: NDArray[np.void]) -> None:
         """Write the truth into ``tick`` (1,) TICK."""
@@ -49,7 +49,7 @@ class World(Protocol):
 class BatchWorld(World, Protocol):
     """A world in which many episodes run together.
 
-    Each goes to its next decision, then all of them decide.
+    Each episode goes on to its next decision; then the caller decides for all episodes together.
     """
 
     def advance(
@@ -70,11 +70,11 @@ class ShowsImages(Protocol):
     """A world with a renderer."""
 
     def image(self) -> Image:
-        """Return the last rendered image of the object's camera that has been delivered."""
+        """Return the last rendered image that the object's camera has delivered."""
 
 
 def refuse_rendered(scenario: Scenario, world: str) -> None:
-    """Raise ``InadmissibleError`` if the scenario needs rendered images, which ``world`` does not have."""
+    """Raise ``InadmissibleError`` if the scenario needs rendered images, which ``world`` cannot make."""
     settings = scenario.settings
     rendered = {
         "camera.source": settings.camera.source is ImageSource.RENDERED,
@@ -88,10 +88,10 @@ def refuse_rendered(scenario: Scenario, world: str) -> None:
 
 
 class RecordedWorld:
-    """The common part of worlds whose state is in ``WorldRecords``: clock, truth and exact cameras.
+    """The common part of worlds with their state in ``WorldRecords``: clock, truth and exact cameras.
 
-    A world adds its ``name`` and its ``step``. ``InadmissibleError`` for rendered images unless it
-    ``renders``.
+    A subclass adds its ``name`` and its ``step``. Raise ``InadmissibleError`` for a scenario with rendered
+    images, unless the subclass ``renders``.
     """
 
     name: str
@@ -125,7 +125,7 @@ class RecordedWorld:
 
     @property
     def acted_faults(self) -> int:
-        """Bits of the scenario's faults that have acted on this tick's frames and, after it, on its step."""
+        """The scenario's faults that have acted on this tick's frames and on its step (if done), as bits."""
         return int(self.records.clock[0]["acted_faults"])
 
     def true_state(self, tick: NDArray[np.void]) -> None:
@@ -133,7 +133,7 @@ class RecordedWorld:
         tick.view(self.records.truth.dtype)[0] = self.records.truth[0]
 
     def observe(self) -> NDArray[np.void]:
-        """Let the cameras take each frame that is due and deliver each that has arrived.
+        """Let the cameras take each frame that is due, and deliver each frame that has arrived.
 
         Encoders are exact.
         """

@@ -1,8 +1,8 @@
-"""The table of all worlds: their names, their abilities and the worlds that confirm them.
+"""List all worlds with their names, their abilities and the worlds that confirm them.
 
-A new world is a class (``RecordedWorld`` has the common part) and an entry of ``WORLDS``. A program may
-append an entry of its own. Other modules receive an entry and call it. Only names and labels in files are
-looked up here. The import of this module loads no engine.
+To add a world, write a class (``RecordedWorld`` has the common part) and an entry of ``WORLDS``. A program
+may append an entry of its own. Other modules receive an entry and call its methods. This module only looks up
+names and labels from files. The import of this module loads no engine.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class OpensWorld(Protocol):
-    """The class of a world, or a function in its place."""
+    """The class of a world, or a function that can replace it."""
 
     def __call__(
         self,
@@ -40,19 +40,20 @@ class OpensWorld(Protocol):
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> AbstractContextManager[World]:
-        """Open a scenario with the arm at joints (n,) [rad]; ``detector`` is for rendered images of hands."""
+        """Open a scenario with the arm at ``joint_position_rad`` (n,); ``detector`` is for rendered hands."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldEntry:
-    """A world. ``name`` is its name in traces, ``label`` its name in plans and on pages.
+    """A world with its abilities; traces call it by ``name``, plans and pages by ``label``.
 
-    ``load`` imports its class, and its engine with it. Traces list its ``libraries`` beside the libraries of
-    every run. ``renders``: it has a camera's images, pixel by pixel. ``substeps``: it divides a control
-    period by ``physics_substeps``. ``batch``: it is a ``BatchWorld``, so many episodes run together.
-    ``known_to_radps``: a joint's recorded speed may miss its motor's set point by this much, because the
-    engine's solver stops there. ``confirmed_by`` is the world that must show a result or a bound before it
-    counts for more than the model. It is None for a reference.
+    ``load`` imports the world's class, and with it the engine. Traces list its ``libraries`` beside the
+    libraries of every run. ``renders`` states that it makes camera images, pixel by pixel. ``substeps``
+    states that it divides a control period by ``physics_substeps``. ``batch`` states that it is a
+    ``BatchWorld``, so that many episodes run together. The recorded speed of a joint may differ from the
+    motor's set point by ``known_to_radps``, because the engine's solver stops there. ``confirmed_by`` is the
+    world that must confirm a result or a bound before it counts for more than the model. It is None for a
+    reference.
     """
 
     name: str
@@ -70,12 +71,12 @@ class WorldEntry:
 
     @property
     def model_only(self) -> bool:
-        """Whether its results hold for the model only, and not for the reference."""
+        """Whether the world's results hold only for its model, and not for the reference."""
         return self.confirmed_by is not None
 
     @property
     def is_installed(self) -> bool:
-        """Whether its engine can be loaded; this property loads it."""
+        """Whether the world's engine can be loaded; the property loads it to find out."""
         try:
             self.opener()
         except InstallationError:
@@ -83,7 +84,7 @@ class WorldEntry:
         return True
 
     def opener(self) -> OpensWorld:
-        """Return its class; ``InstallationError`` without its engine."""
+        """Return the world's class; raise ``InstallationError`` if its engine is not installed."""
         try:
             return self.load()
         except ModuleNotFoundError as error:
@@ -103,11 +104,11 @@ class WorldEntry:
         Args:
             scenario: The scenario, which admission has accepted.
             arm: The arm's model.
-            joint_position_rad: The arm's first joint position (n,).
-            detector: A detector of hands in rendered images. None: by skin colour.
+            joint_position_rad: The arm's joint position (n,) at the start.
+            detector: A detector of hands in rendered images. None: detection by skin colour.
 
         Returns:
-            The world, a context manager; use it once.
+            The world as a context manager, to be used once.
 
         Raises:
             InadmissibleError: The scenario needs rendered images and the world has no renderer.
@@ -124,8 +125,8 @@ class WorldEntry:
             scenario: The scenario.
 
         Raises:
-            InadmissibleError: It needs rendered images and the world has no renderer.
-            MissingPackageError: It needs rendered images and OpenCV is not installed.
+            InadmissibleError: The scenario needs rendered images and the world has no renderer.
+            MissingPackageError: The scenario needs rendered images and OpenCV is not installed.
 
         """
         if not self.renders:
@@ -175,7 +176,7 @@ WORLDS = Registry([PYBULLET, KINEMATIC], ExtensionPoint.WORLDS, WorldEntry)
 
 
 def default_world() -> WorldEntry:
-    """Return the world of runs that name none: the reference if it is installed, else the kinematic world."""
+    """Return the world for runs that do not name a world: the reference, or else the kinematic world."""
     return REFERENCE if REFERENCE.is_installed else KINEMATIC
 
 
@@ -187,9 +188,9 @@ def has_rendered_images(scenario: Scenario) -> bool:
 
 
 def libraries_of(world: str, scenario: Scenario) -> tuple[str, ...]:
-    """Return the libraries that a run of ``scenario`` uses in ``world``, beside the libraries of every run.
+    """Return the libraries that a run of ``scenario`` in ``world`` uses beside the libraries of every run.
 
-    ``world`` is a name as in traces.
+    ``world`` is the world's name in traces.
     """
     engines = next((entry.libraries for entry in WORLDS if entry.name == world), ())
     images = ("cv2",) if has_rendered_images(scenario) else ()
@@ -198,12 +199,12 @@ def libraries_of(world: str, scenario: Scenario) -> tuple[str, ...]:
 
 
 def worlds_by_label() -> dict[str, WorldEntry]:
-    """Return the worlds by their labels, as plans and ledgers name them."""
+    """Return the worlds by the labels that plans and ledgers use."""
     return {world.label: world for world in WORLDS}
 
 
 def world_named(label: str, option: str) -> WorldEntry:
-    """Return the world with the ``label`` of a command's ``option``; ``ScenarioError`` for another label."""
+    """Return the world ``label``, the value of a command's ``option``; ``ScenarioError`` if unknown."""
     worlds = worlds_by_label()
     for known, world in worlds.items():
         if known.casefold() == label.casefold():
@@ -212,7 +213,7 @@ def world_named(label: str, option: str) -> WorldEntry:
 
 
 def world_of_trace(name: str) -> WorldEntry:
-    """Return the world with the ``name`` that a trace gives; ``TraceError`` for another name."""
+    """Return the world with the ``name`` that a trace states; raise ``TraceError`` for an unknown name."""
     for world in WORLDS:
         if world.name == name:
             return world
@@ -221,5 +222,5 @@ def world_of_trace(name: str) -> WorldEntry:
 
 
 def engine_elsewhere(then: Provenance, now: Provenance) -> bool:
-    """Return whether an engine made a trace on another kind of machine, so that its last bits may differ."""
+    """Return whether an engine made a trace on another kind of machine, so that last bits may differ."""
     return now.world != KINEMATIC.name and then.machine != now.machine

@@ -1,1 +1,1 @@
-"""A user's avoider in a process of its own, which may hang, end or run out of memory without harm to ours."""
+"""Run a user's avoider in its own process, which may hang, end or fill its memory without harm to ours."""

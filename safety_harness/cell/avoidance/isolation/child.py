@@ -1,7 +1,7 @@
-"""Avoiders in the process of a user's file.
+"""Serve a user's avoiders in the process of their file.
 
-Both processes call the avoider by the same functions, so that an answer and a fault are the same in both.
-This module must start quickly: its imports do not wait for a compiler.
+This process and the harness call an avoider by the same functions, so that answers and faults are the same in
+both. This module must start quickly, so it imports nothing that waits for a compiler.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ class _Avoiders(ServedKind):
         )
 
     def answers(self, message: Ask) -> Iterator[Answered]:
-        """Yield the answers of one call if the message wants that and it works, otherwise each in turn."""
+        """Yield the answers of a joint call if the message wants one and it works, otherwise one by one."""
         avoider, file = self.made[message.number]
         questions, joint = message.unpacked_questions, []
         if message.together:
             try:
                 joint = answers_together(avoider, questions)
-            except BaseException:  # calls in turn show which question raises
+            except BaseException:  # separate calls show which question raises
                 joint = []
         for k, answer in enumerate(joint or (_answer(avoider, question, file) for question in questions)):
             fault = answer.fault.encode(errors="replace")[:MOST_ANSWER_WORDS].decode(errors="ignore")
@@ -72,9 +72,9 @@ def _avoider(path: Path, source: bytes, wanted: dict[str, Any]) -> Avoider:
 
 
 def _answer(avoider: Avoider, question: Question, file: str) -> Answer:
-    """Return the avoider's answer, or a fault for anything that it raises."""
+    """Return the avoider's answer; turn any exception of the avoider into a fault."""
     try:
-        return ask(avoider, question._replace(limit_s=np.inf))  # the other process has the limit
+        return ask(avoider, question._replace(limit_s=np.inf))  # the other process applies the limit
     except BaseException as error:  # SystemExit, or the user's own, must not end this process
         return Answer(fault=described(error, file))
 

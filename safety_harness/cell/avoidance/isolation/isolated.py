@@ -1,8 +1,9 @@
-"""An avoider of a user's file, called in a process of its own: the harness survives its failures.
+"""Call an avoider of a user's file in a process of its own, so that the harness survives its failures.
 
-An avoider with a memory keeps it as long as its process lives. If it does not answer within the wall limit,
-the harness kills it with all its forks, and the run ends. If its process ends by itself, that is a decision
-fault. The next question goes to a new process, which makes the avoider anew from the same text.
+An avoider with a memory keeps this memory as long as its process lives. If it does not answer within the wall
+limit, the harness kills its process with all its forks, and the run ends. If the process ends by itself, the
+harness records a fault of the decision. The next question then goes to a new process, which makes the avoider
+anew from the same text.
 """
 
 from __future__ import annotations
@@ -61,19 +62,19 @@ from safety_harness.seams.isolation.process import Process
 from safety_harness.seams.isolation.python_file import source_of
 
 SEND_S = 10.0
-KEPT = 2  # processes that stay ready without an avoider
+KEPT = 2  # processes that stay ready while they serve no avoider
 LOGGER = logging.getLogger("safety_harness.avoider")
 CHILD = "safety_harness.cell.avoidance.isolation.child"
-ATTEMPTS = 3  # to make it anew, one after another
-PROGRAM_S = 300.0  # for its import and its first answer
-ONNX_S = 60.0  # for its loading and two answers: the runtime computes constant parts at once
+ATTEMPTS = 3  # attempts to make an avoider anew, one after another
+PROGRAM_S = 300.0  # for the import and the first answer of a Python file
+ONNX_S = 60.0  # to load an ONNX file and answer twice: the runtime computes constant parts on loading
 
 
 class IsolatedAvoider(OutOfProcessAvoider):
-    """An avoider in the process of its file."""
+    """An avoider that runs in the process of its file."""
 
     def __init__(self, connection: Connection, make: Callable[[int], Make], within_s: float) -> None:
-        """Make it there; ``RefusedError``, or ``GoneError`` if the process dies before it replies."""
+        """Make the avoider there; ``RefusedError`` if refused, ``GoneError`` if the process dies first."""
         self._number = next(connection.numbers)
         with connection.lock:
             made = connection.introduce(make(self._number), Made, within_s)
@@ -87,7 +88,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
         self.sees = made.sees
         self._connection, self._make, self._within_s = connection, make, within_s
         self._asked = False
-        self._rehearsal: Question | None = None  # its first question, if it survived that
+        self._rehearsal: Question | None = None  # its first question, if its process survived that question
         weakref.finalize(self, connection.forget, self._number).atexit = False
 
     def propose(
@@ -98,7 +99,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
         seed: int,
         seen: Seen | None = None,
     ) -> Proposal:
-        """Return the avoider's proposal; ``AvoiderError`` with the fault's text."""
+        """Return the avoider's proposal; raise ``AvoiderError`` with the fault's text if there is none."""
         question = Question(hand_position_in_base_m, tcp_position_in_base_m, seed, WALL_LIMIT_S, seen)
         answer = self.answers([question], together=False)[0]
         if answer.fault:
@@ -106,9 +107,9 @@ class IsolatedAvoider(OutOfProcessAvoider):
         return answer.proposal
 
     def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
-        """Return the answers, as ``OutOfProcessAvoider`` does.
+        """Return an answer to each question, as ``OutOfProcessAvoider`` describes.
 
-        If a joint call does not answer, the questions go there in turn.
+        If a joint call brings no answer, the method sends the remaining questions one by one.
         """
         received: list[Answer] = []
         with self._connection.lock:
@@ -130,7 +131,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
                     if not together:
                         received.append(Answer(fault=str(gone), latency_s=time.perf_counter() - begun_s))
                     together = False
-                except BaseException:  # Ctrl-C: its late answer would count for the next question
+                except BaseException:  # Ctrl-C: a late answer would pass for that of the next question
                     self._connection.end()
                     raise
             if not self._asked:
@@ -139,7 +140,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
         return received
 
     def _answered(self, questions: list[Question], *, together: bool) -> Iterator[Answer]:
-        """Yield the answers as they come, unchecked; ``GoneError`` at one that does not come."""
+        """Yield the unchecked answers as they arrive; raise ``GoneError`` if one does not arrive."""
         self._connection.say(Ask.from_questions(self._number, questions, together), SEND_S)
         for k, question in enumerate(questions):
             message = self._connection.hear(limit_of(questions) if together else question.limit_s)
@@ -148,9 +149,9 @@ class IsolatedAvoider(OutOfProcessAvoider):
             yield message.answer
 
     def _be_there(self) -> None:
-        """Make the avoider anew if necessary, and repeat its first question.
+        """Make the avoider anew if necessary, and ask it its first question again.
 
-        So no decision pays for that.
+        So the start of a process takes no time from a decision.
         """
         if self._connection.alive and self._generation == self._connection.generation:
             return
@@ -173,7 +174,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
 
 
 def _looked_at(answer: Answer) -> Answer:
-    """Check an answer from the other process as strictly as an answer of an avoider in this process."""
+    """Check an answer from the other process as strictly as an answer from this process."""
     latency_s = answer.latency_s if answer.latency_s >= 0.0 else np.nan
     if answer.fault:
         return Answer(fault=printable(answer.fault), latency_s=latency_s)
@@ -189,14 +190,14 @@ def _connected(path: Path, source: bytes, *, silent: bool = False) -> Connection
     return Connection(start, binary_wire(from_the_child.decode, MOST_ANSWER_BYTES))
 
 
-# By the file and its text; the last cache of the list is in use.  A cache holds the last KEPT connections;
+# The key is the file and its text; the last cache of the list is in use.  A cache holds KEPT connections;
 # the process of any other connection ends with its last avoider.
 _connections = [lru_cache(KEPT)(_connected)]
 
 
 @contextmanager
 def processes_apart() -> Iterator[None]:
-    """Let avoiders made in this context share no process or memory with earlier avoiders.
+    """Give the avoiders that are made in this context new processes, without any earlier avoider's memory.
 
     Their processes run silently.
     """

@@ -1,4 +1,4 @@
-"""Messages between the harness and the process of a user's avoider."""
+"""Define the messages between the harness and the process of a user's avoider."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOST_ANSWER_WORDS = 960  # bytes; a trace keeps 240 characters
 
 
 class Ask(ProcessMessage, tag="ask"):
-    """Questions to the avoider ``number``, packed; ``together`` asks for one call if it takes many."""
+    """Packed questions to the avoider ``number``; ``together`` asks for one call if it takes many."""
 
     number: int
     questions: list[tuple[Vector, Vector, int, float, PackedSeen | None]]
@@ -25,13 +25,13 @@ class Ask(ProcessMessage, tag="ask"):
 
     @classmethod
     def from_questions(cls, number: int, questions: list[Question], together: bool) -> Ask:
-        """Pack the views of the questions."""
+        """Return the message with ``questions``, whose views it packs."""
         packed = [(*q[:4], None if q.seen is None else packed_seen(q.seen)) for q in questions]
         return cls(number, packed, together)
 
     @property
     def unpacked_questions(self) -> list[Question]:
-        """The questions as they were."""
+        """The questions of the message with unpacked views."""
         return [Question(*q[:4], None if q[4] is None else unpacked(q[4])) for q in self.questions]
 
 

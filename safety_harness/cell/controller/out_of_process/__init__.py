@@ -1,1 +1,1 @@
-"""A controller in a process of its own: a Python file, an ONNX policy, a program that speaks our protocol."""
+"""Run a controller in its own process: a Python file, an ONNX policy, or a program with our protocol."""

@@ -1,6 +1,6 @@
-"""Controllers in the process of a user's file, one for each lane, episode after episode.
+"""Serve a user's controllers in the process of their file, one controller for each lane of episodes.
 
-This module must start quickly: its imports do not wait for a compiler.
+This module must start quickly, so its imports do not wait for a compiler.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class _Controllers(ServedKind):
     image: Image | None = None
 
     def make(self, message: Make, path: Path, wanted: dict[str, Any]) -> MadeController:
-        """Load the first controller and describe it."""
+        """Load the file's first controller and return its description."""
         controller, self.another = _controller(path, message.source, wanted["name"], wanted["onnx"])
         self.made, self.file = {0: controller}, str(path)
         sees, reports = sees_of(controller), reports_of(controller)
@@ -53,7 +53,7 @@ class _Controllers(ServedKind):
         return MadeController(PROTOCOL, controller.name, sees, reports, many, answers_many(controller))
 
     def answers(self, message: Reset | ActOnRows) -> Iterator[Ready | SaidRow | SaidRows]:
-        """Yield the answer to a message."""
+        """Yield the answer to ``message``, a single one."""
         yield self._reset(message) if isinstance(message, Reset) else self._act(message)
 
     def _reset(self, message: Reset) -> Ready:
@@ -68,7 +68,7 @@ class _Controllers(ServedKind):
         return Ready()
 
     def _act(self, message: ActOnRows) -> SaidRow | SaidRows:
-        """Return the answers of the lanes of a message."""
+        """Return the answers of the lanes in ``message``."""
         own, answers = message.lanes, self._answers
         controllers = [self.made[lane] for lane in own]
         if not message.together:
@@ -85,7 +85,7 @@ class _Controllers(ServedKind):
         return SaidRows(message.tick, [column[own].tobytes() for column in answers.columns], reasons)
 
     def _alone(self, controller: UserController, message: ActOnRows) -> Action:
-        """Call a single controller, which may see an image."""
+        """Return the action of a single controller, which may see an image."""
         seen = unpacked(message.seen)
         if message.image is not None:
             time_s, new, width, sent = message.image
@@ -96,7 +96,7 @@ class _Controllers(ServedKind):
 
 
 def _controller(path: Path, source: bytes, name: str, onnx: bool) -> tuple[UserController, Another | None]:
-    """Return the controller of a file, and the maker of a further one, if any."""
+    """Return a file's controller, and a function that makes further ones, or None if that is impossible."""
     if not onnx:
         controller = controller_in(path, source, name, Place(field="controller"))
         kind = type(controller)

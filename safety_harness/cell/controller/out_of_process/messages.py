@@ -1,7 +1,8 @@
-"""Messages between the harness and a controller in another process, one a turn.
+"""Define the messages between the harness and a controller in another process, which take turns.
 
-docs/reference/controller-protocol.md has the protocol. A program gets JSON, an object a line. Our own process
-for a Python file or an ONNX policy gets MessagePack in frames, whose views and answers are rows of numbers.
+docs/reference/controller-protocol.md describes the protocol. A program gets JSON, with one object in each
+line. Our own process for a Python file or an ONNX policy gets frames of MessagePack. In these, views and
+answers are rows of numbers.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ AnEnum = TypeVar("AnEnum", bound=IntEnum)
 
 
 class Hello(ProcessMessage, tag="hello"):
-    """The first message to a program."""
+    """The first message of the harness to a program."""
 
     protocol: str = PROTOCOL
     sights: tuple[str, ...] = tuple(entry.word for entry in SIGHTS)
@@ -49,7 +50,7 @@ class Hello(ProcessMessage, tag="hello"):
 
 
 class Reset(ProcessMessage, tag="reset"):
-    """The start of an episode; ``seed`` is digits, since many readers of JSON keep 53 bits of a number."""
+    """The start of an episode; ``seed`` is a text, since many JSON readers keep only 53 bits of a number."""
 
     call: ClassVar[str] = "reset"
     wants: ClassVar[str] = 'after a reset it has to say "ready"'
@@ -61,7 +62,7 @@ class Reset(ProcessMessage, tag="reset"):
 
 
 class Act(ProcessMessage, tag="act"):
-    """The view at a tick, for a program: the fields of ``Seen``."""
+    """The view at a tick for a program, with the fields of ``Seen``."""
 
     call: ClassVar[str] = "act"
     wants: ClassVar[str] = WANTS_ACTION
@@ -70,9 +71,9 @@ class Act(ProcessMessage, tag="act"):
 
 
 class ActOnRows(ProcessMessage, tag="rows"):
-    """The views of the controllers of ``lanes`` at a tick, for our own process: a row each.
+    """The views of the controllers of ``lanes`` at a tick, one row each, for our own process.
 
-    ``together`` asks for one call if they take many; otherwise there is one lane.
+    ``together`` asks for answers of all lanes at once; without it, there is only one lane.
     """
 
     call: ClassVar[str] = "act"
@@ -81,11 +82,11 @@ class ActOnRows(ProcessMessage, tag="rows"):
     lanes: list[int]
     seen: PackedSeen
     together: bool = False
-    image: tuple[float, bool, int, bytes] | None = None  # time [s], new, width [px], pixels of a new one
+    image: tuple[float, bool, int, bytes] | None = None  # time [s], whether new, width [px], pixels if new
 
 
 class Ready(ProcessMessage, tag="ready", forbid_unknown_fields=True):
-    """The answer that the episode may begin."""
+    """The controller's answer that the episode may begin."""
 
 
 class Welcome(ProcessMessage, tag="hello", forbid_unknown_fields=True):
@@ -98,9 +99,10 @@ class Welcome(ProcessMessage, tag="hello", forbid_unknown_fields=True):
 
 
 class MadeController(Welcome, tag="made", forbid_unknown_fields=True):
-    """The description by a process of ours.
+    """The description of a controller by our own process.
 
-    ``many``: it can make a controller for each of many lanes. ``together``: one call answers for all of them.
+    ``many`` states whether the process can make a controller for each of many lanes. ``together`` states
+    whether one call of the file answers for all lanes.
     """
 
     many: bool = False
@@ -108,7 +110,7 @@ class MadeController(Welcome, tag="made", forbid_unknown_fields=True):
 
 
 class SaidDecision(Struct, forbid_unknown_fields=True):
-    """A decision to retreat: positions (3,) [m], None if absent, and words of two vocabularies."""
+    """A reported decision, with positions (3,) [m], None if absent, and words of two vocabularies."""
 
     hand_position_in_base_m: Numbers
     proposed_position_in_base_m: Numbers | None = None
@@ -120,14 +122,14 @@ class SaidDecision(Struct, forbid_unknown_fields=True):
 
 
 class SaidReport(Struct, forbid_unknown_fields=True):
-    """A controller's report of a tick."""
+    """The report of a controller about a tick."""
 
     mode: str | None = None
     decision: SaidDecision | None = None
 
 
 class SaidMove(ProcessMessage, tag="move", forbid_unknown_fields=True):
-    """The motion from a tick to the next."""
+    """The motion from one tick to the next."""
 
     tick: int
     tcp_velocity_mps: Numbers | None = None
@@ -144,7 +146,7 @@ class SaidStop(ProcessMessage, tag="stop", forbid_unknown_fields=True):
 
 
 class SaidRow(ProcessMessage, tag="row", forbid_unknown_fields=True):
-    """The answer of a single lane: ``wanted`` (6,) of the TCP, or (n,) of the joints, as ``LaneAnswers``."""
+    """The answer of a single lane, as in ``LaneAnswers``; ``wanted`` is a twist or joint velocities."""
 
     tick: int
     wanted: bytes
@@ -155,9 +157,9 @@ class SaidRow(ProcessMessage, tag="row", forbid_unknown_fields=True):
 
 
 class SaidRows(ProcessMessage, tag="rows", forbid_unknown_fields=True):
-    """The answers of all lanes of a tick: the columns of ``LaneAnswers``, a row each.
+    """The answers of all lanes at a tick: the columns of ``LaneAnswers``, with a row for each lane.
 
-    ``why`` has the reason of each lane that cannot go on.
+    ``why`` states the reason for each lane that cannot go on.
     """
 
     tick: int
@@ -172,7 +174,7 @@ to_the_process = decoder_of(Make | Reset | ActOnRows)
 
 
 def fields_of(seen: Seen, sees: tuple[str, ...]) -> dict[str, Any]:
-    """Return the view for a program, with the pixels of an image once, when it is new."""
+    """Return the view for a program, with the pixels of an image only if the image is new."""
     fields: dict[str, Any] = {"time_s": seen.time_s, "period_s": seen.period_s}
     for sight in SIGHTS:
         if sight.word in sees:
@@ -185,7 +187,7 @@ def fields_of(seen: Seen, sees: tuple[str, ...]) -> dict[str, Any]:
 
 
 def seen_at(tick: int, seen: Seen, lane: int) -> ActOnRows:
-    """Return the view for a process of ours at a tick; ``ControllerError`` unless the harness made it."""
+    """Return the view of a tick for our own process; ``ControllerError`` unless the harness made it."""
     image = seen.__dict__.get("image")
     sent = None
     if image is not None:
@@ -195,7 +197,7 @@ def seen_at(tick: int, seen: Seen, lane: int) -> ActOnRows:
 
 
 def action_in(row: SaidRow) -> Action:
-    """Return the action of a single lane; ``ValueError`` for an invalid row."""
+    """Return the action of a single lane; raise ``ValueError`` for an invalid row."""
     report, wanted = None, np.frombuffer(row.wanted)
     if row.mode != NOT_REPORTED or row.decision is not None:
         mode = None if row.mode == NOT_REPORTED else Mode(row.mode)
@@ -208,7 +210,7 @@ def action_in(row: SaidRow) -> Action:
 
 
 def action_of(message: SaidMove | SaidStop) -> Action:
-    """Return the action of a controller's message; ``ValueError`` for a word outside of its vocabulary."""
+    """Return the action in a controller's message; raise ``ValueError`` for an unknown word."""
     report = None if message.report is None else _report_of(message.report)
     if isinstance(message, SaidStop):
         return Stop(report=report)
@@ -221,18 +223,18 @@ def action_of(message: SaidMove | SaidStop) -> Action:
 
 
 def _floats(value: Numbers | None) -> Any:
-    """Return numbers as an array, None without numbers."""
+    """Return ``value`` as an array, or None for None."""
     return None if value is None else np.array(value, dtype=np.float64)
 
 
 def _report_of(report: SaidReport) -> Report:
-    """Return the report of a message."""
+    """Return the report in a message as the contract's ``Report``."""
     mode = None if report.mode is None else _meant(Mode, report.mode, "mode")
     return Report(mode=mode, decision=None if report.decision is None else _decision_of(report.decision))
 
 
 def _decision_of(decision: SaidDecision) -> Decision:
-    """Return the decision of a message."""
+    """Return the decision in a message as the contract's ``Decision``."""
     fields = {
         name: _floats(value) if isinstance(value, list) else value for name, value in asdict(decision).items()
     }
@@ -243,12 +245,12 @@ def _decision_of(decision: SaidDecision) -> Decision:
 
 
 def word_of(value: IntEnum) -> str:
-    """Return the protocol's word for a value: PROTECTIVE_STOP is "protective stop"."""
+    """Return the protocol's word for a value, such as "protective stop" for PROTECTIVE_STOP."""
     return value.name.lower().replace("_", " ")
 
 
 def _meant(kind: type[AnEnum], text: str, name: str) -> AnEnum:
-    """Return the value of ``kind`` with the word ``text``; ``ValueError`` for another word."""
+    """Return the value of ``kind`` with the word ``text``; raise ``ValueError`` for another word."""
     for value in kind:
         if word_of(value) == text:
             return value

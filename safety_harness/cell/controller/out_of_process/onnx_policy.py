@@ -1,14 +1,14 @@
-"""A policy in an ONNX file as a controller; it runs in a process of its own.
+"""Run a policy in an ONNX file as a controller, in a process of its own.
 
-Inputs and outputs have these names, or other names that a layout explains (``onnx_names``).
+Inputs and outputs have the following names, or other names that a layout explains (``onnx_names``).
 
 Inputs
     Any of the arrays of ``arrays.observed``, by their names, with a first axis of 1: the policy sees these.
     ``image``: (1, height, width, 3), the pixels of the last image.
     NAME, with an output ``next_NAME``: the policy's memory from tick to tick; zeros at first.
 Outputs
-    tcp_velocity_mps (1, 3), tcp_angular_velocity_radps (1, 3), joint_velocity_radps (1, n): as of ``Move``.
-    stop (1,), optional: a protective stop above one half.
+    tcp_velocity_mps (1, 3), tcp_angular_velocity_radps (1, 3), joint_velocity_radps (1, n): as in ``Move``.
+    stop (1,), optional: a number above one half means a protective stop.
 Metadata
     name, optional: its name in place of the file's; ticks: the duration of each action, 1 by default;
     training: its training data, which only evidence reports read.
@@ -43,14 +43,14 @@ GIVEN |= {STOP: NamedQuantity((), TYPES)}
 
 
 class OnnxPolicy:
-    """The function of an ONNX file, on one thread of the CPU, in one order of operations."""
+    """A policy in an ONNX file, which runs on one thread of the CPU in a fixed order of operations."""
 
     reports = ()
 
     def __init__(self, path: Path, data: bytes, layout: str = "") -> None:
-        """Load and check the file; ``ModelError`` unless it is a policy.
+        """Load and check the file; raise ``ModelError`` unless it is a policy.
 
-        ``layout`` describes inputs and outputs whose names are not ours (``onnx_names``).
+        ``layout`` states the quantities of inputs and outputs whose names are not ours (``onnx_names``).
         """
         self._file = file = OnnxFile(path, data, layout)
         own, session = file.metadata, file.session
@@ -73,23 +73,23 @@ class OnnxPolicy:
         self._action: Action = Stop()
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
-        """Begin with a state of zeros."""
+        """Begin an episode: set the policy's memory to zeros."""
         self._joints, self._left = len(arm.joint_names), 0
         self._state = self._states
 
     def another(self) -> OnnxPolicy:
-        """Return a further policy of the same file, for an episode in another lane."""
+        """Return a second policy from the same file, for an episode in another lane."""
         return copy(self)
 
     def act(self, seen: Seen) -> Action:
-        """Return the file's action, constant for its number of ticks."""
+        """Return the policy's action; run the file only when the last action's number of ticks is over."""
         if self._left == 0:
             self._action, self._left = self._answer(seen), self._hold
         self._left -= 1
         return self._action
 
     def _answer(self, seen: Seen) -> Action:
-        """Run the file, and keep its next state."""
+        """Run the file on ``seen``, keep the policy's next memory, and return the action."""
         widths = dict.fromkeys(MOVES, 3) | {MOVES[2]: self._joints, STOP: 1}
         outputs = self._file.answers(self._observed(seen), widths)
         self._state = {name: outputs[NEXT + name] for name in self._states}
@@ -99,7 +99,7 @@ class OnnxPolicy:
         return Move(**{name: value[0] for name, value in moves.items()})
 
     def _observed(self, seen: Seen) -> Arrays:
-        """Return the inputs, from the row of ``seen``."""
+        """Return the file's inputs, made of the quantities in ``seen``."""
         own = seen.__dict__
         arrays = columns_of(own["_row"][None], seen.period_s, own["_makers"])
         if IMAGE in self.sees:
@@ -108,7 +108,7 @@ class OnnxPolicy:
 
 
 def _known() -> Iterator[tuple[str, tuple[str, NamedQuantity]]]:
-    """Yield each visible quantity by name: its word, and its axes, open for numbers of hands and joints."""
+    """Yield each visible quantity's name, word and axes; axes of hands and joints are open."""
     yield IMAGE, (IMAGE, NamedQuantity((ANY, ANY, 3), TYPES))
     for sight_word in (sight.word for sight in SIGHTS if sight.word != IMAGE):
         few, more = (observed(np.zeros(1, seen_dtype(n, n)), (sight_word,)) for n in (1, 2))
@@ -121,14 +121,14 @@ _KNOWN = dict(_known())
 
 
 def _zeros(path: Path, tensor: Any) -> NDArray[Any]:
-    """Return the first state; ``ModelError`` if the file does not state all its sizes."""
+    """Return zeros for a memory's first value; ``ModelError`` if the file leaves one of its sizes open."""
     if not all(isinstance(size, int) and size > 0 for size in tensor.shape):
         refuse(path, tensor.name, "a state of a fixed shape", str(tensor.shape))
     return np.zeros(tensor.shape, dtype_of(tensor))
 
 
 def _ticks(path: Path, text: str) -> int:
-    """Return the number of ticks of an action; ``ModelError`` for another text."""
+    """Return the number of ticks of each action from the metadata's ``text``; ``ModelError`` otherwise."""
     if not text.isdecimal() or not 0 < int(text) <= MOST_TICKS:
         refuse(path, TICKS, f"a number of ticks from 1 to {MOST_TICKS}", repr(text[:80]))
     return int(text)

@@ -1,4 +1,4 @@
-"""The meaning of a reference to a controller in another process, and its start.
+"""Start the controller that a reference names, in another process.
 
 FILE.py:NAME      a Python file, executed in a process of its own
 FILE.onnx         a policy, in a process of its own
@@ -51,7 +51,7 @@ from safety_harness.seams.isolation.python_file import source_of
 LOOPBACK = ("localhost", "127.0.0.1")
 LOGGER = logging.getLogger("safety_harness.controller")
 PYTHON_S = 300.0  # for the import
-BEGIN_S = 60.0  # for the start or the connection, and the first message
+BEGIN_S = 60.0  # the limit for the start or connection together with the first message
 CHILD = "safety_harness.cell.controller.out_of_process.child"
 _DECLARING = re.compile(rb"^[ \t#/;%%-]*%s *[=:] *(\[[^\]]*\]|.*)$" % DECLARED.encode(), re.MULTILINE)
 Making = Callable[[], UserController]
@@ -59,10 +59,10 @@ _BRACKETS = str.maketrans("[](),;", "      ")
 
 
 def of_file(path: Path, name: str, place: Place, *, onnx: bool) -> Making:
-    """Return the maker of a file's controllers, each in a process of its own.
+    """Return the function that makes a file's controllers, each in a process of its own.
 
-    ``name`` is the attribute of a Python file, or the layout of an ``onnx`` policy. A policy without
-    onnxruntime is a ``MissingPackageError``.
+    ``name`` is the attribute of a Python file, or the layout of an ``onnx`` policy. Raise
+    ``MissingPackageError`` for a policy if onnxruntime is not installed.
     """
     if onnx:
         ONNX.require(f"the controller {path.name}")
@@ -75,10 +75,10 @@ def of_file(path: Path, name: str, place: Place, *, onnx: bool) -> Making:
 
 
 def of_program(reference: str, place: Place) -> Making:
-    """Return the maker of the controllers of ``exec:``, ``tcp:`` and ``unix:``.
+    """Return the function that makes the controllers of an ``exec:``, ``tcp:`` or ``unix:`` reference.
 
-    Each controller has its own process or connection. ``InadmissibleError`` at ``place`` without such a
-    program or address. This function does not execute the program.
+    Each controller has its own process or connection. Raise ``InadmissibleError`` at ``place`` if there is no
+    such program or address. This function itself does not execute the program.
     """
     made = partial(_made, json_wire(said_by_program.decode, MOST_BYTES), Hello, BEGIN_S, place)
     if not reference.startswith(EXEC):
@@ -99,7 +99,7 @@ def _made(
     subject: str,
     start: Callable[[], Peer],
 ) -> UserController:
-    """Return the controller; ``InadmissibleError`` at ``place`` without one."""
+    """Return the controller after its first message; raise ``InadmissibleError`` at ``place`` without one."""
     connection = Connection(start, wire)
     try:
         with refusing(InadmissibleError, f"{subject} to be a controller", within_s, place):
@@ -111,9 +111,10 @@ def _made(
 
 
 def program_sha256(reference: str, place: Place) -> str:
-    """Return the hash of a program, of the files among its arguments, and of the files that they declare.
+    """Return one hash of a program, the files among its arguments, and the files that these declare.
 
-    Empty for a program at a socket. ``InadmissibleError`` at ``place`` if a declared file is unreadable.
+    The hash is empty for a program at a socket. Raise ``InadmissibleError`` at ``place`` if a declared file
+    is unreadable.
     """
     if not reference.startswith(EXEC):
         return ""
@@ -126,11 +127,11 @@ def program_sha256(reference: str, place: Place) -> str:
 
 
 def _contents(command: list[str], executable: Path) -> bytes:
-    """Return the bytes of the executable and of the arguments that are files, one after another.
+    """Return the bytes of the executable, then of each argument that is a file, then of the declared files.
 
-    For a single file they are its own bytes, so that the hash is the file's. The hash of each declared file
-    follows. A file declares others at the beginning of a line or of a comment: ``HARNESS_FILES =
-    ["weights.bin"]`` or ``HARNESS_FILES="weights.bin"``.
+    For a single file, the result is the file's own bytes, so that their hash is the file's hash. A declared
+    file contributes its hash in place of its bytes. A file declares further files at the beginning of a line
+    or of a comment: ``HARNESS_FILES = ["weights.bin"]`` or ``HARNESS_FILES="weights.bin"``.
     """
     files = [executable, *(Path(item) for item in command[1:] if os.path.isfile(item))]
     parts = [file.read_bytes() for file in files]
@@ -144,7 +145,7 @@ def _contents(command: list[str], executable: Path) -> bytes:
 
 
 def _command(reference: str, place: Place) -> tuple[list[str], Path]:
-    """Return the words of a command, and the file that it executes."""
+    """Return the words of the command in ``reference``, and the file that the command executes."""
     try:
         command = shlex.split(reference.removeprefix(EXEC))
     except ValueError as error:

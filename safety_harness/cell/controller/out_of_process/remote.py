@@ -1,7 +1,7 @@
-"""A controller in another process, for the control loop: a fault there costs one episode, with a reason.
+"""Call a controller in another process, so that its fault costs one episode and leaves a reason.
 
-The controller has its own state. If it ends, hangs, or sends an invalid message, the next ``reset`` starts it
-anew.
+The controller keeps its own state there. If it ends, hangs, or sends an invalid message, the next ``reset``
+starts it anew.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ T = TypeVar("T")
 
 
 class RemoteController:
-    """A controller at the far end of a connection.
+    """A controller at the other end of a connection.
 
-    ``first`` makes the message that introduces it; the controller must answer ``within_s``.
+    ``first`` makes the first message to the controller, which must answer it ``within_s``.
     """
 
     def __init__(self, connection: Connection, first: Callable[[], ProcessMessage], within_s: float) -> None:
-        """Begin the connection; ``GoneError``, ``RefusedError``."""
+        """Begin the connection; raise ``GoneError`` or ``RefusedError`` if no valid welcome comes."""
         self._connection, self._first, self._within_s = connection, first, within_s
         self._said = self._begun()
         self.name = printable(self._said.name)
@@ -58,12 +58,12 @@ class RemoteController:
 
     @property
     def another(self) -> Callable[[], RemoteController] | None:
-        """The maker of a further controller in the same process, for another lane; None if impossible."""
+        """A function that makes another lane's controller in the same process; None if impossible."""
         return self._another if isinstance(self._said, MadeController) and self._said.many else None
 
     @property
     def together(self) -> bool:
-        """Whether one call of its process answers for many episodes."""
+        """Whether one call of the controller's process answers for many episodes."""
         return isinstance(self._said, MadeController) and self._said.together
 
     def _another(self) -> RemoteController:
@@ -74,13 +74,13 @@ class RemoteController:
         return copied
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
-        """Begin an episode, in a new process if the last one is gone."""
+        """Begin an episode, in a new process if the last process has ended."""
         self._clock, self._tick = settings.clock, 0
         message = Reset(settings, arm, start, str(seed), self._lane)
         self._call(message, self._clock.wall_limit_s, Ready, lambda ready: None)
 
     def act(self, seen: Seen) -> Action:
-        """Return its action; ``ControllerError`` for an invalid action, or without one at the wall limit."""
+        """Return the controller's action; ``ControllerError`` if it is invalid or misses the wall limit."""
         tick, self._tick = self._tick, self._tick + 1
         limit_s = self._clock.wall_limit_s
         if isinstance(self._said, MadeController):
@@ -98,7 +98,7 @@ class RemoteController:
     ) -> dict[int, str]:
         """Call ``controllers`` (n,) of this process in one exchange, as ``ask_together`` does.
 
-        ``rows`` (n, wanted) are their views; this controller is among them.
+        ``rows`` (n, wanted) are the views of these controllers; this controller is one of them.
         """
         here = {c._lane: lane for c, lane in zip(controllers, lanes, strict=True)}
 
@@ -113,7 +113,7 @@ class RemoteController:
         return self._call(message, sum(c._clock.wall_limit_s for c in controllers), SaidRows, read)
 
     def _begun(self) -> Welcome:
-        """Introduce the controller; ``RefusedError`` for another protocol."""
+        """Exchange the first messages; raise ``RefusedError`` if the controller has another protocol."""
         welcome = self._connection.introduce(self._first(), Welcome, self._within_s)
         if welcome.protocol != PROTOCOL:
             hint = "safety-harness docs reference/controller-protocol"
@@ -121,9 +121,9 @@ class RemoteController:
         return welcome
 
     def _call(self, sent: Reset | Act | ActOnRows, limit_s: float, kind: Any, read: Callable[[Any], T]) -> T:
-        """Return the result of ``read`` on an answer of ``kind``.
+        """Send a message; return the result of ``read`` on the answer, which must be of ``kind``.
 
-        ``ControllerError`` for any other answer, or a missing answer; the connection then ends.
+        End the connection and raise ``ControllerError`` if the answer is missing, invalid or of another kind.
         """
         try:
             if isinstance(sent, Reset) and not self._connection.quiet:
@@ -139,7 +139,7 @@ class RemoteController:
                 return read(answer)
             if not isinstance(answer, Failed):
                 raise NonsenseError(f"{sent.wants}; it said {answer.__struct_config__.tag}")
-        except BaseException as error:  # its next message might belong to this question
+        except BaseException as error:  # a later message might belong to this question
             self._connection.end()
             if isinstance(error, GoneError) and error.hung:
                 reason = f"it gave no answer within {self._clock.wall_limit_s:g} s of wall time"
