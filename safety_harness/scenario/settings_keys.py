@@ -1,9 +1,9 @@
-"""The written form of the settings in a scenario file, derived from the dataclasses themselves.
+"""The form of the settings in a scenario file, derived from the dataclasses of the settings.
 
-Meanings and bounds stand beside the fields, in ``settings``.  A field's key is its name without the unit and
-the frame, in plain words.  So ``Avoidance.critical_distance_m`` is ``avoidance: {critical distance: 400
-mm}``.  The dimension follows from the unit at the end of the name, the form of the value from the type of the
-default.
+Meanings and bounds are declared beside the fields, in ``settings``.  A field's key is its name in plain
+words, without the unit and the frame.  So ``Avoidance.critical_distance_m`` is ``avoidance: {critical
+distance: 400 mm}``.  The dimension follows from the unit at the end of the name.  The form of the value
+follows from the type of the default.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _MAPPINGS = {
 
 
 def setting_keys(group: type[Any]) -> tuple[Key, ...]:
-    """Return the keys of one settings dataclass, in its order."""
+    """Return the keys of one settings dataclass, in the order of its fields."""
     return _KEYS[group]
 
 
@@ -85,7 +85,7 @@ def _setting_key(attribute: str, default: Any, description: Mapping[str, Any]) -
 
 
 def _value(default: Any, number: QuantityValue) -> Value:
-    """Return the kind of value for a default; ``number`` is the kind of a single number."""
+    """Return the kind of value that the default has; ``number`` is the kind of a single number."""
     if isinstance(default, DecisionCost):
         return Text(kind=FORM, or_mapping=True, reads=read_decision_time, writes=write_decision_time)
     if isinstance(default, Enum):
@@ -114,7 +114,7 @@ _KEYS: dict[type[Any], tuple[Key, ...]] = {
 
 
 def read_group(field: Field, name: str) -> Any:
-    """Return the default group ``name`` of the settings with the changes of the mapping ``field``."""
+    """Return the default group ``name`` of the settings, changed by the mapping ``field``."""
     default = getattr(DEFAULTS, name)
     keys = setting_keys(type(default))
     given = field.fields(tuple(dict.fromkeys(key.path[0] for key in keys)), hints=_MOVED)
@@ -131,7 +131,7 @@ def read_group(field: Field, name: str) -> Any:
 
 
 def group_table(group: str, path: str) -> KeyTable:
-    """Return the table of one group of settings; ``path`` leads to it from the top of a file."""
+    """Return the table of one group of settings; ``path`` names its mappings from the top of a file."""
     keys: dict[str, Key] = {}
     inner: dict[str, list[Key]] = {}
     for setting in setting_keys(type(getattr(DEFAULTS, group.replace(" ", "_")))):
