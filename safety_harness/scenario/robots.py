@@ -118,7 +118,7 @@ class StopTimes:
 class Seat:
     """The place of an arm's base link in the base frame of the scenario, whose z axis points up.
 
-    The rotation is Rz(yaw) R(tilt), tilt being a rotation vector: [180 deg, 0 deg, 0 deg] hangs from a ceiling.
+    The rotation is Rz(yaw) R(tilt), tilt a rotation vector: [180 deg, 0 deg, 0 deg] hangs from a ceiling.
     """
 
     position_in_base_m: Vector3 = key("position", POINT, "of the arm's base link", default=_ORIGIN)
