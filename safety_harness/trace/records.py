@@ -1,8 +1,8 @@
-"""The layout of a trace: one record a control tick, one record a decision.
+"""The layout of a trace: one record for each control tick, and one for each decision.
 
 Compiled code fills these records in place, so they are numpy structured types with fixed shapes. The number
 of hand slots and of joints is part of a tick's type. Compiled code reads every size from the type of its
-record, so that numba's cache tells the sizes apart. Frames and units are in the field names; ``_in_base_``
+record, so that numba's cache keeps different sizes apart. Field names state frames and units; ``_in_base_``
 means the robot's base frame.
 """
 
@@ -24,7 +24,7 @@ ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
 
 
 class Mode(IntEnum):
-    """The controller's present activity (the state table of docs/reference/controller.md)."""
+    """The present activity of the controller (the state table of docs/reference/controller.md)."""
 
     SERVOING = 0
     REPULSING = 1
@@ -33,7 +33,7 @@ class Mode(IntEnum):
 
 
 class Limit(IntFlag):
-    """The limits that acted on a tick's command."""
+    """The limits that changed a tick's command."""
 
     NONE = 0
     TCP_SPEED = 1
@@ -53,7 +53,7 @@ class Trigger(IntEnum):
 
 
 class DecisionOutcome(IntEnum):
-    """The result of a decision."""
+    """The result of a decision: the arm's next action."""
 
     PROPOSED = 0  # the avoider's own position
     OPPOSITE = 1  # the opposite pose, because the proposed one failed a check
@@ -61,7 +61,7 @@ class DecisionOutcome(IntEnum):
 
 
 class Check(IntFlag):
-    """The checks that a candidate position failed."""
+    """The checks that a candidate position may fail."""
 
     NONE = 0
     NOT_FINITE = 1  # the avoider raised, or returned NaN or a wrong shape
@@ -79,7 +79,7 @@ class Check(IntFlag):
 
 @lru_cache
 def tick_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """Return the type of a tick for so many hand slots and joints.
+    """Return the type of a tick for ``hands`` hand slots and ``joints`` joints.
 
     Args:
         hands: The hand slots, one of HAND_SLOTS. The tick has TRACKS_PER_HAND tracks for each.
@@ -134,16 +134,16 @@ def _compiled(dtype: np.dtype[Any]) -> np.dtype[Any]:
 
 
 def as_compiled(ticks: NDArray[np.void]) -> NDArray[np.void]:
-    """Return (n,) ticks for compiled code, which cannot handle arrays of booleans within a record.
+    """Return (n,) ticks as compiled code needs them: a view of the same bytes.
 
-    The result is a view of the same bytes, with such arrays as ``uint8``.
+    In the view, arrays of booleans within a record are ``uint8``, because compiled code cannot handle them.
     """
     return ticks.view(_compiled(ticks.dtype))
 
 
 @lru_cache
 def columns(dtype: np.dtype[Any]) -> dict[str, slice]:
-    """Return the place of each floating-point field of a tick, in float64 counted from its beginning."""
+    """Return each floating-point field's place in a tick, counted in float64 from the tick's beginning."""
     return {
         name: slice(field[1] // 8, (field[1] + field[0].itemsize) // 8)
         for name, field in (dtype.fields or {}).items()
@@ -152,13 +152,13 @@ def columns(dtype: np.dtype[Any]) -> dict[str, slice]:
 
 
 def as_numbers(ticks: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return (n,) ticks as (n, c) float64 of the same bytes; only the ``columns`` of them are numbers."""
+    """Return (n,) ticks as (n, c) float64 of the same bytes, in which only the ``columns`` are numbers."""
     return np.ascontiguousarray(ticks).view(np.float64).reshape(len(ticks), ticks.dtype.itemsize // 8)
 
 
 @lru_cache
 def decision_dtype(joints: int = JOINTS) -> np.dtype[Any]:
-    """Return the type of a decision for an arm with so many ``joints``."""
+    """Return the type of a decision for an arm with ``joints`` joints."""
     return np.dtype(
         [
             ("tick", np.int64),  # at which its answer counts
@@ -198,7 +198,7 @@ INTERVENTION = np.dtype(
 
 @lru_cache
 def intervention_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """Return INTERVENTION with two more parts: the hands that the shield used, and its command to the drives.
+    """Return INTERVENTION extended by the hands that the shield used, and its command to the drives.
 
     Args:
         hands: The hand slots. The record has room for TRACKS_PER_HAND boxes for each.
