@@ -67,8 +67,8 @@ class Trace:
             were made together, without a time for each. The times differ when the run is repeated, so only
             reports use them. The cost in simulated time is in the decision's own record.
         provenance: The software that made the trace.
-        ended: "complete", or the reason why the run was cut short. No property counts a shortened run as
-            safe.
+        ended: "complete", or the reason why the run was cut short. No property takes a shortened run for
+            a safe run.
         known: Which columns were measured, and how exactly.
         system: The system under test.
         interventions: (n,) INTERVENTION of the shield, one a tick; empty without a shield.
