@@ -131,7 +131,7 @@ class HandSensorBlind(Timed):
 class HandSensorFrozen(Timed):
     """The hand sensor repeats its last picture with new times.
 
-    If the fault begins before the first picture, the sensor shows no hand.
+    Without an earlier picture it shows no hand.
     """
 
     phrase = Phrase("hand sensor", "freezes", FaultKind.HAND_SENSOR_FROZEN)
@@ -139,7 +139,7 @@ class HandSensorFrozen(Timed):
 
 @declared
 class HandSensorLate(Timed):
-    """The hand sensor's pictures arrive ``delay_s`` later than otherwise, in their usual order."""
+    """The hand sensor's pictures arrive later by ``delay_s``, in their order."""
 
     phrase = Phrase("hand sensor", "is late", FaultKind.HAND_SENSOR_LATE)
     delay_s: float = keyed(_DELAY)
@@ -147,7 +147,7 @@ class HandSensorLate(Timed):
 
 @declared
 class HandSensorOff(Timed):
-    """The hand sensor measures every hand ``offset_in_base_m`` away from its true position."""
+    """The hand sensor measures every hand at a place that is off by ``offset_in_base_m``."""
 
     phrase = Phrase("hand sensor", "is off", FaultKind.HAND_SENSOR_OFF)
     offset_in_base_m: Vector3 = key(
@@ -157,7 +157,7 @@ class HandSensorOff(Timed):
 
 @declared
 class FalseHand(Timed):
-    """The hand sensor sees a hand that does not exist, with its centre at ``position_in_base_m``."""
+    """The hand sensor sees an additional hand with its centre at ``position_in_base_m``, which is empty."""
 
     phrase = Phrase("hand sensor", "sees a false hand", FaultKind.FALSE_HAND)
     position_in_base_m: Vector3 = key(
@@ -176,7 +176,7 @@ class CameraBlind(Timed):
 class CameraFrozen(Timed):
     """The camera repeats its last picture with new times.
 
-    If the fault begins before the first picture, the camera shows no object.
+    Without an earlier picture it shows no object.
     """
 
     phrase = Phrase("camera", "freezes", FaultKind.CAMERA_FROZEN)
@@ -184,7 +184,7 @@ class CameraFrozen(Timed):
 
 @declared
 class CameraLate(Timed):
-    """The camera's pictures arrive ``delay_s`` later than otherwise, in their usual order."""
+    """The camera's pictures arrive later by ``delay_s``, in their order."""
 
     phrase = Phrase("camera", "is late", FaultKind.CAMERA_LATE)
     delay_s: float = keyed(_DELAY)
@@ -192,10 +192,10 @@ class CameraLate(Timed):
 
 @declared
 class CameraKnocked(Timed):
-    """The camera is no longer where it was at its calibration, and when the desired picture was taken.
+    """The camera has moved since its calibration and since the desired picture.
 
-    A rotation vector in the camera frame turns the camera, and a vector in the TCP frame shifts it.  If
-    several such faults act at the same time, their turns follow one another and their shifts add up.
+    It is turned by a rotation vector in the camera frame and shifted in the TCP frame.  If several such
+    faults act at a time, the turns follow one another and the shifts add up.
     """
 
     phrase = Phrase("camera", "is knocked", FaultKind.CAMERA_KNOCKED)
@@ -217,7 +217,7 @@ class CameraKnocked(Timed):
 
 @declared
 class CameraHidden(Timed):
-    """The object is hidden while a hand or forearm is between the camera and any part of the object."""
+    """A hand or forearm between the camera and any part of the object hides the object."""
 
     phrase = Phrase("camera", "is hidden by hands", FaultKind.CAMERA_HIDDEN)
 
@@ -232,10 +232,7 @@ class JointStuck(Timed):
 
 @declared
 class AvoiderLate(Timed):
-    """The avoider answers questions asked during the fault ``delay_s`` later, or never.
-
-    It never answers if the delay reaches the decision deadline.
-    """
+    """The avoider answers a question of this time ``delay_s`` later; from the decision deadline on, never."""
 
     phrase = Phrase("avoider", "is late", FaultKind.AVOIDER_LATE)
     delay_s: float = keyed(_DELAY)
@@ -243,14 +240,14 @@ class AvoiderLate(Timed):
 
 @declared
 class AvoiderSilent(Timed):
-    """The avoider never answers a question that is asked during the fault."""
+    """A question of this time never gets an answer."""
 
     phrase = Phrase("avoider", "never answers", FaultKind.AVOIDER_SILENT)
 
 
 @declared
 class AvoiderNaN(Timed):
-    """The avoider answers a question asked during the fault with a position of NaN."""
+    """A question of this time gets a position of NaN as its answer."""
 
     phrase = Phrase("avoider", "answers NaN", FaultKind.AVOIDER_NAN)
 

@@ -69,7 +69,7 @@ BY_AT_MOST = " by at most "
 
 
 class Verdict(Enum):
-    """The result of a claim's property on a trace: holds, violated or inconclusive.
+    """The result of a property on a trace: holds, violated or inconclusive.
 
     A verdict has no truth value: ``if verdict`` raises InputError.
     """

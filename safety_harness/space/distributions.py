@@ -193,7 +193,7 @@ class Choice:
         return middle
 
     def log_density(self, values: Rows) -> Vector:
-        """Return the natural logarithm (n,) of the probability of ``values`` (n, 1); -inf for other numbers."""
+        """Return the natural logarithm (n,) of the probability of ``values`` (n, 1); -inf for others."""
         value = np.nan_to_num(values[:, 0], nan=-1.0)
         number = np.clip(value, 0, len(self.chances) - 1).astype(int)
         probable = log(np.array(self.chances) / math.fsum(self.chances))[number]

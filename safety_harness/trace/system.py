@@ -21,9 +21,9 @@ Line = Annotated[str, Meta(max_length=4_096, pattern=r"\A[^\0\n\r]*\Z")]  # it i
 
 @dataclass(frozen=True, kw_only=True)
 class Component:
-    """A part of the system; ``sha256`` is the hash of its file or settings, or empty without either.
+    """A part of the system. ``sha256`` covers its file or its settings; it is empty without either.
 
-    The hash of the package's source also covers the shipped parts.
+    The hash of the package's source covers the shipped parts too.
     """
 
     name: Line
@@ -35,11 +35,11 @@ class Component:
 
 @dataclass(frozen=True, kw_only=True)
 class SystemUnderTest:
-    """The controller, the arm and the perception of a run, as stored in traces, ledgers and pages.
+    """The controller in a run, the arm and its perception. Traces, ledgers and pages carry it.
 
-    Only the visual servo has ``avoider`` and ``gate``. The hash of ``robot`` covers its URDF and the contents
-    of all its files. The hashes of ``gate``, ``perception`` and ``settings`` cover their settings. ``shield``
-    is None without a shield.
+    Only the visual servo has ``avoider`` and ``gate``. ``robot`` has the hash of its URDF and of the contents
+    of all its files. ``gate``, ``perception`` and ``settings`` have the hash of their settings. ``shield`` is
+    None without a shield.
     """
 
     controller: Component
