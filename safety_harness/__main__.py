@@ -13,7 +13,7 @@ import sys
 
 def main() -> None:
     """Run the command line, and end without a traceback after Ctrl-C or an error of ours."""
-    gc.set_threshold(20_000)  # imported objects stay, and the search for garbage among them takes long
+    gc.set_threshold(20_000)  # imported objects stay, so searching them for garbage would only take time
     try:
         _open_streams()
         from safety_harness.base.interrupts import answer_as_ctrl_c

@@ -209,7 +209,7 @@ def reference_for(tested: str | None, reference: str | None) -> str | None:
     ``Driver`` if the tested system is a driver and no avoider has that name.  InadmissibleError if
     ``reference`` is the tested system itself.
     """
-    from safety_harness.cell.controller.named import NAMES as CONTROLLERS  # loads what few commands need
+    from safety_harness.cell.controller.named import NAMES as CONTROLLERS  # slow, and few commands need it
 
     driver = reference in CONTROLLERS or names_a_program(reference or "")
     driver |= isinstance(tested, Driver) and reference not in NAMES
@@ -433,7 +433,7 @@ def _from_model_file(path: Path, settings: Settings) -> Avoider:
         with path.open("rb") as file:
             digest = hashlib.sha256(file.read(LARGEST_BYTES + 1)).hexdigest()
     except OSError:
-        digest = ""  # loading says what is wrong
+        digest = ""  # loading the model reports the cause
     avoider = _learned(path, digest)
     refuse_foreign_cell(avoider.model, settings, path)
     return avoider

@@ -32,7 +32,7 @@ from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, 
 from safety_harness.scenario.model import Scenario
 
 TOUCHING_M = 1e-6  # nearer edges of an outline count as touching
-# With a larger number, triangles servo to 5 mm in raster images from at most two of eight starts; below 500
+# Above this number, triangles servo to 5 mm in raster images from at most two of eight starts; below 500
 # from most, below 25 from all.  With exact moments rounding alone would set the bound, far higher.
 MOST_CONDITION = 1000.0
 # The faults that an ideal hand sensor cannot have: their fields, and their keys in a file.

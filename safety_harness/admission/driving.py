@@ -31,7 +31,7 @@ from safety_harness.seams.contract import (
 from safety_harness.trace.records import TRACKS_PER_HAND
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
 
-IN_PYTHON = " (an object in Python)"  # after its name: a reference that names no file, and means none
+IN_PYTHON = " (an object in Python)"  # added to its name, as a reference without a file
 
 
 class _Nobody:

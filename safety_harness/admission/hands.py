@@ -74,7 +74,7 @@ def _ends(hand: MovingHand | RecordedHand, duration_s: float) -> list[tuple[str,
     """
     if isinstance(hand, RecordedHand):
         motion = hand.motion
-        used = int(np.searchsorted(motion.time_s, duration_s)) + 1  # the first beyond the end is headed for
+        used = int(np.searchsorted(motion.time_s, duration_s)) + 1  # up to the first sample after the end
         height_m = motion.hand_position_in_base_m[:used, 2]
         ends = (int(height_m.argmin()), int(height_m.argmax()))
         suffixes = {end: f" after {motion.time_s[end]:.2f} s of the run, in {hand.recording}" for end in ends}

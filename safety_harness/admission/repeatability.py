@@ -39,10 +39,10 @@ from safety_harness.cell.simulation.worlds import world_of_trace
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.trace import Trace
 
-SHARE = 0.02  # of the time that a command took, beside the start of the process
-LEAST, MOST = 8, 1_000  # questions that are asked again, if there are as many
-LEAST_RUNS, MOST_RUNS = 3, 20  # of a controller, that are driven again
-ROUNDING_M = 1e-9  # closer answers are equal: the order of a sum may depend on the size of a batch
+SHARE = 0.02  # the share of a command's time, without the start of the process
+LEAST, MOST = 8, 1_000  # the least and largest number of repeated questions
+LEAST_RUNS, MOST_RUNS = 3, 20  # of a controller's runs that are repeated
+ROUNDING_M = 1e-9  # closer answers are equal, since batches of other sizes may round differently
 ROUNDED = "the avoider rounds otherwise when it is asked otherwise"
 Difference = tuple[float, str]  # distance of the two answers [m], inf without an answer; in words
 
@@ -178,7 +178,7 @@ class Repeatability:
         self._sample: list[_Sampled] = []
         self._runs = 0
         self._driven: list[tuple[DrivenRun, Callable[[], Scenario]]] = []
-        self._last: Callable[[], Scenario] | None = None  # of a run, whatever came of it
+        self._last: Callable[[], Scenario] | None = None  # of the last run, even if it broke off
 
     def add(self, trace: Trace) -> None:
         """Add the questions of a run, or the whole run if the scenario names a controller.
@@ -332,7 +332,7 @@ class _Again:
             if shown_to(avoider):
                 self.unkept = True
                 return
-            begun_s = begun_s or time.monotonic()  # its process is there
+            begun_s = begun_s or time.monotonic()  # the clock starts when its process has started
             hand, tcp = first_question(scenario.settings)
             new = _Second(avoider, Question(np.array(hand), np.array(tcp), 0))
             second = self.seconds.setdefault(id(avoider), new)
@@ -377,7 +377,7 @@ class _Second:
         """Ask all questions in one call, and yield each question whose answer differs, and how."""
         if self._takes_many:
             answers = answers_together(self.avoider, [self.first, *(case.question for case in self.asked)])
-            if not answers or not np.isnan(answers[0].latency_s):  # it cannot, and was asked in turn
+            if not answers or not np.isnan(answers[0].latency_s):  # it answered them one by one
                 return
             self.answers_many = True
             why = "the avoider heeds what else is asked: asked again in one call with others"

@@ -16,7 +16,7 @@ from safety_harness.scenario.fields import one_mistake
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 
-MAX_REJECTION_RATIO = 200  # draws without an admitted one; later, draws for each admitted one
+MAX_REJECTION_RATIO = 200  # draws before the first admitted draw, and then for each admitted draw
 
 
 @dataclass(frozen=True)

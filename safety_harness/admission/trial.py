@@ -154,7 +154,7 @@ def _runs(
     for admitted in scenarios:
         refuse_other_type("run_many(scenarios)", admitted, Admitted)
         driver = admitted.driver
-        # One after another: a driver remembers them in their order, and a batch does not store a view.
+        # These run one after another: a driver remembers their order, and a batch stores no view.
         alone = shown_to(admitted.avoider) if driver is None else not (driver.many and world is KINEMATIC)
         if driver is None and not alone:
             refuse_wall_clock(admitted.scenario, InadmissibleError, runs="these runs")

@@ -39,13 +39,13 @@ from safety_harness.base.machine_code import FOLDER, STAMP, InstalledCode
 F = TypeVar("F", bound=Callable[..., Any])
 _Made = TypeVar("_Made")
 
-njit: Any = numba.njit  # one of its options is not in its stubs
+njit: Any = numba.njit  # numba's stubs lack one of its options
 numba_config: Any = config  # its settings are made at run time, unknown to type checkers
 numba_event: Any = event
 _cache_impl: Any = CompileResultCacheImpl
 
 PACKAGE = Path(__file__).parents[1]
-# A test holds the package to this one form of import, so that none is overlooked.
+# A test allows the package only this form of import, so that no import is overlooked.
 _IMPORT = re.compile(r"^\s*from (\w+)\.([\w.]+) import ", re.MULTILINE)
 
 
@@ -69,7 +69,7 @@ def _name(file: Path) -> bytes:
     return file.relative_to(_package_of(file)).as_posix().encode()
 
 
-@cache  # read once, though sixty files import the same ones
+@cache  # read once, although sixty files import the same files
 def _content(file: Path) -> bytes:
     """Return the bytes of a file."""
     return file.read_bytes()
@@ -138,8 +138,8 @@ def cache_root() -> Path:
     root = os.environ.get("SAFETY_HARNESS_CACHE") or os.environ.get("XDG_CACHE_HOME")
     try:
         return (Path(root) if root else Path.home() / ".cache") / "safety_harness"
-    except RuntimeError:  # a user without a home
-        return Path(os.devnull) / "safety_harness"  # no folder, which ``cache_problem`` says
+    except RuntimeError:  # the user has no home folder
+        return Path(os.devnull) / "safety_harness"  # this is no folder, as ``cache_problem`` reports
 
 
 @cache
@@ -205,7 +205,7 @@ def compiled(function: F) -> F:
     Results must repeat bit for bit, so ``fastmath`` is off.  A division raises no exception: as in numpy, 0/0
     is NaN.  So every caller that makes a decision must check for NaN.
     """
-    return _compiled(function, _nrt=True)  # explicit, for numba would take it over from the first caller
+    return _compiled(function, _nrt=True)  # explicit, since numba would copy it from the first caller
 
 
 def njit_no_nrt(function: F) -> F:

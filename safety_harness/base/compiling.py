@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TextIO
 
-PATIENCE_S, EVERY_S = 1.0, 10.0  # before the first line; between two lines of a file
+PATIENCE_S, EVERY_S = 1.0, 10.0  # seconds before the first line, and between two lines in a file
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def installed_version() -> str:
     except metadata.PackageNotFoundError:
         if not PYPROJECT.is_file():
             raise
-        import tomllib  # which an installation does not need
+        import tomllib  # an installation does not need it
 
         return str(tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]["version"])
 
@@ -35,7 +35,7 @@ def foreign_files() -> str:
         foreign = metadata.distribution(FOREIGN)
     except metadata.PackageNotFoundError:
         return ""
-    if "\nsafety_harness/" not in f"\n{foreign.read_text('RECORD') or ''}":  # an editable one has none there
+    if "\nsafety_harness/" not in f"\n{foreign.read_text('RECORD') or ''}":  # an editable install has none
         return ""
     return (
         f"{FOREIGN} {foreign.version}, another project, has files in the folder of {DISTRIBUTION}: "

@@ -20,17 +20,17 @@ from safety_harness.base.compiled import arithmetic
 
 Number = Any  # a float, or an array of floats
 
-ARITHMETIC = 1  # the version of these functions; 0, of earlier traces, is the C library and matrix kernels
+ARITHMETIC = 1  # the version of these functions; earlier traces have 0: C library, matrix kernels
 
-# Added and subtracted, it leaves the nearest integer.
+# To add and then subtract this number rounds to the nearest integer.
 _ROUND = 1.5 * 2.0**52
-# pi/2 in four parts: the first three have 33 bits, so their product with an integer below 2^20 is exact.
+# pi/2 in four parts.  The first three have 33 bits, so their products with integers below 2^20 are exact.
 _TURNS = 2.0 / 3.14159265358979323846
 _HALF_PI_1, _HALF_PI_2 = 1.57079632673412561417e00, 6.07710050630396597660e-11
 _HALF_PI_3, _HALF_PI_4 = 2.02226624871116645580e-21, 8.47842766036889956997e-32
 LARGEST_ANGLE_RAD = 2.0**20  # sine and cosine of this and more are NaN
-_TO_INFINITY = 2.0**1004  # times it, a smaller angle is finite
-# pi/4 in two parts: the first has 50 bits, so four times it is exact.
+_TO_INFINITY = 2.0**1004  # times this factor, a smaller angle stays finite
+# pi/4 in two parts.  The first has 50 bits, so four times this part is exact.
 _QUARTER_PI, _QUARTER_PI_REST = 7.85398163397448278999e-01, 3.06161699786838301793e-17
 _ATAN_HALF, _ATAN_HALF_REST = 4.63647609000806093515e-01, 2.26987774529616870924e-17
 _LOG2_E, _LN2, _LN2_REST = 1.44269504088896338700, 6.93147180369123816490e-01, 1.90821492927058770002e-10

@@ -49,12 +49,12 @@ def described(error: BaseException, file: str | None = None) -> str:
     """
     try:
         text = str(error)
-    except Exception:  # a user's own exception may fail to say what it is
+    except Exception:  # a user's exception may fail to describe itself
         text = ""
     message = printable(text)
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     if isinstance(error, SyntaxError) and error.filename == file:
-        lines, message = [error.lineno], printable(error.msg)  # its own text names the place, once more
+        lines, message = [error.lineno], printable(error.msg)  # its own text would repeat the place
     place = f" ({Path(file).name}:{lines[-1]})" if file and lines else ""
     return type(error).__name__ + (f": {message}" if message else "") + place
 

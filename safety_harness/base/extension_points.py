@@ -148,7 +148,7 @@ def load(part: RegisteredPart, kind: type[_Part]) -> _Part | None:
     """Return the loaded part, or None with a warning if it cannot be loaded or is not of type ``kind``."""
     try:
         loaded_part = EntryPoint(part.name, part.value, part.group).load()
-    except Exception as error:  # of somebody else's module, which may raise anything
+    except Exception as error:  # a foreign module may raise anything
         if not is_absent(part, error):
             warn(part, f"{type(error).__name__}: {error}")
         return None

@@ -36,7 +36,7 @@ def deaf_children() -> Iterator[None]:
     Otherwise they would end with a traceback during their imports.  A Ctrl-C for this thread takes effect
     after the context.
     """
-    resource_tracker.ensure_running()  # which would let Ctrl-C in again
+    resource_tracker.ensure_running()  # otherwise it would allow Ctrl-C again later
     earlier_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -21,7 +21,7 @@ from safety_harness.base.whole_file import sha256_of
 
 FOLDER = "machine_code"
 GENERIC = ("generic", "")  # numba's processor and its features
-# Numba compares time and size of the source.  Ours lies in a folder that is named by the source's content.
+# Numba compares the source's time and size.  Our folder's name covers the source's content instead.
 STAMP = (0.0, 0)
 LOGGER = logging.getLogger("safety_harness")
 

@@ -33,7 +33,7 @@ def standard_normal(rng: np.random.Generator, shape: int | tuple[int, ...]) -> N
 
 def _draw_beyond_r(bits: np.random.BitGenerator) -> float:
     """Return the absolute value of the next draw, known to lie beyond R, by the same steps as numpy."""
-    while int(bits.random_raw()) & 0xFF:  # another layer, whose draw was rejected after one more number
+    while int(bits.random_raw()) & 0xFF:  # another layer: numpy rejected its draw after one more number
         bits.random_raw()
     while True:
         x, y = (-log1p(-(int(bits.random_raw()) >> 11) * 2.0**-53) for _ in range(2))

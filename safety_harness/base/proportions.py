@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy  # its special functions take half a second to load; scipy loads them at their first use
+import scipy  # scipy loads its special functions at their first use, which takes half a second
 from numpy.typing import NDArray
 
 from safety_harness.base.special import beta_share, binomial_at_most, settled
@@ -66,7 +66,7 @@ def upper_bound(count: int, trials: int, chance: float) -> float:
     """
     if count >= trials:
         return 1.0
-    if 2 * count > trials:  # near 1 only the rest has all its digits
+    if 2 * count > trials:  # near 1, only the rest keeps all its digits
         return 1.0 - lower_bound(trials - count, trials, chance)
     guide = float(scipy.special.betainccinv(count + 1.0, trials - count, chance))
     return settled(lambda p: binomial_at_most(count, trials, p) <= chance, 0.0, 1.0, guide)[1]

@@ -127,7 +127,7 @@ class Object:
     """
 
     # Close to a 3-4-5 right triangle, the best conditioned shape, with its centroid at the origin;
-    # at two thirds of the size raster images do not servo to 5 mm (docs/results/arms.md).
+    # at two thirds of the size, servoing with raster images does not reach 5 mm (docs/results/arms.md).
     polygon_m: tuple[tuple[float, float], ...] = setting(
         ((-0.053, -0.040), (0.106, -0.040), (-0.053, 0.080)),
         "outline in the object's own frame, one corner after another; convex for rendered images",
@@ -250,8 +250,8 @@ class Motion:
 class DecisionCost(Enum):
     """The cost of a decision in simulated time, for a scenario without decision times."""
 
-    AS_DECLARED = "as declared"  # by the avoider; one that declares nothing costs nothing
-    WALL_CLOCK = "wall clock"  # what the answer took on this machine: such a run does not repeat
+    AS_DECLARED = "as declared"  # by the avoider; an avoider that declares nothing costs nothing
+    WALL_CLOCK = "wall clock"  # the time of the answer on this machine; such a run does not repeat
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -289,7 +289,7 @@ class Avoidance:
     arrival_tolerance_m: float = setting(0.001, "when it counts as reached", 1e-5, 0.05)
     candidate_count: int = setting(100, "candidates of the nearest-candidate avoider", 1, 10_000)
     candidate_sigma_rad: float = setting(pi / 4, "their spread in azimuth and elevation")
-    # A 60-degree cone is exactly a quarter of the sphere; a narrow one is drawn into for ever.
+    # A 60-degree cone is exactly a quarter of the sphere; for a narrow cone, nearly all draws are rejected.
     candidate_cone_rad: float = setting(pi / 3, "the cone that they are cut to", radians(5.0), pi)
     nominal_hand_position_in_base_m: Vector3 = setting(
         (0.840, -0.350, 0.005), "the hand that the cone points away from"
@@ -301,7 +301,7 @@ class Avoidance:
         "`reach` is the plain system",
     )
     table_clearance_m: float = setting(0.050, "the TCP is never sent nearer to the table")
-    # An avoider that takes longer has not answered: the system's reaction time, in which all has to fit.
+    # An avoider that takes longer has not answered: the answer must fit into the system's reaction time.
     decision_deadline_s: float = setting(0.1, "a later answer, in simulated time, counts as missing")
     decision_time: DecisionCost | DecisionTimes = setting(
         DecisionCost.AS_DECLARED,
@@ -346,7 +346,7 @@ class Clock:
     whose avoider hangs, but changes no trajectory.
     """
 
-    # At most 50 ms: between two ticks the arm is taken to move evenly.
+    # At most 50 ms, because the arm is assumed to move evenly between two ticks.
     control_period_s: float = setting(0.008, "from one speed command to the next", 1e-3, 0.05)
     physics_substeps: int = setting(4, "steps of the physics in one control period", 1, 100)
     wall_limit_s: float = setting(
@@ -401,6 +401,6 @@ class Settings:
 
 DEFAULTS = Settings()
 
-# What counts as converged; the image threshold of the gain switch is Servo.gain_switch_sse.
+# Servoing has converged below these errors; Servo.gain_switch_sse is the gain switch's image threshold.
 CONVERGED_POSITION_M = 0.001
 CONVERGED_ANGLE_RAD = radians(0.1)

@@ -23,7 +23,7 @@ _SPARE = 9  # bits of a float beyond 44
 # 1/(12 z) - 1/(360 z^3) + ..., Stirling's series
 _STIRLING = (1 / 12, -1 / 360, 1 / 1260, -1 / 1680, 1 / 1188, -691 / 360360, 1 / 156)
 _HALF_LOG_2PI = 0.91893853320467274178
-# of Wichura, numerator and denominator, by falling powers
+# Wichura's coefficients of numerator and denominator, by falling powers
 _NEAR = (
     (2509.0809287301226727, 33430.575583588128105, 67265.770927008700853, 45921.953931549871457)
     + (13731.693765509461125, 1971.5909503065514427, 133.14166789178437745, 3.387132872796366608),

@@ -27,10 +27,10 @@ def replacing(path: Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        part.unlink(missing_ok=True)  # of an earlier process that had our number
+        part.unlink(missing_ok=True)  # left by an earlier process with our process number
         yield part
         with part.open("rb") as file:
-            os.fsync(file.fileno())  # the renaming must not reach the disk before the contents
+            os.fsync(file.fileno())  # the contents must be on the disk before the renaming
         os.replace(part, path)
     finally:
         with suppress(OSError):

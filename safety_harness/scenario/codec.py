@@ -26,7 +26,7 @@ from safety_harness.scenario.units import ANGLE, FRACTION, LENGTH, NUMBER, Dimen
 
 REQUIRED = "required"
 T = TypeVar("T")
-# What a file is made of: a value on its line, or a mapping or a list below its key.
+# The content of a file: a value on its key's line, or a mapping or a list below the key.
 Tree: TypeAlias = "str | Mapping[str, Tree] | Sequence[Tree]"
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_./()%-]*(?: [A-Za-z0-9_./()%-]+)*")
 _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n"}
@@ -334,9 +334,9 @@ class KeyTable:
     name: str
     where: str = ""
     keys: tuple[Key, ...]
-    kind: type[Any] | None = None  # what is made of the mapping
-    path: str = ""  # how it is reached from the top of a file: "settings.avoidance"
-    told_by: str = ""  # the key that tells this mapping from its alternatives; its first one by default
+    kind: type[Any] | None = None  # the class of the object that the mapping describes
+    path: str = ""  # the keys from the top of a file, such as "settings.avoidance"
+    told_by: str = ""  # the key that identifies this mapping; the first key by default
     beside: tuple[tuple[str, KeyTable], ...] = ()
     names: tuple[str, ...] = dataclass_field(init=False)  # in the order of a well laid out file
     former: Mapping[str, str] = dataclass_field(

@@ -34,7 +34,7 @@ MOST_VALUES = 300_000  # of all combinations together, so that they are read wit
 _LABEL = re.compile(r"[\w.+%°-]+(?: [\w.+%°-]+)*")  # it becomes part of a file's name
 _LONGEST_LABEL, _LONGEST_NAME = 40, 150
 _TITLES = {"scenario", SPACE_KEY}  # a file has one of them
-_WHOLE = {"one of", "by", "box", "shell", "in"}  # a distribution replaces another, key by key makes no sense
+_WHOLE = {"one of", "by", "box", "shell", "in"}  # a distribution replaces another as a whole, not key by key
 _Rewrite = Callable[[str], str]
 
 

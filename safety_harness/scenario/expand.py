@@ -32,7 +32,7 @@ from safety_harness.scenario.reference_tables import TOP
 DEEPEST_SUITE = 8
 MOST_FILES = 1_000
 MOST_SCENARIOS = 10_000
-# The keys that a key's value depends on: beside an example of these, an error in it would be misleading.
+# For each key, the keys that its value depends on.  Beside an example of these, its error would mislead.
 READ_WITH = {"duration": ("settings",)}
 LONGEST = "duration: 60 min"  # an example within which every fault begins
 
@@ -112,7 +112,7 @@ class Gathered:
                     return
                 if scenario.name.endswith("]"):
                     same = rows.setdefault(replace(scenario, name=""), scenario.name)
-                    if same != scenario.name:  # it would hold under a name that says otherwise
+                    if same != scenario.name:  # its result would have a misleading name
                         place = Place(file=file, field="matrix")
                         got = f"{scenario.name} is the same as {same}"
                         raise ScenarioError(place=place, expected="rows that differ", got=got)
@@ -218,7 +218,7 @@ def mistakes_of(variant: Variant, file: Path, mended: list[Mended]) -> list[Inpu
                 errors.append(error)
             elif name and name not in faulty and faulty.isdisjoint(READ_WITH.get(name, ())):
                 missing = ScenarioError(place=error.place, expected=error.expected, got="none")
-                errors.append(error if name in there else missing)  # its own text would speak of examples
+                errors.append(error if name in there else missing)  # its own text would mention examples
         meant = {key for key in TOP.names if any(is_meant(key, error) for error in mistakes)} - there
         names = {name for name, _ in named if name}.union(meant) - faulty
         if not names:

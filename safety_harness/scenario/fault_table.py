@@ -18,7 +18,7 @@ FAULT = np.dtype(
         ("kind", np.int64),
         ("from_s", np.float64),
         ("end_s", np.float64),
-        ("delay_s", np.float64),  # of what is late
+        ("delay_s", np.float64),  # of a late sensor or answer
         ("vector_m", np.float64, (3,)),  # a false hand's place or an offset in base, a shift in the TCP frame
         ("turned_rad", np.float64, (3,)),  # in the camera frame
         ("joint", np.int64),

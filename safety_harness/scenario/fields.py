@@ -31,7 +31,7 @@ V = TypeVar("V")
 T = TypeVar("T")
 
 _INTEGER = re.compile(r"[+-]?[0-9]{1,20}")
-_LONGEST_SENTENCE = 200  # characters, since YAML allows a key 1,024 of them and escapes take room
+_LONGEST_SENTENCE = 200  # characters; YAML allows 1,024 in a key, and escapes need room
 SENTENCE = f"one line of 1 to {_LONGEST_SENTENCE} printable characters"
 
 

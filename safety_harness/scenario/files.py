@@ -20,7 +20,7 @@ KEYS = (
     *("extends", "without", "matrix", "tcp start", "avoider", "hands", "faults", "hand sensor", "claims"),
     *("scenarios", "plan", "strata", "proof"),
 )
-# Ours beside a title only.
+# Keys that are ours only beside a title.
 COMMON = ("about", "duration", "seed", "robot", "controller", "object", "camera", "settings")
 ALL = (*TITLES, *KEYS, *COMMON)
 TOP_KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?=[ \t\r\n]|$)", re.MULTILINE)

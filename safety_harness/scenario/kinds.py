@@ -20,11 +20,11 @@ from safety_harness.base.exceptions import InputError, MissingPackageError, Plac
 from safety_harness.base.extension_points import OWN_TITLES, ExtensionPoint, InputFile, input_files, parts
 from safety_harness.scenario.files import TITLES, TOP_KEY
 
-if TYPE_CHECKING:  # pytest loads this file in every project, and the model is slow to import
+if TYPE_CHECKING:  # the model is slow to import, and pytest loads this file in every project
     from safety_harness.scenario.model import Claim
 
 SUFFIXES = (".yaml", ".yml")
-HEAD_BYTES = 1_000_000  # of a file, which is as much as a scenario has
+HEAD_BYTES = 1_000_000  # of a file, the largest size of a scenario
 TAIL_BYTES = 100_000  # of a ZIP file, which has the names of its members at its end
 MOST_ENTRIES = 100  # of a folder
 _LOG = re.compile(r"^log:(?=[ \t\r\n]|$)", re.MULTILINE), re.compile(r"^(claims|clock|robot):", re.MULTILINE)

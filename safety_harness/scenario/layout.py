@@ -173,7 +173,7 @@ class _Builder:
         """Return the comment on the line where the last event ends, if it follows directly."""
         last, mark = self._events[self._next - 1], self._end_mark()
         if last.start_mark.index == mark.index:
-            return ""  # an empty value, which is marked where the next thing begins
+            return ""  # the parser places an empty value where the next entry begins
         here = [note for note in self._comments if note.line == mark.line and note.index >= mark.index]
         follows = self._events[self._next].start_mark.index if self._next < len(self._events) else -1
         if not here or mark.index < follows < here[0].index:
@@ -207,7 +207,7 @@ def laid_out(text: str, file: Path | None = None) -> str:
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     original = parse_tree(text, file)
     root, comments = written_tree(text)
-    # The values of a space vary in the order in which they stand, so that this order means something.
+    # The order of a space's values decides the order of its parameters, so it has a meaning.
     lines = list(_head(root)) + _block(root, None if is_space(original) else _WHOLE_FILE)
     new = "\n".join(lines).strip("\n") + "\n"
     if meaning(parse_tree(new, file)) != meaning(original) or written_tree(new)[1] != comments:

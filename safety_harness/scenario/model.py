@@ -50,8 +50,8 @@ NO_AVOIDER = ""
 LARGEST_FACTOR = 10.0
 LONGEST_GAP_S = 10.0
 FASTEST_JUMP_MPS = 1000.0  # of noise between two samples that follow each other quickly
-# An assumption: a reach of 0.66 m with the minimum-jerk profile of Flash and Hogan (1985) that peaks
-# at 2.0 m/s (REACHING_MPS) has 1.642 v^2/d = 10 m/s^2 at most.
+# An assumption.  A reach of 0.66 m with the minimum-jerk profile of Flash and Hogan (1985) that peaks
+# at v = 2.0 m/s (REACHING_MPS) has at most 1.642 v^2/d = 10 m/s^2, for the distance d.
 REACHING_MPS2 = 10.0
 ACCELERATIONS_MPS2 = (0.1, 100.0)  # a value outside is a slip of the unit
 
@@ -254,7 +254,7 @@ NOT_LOADED = RecordedMotion(_NOTHING[:, 0], _NOTHING, _NOTHING, (), "")  # of a 
 
 _PATH = Text(kind="path", reads=lambda field: Path(field.sentence("the path of a recording")))
 _DIGEST = replace(DIGEST, writes=lambda motion: f'"{motion.sha256}"')
-# A track as the columns spell it: ``right hand`` is ``right_hand``.
+# A track's name as in the columns: ``right hand`` becomes ``right_hand``.
 _TRACK = Text(kind="name", reads=lambda field: field.sentence("the name of a track").replace(" ", "_"))
 
 

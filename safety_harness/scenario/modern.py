@@ -12,7 +12,7 @@ from safety_harness.scenario.codec import scalar_text
 from safety_harness.scenario.nodes import parse_tree
 from safety_harness.scenario.reference_tables import TOP
 
-# The present keys by the former keys, for each key that tells a mapping's kind.
+# For each key that identifies a kind of mapping: its present keys by its former keys.
 FORMER = {table.told_by: table.former for table in (TOP, *TOP.below()) if table.former}
 
 

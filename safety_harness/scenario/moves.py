@@ -33,7 +33,7 @@ REACHING_MPS = 2.0
 LONGEST_S = 3600.0  # of a run, and of anything in it
 FASTEST_MPS = 20.0
 MOST_TIMES = 1000
-# Bounds of a tremor: values outside them are a slip of the unit.
+# Bounds of a tremor: a value outside them means a mistaken unit.
 TREMORS_M = (1e-5, 0.02)
 TREMORS_HZ = (0.1, 20.0)
 

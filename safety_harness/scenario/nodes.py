@@ -123,7 +123,7 @@ class _Builder:
         if isinstance(event, MappingStartEvent):
             return Mapping(tuple(self._entries(path, depth + 1)), line, self.file)
         assert isinstance(event, ScalarEvent)
-        # The last line break of a block text (| or >) belongs to its notation, not to the text.
+        # In a block text (| or >), the last line break belongs to the notation, not to the text.
         text = event.value.rstrip("\n") if event.style in ("|", ">") else event.value
         return Scalar(text, line, self.file)
 
@@ -177,7 +177,7 @@ def _events(text: str, file: Path | None) -> Iterator[Event]:
     except ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise _syntax_error(file, line, f"the character U+{error.character:04X}") from error
-    except Exception as error:  # an escape beyond the last code point, whatever else trips the parser
+    except Exception as error:  # such as an escape beyond the last code point
         raise _syntax_error(file, None, str(error)) from error
 
 

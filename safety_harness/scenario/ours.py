@@ -19,15 +19,15 @@ from safety_harness.scenario.kinds import HEAD_BYTES, SUFFIXES, FileKind, kind_o
 from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar, Sequence, parse_tree
 
-# What pytest does not enter either, by its own default.
+# Folders that pytest does not enter by default either.
 NOT_ENTERED = (".*", "*.egg", "build", "CVS", "dist", "node_modules", "venv", "__pycache__")
 _ALONE = {"scenario space", "tcp start", "hand sensor"}  # ours alone, whatever is beside them
 _TITLED = {"avoider", "hands"}  # ours alone beside a title
 _SHARED = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE)  # by a title of other programs as well
-_FOREIGN = {"plan", "proof", "log"}  # titles of ours that begin something else
+_FOREIGN = {"plan", "proof", "log"}  # titles of other kinds of our files
 _WORTH = re.compile(r"\b(?:scenario|suite|extends|claims|tcp start|hand sensor)\b", re.IGNORECASE)
 _LINE = re.compile(r"^[\"']?([A-Za-z ]+?)[\"']?[ \t]*:(?=[ \t\r\n]|$)", re.MULTILINE)
-_VERDICTS = ("holds", "violated", "inconclusive")  # of the enum, which takes long to import
+_VERDICTS = ("holds", "violated", "inconclusive")  # those of the enum Verdict, which is slow to import
 Entries = Mapping[str, Node | None]
 
 

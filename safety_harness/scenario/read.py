@@ -55,7 +55,7 @@ from safety_harness.scenario.units import DIMENSIONS, parse_quantity, shown
 MOST_TICKS = 1_000_000
 SMALLEST_BOX_M = 0.01  # from corner to corner
 SHORTEST_SWEEP_M = 0.001
-# In a message the moves follow the other required keys.
+# A message lists the moves after the other required keys.
 _MOVING_KEYS = (*MOVING_HAND.names[:3], "moves", *MOVING_HAND.names[3:-1])
 _COMPOSED = dict.fromkeys(
     COMPOSING, "only a file can have it, and a text is none: read_all_scenarios reads files"

@@ -40,7 +40,7 @@ _LARGEST_TIME_S = 1e10  # a clock that counts from 1970 still fits
 LARGEST_COORDINATE_M = 100.0
 _SHORTEST_STEP_S = 1e-6  # between two rows
 _NEAREST_ELBOW_M = 1e-3  # from the hand; nearer, the forearm has no direction
-_MISSING_ROWS = 1.5  # sampling periods between two rows; above it, rows are missing between them
+_MISSING_ROWS = 1.5  # sampling periods; if two rows are farther apart, rows are missing
 _ROUNDING_S = 1e-9  # 10.67 - 10.47 is not quite 0.2
 _ADVICE = 'leave it out with "from" and "to", or raise "longest gap"'
 
@@ -115,7 +115,7 @@ def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str,
         raise _error(file, 1, expected="a line with the names of the columns", got="an empty file")
     header = rows[0]
     if TIME_COLUMN not in header:
-        ours = any(name.endswith("_x_m") for name in header)  # a foreign file may be confidential: no quote
+        ours = any(name.endswith("_x_m") for name in header)  # no quote: a foreign file may be secret
         got = f"the columns {shown(', '.join(header))}" if ours else "none of that name"
         hint = near_miss(TIME_COLUMN, header)
         raise _error(file, lines[0], expected=f'a column "{TIME_COLUMN}"', got=got, hint=hint)
@@ -402,7 +402,7 @@ def _refuse_unknown_track(recording: Recording, name: str, place: Place | None) 
         )
 
 
-@lru_cache(maxsize=32)  # the variations of one recording differ in where and how fast it is repeated
+@lru_cache(maxsize=32)  # variations of one recording change only its place and its speed
 def _mended(
     recording: Recording,
     name: str,

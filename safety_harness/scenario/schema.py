@@ -98,7 +98,7 @@ def _value(value: Value) -> Schema:
     if isinstance(value, FreeKeys):
         free: Schema = {"type": "object", "additionalProperties": _value(value.of)}
         return {**free, "minProperties": value.least} if value.least else free
-    # One table, or several: then a key of each table, ``told_by``, tells them apart.
+    # One table, or several tables, which the key ``told_by`` of each table distinguishes.
     if not value.tables:
         return {"type": "object"}
     if value.or_text:

@@ -21,7 +21,7 @@ from safety_harness.scenario.units import ANGLE, DIMENSIONS, LENGTH
 
 EVERY_TICK = "every tick"  # how a rate of None is written
 
-# The longer suffix first: "_per_m" also ends in "_m".
+# The longer suffix comes first, because "_per_m" also ends in "_m".
 _BY_SUFFIX = sorted(DIMENSIONS, key=lambda dimension: -len(dimension.suffix))
 # The three groups of settings that have a key of their own at the top.
 TOP_GROUPS = {"object": "object", "hand sensor": "hand_sensor", "camera": "camera"}
@@ -33,7 +33,7 @@ SETTINGS_KEYS = {
 _FRAMES = (" in base", " in tcp")
 _OF_THE_OBJECT = ("polygon", "position", "yaw")  # keys that stood in the settings of the cell
 _MOVED = {f"object {key}": f"object: {{{key}: ...}} at the top of the file" for key in _OF_THE_OBJECT}
-# Keys that share these first words stand in a mapping of their own: what it means, and an example.
+# Keys with these first words stand in a mapping of their own, given here with meaning and example.
 _MAPPINGS = {
     "calibration error": (
         "what the controller believes wrongly about the mount",
@@ -70,7 +70,7 @@ def _setting_key(attribute: str, default: Any, description: Mapping[str, Any]) -
     value = _value(default, number)
     takes = description["takes"]
     if not takes and description["least"] is None and not isinstance(value, Word):
-        # The bounds that its dimension gives to every setting are not worth a mention.
+        # The reference omits the bounds that the dimension sets for every setting.
         takes = value.name if isinstance(value, QuantityValue) else value.kind.partition(", each")[0]
     return Key(
         name=name.removeprefix(f"{above} "),
@@ -136,7 +136,7 @@ def group_table(group: str, path: str) -> KeyTable:
     inner: dict[str, list[Key]] = {}
     for setting in setting_keys(type(getattr(DEFAULTS, group.replace(" ", "_")))):
         key = replace(setting, within=(*path.split("."), *setting.within))
-        keys[setting.path[0]] = key  # of a mapping only its place, filled below
+        keys[setting.path[0]] = key  # for a mapping only a place, which is filled below
         if setting.within:
             inner.setdefault(setting.within[0], []).append(key)
     for name, members in inner.items():

@@ -20,7 +20,7 @@ _LONGEST_NUMBER = 64  # characters; a float's shortest exact form has at most 24
 _LARGEST_EXPONENT = 400  # decimal; no float is that large
 
 OTHER_UNIT = "nothing in a cell comes near to that: probably another unit is meant"
-_RARE = ("cm", "/cm", "mrad", "min", "km/h", "kHz")  # understood, and not what we write ourselves
+_RARE = ("cm", "/cm", "mrad", "min", "km/h", "kHz")  # units that we read but do not write
 
 _Factor = Fraction | None  # None: degrees, by math.radians
 
@@ -179,7 +179,7 @@ def _units_hint(unit: str, dimension: Dimension) -> str:
 def _si_value(number: str, factor: _Factor) -> float | None:
     """Return ``number`` times ``factor``, rounded once; None if the result is not finite."""
     exponent = number.lower().partition("e")[2]
-    # The exponent is looked at before anything is computed: 10**1000000000 would not end.
+    # The exponent is checked before anything is computed, because 10**1000000000 would not end.
     if len(number) > _LONGEST_NUMBER or (exponent and abs(int(exponent)) > _LARGEST_EXPONENT):
         return None
     try:
@@ -193,5 +193,5 @@ def _si_value(number: str, factor: _Factor) -> float | None:
         return None
     if not math.isfinite(magnitude):
         return None
-    # A fraction has no negative zero, a float has, and files must come back bit for bit.
+    # Unlike a float, a fraction has no negative zero, and files must be read back bit for bit.
     return math.copysign(magnitude, -1.0) if number.startswith("-") else magnitude

@@ -44,7 +44,7 @@ def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree
     if scenario.faults:
         tree["faults"] = [write_fault(fault) for fault in scenario.faults]
     settings = _settings(scenario.settings, None if all_settings else DEFAULTS)
-    if isinstance(scenario.robot, OwnRobot):  # which says itself how it stops
+    if isinstance(scenario.robot, OwnRobot):  # the arm states its stop times itself
         settings = _without_braking(settings)
     tree.update(settings)
     tree["claims"] = CLAIMS.write({claim.sentence: claim for claim in scenario.claims})
@@ -80,7 +80,7 @@ def _group(group: object, default: object) -> dict[str, Tree]:
     written: dict[str, Any] = {}
     for key in setting_keys(type(group)):
         value = getattr(group, key.attribute)
-        # repr, because a negative zero equals a positive one and is another number all the same.
+        # repr distinguishes a negative zero from a positive one, although both are equal.
         if default is None or repr(getattr(default, key.attribute)) != repr(value):
             inner = written.setdefault(key.within[0], {}) if key.within else written
             inner[key.name] = key.value.write(value)

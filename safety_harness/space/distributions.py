@@ -25,7 +25,7 @@ Vector = NDArray[np.float64]
 Rows = NDArray[np.float64]  # (n, d): a row a draw, a column a number
 
 _SMALLEST, _LARGEST = 1e-300, 1.0 - 2.0**-53
-LEAST_MASS = 1e-6  # of a truncated normal within its bounds; with less, they do not belong to it
+LEAST_MASS = 1e-6  # the least probability of a truncated normal between its bounds
 
 
 @dataclass(frozen=True)

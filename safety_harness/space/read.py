@@ -28,7 +28,7 @@ from safety_harness.space.template import Parameter
 
 Vector = NDArray[np.float64]
 
-_INNER = 0.381966  # of the cube: no round number, so that it tells whole numbers from fractions
+_INNER = 0.381966  # a cube coordinate; no round number, so that whole numbers differ from fractions
 _SOMEWHERE = Region(Box((0.7, -0.3, 0.2), (0.8, -0.2, 0.3)))  # before the settings are read
 
 

@@ -25,12 +25,12 @@ from safety_harness.space.template import (
 )
 
 MOST_COLUMNS = 256  # of the unit cube
-MOST_MEMBERS = 5_000  # of lists, by repeating
-MOST_USES = 2_000  # of parameters, by names
+MOST_MEMBERS = 5_000  # members of lists that repetitions make
+MOST_USES = 2_000  # uses of parameters through named values
 CHOICES, SEED = "choices", "seed"
 _FIXED = ("scenario", "about", "claims")  # texts for people and sentences looked up elsewhere
 
-_Use = tuple[int, tuple[Condition, ...]]  # a parameter and what must hold for it to be used here
+_Use = tuple[int, tuple[Condition, ...]]  # a parameter, and the conditions of its use here
 
 
 @dataclass
@@ -39,7 +39,7 @@ class _Named:
 
     place: Field
     template: Template
-    uses: list[_Use]  # the uses of a use of this value, its own parameters first
+    uses: list[_Use]  # the uses that one use of this value causes, of its own parameters first
     used: bool = False
 
 
@@ -51,7 +51,7 @@ class TemplateReader:
         self._named: dict[str, _Named] = {}
         self._uses: list[_Use] = []  # of the current named value, or of the scenario
         self._time = ""  # the current repetition, for names
-        self._members = 0  # that repetitions have made so far
+        self._members = 0  # the number of members that repetitions have made so far
 
     def whole(self, root: Field) -> tuple[Keyed, tuple[Parameter, ...]]:
         """Return the template of a scenario and its parameters; ScenarioError if the text has no meaning."""
@@ -61,7 +61,7 @@ class TemplateReader:
             raise ScenarioError(place=root.place, expected=expected, got=", ".join(entries) or "no keys")
         if "scenario" in entries:
             raise entries["scenario"].error(f'the key "{SPACE_KEY}" alone', got='"scenario" as well')
-        if SEED in entries:  # of the scenario that it extends: each draw has its own, or draws are copies
+        if SEED in entries:  # from an extended scenario; each draw needs its own seed
             entries[SEED].integer(least=0, most=LARGEST_SEED)
         if CHOICES in entries:
             self._choices(entries[CHOICES])

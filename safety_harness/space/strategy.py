@@ -40,7 +40,7 @@ def values(draw: st.DrawFn, space: ScenarioSpace) -> Vector:
     """Draw values (d,) of ``space`` in SI, one parameter after another; unused values are NaN."""
     drawn = np.full((1, space.dimension), np.nan)
     for number, parameter in enumerate(space.parameters):
-        # A named value comes before the choices that decide about its use.
+        # A named value is drawn before the choices that decide about its use.
         undecided = any(condition.parameter > number for when in parameter.when for condition in when)
         if undecided or space.used_by(drawn, [parameter])[0][0]:
             drawn[0, parameter.columns] = draw(_value(parameter.distribution))
@@ -114,7 +114,7 @@ def real(low: float, high: float, target: float, unit: str) -> st.SearchStrategy
         side, place = (above, step) if step >= 0 else (below, -step)
         if fraction == 0.0 or place == 0:
             return side[place]
-        # Back towards the target: the round number just beyond is then as good where more is worse.
+        # The fraction leads back towards the target, so shrinking can reach the round number just beyond.
         return min(max(side[place] + fraction * (side[place - 1] - side[place]), low), high)
 
     # The fraction between grid points is drawn first, so that shrinking removes it first.

@@ -28,7 +28,7 @@ Values = Sequence[float]
 _Computed = Callable[[Values], Any]  # from a point's values
 _Check = tuple[_Computed, bool]  # a comparison, and its required result
 
-# The groups of settings as they are by default.
+# The default groups of settings, in which no value is drawn.
 _NEVER_DRAWN = frozenset(id(getattr(DEFAULTS, group.name)) for group in fields(DEFAULTS))
 
 

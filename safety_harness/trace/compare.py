@@ -30,7 +30,7 @@ class TraceDifference:
         return f"{where} in {', '.join(self.fields)}: {self.first} against {self.second}"
 
 
-CLOSE = 1e-6  # of traces whose arithmetic or physics may differ in their last bits: relative, and in SI units
+CLOSE = 1e-6  # tolerance, relative and in SI, for traces whose last bits may differ
 
 
 def first_difference(first: Trace, second: Trace, tolerance: float = 0.0) -> TraceDifference | None:

@@ -231,7 +231,7 @@ def _refuse_impossible(name: str, measurement: Measurement) -> None:
             raise refuse("gaps in which it was either of some, only of the mode", str(gap))
 
 
-LEVELS = 1.1  # an uncertainty by tick is rounded up to the next of a geometric series, for few spans
+LEVELS = 1.1  # the ratio of the levels to which uncertainties are rounded up, for few spans
 
 
 def measurement(

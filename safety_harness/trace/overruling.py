@@ -20,7 +20,7 @@ _NO_ANSWER = Check.NOT_FINITE | Check.LATE
 REASONS: tuple[Check, ...] = tuple(check for check in Check if check and not check & _NO_ANSWER)
 
 _READ = ("fault", "proposed_position_in_base_m", "outcome", "proposed_failed")  # of each decision
-_BITS = tuple((check, int(check)) for check in REASONS)  # a flag is slow to combine
+_BITS = tuple((check, int(check)) for check in REASONS)  # as numbers, because combining flags is slow
 _NAMES = {check: str(check.name).lower() for check in REASONS}
 COUNTS = ("proposals", *(f"overruled_{reason}" for reason in ("replaced", "stopped", *_NAMES.values())))
 

@@ -27,7 +27,7 @@ from safety_harness.base.extension_points import foreign_parts
 from safety_harness.base.whole_file import sha256_of, write_whole
 from safety_harness.trace.trace import Provenance
 
-# Each with the compiled module that does its work.
+# Each library, with the compiled module that does its work.
 LIBRARIES = {
     "numpy": f"numpy.{'_core' if np.__version__[0] != '1' else 'core'}._multiarray_umath",
     "numba": "numba._dispatcher",
@@ -35,11 +35,11 @@ LIBRARIES = {
     "cv2": "cv2",
 }
 OF_EVERY_RUN = ("numpy", "numba")
-# Features of a processor by which libraries choose their code, by numpy's names for them.
+# Processor features by which libraries choose their code, with numpy's names of the features.
 FEATURES = {"AVX-512": ("AVX512F", "X86_V4"), "AVX2": ("AVX2", "X86_V3"), "FMA": ("FMA3", "X86_V3")}
 DATA = "robot data"
 ROBOTS = PACKAGE / "cell" / "robot" / "data" / "ur_description"
-ELSEWHERE = "onnxruntime"  # it is loaded in another process, for a stranger's file
+ELSEWHERE = "onnxruntime"  # another process loads it, for a user's file
 ONE_OWNER = (*LIBRARIES, ELSEWHERE, "scipy", "safetensors")
 _OWNED = re.compile(rf"\n({'|'.join(ONE_OWNER)})(?:/|\.[^,/\n]*(?:py|so|pyd),)")
 NOT_LOADED = "not loaded"

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from safety_harness.scenario.model import HAND_SLOTS
 
 JOINTS = 6  # of the shipped arms
-TRACKS_PER_HAND = 2  # and boxes in a frame: beside hands that are there, false ones and ones that left
+TRACKS_PER_HAND = 2  # and boxes in a frame, which also hold false hands and hands that left
 FAULT_CHARACTERS = 240  # of the reason for a failed answer
-ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
+ENDLESS = 1e100  # from here on, a number is treated as infinite, since its square overflows
 
 
 class Mode(IntEnum):
@@ -49,7 +49,7 @@ class Trigger(IntEnum):
 
     HAND_ENTERED = 0  # while servoing, lost or released: a predicted hand is within the distance
     HAND_STILL_THERE = 1  # on arrival at the repulsive position
-    ANOTHER_HAND = 2  # while moving: a hand that the last decision did not know of
+    ANOTHER_HAND = 2  # while moving: a hand that was unknown at the last decision
 
 
 class DecisionOutcome(IntEnum):
@@ -69,12 +69,12 @@ class Check(IntFlag):
     PATH_UNREACHABLE = 4  # the end can be reached, the straight way there cannot
     TABLE = 8  # the TCP's way ends below the table
     UNCERTAIN = 16  # the spread is above the avoider's threshold
-    NEAR_REACH_LIMIT = 32  # reachable, but hardly farther than that
+    NEAR_REACH_LIMIT = 32  # reachable, but close to the limit of reach
     TOWARDS_A_HAND = 64  # the straight way does not lead away from every predicted hand
     ROBOT_ITSELF = 128  # on the way the wrist comes too near to base, shoulder or upper arm
     LATE = 256  # no answer within the decision deadline, in simulated time
     OBSTACLE = 512  # on the way the arm comes too near to an obstacle of the cell
-    OUTSIDE_REGION = 1024  # the question is outside of the region that the scenario's gate keeps to
+    OUTSIDE_REGION = 1024  # the question is outside the region that the scenario's gate demands
 
 
 @lru_cache
@@ -167,7 +167,7 @@ def decision_dtype(joints: int = JOINTS) -> np.dtype[Any]:
             (
                 "decision_time_s",
                 np.float64,
-            ),  # what it cost in simulated time, beside any fault; 0: not modelled
+            ),  # its cost in simulated time, without any fault; 0: not modelled
             ("trigger", np.int64),
             ("seed", np.int64),
             ("hand_position_in_base_m", np.float64, (3,)),  # nearest predicted hand when the answer counts
@@ -189,8 +189,8 @@ def decision_dtype(joints: int = JOINTS) -> np.dtype[Any]:
 
 DECISION = decision_dtype()
 
-# What the shield of a scenario that has one did in a tick: the share of the wanted speed that it allowed, and
-# the capsule that the hand which asked for it was nearest to; -1 for none, and for want of a frame.
+# What a scenario's shield did in a tick: the share of the wanted speed that it allowed, and the capsule
+# nearest to the hand that caused this share; -1 without such a hand, or before the first frame.
 INTERVENTION = np.dtype(
     [("scale", np.float64), ("capsule", np.int64)], align=True
 )  # all that old traces have
@@ -210,7 +210,7 @@ def intervention_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
         [
             ("scale", np.float64),
             ("capsule", np.int64),
-            ("taken_s", np.float64),  # when, as its time stamp has it; -inf: no frame yet
+            ("taken_s", np.float64),  # the time stamp of the frame used; -inf: no frame yet
             ("count", np.int64),
             ("hand_in_base_m", np.float64, (boxes, 3)),
             ("sent_radps", np.float64, (joints,)),

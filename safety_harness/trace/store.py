@@ -49,14 +49,14 @@ from safety_harness.trace.system import Component, Line, SystemUnderTest, system
 from safety_harness.trace.trace import Provenance, Trace, no_interventions, not_recorded
 
 FORMAT = "safety-harness trace 4"
-IN_PART = "safety-harness trace 5"  # that says what is known of its columns, which others know all of
-EARLIER_FORMAT = "safety-harness trace 3"  # whose decisions do not say when the avoider was asked
+IN_PART = "safety-harness trace 5"  # this format states what is known of its columns; others know all
+EARLIER_FORMAT = "safety-harness trace 3"  # its decisions do not state when the avoider was asked
 HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
 ARRAY_HEADER_BYTES = 20_000  # room for the header of an array
 KNOWN = "known.json"
-CERTIFIED = "certified.json"  # only where somebody asked for it
-INTERVENTIONS = "interventions.npy"  # only of a scenario that has a shield
+CERTIFIED = "certified.json"  # only if a user asked for proofs
+INTERVENTIONS = "interventions.npy"  # only for a scenario with a shield
 OVERSHOOT = "overshoot.npy"  # only where an engine's sub-steps were recorded
 CARRIED = ("recordings/", "robot/")  # files of the scenario by their SHA-256
 MOST_PARTS = 12 + MAX_HANDS
@@ -84,7 +84,7 @@ class _Run:
     ended: Line
     provenance: Provenance
     system: SystemUnderTest | None = None  # None in a trace of an earlier version
-    claims: int = 1  # the edition of the catalogue in whose meaning they are read
+    claims: int = 1  # the edition of the catalogue that defines the claims
 
 
 def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] | None = None) -> None:
@@ -241,7 +241,7 @@ class _Reader:
         old = self._format == EARLIER_FORMAT
         joints = len(
             scenario.settings.cell.preferred_joint_position_rad
-        )  # one for each, as admission sees to
+        )  # one for each, as admission ensures
         decision = DECISION_3 if old else decision_dtype(joints)
         decisions = self._array(archive, "decisions.npy", decision, most)
         ticks = self._array(archive, "ticks.npy", tick_dtype(scenario.hand_slots, joints), most)

@@ -135,7 +135,7 @@ def _shield(shield: Shield | None) -> Component | None:
     return Component(name=shield.kind.value, sha256=hashlib.sha256(text.encode()).hexdigest())
 
 
-# of an own arm, whose files count by their hashes, never by where they lie
+# Of the user's own arm: the hashes of its files matter, but not their paths.
 _NAMES: Any = dict.fromkeys(("urdf", "package", "capsules", "files", "urdf_text", "capsules_text"), "")
 _UNKNOWN = Component(name="not noted")
 NOT_NOTED = SystemUnderTest(
