@@ -194,7 +194,7 @@ class Admitter:
         self._seen_by = lru_cache(maxsize=16)(seen_by)
 
     def admit(self, scenario: Scenario) -> Admitted:
-        """Resolve the references of ``scenario`` and check that it can run, as ``admit`` below does."""
+        """Resolve a scenario's references and check that it can run; InadmissibleError if it cannot."""
         checked = check(scenario)
         if scenario.driven:
             return _driven(checked, self._drivers.driver_for(scenario))
@@ -252,7 +252,7 @@ class Checker:
         self._seen: set[tuple[str, Path | None, Settings]] = set()
 
     def check(self, scenario: Scenario) -> Checked:
-        """Check a scenario without making its avoider, so an error in making or asking it stays unseen."""
+        """Check a scenario, but neither make its avoider nor ask it a question."""
         checked = check(scenario)
         self.check_tested(scenario)
         return checked
@@ -284,7 +284,7 @@ def check(scenario: Scenario) -> Checked:
     """Check a scenario without its avoider, and raise the same errors as ``admit``.
 
     The check neither reads nor executes a file of the avoider.  For a controller other than the visual servo,
-    it also leaves out the controller and the view of the object.
+    it also skips the controller and the view of the object.
     """
     return _check(scenario, sees_object=not scenario.driven)
 
@@ -351,7 +351,7 @@ class _Cell:
     """The settings and the robot of a scenario, which its hands and its start cannot change.
 
     ``scenario`` is kept only for the places in error messages.  ``settings`` are ``steady``, because the
-    noise and delay of a camera do not affect this part.
+    noise and delay of a camera do not affect the checks of a cell.
     """
 
     settings: Settings
@@ -389,8 +389,8 @@ def answers_at_first(avoider: Avoider, hand_in_base_m: Vector3, tcp_in_base_m: V
     """Return whether the avoider answers one question before the run.
 
     So the avoider's imports and compilation end before a run begins.  The function ignores the answer,
-    because the run itself meets any wrong answer.  An avoider that sees more than positions gets no question,
-    because no view exists yet.
+    because a wrong answer will also show in the run.  An avoider that sees more than positions gets no
+    question, because no view exists yet.
 
     Returns:
         False if the avoider gives no answer within FIRST_ANSWER_S.

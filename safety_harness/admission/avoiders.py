@@ -70,7 +70,7 @@ class _Wanted:
 class Avoiders:
     """The avoiders of scenarios, each made as seldom as possible without changing a result.
 
-    An avoider in a Python file depends only on the file and on the name in it, so one object serves all runs.
+    An avoider in a Python file depends only on the file and on its name there, so one object serves all runs.
     If that object keeps data in memory, the data remain from run to run.  Every other avoider is a function
     of its question, and is made from the settings.
     """
@@ -182,7 +182,7 @@ def command_line_reference(scenario: Scenario) -> str:
 
 
 def told_avoider(reference: str) -> str:
-    """Return the reference to the system under test, with its file named as in a result."""
+    """Return ``reference``, to the system under test, with its file named as results show it."""
     return str(with_file(reference, lambda file: str(display_path(Path(os.path.expanduser(file))))))
 
 
@@ -381,8 +381,8 @@ def _file_of(scenario: Scenario) -> Path | None:
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:
     """Return the scenario with another avoider or controller.
 
-    The result names the file as seen from the scenario's folder, so that the trace of a run identifies the
-    avoider and ``replay`` finds it.
+    The result names the file as seen from the scenario's folder.  So the trace of a run identifies the
+    avoider, and ``replay`` finds it.
 
     Args:
         scenario: The scenario.

@@ -125,7 +125,8 @@ def _check_restart_delay(scenario: Scenario) -> None:
 def check_cameras(scenario: Scenario) -> None:
     """Refuse settings of the cameras that contradict each other or the control ticks.
 
-    The function also refuses a restart before a stop is over, and a shield whose sensor does not see all.
+    The function also refuses a restart before a stop is over, and a shield whose sensor does not see the
+    whole cell.
     """
     settings = scenario.settings
     _check_restart_delay(scenario)
@@ -150,7 +151,7 @@ def check_cameras(scenario: Scenario) -> None:
 
 
 def refuse_gate(scenario: Scenario) -> None:
-    """Refuse a gate rule that is empty, has a reversed box, or meets a system without the full gate."""
+    """Refuse a gate rule that is empty, has a reversed box, or belongs to a system without the full gate."""
     full = scenario.settings.avoidance.gate is GateKind.FULL
     if scenario.gate is not None and (scenario.driven or not full):
         got = "another controller" if scenario.driven else "the gate of reach alone"
@@ -166,7 +167,7 @@ def refuse_gate(scenario: Scenario) -> None:
 
 
 def refuse_late_drives(scenario: Scenario) -> None:
-    """Refuse a shield with a shorter reaction time than the drives', which its assumption 7 excludes."""
+    """Refuse a shield whose reaction time is too short for the arm's drives, against its assumption 7."""
     if scenario.shield is None:
         return
     period_s = scenario.settings.clock.control_period_s
@@ -242,8 +243,8 @@ def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
 def check_faults(scenario: Scenario) -> None:
     """Refuse faults that no run can simulate.
 
-    These are a false hand that a fixed sensor cannot see, a hidden object in rendered images, and a delay
-    with more pictures under way than the buffer holds.
+    These are a false hand that a fixed sensor cannot see, and an object hidden by hands in rendered images.
+    A delay is refused if more pictures would be under way than the buffer holds.
     """
     for number, fault in enumerate(scenario.faults):
         if isinstance(fault, FalseHand):

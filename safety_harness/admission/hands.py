@@ -1,4 +1,4 @@
-"""Checks that need the whole scenario: hands against the cell, against their own bounds and the robot."""
+"""Checks of hands against the cell, the robot and their own bounds, which need the whole scenario."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from safety_harness.scenario.moves import MoveTo, Sweep, Wait, Wander
 def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
     """Refuse a hand that goes below the table, exceeds its own bounds or begins inside the robot.
 
-    Below the table counts for the hand's centre.
+    Only the hand's centre must stay above the table.
     """
     table_m, ceiling_m = scenario.settings.cell.table_height_m, _ceiling_m(scenario)
     for number, hand in enumerate(scenario.hands):

@@ -43,8 +43,8 @@ VIEW = (
 def checked_start(scenario: Scenario, arm: ArmModel, *, sees_object: bool = True) -> NDArray[np.float64]:
     """Return the joint angles of the start, or refuse a start from which the arm cannot work.
 
-    Refused are a singular start, and a start too near to the table.  If the controller ``sees_object``, the
-    object must be in view.
+    The start must not be singular or too near to the table.  If the controller ``sees_object``, the object
+    must be in view.
     """
     joints = start_joint_position(scenario, arm)
     _check_pose(scenario, arm, joints, "TCP start", START)
@@ -91,7 +91,7 @@ def check_desired(scenario: Scenario, arm: ArmModel) -> None:
 def check_posture(scenario: Scenario, arm: ArmModel) -> None:
     """Refuse a preferred joint position that belongs to another arm.
 
-    It has a wrong number of angles, or it is the default while the user's own arm is in the cell.
+    Such a position has a wrong number of angles, or is the default although the arm is the user's own.
     """
     given = scenario.settings.cell.preferred_joint_position_rad
     if isinstance(scenario.robot, OwnRobot) and given == DEFAULTS.cell.preferred_joint_position_rad:

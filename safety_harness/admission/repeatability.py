@@ -110,7 +110,7 @@ class DrivenAgain(RepeatabilityResult):
 
     @property
     def who(self) -> str:
-        """What drove the runs, in a word: avoider or controller."""
+        """The driver of the runs in a word: avoider or controller."""
         return "avoider" if self.of_avoider else "controller"
 
     @property
@@ -306,7 +306,7 @@ def _order(question: Question) -> bytes:
 
 @dataclass(eq=False)
 class _Again:
-    """The second avoiders by their identity, and the differences between answers by their question."""
+    """The result of repeated questions: second avoiders by identity, and differing answers by question."""
 
     asked: int = 0
     problem: str = ""

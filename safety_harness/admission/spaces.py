@@ -101,7 +101,7 @@ def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[
 
 
 def why_refused(error: InputError) -> str:
-    """Return why a draw was refused, as "field: expected ...", the same for points with the same problem.
+    """Return why a draw was refused, as "field: expected ..."; equal problems have equal texts.
 
     The function raises ``error`` itself if the text of the space causes it, by a missing avoider or an
     unknown claim.

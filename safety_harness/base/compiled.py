@@ -1,12 +1,12 @@
 """Compilation of functions with numba, with a cache and with strict IEEE floats.
 
-This module compiles all compiled functions of the package.  Numba's own file cache compares the file that
+All functions that the package compiles are compiled here.  Numba's own file cache compares the file that
 *defines* a function, but not the files whose functions it calls.  After an edit in ``geometry``, an old
 ``controller`` would remain in use, and evidence from it would be wrong.
 
-So the machine code of a file lies in a folder whose name is a hash.  The hash covers that file, every file of
-the package that it imports (directly or not), and the versions of Python, numba and numpy.  A change in any
-of these causes a new compilation; a change of another file does not.
+So the machine code of a file lies in a folder whose name is a hash.  The hash covers that file and every file
+of the package that it imports (directly or not).  It also covers the versions of Python, numba and numpy.  A
+change in any of these causes a new compilation; a change of another file does not.
 
 Numba looks for a function in the user's cache, then in the folder that a wheel contains (``machine_code``).
 It compiles the function if neither contains it.
@@ -222,7 +222,7 @@ def inlined(function: F) -> F:
 
 
 def arithmetic(function: F) -> F:
-    """Return a function that is compiled into its callers, and that Python runs as Python.
+    """Return a function that is compiled into compiled callers, but that Python runs as Python code.
 
     Python may call it with floats or arrays.  It must consist of operations whose bits IEEE 754 fixes, so
     that both ways return the same bits.

@@ -6,8 +6,8 @@ A package lists its parts in its ``pyproject.toml``, and the core loads a part w
     certify = "safety_harness.extensions.assurance.commands.certify:of_certify"
 
 The parts of this distribution come first; foreign parts follow, sorted by name.  The core skips a part, with
-a warning, if the part cannot be loaded, has the wrong type, or has the name of an earlier part.  A skipped
-part never stops or replaces another part.
+a warning, if it cannot load the part, or if the type is wrong.  It also skips a part that has the name of an
+earlier part.  A skipped part never stops or replaces another part.
 """
 
 from __future__ import annotations

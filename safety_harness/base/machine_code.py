@@ -2,7 +2,7 @@
 
 ``make wheel`` compiles for numba's *generic* target, whose results are the same bit for bit.  Numba stores
 its index and its code as pickles, and reading a pickle may execute anything.  So this module reads a file
-only from the package's own folder, and only if its SHA-256 equals the one in the installation's RECORD.
+only if it lies in the package's own folder and its SHA-256 is in the installation's RECORD.
 """
 
 from __future__ import annotations

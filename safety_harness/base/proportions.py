@@ -74,7 +74,7 @@ def upper_bound(count: int, trials: int, chance: float) -> float:
 
 @lru_cache(maxsize=4096)
 def lower_bound(count: int, trials: int, chance: float) -> float:
-    """Return the share at which ``count`` or more of ``trials`` succeed with ``chance``, or 0 for none."""
+    """Return the share at which ``count`` or more of ``trials`` succeed with ``chance``; 0 for no success."""
     if count <= 0:
         return 0.0
     guide = float(scipy.special.betaincinv(count, trials - count + 1.0, chance))

@@ -1,7 +1,7 @@
 """The seed tree: every random number of a run is derived from the scenario's seed.
 
 A path of integers below the root identifies a stream.  So a stream stays the same when another stream is
-added. Decision k gets the same numbers wherever and in whatever order decisions are made.
+added.  Decision k gets the same numbers wherever and in whatever order decisions are made.
 """
 
 from __future__ import annotations

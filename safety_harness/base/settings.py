@@ -329,8 +329,8 @@ class Hand:
 class Braking:
     """A protective stop: a reaction time, then uniform braking that takes T_s(v) = base + slope v.
 
-    v is the TCP's speed.  The defaults are the worst-case stop times in the UR10 CB3 manual: 450, 500 and 550
-    ms at 1.0, 1.5 and 2.0 m/s.  They lie on the straight line 0.35 s + 0.1 s^2/m v.
+    v is the TCP's speed.  The defaults follow the worst-case stop times in the UR10 CB3 manual: 450, 500 and
+    550 ms at 1.0, 1.5 and 2.0 m/s.  They lie on the straight line 0.35 s + 0.1 s^2/m v.
     """
 
     reaction_time_s: float = setting(0.1, "before a protective stop begins to brake", 0.0, 5.0)

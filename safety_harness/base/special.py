@@ -1,7 +1,7 @@
 """Quantiles and tails of distributions with the same bits on every processor, based on ``elementary``.
 
 Bounds are ``settled``: our own tails find each bound among the floats of 44 significant bits.  So a bound is
-the same for every library, and differs from the truth by at most 2^-43 of itself.
+the same for every library, and is rounded away from the truth by at most 2^-43 of itself.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def log_beta(a: Any, b: Any) -> Any:
 
 
 def _stirling(x: Any) -> Any:
-    """Return the logarithm of the gamma function at x, minus (x - 1/2) log x - x + log(2 pi)/2."""
+    """Return the logarithm of the gamma function at x, minus ((x - 1/2) log x - x + log(2 pi)/2)."""
     below, shifted = np.ones_like(x), np.asarray(x, np.float64)
     for _ in range(12):
         low = shifted < 12.0
@@ -127,7 +127,7 @@ def upper_gamma(a: Any, x: Any) -> Any:
 
 @compiled
 def _gamma_parts(a: Floats, x: Floats) -> Floats:
-    """Return, each (n,), a series of the lower tail, or above the mean a continued fraction (Lentz)."""
+    """Return (n,) a series of the lower tail below the mean, and above it a continued fraction (Lentz)."""
     parts = np.empty_like(x)
     for i in range(len(x)):
         if x[i] < a[i] + 1.0:

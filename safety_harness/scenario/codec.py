@@ -1,9 +1,8 @@
 """Declarations of the fields in a file: one declaration serves every use of the field.
 
-The uses are reading, writing, explaining, tables and the schema.  A field of a ``declared`` dataclass, such
-as ``speed_mps: float = key("speed", ...)``, declares its name in a file and its kind of value with unit and
-bounds. It also declares its meaning, an example and its default.  ``table_of`` gathers the keys of a
-dataclass.
+The uses are reading, writing, explaining, tables and the schema.  A field of a ``declared`` dataclass
+declares its name in a file, its kind of value with unit and bounds, its meaning, an example and its default.
+An example is ``speed_mps: float = key("speed", ...)``.  ``table_of`` gathers the keys of a dataclass.
 
 A kind of value has three parts.  ``read`` accepts a ``Field`` (ScenarioError with its line).  ``write``
 returns a text that reads back to the same bits.  ``kind`` describes the value for people.  ``schema`` and

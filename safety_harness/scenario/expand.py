@@ -1,4 +1,4 @@
-"""All scenarios that a path leads to, from a file, each combination of its matrix, a folder or a suite."""
+"""All scenarios that a path leads to: those of a file, of its matrix, of a folder or of a suite."""
 
 from __future__ import annotations
 

@@ -157,8 +157,8 @@ class Field(NamedTuple):
         Args:
             dimension: Its dimension.
             above: An exclusive lower bound in SI; None: no such bound.
-            least: An inclusive lower bound, likewise.
-            most: An inclusive upper bound, likewise.
+            least: An inclusive lower bound in SI; None: no such bound.
+            most: An inclusive upper bound in SI; None: no such bound.
 
         """
         if isinstance(self.node, Scalar) and self.node.drawn and self.node.drawn[1] == dimension.si:

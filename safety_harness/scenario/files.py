@@ -1,8 +1,8 @@
 """Bounded reading of files of unknown origin, with errors that name a place but no foreign content.
 
 Files of other programs may have a ``scenario:`` or a ``seed:`` too.  A name may also lead to a confidential
-file (``scenario.yaml`` a link to ``/etc/shadow``, or ``extends: ~/.netrc``), and errors end up in the log of
-a build. So an error never quotes a file that lacks all of our keys.
+file (``scenario.yaml`` a link to ``/etc/shadow``, or ``extends: ~/.netrc``).  Errors end up in the log of a
+build, so an error never quotes a file that lacks all of our keys.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TOP_KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?=[ \t\r\n]|$)", r
 
 
 def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
-    """Return a path or text that a caller gave as a path, with ``shipped:NAME`` resolved.
+    """Return ``source``, a path or its text, as a path with ``shipped:NAME`` resolved.
 
     Every path that a caller gives as a text passes through this function.
 
@@ -37,7 +37,7 @@ def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
         of_text: The function that reads a text in place of a path, for the hint.
 
     Raises:
-        InputError: It is no path, or a text of several lines.
+        InputError: ``source`` is no path, or is a text of several lines.
 
     """
     refuse_other_type(argument, source, str, Path, expected="a path")
@@ -75,7 +75,7 @@ def read_bytes(path: Path, *, most: int, place: Place, error: type[InputError]) 
 
 
 def refuse_no_file(path: Path, expected: str, error: type[InputError]) -> None:
-    """Raise ``error`` unless ``path`` is a regular file; to open a pipe might block for ever."""
+    """Raise ``error`` unless ``path`` is a regular file; opening a pipe might block for ever."""
     problem = _no_file(path)
     if problem:
         raise error(place=Place(file=path), expected=expected, got=problem)

@@ -51,9 +51,9 @@ class AskedRegion:
     tcp: PositionBox = key("tcp", _OF_TCP, "where the TCP is then", _BOX)
 
     def depth_m(self, hand_in_base_m: NDArray[np.float64], tcp_in_base_m: NDArray[np.float64]) -> float:
-        """Return the least distance [m] of the question's two positions, each (3,), from its box's sides.
+        """Return the smaller depth [m] of ``hand_in_base_m`` and ``tcp_in_base_m``, each (3,), in its box.
 
-        The distance is negative if a position is outside.
+        A depth is the distance to the nearest side of the box, negative outside.
         """
         return float(np.min([self.hand.depth_m(hand_in_base_m), self.tcp.depth_m(tcp_in_base_m)]))
 

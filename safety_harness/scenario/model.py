@@ -160,7 +160,7 @@ class MovingHand:
     """A hand that makes one move after another, and then rests.
 
     At every moment the forearm points from the hand's centre to ``elbow_towards_in_base_m``, where the person
-    stands. ``shift_in_base_m`` is added to the start and to every point of the moves.  The first move begins
+    stands.  ``shift_in_base_m`` is added to the start and to every point of the moves.  The first move begins
     after ``delay_s``.  The hand, with its tremor, never exceeds ``max_speed_mps``.  Its moves never exceed
     ``max_acceleration_mps2``, to which the tremor's acceleration is added.
     """
@@ -526,7 +526,7 @@ class Scenario:
 
     @property
     def hand_slots(self) -> int:
-        """The number of hands for which each record of a run has room, the smallest one that suffices.
+        """The number of hands for which each record of a run has room: the smallest that suffices.
 
         ScenarioError if there are too many hands.
         """

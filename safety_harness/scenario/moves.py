@@ -54,7 +54,7 @@ _TREMOR_OF_1_MM = "tremor: {amplitude: 1 mm, rate: 8 Hz}"
 
 @declared
 class Tremor:
-    """A small involuntary motion that is added to every move, and to rest: an ellipse.
+    """A small involuntary motion on an ellipse, which is added to every move and to rest.
 
     The displacement is ``amplitude_m`` / sqrt(3) sin(2 pi ``rate_hz`` t + phase) along each axis, at time t.
     The phases come from the scenario's seed, and the displacement never exceeds the amplitude.
@@ -106,7 +106,7 @@ HESITATION = table_of(Hesitation, "hesitation")
 
 @declared
 class ReachForTcp:
-    """A reach for the TCP at its present position, until the hand is ``until_distance_m`` from it.
+    """A reach for the TCP, wherever the TCP is at the moment, until the hand is ``until_distance_m`` from it.
 
     If the TCP retreats, the reach ends after ``at_most_s``.
     """

@@ -190,7 +190,7 @@ def _refuse_distribution(field: Field) -> None:
 
 
 def _check_duration(duration_s: float, field: Field, settings: Settings) -> None:
-    """Raise ScenarioError for a duration shorter than one control period or longer than MOST_TICKS."""
+    """Raise ScenarioError for a duration below one control period or above MOST_TICKS control periods."""
     if duration_s < settings.clock.control_period_s:
         raise field.error(f"at least one control period, {settings.clock.control_period_s:g} s")
     if duration_s > MOST_TICKS * settings.clock.control_period_s:

@@ -61,7 +61,7 @@ def added_way(reference: str) -> str:
 def _added_ways() -> frozenset[str]:
     """Return the names of the parts with which packages open controllers.
 
-    A name must be a word that we do not use, so that it never hides a file or a controller of ours.
+    A name must be a word that we do not use, so that it hides no file and no controller of ours.
     """
     names = set()
     for part in parts(ExtensionPoint.CONTROLLERS):

@@ -118,7 +118,7 @@ class StopTimes:
 class Seat:
     """The place of an arm's base link in the base frame of the scenario, whose z axis points up.
 
-    The rotation is Rz(yaw) R(tilt), tilt a rotation vector: [180 deg, 0 deg, 0 deg] hangs from a ceiling.
+    The rotation is Rz(yaw) R(tilt); the rotation vector [180 deg, 0 deg, 0 deg] turns the arm upside down.
     """
 
     position_in_base_m: Vector3 = key("position", POINT, "of the arm's base link", default=_ORIGIN)
@@ -238,8 +238,8 @@ def _one_a_joint(noun: str, number: QuantityValue) -> Several:
 class OwnRobot:
     """The user's own arm; ``urdf_text`` and ``capsules_text`` are the bytes of its files.
 
-    ``files`` lists the paths on this machine: the URDF, from which meshes are found, the capsules, and the
-    arm's own file if it has one.
+    ``files`` lists the paths on this machine of the URDF, the capsules and, if there is one, the arm's file.
+    Meshes are found from the URDF's path.
     """
 
     urdf: str | None = key("urdf", _FILE, "the arm's description; or `package`", "panda.urdf", default=None)

@@ -1,7 +1,7 @@
 """The form of the settings in a scenario file, derived from the dataclasses of the settings.
 
 Meanings and bounds are declared beside the fields, in ``settings``.  A field's key is its name in plain
-words, without the unit and the frame.  So ``Avoidance.critical_distance_m`` is ``avoidance: {critical
+words, without the unit and the frame.  So ``Avoidance.critical_distance_m`` becomes ``avoidance: {critical
 distance: 400 mm}``.  The dimension follows from the unit at the end of the name.  The form of the value
 follows from the type of the default.
 """

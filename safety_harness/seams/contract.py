@@ -73,8 +73,8 @@ class HandBoxes:
     """The last frame of the hand sensor, as boxes in its image.
 
     ``time_s`` is the time of exposure, NaN before the first frame. ``new`` is true if the frame arrived at
-    this tick. A row of ``boxes`` (n, 5) is u, v of the centre [px], depth of the surface there [m], area
-    [px^2], and width divided by height. ``transform_sensor_to_base`` (4, 4) is the sensor's present pose.
+    this tick. The columns of ``boxes`` (n, 5): u, v of the centre [px], depth of the surface there [m], area
+    [px^2], width divided by height. ``transform_sensor_to_base`` (4, 4) is the sensor's present pose.
     """
 
     time_s: float
@@ -190,10 +190,10 @@ class Seen:
 class Decision:
     """A decision to give way to a hand, which claims about decisions judge.
 
-    Positions (3,) [m] are in the base frame: that of the hand that the arm gives way to, the proposed and the
-    chosen TCP position. The chosen position is NaN for a stop. ``spread_m`` (3,) is one standard deviation
-    along each axis. ``spread_threshold_m`` is the largest spread with which the controller uses a proposal,
-    NaN without a threshold.
+    Positions (3,) [m] are in the base frame: of the hand to which the arm gives way, of the proposed and of
+    the chosen TCP. The chosen position is NaN for a stop. ``spread_m`` (3,) is one standard deviation along
+    each axis. ``spread_threshold_m`` is the largest spread with which the controller uses a proposal, NaN
+    without a threshold.
     """
 
     hand_position_in_base_m: Floats

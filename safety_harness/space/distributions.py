@@ -75,8 +75,8 @@ class TruncatedNormal:
     Args:
         mean: The mean of the unrestricted distribution.
         std: Its standard deviation; ValueError unless it is above 0.
-        low: The lower end; ValueError unless it is below ``high``, with a millionth of the distribution
-            between them.
+        low: The lower end; ValueError unless it is below ``high`` and at least a millionth of the
+            distribution lies between them.
         high: The upper end.
         unit: The SI unit, as in ``Uniform``.
 

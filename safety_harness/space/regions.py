@@ -6,12 +6,12 @@ bounds, before any result, for these reasons:
 * Seen TCPs lie within +-(60, 150, 100) mm of the desired position, x narrowest as in the paper.  In the
   default cell the arm reaches all of that box, with the object in view.
 * Unseen TCPs lie outside that box and inside a box of twice its size.  This region borders on the seen box,
-  so a TCP on the seen box's rim that retreats by R = 100 mm ends in it.  It is seven eighths of the larger
-  box.  In the default cell the arm reaches all of these TCPs; at about a fifth of them, the object is partly
-  out of view.
-* Unseen hands lie outside the seen box and inside a box of 1.5 times its size, and no hand's centre is below
-  the table's top.  A hand only shifts the target, by 0.05 of its own displacement (eq. 13), so a larger box
-  would teach little.  In a box of twice the size, hands would be among the arm's own links.
+  so a TCP that retreats from the seen box's rim by R = 100 mm ends there.  The region is seven eighths of the
+  larger box.  In the default cell the arm reaches all of these TCPs.  At about a fifth of them, the object is
+  partly out of view.
+* Unseen hands lie outside the seen box and inside a box of 1.5 times its size.  No hand's centre is below the
+  table's top.  A hand only shifts the target, by 0.05 of its own displacement (eq. 13), so a larger box would
+  teach little.  In a box of twice the size, hands would be among the arm's own links.
 
 A network's file states the bounds of its training, and the regions follow them.
 """

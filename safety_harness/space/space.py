@@ -1,7 +1,7 @@
 """A scenario space: one text that serves as a set to search, a distribution to sample and a source of tests.
 
 The text becomes a tree, and the tree becomes a template with parameters (``reading``).  Values of the
-parameters make a scenario.  Scenarios of the same structure are made by filling in a form (``tracing``).
+parameters make a scenario.  A form speeds up the making of scenarios with the same structure (``tracing``).
 ``matches`` finds the values of a given scenario.
 """
 
@@ -107,8 +107,8 @@ class ScenarioSpace:
     def values_of_draws(self, seeds: Sequence[int], k: int) -> Vector:
         """Return the values (n, d) of draw ``k`` of each of n streams; their bits do not depend on n.
 
-        Therefore points in shells are computed one by one, because numpy may round the sine of an array
-        differently from the sine of a number.
+        Therefore points in shells are computed one by one: numpy may round the sine of an array and of a
+        number differently.
 
         Args:
             seeds: The streams, n of them.

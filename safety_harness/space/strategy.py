@@ -1,9 +1,9 @@
 """A space as a Hypothesis strategy: all examples are in the space, and shrink towards its simplest one.
 
 Shrinking prefers first alternatives, fewer repetitions, values nearer to zero (slower, shorter, less turned)
-and points nearer to the seen space.  It also prefers round numbers: values lie on a decimal grid of 100 to
-1000 steps, unless an example needs a value between.  For a range of a decimetre or more, the grid has steps
-of millimetres. For angles it has steps in degrees.
+and points nearer to the seen space.  It also prefers round numbers: values are on a decimal grid of 100 to
+1000 steps, unless an example needs others.  For a range of a decimetre or more, the grid has steps of
+millimetres.  For angles it has steps in degrees.
 """
 
 from __future__ import annotations

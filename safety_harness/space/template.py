@@ -1,9 +1,8 @@
 """A scenario's tree with gaps: fixed nodes, and places that a space's parameters fill.
 
-A value enters the tree as an exact quantity in its SI unit, so that the ordinary reader reads it, and no
-second language is needed.  To find the values of a scenario, its written tree is compared with the template,
-gap by gap. A match is only a guess that the template allows, so the caller fills it in and compares the
-scenarios.
+A value enters the tree as an exact quantity in its SI unit.  So the ordinary reader reads it, and no second
+language is needed.  To find the values of a scenario, its written tree is compared with the template, gap by
+gap. A match is only a guess that the template allows, so the caller fills it in and compares the scenarios.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The ordinary reader reads one scenario of each structure, with a ``TracedNumber`` in place of every number
 that varies.  A traced number acts like its number, but remembers its computation and every comparison that
-used it. Later values are put at the same paths, if all these comparisons have the same results for them.  A
+used it.  Later values are put at the same paths, if all these comparisons have the same results for them.  A
 conversion, an array or a text cannot be remembered and raises TypeError, so that a form never has a wrong
 value.  A path leads through dataclass fields by their names, and through members of tuples by their numbers.
 """
