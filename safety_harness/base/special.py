@@ -127,7 +127,10 @@ def upper_gamma(a: Any, x: Any) -> Any:
 
 @compiled
 def _gamma_parts(a: Floats, x: Floats) -> Floats:
-    """Return (n,) a series of the lower tail below the mean, and above it a continued fraction (Lentz)."""
+    """Return, for ``a`` (n,) and ``x`` (n,), the parts (n,) from which ``upper_gamma`` computes its tails.
+
+    Below the mean a part is a series of the lower tail; above, it is a continued fraction (Lentz).
+    """
     parts = np.empty_like(x)
     for i in range(len(x)):
         if x[i] < a[i] + 1.0:

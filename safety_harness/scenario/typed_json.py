@@ -42,7 +42,7 @@ def read_json(
 
 
 def parsed(text: str | bytes, file: Path, noun: str, error: type[InputError] = InputError) -> Any:
-    """Return the content of a JSON text; for any other text, raise ``error``, which expects ``noun``."""
+    """Return the content of a JSON text; otherwise raise ``error``, which expects ``noun`` in ``file``."""
     try:
         return msgspec.json.decode(text)
     except (ValueError, RecursionError) as reason:
