@@ -15,7 +15,7 @@ executed: dict[tuple[Path, str], str] = {}  # the files that this process had ex
 
 
 def say_it_is_executed(path: Path, source: bytes, logger: logging.Logger) -> None:
-    """Warn before the first execution of a file by this command; worker processes stay silent."""
+    """Warn before this command executes a file for the first time; worker processes print no warning."""
     key = path, hashlib.sha256(source).hexdigest()
     if key in executed:
         return
@@ -27,9 +27,9 @@ def say_it_is_executed(path: Path, source: bytes, logger: logging.Logger) -> Non
 
 
 class Heard:
-    """A logger of the first lines that a file called ``name`` writes, each once.
+    """A listener that logs the first lines of output of a file called ``name``.
 
-    A ``silent`` logger drops all of them.
+    A ``silent`` listener logs no line.
     """
 
     def __init__(self, name: str, logger: logging.Logger, *, silent: bool = False) -> None:
