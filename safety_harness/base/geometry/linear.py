@@ -106,7 +106,7 @@ def invert_with(matrix: NDArray[np.float64], n: int, inverse_out: NDArray[np.flo
                     work[row, j] -= factor * work[column, j]
     if pivots != 0:
         for column in range(n - 1, -1, -1):
-            pivot = (pivots >> 4 * column) & 15  # never row 0, which only column 0 could have
+            pivot = (pivots >> 4 * column) & 15  # never row 0, which only column 0 can have swapped
             if pivot != 0:
                 for i in range(n):
                     work[i, column], work[i, pivot] = work[i, pivot], work[i, column]

@@ -88,8 +88,8 @@ def _is_over(point: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
     """Return whether ``point`` (3,) is in the prism along ``normal`` (3,) over ``polygon`` (n, 3).
 
     By the even-odd rule, the point is inside if a ray from its foot in the plane crosses the outline an odd
-    number of times.  The test drops the coordinate in which the normal is largest, so that the outline keeps its
-    area.
+    number of times.  The test drops the coordinate in which the normal is largest, so that the outline keeps
+    its area.
     """
     drop = 0
     for i in range(1, 3):

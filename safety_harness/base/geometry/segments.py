@@ -152,7 +152,7 @@ def nearest_of_segments(
                 break
         x, y, z = wx + t * vx - s * ux, wy + t * vy - s * uy, wz + t * vz - s * uz
         squared = x * x + y * y + z * z
-        if not squared >= best:  # also takes over a NaN
+        if not squared >= best:  # this comparison also accepts a NaN
             best, best_s, best_t = squared, s, t
             best_x, best_y, best_z = x, y, z
     if np.isnan(best):

@@ -41,7 +41,7 @@ FOLDERS = {
     ShippedKind.RECORDINGS: ("scenarios/recordings", "*.csv"),
     ShippedKind.ROBOTS: ("robots", "*.yaml"),
 }
-SUITES = "examples/suites"  # each of them a folder with files of its own
+SUITES = "examples/suites"  # each suite is a folder with its own files
 
 
 @dataclass(frozen=True)

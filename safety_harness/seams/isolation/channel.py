@@ -46,7 +46,7 @@ class Channel:
     ) -> None:
         self._sending, self._receiving, self._output = sending, receiving, output
         self._hear, self._ended = hear, ended
-        self._come = b""  # and not yet asked for
+        self._come = b""  # bytes that were read but not yet requested
         self._polls: dict[int, select.poll] = {}
         for fd in {sending, receiving, output} - {NO_OUTPUT}:
             os.set_blocking(fd, False)

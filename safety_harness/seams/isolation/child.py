@@ -36,7 +36,7 @@ from safety_harness.seams.isolation.messages import (
     packed,
 )
 
-MOST_TOLD = 1 << 30  # bytes of a message to it
+MOST_TOLD = 1 << 30  # the largest message to the process, in bytes
 
 
 class ServedKind(ABC):
@@ -72,7 +72,7 @@ def serve(kind: ServedKind, question_fd: int, answer_fd: int) -> None:
             else:
                 for answer in kind.answers(message):
                     ends.write(answer)
-        except BaseException as error:  # SystemExit, or the user's own: no reason to end
+        except BaseException as error:  # SystemExit, or the user's own exception: continue
             own = isinstance(error, ControllerError)
             text = str(error) if own else described(error, file)
             text = text if own and text.startswith(message.call) else f"{message.call} raised: {text}"
@@ -115,7 +115,7 @@ class _Ends:
     def write(self, message: ProcessMessage) -> None:
         """Send a message after all output that the user's file has printed so far."""
         if os.getpid() != self._process:
-            os._exit(0)  # a fork of the user's that came back from it
+            os._exit(0)  # a fork by the user's file that returned to our code
         for stream in (sys.stdout, sys.stderr):  # it may have closed its output
             with suppress(Exception):
                 stream.flush()
@@ -134,12 +134,12 @@ def limit(process: int = 0) -> None:
 def _close(*fds: int) -> None:
     """Close our descriptors in a process that the user's file forks, because it must not send us messages."""
     for fd in fds:
-        os.closerange(fd, fd + 1)  # which minds no error
+        os.closerange(fd, fd + 1)  # closerange ignores errors
 
 
 def _end_with(question_fd: int) -> None:
     """Kill this process and its forks when the harness is gone, even while they compute an answer."""
     gone = select.poll()
-    gone.register(question_fd, 0)  # a hang-up is told unasked
+    gone.register(question_fd, 0)  # poll always reports a hang-up
     gone.poll()
     os.killpg(0, signal.SIGKILL)

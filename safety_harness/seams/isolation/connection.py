@@ -107,7 +107,7 @@ class Connection:
     def alive(self) -> bool:
         """Whether there is a peer that belongs to this process, rather than to the process that forked it."""
         if self._peer is not None and self._peer.owner != os.getpid():
-            self._peer = None  # it talks to that one alone
+            self._peer = None  # the peer answers only the process that started it
         return self._peer is not None
 
     @property
@@ -134,7 +134,7 @@ class Connection:
         try:
             self.say(first, limit_s)
             answer = self.hear(limit_s)
-        except BaseException as error:  # after Ctrl-C, who knows what it will say next
+        except BaseException as error:  # after Ctrl-C, its next message is unpredictable
             self.end()
             if new or not isinstance(error, GoneError):
                 raise

@@ -20,8 +20,8 @@ from msgspec import Struct
 
 HEADER = struct.Struct("<4sI")  # MAGIC, bytes of the message
 MAGIC = b"AVO2"
-MOST_WORDS = 240  # of why a call failed: what a trace keeps
-MEMORY_BYTES = 4 << 30  # of the file's own data; libraries and reserved addresses do not count
+MOST_WORDS = 240  # characters of the reason for a failed call, as many as a trace keeps
+MEMORY_BYTES = 4 << 30  # for the file's own data, without libraries and reserved addresses
 
 
 def framed(message: bytes) -> bytes:

@@ -22,10 +22,10 @@ _JOURNAL = "SAFETY_HARNESS_JOURNAL"  # the descriptor at which a process notes t
 _NOTED = re.compile(rb"([0-9a-f]{64}) ([0-9a-f]{64}|) (.+)$", re.MULTILINE)
 _MARKS = (".git", "pyproject.toml", "setup.py", "setup.cfg")
 _LIBRARIES = (str(Path(__file__).parents[2]), sys.prefix)
-_SEEN_AS = {"open": 0, "import": 1, "ctypes.dlopen": 0, "sqlite3.connect": 0}  # events, and where the file is
+_SEEN_AS = {"open": 0, "import": 1, "ctypes.dlopen": 0, "sqlite3.connect": 0}  # event: argument of the file
 
 _hooks: list[_Hook] = []  # one, in the process of a user's module
-_journals: dict[int, int] = {}  # of processes, which may have been forked from one that has another
+_journals: dict[int, int] = {}  # by process, since a fork needs a journal of its own
 
 
 def environment() -> tuple[Mapping[str, str], int]:
@@ -94,7 +94,7 @@ class _Hook:
         place = _SEEN_AS.get(event)
         if place is not None and isinstance(args[place], str | bytes | os.PathLike):
             written = event == "open" and isinstance(args[2], int) and bool(args[2] & os.O_ACCMODE)
-            with suppress(OSError, ValueError):  # it is for who opens it to say what is wrong
+            with suppress(OSError, ValueError):  # whoever opens the file reports the error
                 self._record(os.path.abspath(os.fsdecode(args[place])), written)  # type: ignore[arg-type]
 
     def _record(self, path: str, written: bool) -> None:

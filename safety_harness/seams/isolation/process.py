@@ -48,7 +48,7 @@ class Process:
                 stderr=subprocess.PIPE if by_stdio else subprocess.STDOUT,
                 pass_fds=() if by_stdio else (question_in, answer_out, journal),
                 env=None if by_stdio else variables,
-                start_new_session=True,  # Ctrl-C is ours, and all that it forks is in its group
+                start_new_session=True,  # Ctrl-C reaches only us, and its forks are in its group
             )
         except OSError:
             os.close(question)
@@ -102,7 +102,7 @@ def _finish(owner: int, child: subprocess.Popen[bytes], fds: tuple[int, ...]) ->
         with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(timeout=5.0)
     else:
-        child.returncode = 0  # not ours to wait for
+        child.returncode = 0  # this process need not wait for it
     for fd in fds:
         os.close(fd)
     for output in (child.stdout, child.stderr):

@@ -21,7 +21,7 @@ from safety_harness.seams.isolation.opened import DECLARED, declare, watch
 
 MOST_SOURCE = 10_000_000
 MOST_PARSED = 1_000_000  # a tree is a hundred times its text
-# What may define names that no text shows.
+# Nodes that may define names that the text does not show.
 _HIDDEN = frozenset({"exec", "eval", "globals", "locals", "setattr", "vars", "__getattr__"})
 _INNER = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda)
 

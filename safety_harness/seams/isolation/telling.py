@@ -9,9 +9,9 @@ from pathlib import Path
 
 from safety_harness.base.exceptions import printable
 
-MOST_LINES, MOST_CHARACTERS = 5, 200  # of a file's output that a command repeats
+MOST_LINES, MOST_CHARACTERS = 5, 200  # a command repeats at most so much of a file's output
 
-executed: dict[tuple[Path, str], str] = {}  # the files that this process had executed, in words
+executed: dict[tuple[Path, str], str] = {}  # executed files, each with its text for messages
 
 
 def say_it_is_executed(path: Path, source: bytes, logger: logging.Logger) -> None:
