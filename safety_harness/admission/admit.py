@@ -258,7 +258,7 @@ class Checker:
         return checked
 
     def check_tested(self, scenario: Scenario) -> None:
-        """Check only the file of the scenario's avoider or controller; no user code is executed."""
+        """Check only the scenario's avoider or controller, without executing user code."""
         key = scenario.under_test, folder_of(scenario), scenario.settings
         if key not in self._seen:
             with _placed(scenario):

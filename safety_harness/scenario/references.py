@@ -93,7 +93,7 @@ def named_from(folder: Path, path: Path) -> str:
 
 
 def portable(path: str, folder: Path) -> str:
-    """Return ``path`` as a result names it on any machine: below ``folder`` relatively, else by its name."""
+    """Return ``path`` as a result names it on any machine: relative to ``folder``, or its name alone."""
     file = Path(os.path.expanduser(path))
     if not file.is_absolute():
         shared = os.path.commonpath([resolved(folder / file.parent), resolved(folder)])
