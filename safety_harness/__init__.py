@@ -7,8 +7,8 @@
     for evaluation in judge(trace):
         print(evaluation.sentence, evaluation.verdict.value, evaluation.margin_text())
 
-The names below are public; a test holds them.  Each import happens at the first use, so that ``safety-harness
---help`` does not wait for a physics engine.
+The names below are public, which a test enforces.  Each name is imported at its first use, so that
+``safety-harness --help`` does not wait for a physics engine.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def __getattr__(name: str) -> object:
 
 
 def _absent(name: str, home: str) -> InputError:
-    """Return the error for a name whose wing is not installed."""
+    """Return the error for ``name`` if the wing that contains it, ``home``, is not installed."""
     errors, distribution = (import_module(f"{__name__}.base.{mod}") for mod in ("exceptions", "distribution"))
     missing: InputError = errors.MissingPackageError(
         place=errors.Place(field=f"{__name__}.{name}"),

@@ -1,6 +1,6 @@
-"""The command ``safety-harness``, also as ``python -m safety_harness``.
+"""The command ``safety-harness``, also started by ``python -m safety_harness``.
 
-No slow import comes before the ``try``, so that Ctrl-C during the imports gives no traceback either.
+All slow imports come after the ``try``, so that Ctrl-C during an import causes no traceback either.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import sys
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C and our own errors end without a traceback."""
-    gc.set_threshold(20_000)  # imported objects stay, and the search for garbage among them takes long
+    """Run the command line, and end without a traceback after Ctrl-C or an error of ours."""
+    gc.set_threshold(20_000)  # imported objects stay, so searching them for garbage would only take time
     try:
         _open_streams()
         from safety_harness.base.interrupts import answer_as_ctrl_c
@@ -29,7 +29,7 @@ def main() -> None:
 def _open_streams() -> None:
     """Replace closed standard streams by the null device, and escape characters that a stream cannot encode.
 
-    Otherwise the next file that is opened would receive the output.
+    Otherwise the next opened file would take the place of a closed stream, and receive the output.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:

@@ -1,4 +1,4 @@
-"""Admission: resolve a scenario's references and refuse a scenario that cannot run, before any run."""
+"""Admission before any run: resolve a scenario's references, and refuse a scenario that cannot run."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ FIRST_ANSWER_S = 300.0  # for an avoider's imports, loading and compilation
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Checked:
-    """A scenario that passed every check that works without its avoider."""
+    """A scenario that passed every check that needs no avoider."""
 
     scenario: Scenario
     arm: ArmModel
@@ -94,12 +94,12 @@ class Admitted(Checked):
     Args:
         scenario: The scenario.
         arm: The model of its arm.
-        view: The desired view; None if the controller does not see the object.
+        view: The view of the object at the desired pose; None if the controller does not see the object.
         joint_position_rad: (n,) The joint angles at the start.
         properties: The property of each claim, in order.
-        avoider: The avoider; a stand-in if another controller than the visual servo drives the arm.
+        avoider: The avoider.  It is a stand-in if a controller other than the visual servo drives the arm.
         avoider_sha256: The hash of the avoider's file; empty without a file.
-        driver: The user's controller; None: the visual servo.
+        driver: The user's controller.  None: the visual servo drives the arm.
 
     """
 
@@ -111,7 +111,8 @@ class Admitted(Checked):
         """Return a fresh controller for one run.
 
         Args:
-            recorded: An earlier run of the scenario, whose decision times count again.  None: new times.
+            recorded: An earlier run of the scenario, whose decision times the new run repeats.  None: the run
+                measures or draws new times.
 
         Raises:
             ControllerError: The ``reset`` of a user's controller raises.
@@ -122,7 +123,7 @@ class Admitted(Checked):
         return self.driven_by(self.driver.controller)
 
     def driven_by(self, controller: UserController) -> DrivenController:
-        """Return a user's controller prepared for one run.
+        """Return ``controller``, a user's controller, prepared for one run.
 
         Args:
             controller: The user's controller.
@@ -172,7 +173,7 @@ class Admitted(Checked):
         )
 
     def guard(self) -> Guard:
-        """Return the scenario's shield for one run; empty if it has no shield."""
+        """Return the scenario's shield for one run; without a shield, the guard is empty."""
         scenario = self.scenario
         capsules = cell_capsules(arm_capsules(scenario.robot), scenario.settings)
         ticks = scenario.ticks + 1
@@ -180,9 +181,10 @@ class Admitted(Checked):
 
 
 class Admitter:
-    """Admits one scenario after another; a result does not depend on earlier scenarios.
+    """Admission of several scenarios, where no result depends on an earlier scenario.
 
-    It makes the avoider of a Python file once, so that an avoider with a memory keeps it from run to run.
+    The object makes the avoider of a Python file only once.  So an avoider that keeps data in memory keeps
+    the data from run to run.
     """
 
     def __init__(self) -> None:
@@ -192,7 +194,7 @@ class Admitter:
         self._seen_by = lru_cache(maxsize=16)(seen_by)
 
     def admit(self, scenario: Scenario) -> Admitted:
-        """Resolve and check a scenario; InadmissibleError has place, expectation and actual value."""
+        """Resolve a scenario's references and check that it can run; InadmissibleError if it cannot."""
         checked = check(scenario)
         if scenario.driven:
             return _driven(checked, self._drivers.driver_for(scenario))
@@ -202,7 +204,7 @@ class Admitter:
         return _admitted(checked, avoider, sha256, self._answers(cast(Hashable, avoider), hand, tcp))
 
     def seen_of(self, scenario: Scenario) -> SeenRegions:
-        """Return the training space of the scenario's avoider, as ``seen_by`` gives it."""
+        """Return the training space of the scenario's avoider, as computed by ``seen_by``."""
         settings = scenario.settings.steady
         return self._seen_by(scenario.under_test, folder=folder_of(scenario), settings=settings)
 
@@ -214,9 +216,9 @@ def admit(
 
     Args:
         scenario: The scenario.
-        avoider: An avoider in place of the scenario's own; None: the scenario's.
-        controller: A controller in place of the visual servo; None: the scenario's.  Give an avoider or a
-            controller, not both, because only the visual servo asks an avoider.
+        avoider: An avoider that replaces the scenario's own.  None: keep the scenario's own.
+        controller: A controller that replaces the scenario's own.  None: keep the scenario's own.  Do not
+            give both an avoider and a controller, because only the visual servo asks an avoider.
 
     Returns:
         The scenario with its arm, its avoider or controller, and the properties of its claims.
@@ -244,19 +246,19 @@ def admit(
 
 
 class Checker:
-    """Checks scenarios as an ``Admitter`` does, but executes no user code."""
+    """The checks of an ``Admitter`` that execute no user code."""
 
     def __init__(self) -> None:
         self._seen: set[tuple[str, Path | None, Settings]] = set()
 
     def check(self, scenario: Scenario) -> Checked:
-        """Check a scenario; errors of its avoider's construction and answers only show in a run."""
+        """Check a scenario, but neither make its avoider nor ask it a question."""
         checked = check(scenario)
         self.check_tested(scenario)
         return checked
 
     def check_tested(self, scenario: Scenario) -> None:
-        """Check the avoider or controller of a scenario alone, as ``look`` does."""
+        """Check only the scenario's avoider or controller, without executing user code."""
         key = scenario.under_test, folder_of(scenario), scenario.settings
         if key not in self._seen:
             with _placed(scenario):
@@ -265,7 +267,10 @@ class Checker:
 
 
 def refuse_no_answer(scenario: Scenario) -> None:
-    """Make the scenario's avoider and ask it once, or make its controller; errors as of ``admit``."""
+    """Make the scenario's controller, or make its avoider and ask it one question.
+
+    The function raises the same errors as ``admit``.
+    """
     if scenario.driven:
         Drivers().driver_for(scenario)
         return
@@ -276,16 +281,16 @@ def refuse_no_answer(scenario: Scenario) -> None:
 
 
 def check(scenario: Scenario) -> Checked:
-    """Check a scenario without its avoider; errors as of ``admit``.
+    """Check a scenario without its avoider, and raise the same errors as ``admit``.
 
-    The check reads and executes no file of the avoider.  It also omits any controller other than the visual
-    servo, and with it the view of the object.
+    The check neither reads nor executes a file of the avoider.  For a controller other than the visual servo,
+    it also skips the controller and the view of the object.
     """
     return _check(scenario, sees_object=not scenario.driven)
 
 
 def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
-    """Check a scenario, and its view of the object if the controller sees the object."""
+    """Check a scenario, including the view of the object if the controller ``sees_object``."""
     arm = _arm_of(scenario)
     with _placed(scenario):
         check_posture(scenario, arm)
@@ -308,7 +313,7 @@ def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
 
 
 def _driven(checked: Checked, driver: MadeDriver) -> Admitted:
-    """Return the scenario admitted with a controller of the user."""
+    """Return the admitted scenario with the user's controller ``driver``."""
     if driver.sees_object:
         checked = _check(checked.scenario, sees_object=True)
     refuse_no_images(checked.scenario, driver)
@@ -318,7 +323,7 @@ def _driven(checked: Checked, driver: MadeDriver) -> Admitted:
 
 
 def _arm_of(scenario: Scenario) -> ArmModel:
-    """Return the arm; InadmissibleError, with the key, if its files cannot be used."""
+    """Return the model of the scenario's arm; InadmissibleError if the arm's files cannot be used."""
     try:
         refuse_unfit(scenario.robot)
         drive_model(scenario.robot)
@@ -328,7 +333,7 @@ def _arm_of(scenario: Scenario) -> ArmModel:
 
 
 def _admitted(checked: Checked, avoider: Avoider, sha256: str, answers: bool) -> Admitted:
-    """Return the scenario admitted with an avoider; InadmissibleError if it gave no answer."""
+    """Return the admitted scenario with ``avoider``; InadmissibleError unless the avoider ``answers``."""
     if not answers:
         raise _no_answer(checked.scenario)
     check_decision_time(checked.scenario, avoider, sha256)
@@ -336,16 +341,17 @@ def _admitted(checked: Checked, avoider: Avoider, sha256: str, answers: bool) ->
 
 
 def _no_answer(scenario: Scenario) -> InadmissibleError:
-    """Return the error for an avoider without an answer to its first question."""
+    """Return the error for an avoider that did not answer its first question."""
     expected = f"an avoider that answers its first question within {FIRST_ANSWER_S:g} s"
     return scenario.inadmissible(expected, "none until then", "avoider")
 
 
 @dataclass(frozen=True)
 class _Cell:
-    """The part of a scenario that its hands and start cannot change; ``scenario`` has places for messages.
+    """The settings and the robot of a scenario, which its hands and its start cannot change.
 
-    ``settings`` are ``steady``: a camera's noise and delay do not matter here.
+    ``scenario`` is kept only for the places in error messages.  ``settings`` are ``steady``, because the
+    noise and delay of a camera do not affect the checks of a cell.
     """
 
     settings: Settings
@@ -355,7 +361,7 @@ class _Cell:
 
 @lru_cache(maxsize=16)  # many scenarios share a cell
 def _view_of_cell(cell: _Cell) -> DesiredView:
-    """Return the desired view in a cell that allows servoing."""
+    """Return the view of the object at the desired pose, after checking that the cell allows servoing."""
     view = checked_view(cell.scenario)
     check_desired(cell.scenario, arm_model(cell.robot))
     return view
@@ -375,18 +381,19 @@ def _placed(scenario: Scenario) -> Iterator[None]:
 
 
 def first_question(settings: Settings) -> tuple[Vector3, Vector3]:
-    """Return an avoider's question before a run: the nominal hand, and the desired position of the TCP."""
+    """Return the question asked before a run: the nominal hand and the desired TCP position."""
     return settings.avoidance.nominal_hand_position_in_base_m, settings.cell.desired_tcp_position_in_base_m
 
 
 def answers_at_first(avoider: Avoider, hand_in_base_m: Vector3, tcp_in_base_m: Vector3) -> bool:
-    """Ask an avoider once before the run, so that a run never waits for imports and compilation.
+    """Return whether the avoider answers one question before the run.
 
-    The answer is thrown away, since the run will meet any fault itself.  There is no question for an avoider
-    that sees more, since there is no view yet.
+    So the avoider's imports and compilation end before a run begins.  The function ignores the answer,
+    because a wrong answer will also show in the run.  An avoider that sees more than positions gets no
+    question, because no view exists yet.
 
     Returns:
-        False if no answer comes within FIRST_ANSWER_S.
+        False if the avoider gives no answer within FIRST_ANSWER_S.
 
     """
     if shown_to(avoider):

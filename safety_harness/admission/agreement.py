@@ -1,7 +1,7 @@
-"""Agreement of the kinematic world with PyBullet: the measurement of ``benchmarks/agreement.py --write``.
+"""The measured agreement between the kinematic world and PyBullet, from ``benchmarks/agreement.py --write``.
 
-A measurement holds for its source.  ``present_source`` covers every file that a run and its judgement import,
-so that a change of a page or of a search does not make it old.
+A measurement is valid for the source code that produced it.  ``present_source`` covers every file that a run
+and its judgement import.  So a change of a page or of a search does not invalidate the measurement.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FORMAT = "safety-harness agreement 1"
 
 @dataclass(frozen=True)
 class LargestDifference:
-    """The largest difference of one quantity between the two worlds, and its scenario."""
+    """The largest difference in one quantity between the two worlds, and the scenario that showed it."""
 
     what: str  # with its unit
     largest: float
@@ -28,11 +28,11 @@ class LargestDifference:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Verdicts of the same scenarios in both worlds.
+    """The agreement of the two worlds in the verdicts of the same scenarios.
 
-    ``compared`` counts verdicts with a margin of more than ``near_m`` from zero, or a margin that is no
-    length; ``compared_near`` counts the rest.  In the ``optimistic`` disagreements only PyBullet sees a
-    violation.
+    ``compared`` counts the verdicts whose margin is more than ``near_m`` from zero, or is not a length.
+    ``compared_near`` counts all other verdicts.  ``optimistic`` lists the disagreements in which only
+    PyBullet sees a violation.
     """
 
     source: str
@@ -51,17 +51,17 @@ class Agreement:
 
     @property
     def scenarios(self) -> int:
-        """The number of scenarios in both worlds."""
+        """The number of scenarios that ran in both worlds."""
         return self.shipped + self.random
 
     @property
     def share(self) -> float:
-        """The share of agreements among verdicts away from a limit; NaN without such a verdict."""
+        """The share of agreements among the ``compared`` verdicts; NaN if no verdict was compared."""
         return self.agreed / self.compared if self.compared else float("nan")
 
     @property
     def is_of_present_source(self) -> bool:
-        """Whether the running source is the source of the measurement."""
+        """Whether the source code in use is the source code that was measured."""
         return self.source == present_source()
 
 
@@ -72,7 +72,7 @@ def present_source() -> str:
 
 
 def from_json(text: str) -> Agreement:
-    """Return the agreement of a JSON text; InputError for another text."""
+    """Return the agreement stored in a JSON text; InputError if the text stores no agreement."""
     document = of_format(parsed(text, AGREEMENT_FILE, "an agreement of two worlds"), FORMAT, AGREEMENT_FILE)
     del document["format"]
     return typed(document, Agreement, AGREEMENT_FILE)
@@ -80,5 +80,5 @@ def from_json(text: str) -> Agreement:
 
 @lru_cache
 def measured_agreement() -> Agreement:
-    """Return the latest measurement that ships with the package."""
+    """Return the latest measurement that the package contains."""
     return from_json(AGREEMENT_FILE.read_text(encoding="utf-8"))

@@ -1,8 +1,8 @@
 """References to avoiders: a name of ours, the user's own Python file, or a model file.
 
 A Python file is the user's own program.  It is executed, with all its imports, only when a scenario that
-refers to it runs, and in a separate process.  So is a function in ONNX, which is no program but may never
-end.  Any other model file is only read.  ``refuse_unusable`` executes no user code.
+refers to it runs, and in a separate process.  A function in ONNX also gets a separate process: it is no
+program, but it may never end.  Any other model file is only read.  ``refuse_unusable`` executes no user code.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE{MODEL_SUFFIX}; FILE{ONN
 
 @dataclass(frozen=True)
 class _Wanted:
-    """The inputs of an avoider that is no program; ``scenario`` has the places for messages."""
+    """The data that determine an avoider that is no program; ``scenario`` serves error messages only."""
 
     source: tuple[Path, str] | str
     settings: Settings
@@ -68,11 +68,11 @@ class _Wanted:
 
 
 class Avoiders:
-    """The avoiders of scenarios, with as few constructions as possible without a visible effect.
+    """The avoiders of scenarios, each made as seldom as possible without changing a result.
 
-    An avoider in a Python file depends only on the file and the name in it, so a single object serves all
-    runs.  If it has a memory, the memory lasts.  Every other avoider is a function of its question, made from
-    the settings.
+    An avoider in a Python file depends only on the file and on its name there, so one object serves all runs.
+    If that object keeps data in memory, the data remain from run to run.  Every other avoider is a function
+    of its question, and is made from the settings.
     """
 
     def __init__(self) -> None:
@@ -80,7 +80,7 @@ class Avoiders:
         self._functions = lru_cache(maxsize=16)(lambda wanted: _made(wanted.scenario))
 
     def avoider_for(self, scenario: Scenario) -> tuple[Avoider, str]:
-        """Return the scenario's avoider and the hash of its file; errors as of ``resolve_avoider``."""
+        """Return the scenario's avoider and its file's hash; raise the errors of ``resolve_avoider``."""
         path, name = _file_of(scenario), file_and_name(scenario.avoider)[1]
         if path is None or not is_a_program(scenario.avoider):
             source = scenario.avoider if path is None else (path, name)
@@ -99,12 +99,12 @@ def resolve_avoider(scenario: Scenario, place: Place | None = None) -> Avoider:
     """Return the scenario's avoider, ready for questions.
 
     Args:
-        scenario: The scenario; its folder (without a file: the working directory) is where relative files
-            are.
-        place: The place for errors; None: where the scenario refers to its avoider.
+        scenario: The scenario.  Relative paths start from the folder of its file, or from the working
+            directory if it has no file.
+        place: The place that errors state.  None: the place where the scenario refers to its avoider.
 
     Raises:
-        InadmissibleError: The avoider does not exist, or the object is no avoider.
+        InadmissibleError: The avoider does not exist, or its reference leads to an object that is no avoider.
         ModelError: A model file cannot be used.
 
     """
@@ -125,9 +125,10 @@ def resolve_avoider(scenario: Scenario, place: Place | None = None) -> Avoider:
 
 
 def refuse_unusable(scenario: Scenario, place: Place | None = None) -> None:
-    """Raise the errors of ``resolve_avoider`` that show without executing user code.
+    """Raise those errors of ``resolve_avoider`` that can be found without executing user code.
 
-    A Python file is parsed, and of an ONNX file only the metadata are read; any other avoider is resolved.
+    The function parses a Python file, and reads only the metadata of an ONNX file.  It resolves any other
+    avoider.
     """
     place = place or scenario.place("avoider")
     path, name = _existing_file(scenario, place), file_and_name(scenario.avoider)[1]
@@ -140,7 +141,7 @@ def refuse_unusable(scenario: Scenario, place: Place | None = None) -> None:
 
 
 def _existing_file(scenario: Scenario, place: Place) -> Path | None:
-    """Return the existing file of the scenario's avoider; None for an avoider of ours without a file."""
+    """Return the existing file of the scenario's avoider; None for our avoiders that have no file."""
     reference = scenario.avoider
     if reference in (OPPOSITE, NEAREST):
         return None
@@ -153,7 +154,7 @@ def _existing_file(scenario: Scenario, place: Place) -> Path | None:
 
 
 def _no_avoider(scenario: Scenario, place: Place) -> InadmissibleError:
-    """Return the error for a reference that is no name and no kind of avoider's file."""
+    """Return the error for a reference that is neither a known name nor a file of an avoider."""
     reference = scenario.avoider
     beside = (folder_of(scenario) or Path()) / os.path.expanduser(reference)
     path = beside if beside.exists() else Path(os.path.expanduser(reference))
@@ -167,13 +168,13 @@ def _no_avoider(scenario: Scenario, place: Place) -> InadmissibleError:
 
 
 def avoider_sha256(scenario: Scenario) -> str:
-    """Return the hash of the file of the scenario's avoider; empty without a file or an avoider."""
+    """Return the hash of the file of the scenario's avoider; empty if there is no file or no avoider."""
     path = None if scenario.driven else _file_of(scenario)
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def command_line_reference(scenario: Scenario) -> str:
-    """Return the reference of the system under test for the command line in the working directory."""
+    """Return the reference to the system under test, as a command line in the working directory needs it."""
     folder = folder_of(scenario) or Path()
     return with_file(
         scenario.under_test, lambda file: file if is_shipped(file) else os.path.relpath(folder / file)
@@ -181,19 +182,19 @@ def command_line_reference(scenario: Scenario) -> str:
 
 
 def told_avoider(reference: str) -> str:
-    """Return the reference of the system under test for a result, with the name of its file for display."""
+    """Return ``reference``, to the system under test, with its file named as results show it."""
     return str(with_file(reference, lambda file: str(display_path(Path(os.path.expanduser(file))))))
 
 
 def option_of(reference: str) -> str:
-    """Return the command-line option for the system under test."""
+    """Return the command-line option that accepts ``reference``: ``--controller`` or ``--avoider``."""
     return "--controller" if isinstance(reference, Driver) else "--avoider"
 
 
 def one_of(avoider: str | None, controller: str | None) -> str | None:
-    """Return the reference of the given option of two; None without both.
+    """Return whichever of ``avoider`` and ``controller`` was given; None if neither was given.
 
-    InadmissibleError if both are given.
+    InadmissibleError if both were given.
     """
     if avoider is not None and controller is not None:
         expected = "one of --avoider and --controller: only the visual servo asks an avoider"
@@ -202,12 +203,13 @@ def one_of(avoider: str | None, controller: str | None) -> str | None:
 
 
 def reference_for(tested: str | None, reference: str | None) -> str | None:
-    """Return the reference of ``--against`` beside the system under test.
+    """Return the reference given by ``--against``, which is compared with the system under test.
 
-    It becomes a ``Driver`` if it is the name of a controller or a program, or if the tested system is a
-    driver and no avoider has the name.  InadmissibleError if it is the tested system itself.
+    The result is a ``Driver`` if ``reference`` names a controller of ours or a program.  It is also a
+    ``Driver`` if the tested system is a driver and no avoider has that name.  InadmissibleError if
+    ``reference`` is the tested system itself.
     """
-    from safety_harness.cell.controller.named import NAMES as CONTROLLERS  # loads what few commands need
+    from safety_harness.cell.controller.named import NAMES as CONTROLLERS  # slow, and few commands need it
 
     driver = reference in CONTROLLERS or names_a_program(reference or "")
     driver |= isinstance(tested, Driver) and reference not in NAMES
@@ -216,7 +218,7 @@ def reference_for(tested: str | None, reference: str | None) -> str | None:
 
 
 def refuse_itself(tested: str | None, reference: str | None, option: str = "--against") -> None:
-    """Raise InadmissibleError for a comparison of a system with itself: one word, or one name in one file.
+    """Raise InadmissibleError if both references are one word, or one name in one file.
 
     Args:
         tested: The reference of the system under test; None: the scenario's own.
@@ -235,7 +237,7 @@ def refuse_itself(tested: str | None, reference: str | None, option: str = "--ag
 
 
 def refuse_same(tested: Scenario | None, reference: Scenario, option: str = "--against") -> None:
-    """Raise InadmissibleError if two scenarios test one system, perhaps by an alias or a copy of its file.
+    """Raise InadmissibleError if both scenarios test one system, also under an alias or in a copied file.
 
     Args:
         tested: The scenario under test; None: nothing to compare.
@@ -248,9 +250,9 @@ def refuse_same(tested: Scenario | None, reference: Scenario, option: str = "--a
 
 
 def _is_copy(tested: Scenario, reference: Scenario) -> bool:
-    """Return whether the files of two scenarios' systems have the same bytes.
+    """Return whether the files of both scenarios' systems have the same bytes.
 
-    A program in another folder may read other files than its copy, so it does not count as a copy.
+    A copy of a program in another folder may read other files, so the function does not regard it as a copy.
     """
     first, second = (_file_of(replace(side, avoider=str(side.under_test))) for side in (tested, reference))
     own, name = (file_and_name(side.under_test)[1] for side in (tested, reference))
@@ -269,15 +271,16 @@ def replay_command(
 ) -> str:
     """Return the command that repeats runs of one avoider or controller.
 
-    The command contains a user's program explicitly.  A trace of foreign origin must not decide which program
-    is executed.
+    If the system is a user's program, the command names the program explicitly.  Otherwise a trace from
+    elsewhere could decide which program is executed.
 
     Args:
         scenario: The scenario of the runs.
         trace: The trace.
         *more_traces: Further traces.
         verb: The command that repeats runs.
-        shown_path: Names the files; a command that is not stored may show them as they are.
+        shown_path: Returns the name of a file in the command.  If the command is not stored, it may name
+            files by their full paths.
 
     """
     parts = ["safety-harness", verb, *(str(shown_path(file)) for file in (trace, *more_traces))]
@@ -291,9 +294,9 @@ def replay_command(
 def with_program(
     scenario: Scenario, tested: str | None, file: Path | None = None, verb: str = "replay"
 ) -> Scenario:
-    """Return the scenario of a trace with the user's avoider or controller.
+    """Return the scenario of a trace with the avoider or controller that the user gave.
 
-    Repeating a trace of foreign origin must not execute the program that it refers to.
+    To repeat a trace from elsewhere must not execute the program that the trace refers to.
 
     Args:
         scenario: The scenario of the trace.
@@ -317,7 +320,7 @@ def with_program(
 
 
 def scenario_of_avoider(reference: str) -> Scenario:
-    """Return a scenario with only an avoider, for a caller without a scenario's file."""
+    """Return a scenario that contains only an avoider, for callers that have no scenario file."""
     return Scenario(
         name="avoider",
         title="a scenario with only an avoider",
@@ -337,12 +340,12 @@ def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
     An ``AvoiderAround`` can wrap it, for example.
 
     Args:
-        name: The name, such as ``mc-dropout``; ``NAMES`` has all.
+        name: The name, such as ``mc-dropout``; ``NAMES`` lists all names.
         settings: The settings that the avoider works with.
 
     Raises:
         InadmissibleError: The name is unknown.
-        ModelError: The avoider was trained for another cell than that of the settings.
+        ModelError: The avoider was trained for a cell other than the cell in ``settings``.
 
     """
     refuse_other_type("shipped_avoider(name)", name, str, expected=f"one of: {', '.join(NAMES)}")
@@ -353,22 +356,22 @@ def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
 
 
 def is_a_program(reference: str) -> bool:
-    """Return whether a reference means a Python file or a program, which is executed to resolve it."""
+    """Return whether ``reference`` names a Python file or a program, which must be executed to resolve it."""
     return file_and_name(reference)[0].endswith(".py") or names_a_program(reference)
 
 
 def is_executed(reference: str) -> bool:
-    """Return whether a run executes a file for this reference: a program, or a function in ONNX."""
+    """Return whether a run executes the file of ``reference``: a program, or a function in ONNX."""
     return is_a_program(reference) or names_onnx(reference)
 
 
 def folder_of(scenario: Scenario) -> Path | None:
-    """Return the folder of the scenario's relative files, or None for the working directory."""
+    """Return the folder from which the scenario's relative paths start; None: the working directory."""
     return scenario.file.parent if scenario.file is not None else None
 
 
 def _file_of(scenario: Scenario) -> Path | None:
-    """Return the file of the scenario's avoider, which need not exist; None for an avoider without one."""
+    """Return the path of the avoider's file, which need not exist; None for an avoider without a file."""
     if scenario.avoider in SHIPPED:
         return shipped_model(scenario.avoider)
     file, _ = file_and_name(scenario.avoider)
@@ -378,17 +381,17 @@ def _file_of(scenario: Scenario) -> Path | None:
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:
     """Return the scenario with another avoider or controller.
 
-    The result names the file as seen from the scenario's folder, so that the trace of a run identifies the
-    avoider and ``replay`` finds it.
+    The result names the file as seen from the scenario's folder.  So the trace of a run identifies the
+    avoider, and ``replay`` finds it.
 
     Args:
         scenario: The scenario.
         reference: The avoider's reference, or a ``Driver``; a relative file is in the working directory.
-        place: The place for errors, such as the option; None: ``--avoider`` or ``--controller``.
+        place: The place that errors state, such as the option.  None: ``--avoider`` or ``--controller``.
 
     Raises:
-        InadmissibleError: The written scenario could not be read again, or an avoider meets a controller that
-            asks none.
+        InadmissibleError: The reference cannot be written into a scenario file, or the scenario's controller
+            asks no avoider.
 
     """
     if isinstance(reference, Driver):
@@ -401,7 +404,7 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
 
 
 def _placed(scenario: Scenario, key: str, noun: str, reference: str, place: Place) -> dict[str, Any]:
-    """Return the new value below ``key``, and its place."""
+    """Return the changed fields of the scenario: the new value of ``key``, and the place of that key."""
     folder = resolved(folder_of(scenario) or Path())
     text = str(
         with_file(
@@ -414,9 +417,10 @@ def _placed(scenario: Scenario, key: str, noun: str, reference: str, place: Plac
 
 
 def _driven_by(scenario: Scenario, reference: Driver, place: Place) -> Scenario:
-    """Return the scenario with another controller, and then without an avoider.
+    """Return the scenario with ``reference`` as its controller.
 
-    The visual servo keeps the scenario's avoider, or gets the default.
+    The visual servo keeps the scenario's avoider, or gets the default avoider.  With any other controller,
+    the scenario has no avoider.
     """
     changes = _placed(scenario, "controller", "a controller", reference, place)
     servo = changes["controller"] == VISUAL_SERVO
@@ -429,7 +433,7 @@ def _from_model_file(path: Path, settings: Settings) -> Avoider:
         with path.open("rb") as file:
             digest = hashlib.sha256(file.read(LARGEST_BYTES + 1)).hexdigest()
     except OSError:
-        digest = ""  # loading says what is wrong
+        digest = ""  # loading the model reports the cause
     avoider = _learned(path, digest)
     refuse_foreign_cell(avoider.model, settings, path)
     return avoider
@@ -437,7 +441,7 @@ def _from_model_file(path: Path, settings: Settings) -> Avoider:
 
 @lru_cache(maxsize=4)  # the scenarios of a folder share one or two models
 def _learned(path: Path, sha256: str) -> LearnedAvoider:
-    """Return the avoider of a model file with a certain hash."""
+    """Return the avoider in the model file ``path``; ``sha256`` makes a changed file load again."""
     from safety_harness.cell.avoidance.learned import LearnedAvoider
     from safety_harness.cell.avoidance.model_file import load_model
 
@@ -445,14 +449,14 @@ def _learned(path: Path, sha256: str) -> LearnedAvoider:
 
 
 def _refuse_foreign_onnx(path: Path, settings: Settings) -> None:
-    """Raise ModelError for a file of ours from another workspace; a foreign file passes."""
+    """Raise ModelError if ``path`` is an ONNX file of ours whose network was trained for another cell."""
     network = exported_use(path)
     if network is not None:
         refuse_foreign_cell(network, settings, path)
 
 
 def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
-    """Return the scenario with its recordings, and its avoider's file, relative to another folder."""
+    """Return the scenario with its files named relative to ``folder``: recordings and the avoider's file."""
     old_folder = scenario.file.parent if scenario.file else Path()
     moved = scenario.with_files(lambda path: named_from(folder, old_folder / path))
     moved = replace(moved, file=folder / "scenario.yaml")
@@ -461,7 +465,7 @@ def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
 
 
 def with_system_of(like: Scenario, scenario: Scenario) -> Scenario:
-    """Return the scenario with the avoider or the controller of ``like``, in the folder of ``like``."""
+    """Return ``scenario`` with the avoider or controller of ``like``, moved to the folder of ``like``."""
     tested = [(each.driven, command_line_reference(each)) for each in (like, scenario)]
     if tested[0] == tested[1]:
         return scenario

@@ -1,4 +1,4 @@
-"""Checks of combinations: sensors, times and faults against cell and avoider, each possible alone."""
+"""Checks of sensors, times and faults that are valid alone but do not fit the cell or the avoider."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, 
 from safety_harness.scenario.model import Scenario
 
 TOUCHING_M = 1e-6  # nearer edges of an outline count as touching
-# With a larger number, triangles servo to 5 mm in raster images from at most two of eight starts; below 500
+# Above this number, triangles servo to 5 mm in raster images from at most two of eight starts; below 500
 # from most, below 25 from all.  With exact moments rounding alone would set the bound, far higher.
 MOST_CONDITION = 1000.0
 # The faults that an ideal hand sensor cannot have: their fields, and their keys in a file.
@@ -47,7 +47,10 @@ _FAULTS = {
 
 
 def checked_view(scenario: Scenario) -> DesiredView:
-    """Return the desired view in a cell that allows servoing, for any hands, start and hand sensor."""
+    """Return the view of the object at the desired pose, after checking that the cell allows servoing.
+
+    The result holds for any hands, any start and any hand sensor.
+    """
     _check_object(scenario)
     view = view_of(scenario.settings)
     _check_view(scenario, view)
@@ -55,7 +58,7 @@ def checked_view(scenario: Scenario) -> DesiredView:
 
 
 def _check_object(scenario: Scenario) -> None:
-    """Refuse an object inside the table, and an outline that crosses itself or cannot be rendered."""
+    """Refuse an object inside the table, and an object whose outline crosses itself or cannot be rendered."""
     cell, shape, camera = scenario.settings.cell, scenario.settings.object, scenario.settings.camera
     height_m = shape.position_in_base_m[2]
     if height_m < cell.table_height_m:
@@ -74,7 +77,7 @@ def _check_object(scenario: Scenario) -> None:
 
 
 def _check_view(scenario: Scenario, view: DesiredView) -> None:
-    """Refuse an object that is nearly as symmetric as an object that servoing cannot use."""
+    """Refuse an object that is too symmetric for servoing, by the condition number of its view."""
     if not view.condition_number <= MOST_CONDITION:
         raise InadmissibleError(
             place=scenario.place("object.polygon", "object.position", "object.yaw", "object"),
@@ -87,7 +90,7 @@ def _check_view(scenario: Scenario, view: DesiredView) -> None:
 
 
 def _crosses_itself(corners: NDArray[np.float64]) -> bool:
-    """Return whether two edges of a polygon (n, 3) meet, other than neighbours at their corner."""
+    """Return whether any two edges of a polygon (n, 3) meet; neighbours may meet at their common corner."""
     ends, n = np.roll(corners, -1, axis=0), len(corners)
     return any(
         segment_segment_distance(corners[i], ends[i], corners[j], ends[j]) < TOUCHING_M
@@ -97,7 +100,7 @@ def _crosses_itself(corners: NDArray[np.float64]) -> bool:
 
 
 def _check_restart_delay(scenario: Scenario) -> None:
-    """Refuse a restart before the longest stop is over: the drives would take up a command in one jump."""
+    """Refuse a restart before the longest stop is over, because the drives would jump to the command."""
     settings = scenario.settings
     braking = settings.braking
     speed_mps = max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
@@ -120,9 +123,10 @@ def _check_restart_delay(scenario: Scenario) -> None:
 
 
 def check_cameras(scenario: Scenario) -> None:
-    """Refuse settings beyond a camera: more images than ticks, an ideal camera's faults, a second optics.
+    """Refuse settings of the cameras that contradict each other or the control ticks.
 
-    The check also refuses a restart before a stop is over.
+    The function also refuses a restart before a stop is over, and a shield whose sensor does not see the
+    whole cell.
     """
     settings = scenario.settings
     _check_restart_delay(scenario)
@@ -147,7 +151,7 @@ def check_cameras(scenario: Scenario) -> None:
 
 
 def refuse_gate(scenario: Scenario) -> None:
-    """Refuse an empty rule of the gate, a reversed box in it, and a controller without the full gate."""
+    """Refuse a gate rule that is empty, has a reversed box, or belongs to a system without the full gate."""
     full = scenario.settings.avoidance.gate is GateKind.FULL
     if scenario.gate is not None and (scenario.driven or not full):
         got = "another controller" if scenario.driven else "the gate of reach alone"
@@ -163,7 +167,7 @@ def refuse_gate(scenario: Scenario) -> None:
 
 
 def refuse_late_drives(scenario: Scenario) -> None:
-    """Refuse a shield with a shorter reaction time than the arm's drives, against its assumption 7."""
+    """Refuse a shield whose reaction time is too short for the arm's drives, against its assumption 7."""
     if scenario.shield is None:
         return
     period_s = scenario.settings.clock.control_period_s
@@ -181,7 +185,7 @@ def refuse_late_drives(scenario: Scenario) -> None:
 
 
 def _refuse_shield(scenario: Scenario, kind: HandSensorKind) -> None:
-    """Refuse a shield with a hand sensor that does not see the whole cell."""
+    """Refuse a shield if the hand sensor, of the given ``kind``, does not see the whole cell."""
     if scenario.shield is not None and kind not in (HandSensorKind.IDEAL, HandSensorKind.SURROUND):
         expected = "a hand sensor that sees the whole cell, since a shield uses it"
         hint = "hand sensor: {kind: surround}"
@@ -189,7 +193,7 @@ def _refuse_shield(scenario: Scenario, kind: HandSensorKind) -> None:
 
 
 def _check_ideal(scenario: Scenario, sensor: HandSensor) -> None:
-    """Refuse the faults of an ideal sensor, since no run would simulate them."""
+    """Refuse settings of faults for an ideal hand sensor, because no run would simulate these faults."""
     faultless = HandSensor()
     for field, name in _FAULTS.items():
         value = getattr(sensor, field)
@@ -201,7 +205,7 @@ def _check_ideal(scenario: Scenario, sensor: HandSensor) -> None:
 
 
 def _check_one_optics(scenario: Scenario) -> None:
-    """Refuse an eye-in-hand sensor with other optics than the servoing camera, which it is."""
+    """Refuse an eye-in-hand sensor whose optics differ from the servoing camera's: both are one camera."""
     camera, sensor = scenario.settings.camera, scenario.settings.hand_sensor
     for name in ("width", "height", "focal"):
         of_camera, of_sensor = getattr(camera, f"{name}_px"), getattr(sensor, f"{name}_px")
@@ -213,7 +217,7 @@ def _check_one_optics(scenario: Scenario) -> None:
 
 
 def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
-    """Raise InadmissibleError for a profile of another avoider, and for an avoider with an invalid time.
+    """Raise InadmissibleError if the profile belongs to another avoider, or the avoider's time is invalid.
 
     Args:
         scenario: The scenario.
@@ -237,7 +241,11 @@ def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
 
 
 def check_faults(scenario: Scenario) -> None:
-    """Refuse a false hand out of a fixed sensor's sight, a second occlusion, and too many late pictures."""
+    """Refuse faults that no run can simulate.
+
+    These are a false hand that a fixed sensor cannot see, and an object hidden by hands in rendered images.
+    A delay is refused if more pictures would be under way than the buffer holds.
+    """
     for number, fault in enumerate(scenario.faults):
         if isinstance(fault, FalseHand):
             _check_seen(scenario, number)
@@ -258,7 +266,7 @@ def check_faults(scenario: Scenario) -> None:
 
 
 def _check_seen(scenario: Scenario, number: int) -> None:
-    """Refuse a false hand out of sight of a fixed sensor; a sensor on the arm may turn to it."""
+    """Refuse a false hand that a fixed sensor cannot see; a sensor on the arm may still turn to the hand."""
     settings = scenario.settings
     if settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:
         return

@@ -1,4 +1,4 @@
-"""The way from a claim's sentence to its property: an entry of the catalogue, or a formula."""
+"""Resolution of a claim's sentence to its property: an entry of the catalogue, or a formula."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def property_of(claim: Claim, scenario: Scenario) -> Property:
         scenario: The scenario that it belongs to.
 
     Raises:
-        FormulaError: A formula is malformed, or has no room in the scenario.
-        InadmissibleError: The sentence is unknown (the hint has the catalogue), or its bound has a wrong
-            unit.
+        FormulaError: A formula is malformed, or does not fit into the scenario.
+        InadmissibleError: The sentence is unknown, and the hint lists the catalogue.  Or its bound has a
+            wrong unit.
 
     """
     claimed = _property_of(claim, scenario)
@@ -38,7 +38,7 @@ def property_of(claim: Claim, scenario: Scenario) -> Property:
 
 
 def _property_of(claim: Claim, scenario: Scenario) -> Property:
-    """Return the property of a claim without a check of its bound's unit."""
+    """Return the property of a claim, without checking the unit of the claim's bound."""
     meant = entry_claimed(claim.sentence)
     if meant is not None:
         entry, match = meant
@@ -62,7 +62,7 @@ def _property_of(claim: Claim, scenario: Scenario) -> Property:
 
 
 def _refuse_more_than_a_step(claim: Property, scenario: Scenario, place: Place) -> None:
-    """Raise InadmissibleError for a tolerance that no step of the avoider, in any direction, exceeds."""
+    """Raise InadmissibleError if no step of the avoider can ever exceed the claim's tolerance."""
     step_m = scenario.settings.avoidance.radius_m
     if not re.match("proposals|repulsion", claim.sentence):
         return
@@ -73,9 +73,9 @@ def _refuse_more_than_a_step(claim: Property, scenario: Scenario, place: Place) 
 
 
 def _refuse_what_every_run_keeps(claim: FormulaClaim, place: Place) -> None:
-    """Raise FormulaError for a part that every run fulfils.
+    """Raise FormulaError if every run fulfils a part of the formula.
 
-    Such a part asks a value that is never negative to stay above zero, or at it.
+    Such a part demands that a value that is never negative stays at or above zero.
     """
     for part in parts_of(claim.formula):
         bound = part.body if isinstance(part, Always) else None

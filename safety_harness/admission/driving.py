@@ -1,4 +1,4 @@
-"""Controllers other than the visual servo: their construction and their demands on the cell."""
+"""Controllers other than the visual servo: how they are made, and what they demand of the cell."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from safety_harness.seams.contract import (
 from safety_harness.trace.records import TRACKS_PER_HAND
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
 
-IN_PYTHON = " (an object in Python)"  # after its name: a reference that names no file, and means none
+IN_PYTHON = " (an object in Python)"  # added to its name, as a reference without a file
 
 
 class _Nobody:
@@ -42,7 +42,7 @@ class _Nobody:
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Raise AvoiderError: no controller asks it."""
+        """Raise AvoiderError, because no controller asks this stand-in."""
         raise AvoiderError("the controller asks no avoider")
 
 
@@ -51,7 +51,7 @@ NOBODY: Avoider = _Nobody()
 
 @dataclass(frozen=True, eq=False)
 class MadeDriver:
-    """A user's controller, which may have a memory, and a function that makes a fresh one."""
+    """A user's controller, which may keep data in memory, and a function that makes a fresh controller."""
 
     controller: UserController
     make: Callable[[], UserController]
@@ -61,13 +61,16 @@ class MadeDriver:
 
     @property
     def many(self) -> bool:
-        """Whether it can drive many episodes side by side, with a controller for each."""
+        """Whether the controller can drive many episodes side by side, with one object for each episode."""
         return getattr(self.controller, "another", None) is not None and DECISIONS not in reports_of(
             self.controller
         )
 
     def lane(self, number: int) -> UserController:
-        """Return the controller of a lane, always the same; the first lane has that of single runs."""
+        """Return the controller of lane ``number``, the same object each time.
+
+        The first lane uses the controller of single runs.
+        """
         another: Any = getattr(self.controller, "another", None)
         while len(self._lanes) <= number:
             self._lanes.append(another() if self._lanes else self.controller)
@@ -75,23 +78,23 @@ class MadeDriver:
 
     @property
     def component(self) -> Component:
-        """Its entry in the record of the system under test."""
+        """The controller's entry in the record of the system under test."""
         return Component(name=self.controller.name, sha256=self.sha256)
 
     @property
     def sees_object(self) -> bool:
-        """Whether it needs the object in view."""
+        """Whether the controller needs the object in view."""
         return bool({OBJECT, IMAGE} & {*sees_of(self.controller)})
 
 
 class Drivers:
-    """The controllers of scenarios, each made once, so that a memory lasts from run to run."""
+    """The controllers of scenarios, each made only once, so that their memory lasts from run to run."""
 
     def __init__(self) -> None:
         self._made: dict[tuple[str, Path | None], MadeDriver] = {}
 
     def driver_for(self, scenario: Scenario) -> MadeDriver:
-        """Return the controller of a scenario; InadmissibleError at its key if it does not exist."""
+        """Return the scenario's controller; InadmissibleError at its key if it does not exist."""
         key = scenario.controller, folder_of(scenario)
         if key not in self._made:
             make = controller_of(*key, scenario.place("controller"))
@@ -100,7 +103,7 @@ class Drivers:
 
 
 def driver_of(controller: object) -> MadeDriver:
-    """Return a user's own object as a driver; InadmissibleError if it does not follow the contract."""
+    """Return the driver for a user's own object; InadmissibleError if the object breaks the contract."""
     place = Place(field="admit(controller)")
     if isinstance(controller, type):
         hint = f"{controller.__name__}() makes one"
@@ -110,14 +113,14 @@ def driver_of(controller: object) -> MadeDriver:
 
 
 def refuse_unusable_driver(scenario: Scenario) -> None:
-    """Raise the errors of ``Drivers`` that show without executing user code."""
+    """Raise those errors of ``Drivers`` that can be found without executing user code."""
     refuse_unusable_controller(scenario.controller, folder_of(scenario), scenario.place("controller"))
 
 
 def named_system(scenario: Scenario) -> SystemUnderTest:
-    """Return the system under test from the scenario's references, without making avoider or controller.
+    """Return the system under test as the scenario's references name it; no avoider or controller is made.
 
-    A file appears without its folder.
+    A file appears by its name, without its folder.
     """
     file, name = file_and_name(scenario.under_test)
     called = f"{Path(file).name}:{name}" if name else Path(file).name or str(scenario.under_test)
@@ -130,10 +133,11 @@ def named_system(scenario: Scenario) -> SystemUnderTest:
 
 
 def refuse_no_action(scenario: Scenario, driver: MadeDriver, driven_by: Callable[..., Any]) -> None:
-    """Raise InadmissibleError for a policy that fails, or whose fixed axes do not fit arm, hands or image.
+    """Raise InadmissibleError for an ONNX policy that fails, or whose fixed axes do not fit the scenario.
 
-    The check asks it once, before there is a view, as the controller that ``driven_by`` makes of it.  The
-    check asks no program, since the question might change its state.
+    The axes must fit the arm, the hands and the image.  The function asks the policy once, as the controller
+    that ``driven_by`` returns, with a black image.  It asks no program, because the question might change the
+    program's state.
     """
     camera, rows = scenario.settings.camera, scenario.hand_slots * TRACKS_PER_HAND
     key = scenario.robot, rows, camera.height_px, camera.width_px
@@ -151,7 +155,7 @@ def refuse_no_action(scenario: Scenario, driver: MadeDriver, driven_by: Callable
 
 
 def refuse_no_images(scenario: Scenario, driver: MadeDriver) -> None:
-    """Raise InadmissibleError for a controller that sees images if the camera does not render any."""
+    """Raise InadmissibleError if the controller sees images but the camera does not render images."""
     source = scenario.settings.camera.source
     if IMAGE in sees_of(driver.controller) and source is not ImageSource.RENDERED:
         expected = "rendered images, as the controller sees them: camera: {source: rendered}"
@@ -159,7 +163,7 @@ def refuse_no_images(scenario: Scenario, driver: MadeDriver) -> None:
 
 
 def refuse_faults_of_avoider(scenario: Scenario) -> None:
-    """Raise InadmissibleError for a fault of an avoider if the scenario has no avoider."""
+    """Raise InadmissibleError for a fault of an avoider; the caller has checked that no avoider is asked."""
     for number, fault in enumerate(scenario.faults):
         if isinstance(fault, AvoiderLate | AvoiderNaN | AvoiderSilent):
             expected = f"faults of cameras, joints and brakes: {scenario.controller} asks no avoider"

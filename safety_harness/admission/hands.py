@@ -1,4 +1,4 @@
-"""Checks of hands against the cell, their bounds and the robot, which need the whole scenario."""
+"""Checks of hands against the cell, the robot and their own bounds, which need the whole scenario."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from safety_harness.scenario.moves import MoveTo, Sweep, Wait, Wander
 
 
 def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
-    """Refuse a hand whose centre goes below the table, breaks its own bounds or begins inside the robot."""
+    """Refuse a hand that goes below the table, exceeds its own bounds or begins inside the robot.
+
+    Only the hand's centre must stay above the table.
+    """
     table_m, ceiling_m = scenario.settings.cell.table_height_m, _ceiling_m(scenario)
     for number, hand in enumerate(scenario.hands):
         leader = scenario.leader(hand)
@@ -42,9 +45,9 @@ def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -
 
 
 def _check_speeds(scenario: Scenario, number: int, hand: MovingHand) -> None:
-    """Refuse a move above the hand's speed bound in a scenario from a program.
+    """Refuse a move that is faster than the hand's bound, in a scenario made by a program.
 
-    The reader of files has its own check.
+    For a scenario from a file, the reader makes this check.
     """
     for index, move in enumerate(hand.moves):
         if not isinstance(move, Wait) and not move.speed_mps <= hand.max_move_speed_mps:
@@ -54,9 +57,9 @@ def _check_speeds(scenario: Scenario, number: int, hand: MovingHand) -> None:
 
 
 def _ceiling_m(scenario: Scenario) -> float:
-    """Return the greatest height [m] of a hand.
+    """Return the greatest height [m] that a hand may reach.
 
-    The sensor of a shield looks down, so it would not see a hand above itself.
+    Only a shield limits the height: its sensor looks down, so it would not see a hand above the sensor.
     """
     sensor = scenario.settings.hand_sensor
     if scenario.shield is None:
@@ -65,13 +68,13 @@ def _ceiling_m(scenario: Scenario) -> float:
 
 
 def _ends(hand: MovingHand | RecordedHand, duration_s: float) -> list[tuple[str, str, float]]:
-    """Return (field, words for the time, z [m]) of the possible lowest and highest points of a hand's centre.
+    """Return the points where the hand's centre may be lowest or highest, as (field, time in words, z [m]).
 
-    A tremor does not count.
+    The points leave out the tremor.
     """
     if isinstance(hand, RecordedHand):
         motion = hand.motion
-        used = int(np.searchsorted(motion.time_s, duration_s)) + 1  # the first beyond the end is headed for
+        used = int(np.searchsorted(motion.time_s, duration_s)) + 1  # up to the first sample after the end
         height_m = motion.hand_position_in_base_m[:used, 2]
         ends = (int(height_m.argmin()), int(height_m.argmax()))
         suffixes = {end: f" after {motion.time_s[end]:.2f} s of the run, in {hand.recording}" for end in ends}
@@ -93,7 +96,7 @@ def _ends(hand: MovingHand | RecordedHand, duration_s: float) -> list[tuple[str,
 def _check_clear_of_the_robot(
     scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64]
 ) -> None:
-    """Refuse a hand or forearm that begins inside the robot."""
+    """Refuse a hand or forearm that is inside the robot at the start."""
     settings = scenario.settings
     capsules = cell_capsules(arm_capsules(scenario.robot), settings)
     ends = np.empty((len(capsules.names), 2, 3))

@@ -1,4 +1,4 @@
-"""Checks of the TCP's start and desired pose: servoing must work at both."""
+"""Checks that servoing works at the start pose and at the desired pose of the TCP."""
 
 from __future__ import annotations
 
@@ -41,9 +41,10 @@ VIEW = (
 
 
 def checked_start(scenario: Scenario, arm: ArmModel, *, sees_object: bool = True) -> NDArray[np.float64]:
-    """Return the start's joint angles; refuse a singular start, a low one, or a start without the object.
+    """Return the joint angles of the start, or refuse a start from which the arm cannot work.
 
-    The object must be in view only if the controller ``sees_object``.
+    The start must not be singular or too near to the table.  If the controller ``sees_object``, the object
+    must be in view.
     """
     joints = start_joint_position(scenario, arm)
     _check_pose(scenario, arm, joints, "TCP start", START)
@@ -53,7 +54,10 @@ def checked_start(scenario: Scenario, arm: ArmModel, *, sees_object: bool = True
 
 
 def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float64]:
-    """Return the joint angles of the TCP start: given, or by inverse kinematics on the preferred branch."""
+    """Return the joint angles of the TCP start, given or computed.
+
+    The inverse kinematics uses the preferred branch.
+    """
     start = scenario.start
     if isinstance(start, JointStart):
         joints = np.array(start.joint_position_rad)
@@ -77,7 +81,7 @@ def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float6
 
 
 def check_desired(scenario: Scenario, arm: ArmModel) -> None:
-    """Refuse a desired pose that is out of reach, or that would be refused as a start."""
+    """Refuse a desired pose that the arm cannot reach, or that the checks would refuse as a start."""
     target = desired_transform_tcp_to_base(scenario.settings)
     joints = _reached(scenario, target, "desired TCP position", DESIRED)
     _check_pose(scenario, arm, joints, "desired TCP position", DESIRED)
@@ -85,7 +89,10 @@ def check_desired(scenario: Scenario, arm: ArmModel) -> None:
 
 
 def check_posture(scenario: Scenario, arm: ArmModel) -> None:
-    """Refuse a preferred joint position of another arm: a wrong count, or the default for an own arm."""
+    """Refuse a preferred joint position that belongs to another arm.
+
+    Such a position has a wrong number of angles, or is the default although the arm is the user's own.
+    """
     given = scenario.settings.cell.preferred_joint_position_rad
     if isinstance(scenario.robot, OwnRobot) and given == DEFAULTS.cell.preferred_joint_position_rad:
         ends = np.clip([arm.position_lower_rad, arm.position_upper_rad], -np.pi, np.pi)
@@ -105,7 +112,7 @@ def check_stuck_joints(scenario: Scenario, arm: ArmModel) -> None:
 
 
 def check_obstacles(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
-    """Refuse an obstacle that the arm meets at its start."""
+    """Refuse an obstacle that touches the arm at its start."""
     for number, obstacle in enumerate(scenario.obstacles):
         capsules = cell_capsules(arm_capsules(scenario.robot), scenario.settings)
         distance_m = distance_from(box_records((obstacle,)), arm, capsules, joint_position_rad)
@@ -116,7 +123,7 @@ def check_obstacles(scenario: Scenario, arm: ArmModel, joint_position_rad: Array
 
 
 def check_drives(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
-    """Refuse drives that cannot hold the arm at its start."""
+    """Refuse drives that are too weak to hold the arm at its start."""
     model = drive_model(scenario.robot)
     if model is None or model.masses is None or model.torque_limit_nm is None:
         return
@@ -132,7 +139,7 @@ def check_drives(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) 
 
 
 def _refuse_other_count(scenario: Scenario, arm: ArmModel, count: int, field: str) -> None:
-    """Refuse a number of angles that is not the arm's number of joints."""
+    """Refuse ``count`` joint angles if the arm has another number of joints."""
     if count != len(arm.joint_names):
         expected = f"{len(arm.joint_names)} angles, of {', '.join(arm.joint_names)}"
         raise scenario.inadmissible(expected, f"{count}", field, "robot")
@@ -141,7 +148,7 @@ def _refuse_other_count(scenario: Scenario, arm: ArmModel, count: int, field: st
 def _reached(
     scenario: Scenario, transform_tcp_to_base: NDArray[np.float64], pose: str, field: str
 ) -> NDArray[np.float64]:
-    """Return the joint angles of a pose near the preferred ones; InadmissibleError if it is out of reach."""
+    """Return the joint angles of a pose, near the preferred angles; InadmissibleError if out of reach."""
     preferred = np.array(scenario.settings.cell.preferred_joint_position_rad)
     joints = inverse_kinematics(scenario.robot).nearest(transform_tcp_to_base, preferred)
     if joints is None:
@@ -154,7 +161,7 @@ def _reached(
 def _check_pose(
     scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64], pose: str, field: str
 ) -> None:
-    """Refuse a pose that is singular or too near to the table."""
+    """Refuse a pose that is singular, or too near to the table."""
     settings = scenario.settings
     transforms, jacobian = links_in_base(arm, joint_position_rad), np.empty((6, len(arm.joint_names)))
     geometric_jacobian(arm.joint_axes, transforms, jacobian)
@@ -174,7 +181,7 @@ def _check_pose(
 def _check_in_view(
     scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64], pose: str, field: str
 ) -> None:
-    """Refuse a pose without the whole object in view."""
+    """Refuse a pose from which the camera does not see the whole object."""
     settings, transforms = scenario.settings, links_in_base(arm, joint_position_rad)
     moments = np.empty(MOMENT_COUNT)
     camera, polygon_in_base_m = SensorRecords(camera_state(settings).copy()), object_polygon_in_base(settings)
@@ -186,7 +193,7 @@ def _check_in_view(
 
 
 def _above(settings: Settings) -> str:
-    """Return advice: the desired TCP position with the camera right above the object, at the same height."""
+    """Return advice: the desired TCP position, at its present height, with the camera above the object."""
     cell = settings.cell
     mount_in_base_m = product(LOOKING_DOWN, np.array(settings.camera.mount_offset_in_tcp_m))
     place_m = np.array(settings.object.position_in_base_m) - mount_in_base_m

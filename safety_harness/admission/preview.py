@@ -1,6 +1,6 @@
-"""A preview of an admitted scenario before its run: the hands' paths, and the camera's view.
+"""A preview of an admitted scenario before its run: the paths of the hands, and the camera's view.
 
-There is no simulation: hands that head for the TCP find it at its start.
+No run is simulated, so a hand that heads for the TCP finds the TCP at its start.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ STEP_S = 0.02
 class Preview:
     """The scene of a scenario, with positions in the base frame.
 
-    ``links_in_base_m`` (n + 2, 3) has the arm's link frames at the start; the last one is the TCP.
-    ``hand_paths_in_base_m`` has an array (n, 3) for each hand, and ``object_in_base_m`` (k, 3) the object's
-    corners.  ``start_image_px`` and ``desired_image_px`` (k, 2) are these corners in the camera's image.
+    ``links_in_base_m`` (n + 2, 3) holds the arm's link frames at the start; the last frame is the TCP.
+    ``hand_paths_in_base_m`` holds an array (n, 3) for each hand.  ``object_in_base_m`` (k, 3) holds the
+    object's corners.  ``start_image_px`` and ``desired_image_px`` (k, 2) hold these corners in the camera's
+    image.
     """
 
     scenario: Scenario
@@ -44,7 +45,7 @@ class Preview:
 
     @property
     def tcp_in_base_m(self) -> Floats:
-        """The TCP start (3,)."""
+        """The TCP position (3,) at the start."""
         tcp: Floats = self.links_in_base_m[-1]
         return tcp
 
@@ -64,7 +65,7 @@ def preview_of(checked: Checked) -> Preview:
 
 
 def hand_paths(scenario: Scenario, tcp_in_base_m: Array3) -> tuple[Floats, ...]:
-    """Return a path (n, 3) for each hand, for a TCP that stays at ``tcp_in_base_m`` (3,)."""
+    """Return the path (n, 3) of each hand while the TCP stays at ``tcp_in_base_m`` (3,)."""
     hands = hands_at_start(scenario)
     steps = int(np.ceil(scenario.duration_s / STEP_S))
     paths = np.empty((len(scenario.hands), steps + 1, 3))
@@ -75,7 +76,10 @@ def hand_paths(scenario: Scenario, tcp_in_base_m: Array3) -> tuple[Floats, ...]:
 
 
 def object_image_px(scenario: Scenario, transform_tcp_to_base: Array4x4) -> Floats:
-    """Return the object's corners (k, 2) in pixels from the image's upper left corner, also outside it."""
+    """Return the object's corners (k, 2) in pixels from the image's upper left corner.
+
+    Corners outside the image are included.
+    """
     camera = scenario.settings.camera
     camera_to_base = product(transform_tcp_to_base, transform_camera_to_tcp(camera, calibrated=False))
     base_to_camera = inverse_transform(camera_to_base)

@@ -1,9 +1,9 @@
-"""Repeatability: a second avoider answers the first one's questions, alone and in another order.
+"""Repeatability: a second avoider answers the first avoider's questions again, alone and in another order.
 
-The questions come from stored runs, so that no run is disturbed.  For an executed file the second avoider
-lives in a separate process.  Any other avoider is a function by construction and answers here.  A hash of the
-question draws the sample and its order.  So both are independent of the order in which runs end, and of every
-shared seed.
+The questions come from stored runs, so the check disturbs no run.  If the avoider is an executed file, the
+second avoider lives in a separate process.  Any other avoider is a function by construction, and answers in
+this process.  The hash of a question decides whether and when it is repeated.  So the sample and its order
+depend neither on the order in which runs end nor on a shared seed.
 """
 
 from __future__ import annotations
@@ -39,25 +39,25 @@ from safety_harness.cell.simulation.worlds import world_of_trace
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.trace import Trace
 
-SHARE = 0.02  # of the time that a command took, beside the start of the process
-LEAST, MOST = 8, 1_000  # questions that are asked again, if there are as many
-LEAST_RUNS, MOST_RUNS = 3, 20  # of a controller, that are driven again
-ROUNDING_M = 1e-9  # closer answers are equal: the order of a sum may depend on the size of a batch
+SHARE = 0.02  # the share of a command's time, without the start of the process
+LEAST, MOST = 8, 1_000  # the least and largest number of repeated questions
+LEAST_RUNS, MOST_RUNS = 3, 20  # of a controller's runs that are repeated
+ROUNDING_M = 1e-9  # closer answers are equal, since batches of other sizes may round differently
 ROUNDED = "the avoider rounds otherwise when it is asked otherwise"
 Difference = tuple[float, str]  # distance of the two answers [m], inf without an answer; in words
 
 
 @dataclass(frozen=True, kw_only=True)
 class RepeatabilityResult:
-    """The result of repeated questions.
+    """The result of asking questions again.
 
     Args:
         questions: The number of questions in the runs.
         asked: The number of repeated questions.
         differing: The number of different answers.
-        words: The worst difference in words.  If no answer differs by more than ``ROUNDING_M``: why no more
-            could be asked, or how the avoider rounds.
-        apart: Whether a question was repeated in another process.
+        words: The worst difference in words.  If no answer differs by more than ``ROUNDING_M``: the reason
+            why no more questions could be asked, or the size of the rounding.
+        apart: Whether another process answered the repeated questions.
         together: Whether the questions were also answered in one call.
 
     """
@@ -72,23 +72,23 @@ class RepeatabilityResult:
 
     @property
     def problem(self) -> str:
-        """The reason why a command ends with 1; rounding is only reported."""
+        """The reason why the command ends with exit code 1; empty if answers differ only by rounding."""
         return "" if self.words.startswith(ROUNDED) else self.words
 
     @property
     def remembers(self) -> str:
-        """The finding that it is no function of its question, or does not repeat itself; empty without it."""
+        """The finding that equal questions got different answers; empty if no answer differs."""
         differ = f"{self.differing} of {self.asked} {self._repeated} differ"
         return f"{self.words}; {differ}" if self.differing else ""
 
     @property
     def line(self) -> str:
-        """The result in a line."""
+        """The result on one line."""
         return self.remembers or self.words or f"repeatability: {self._alike}"
 
     @property
     def _alike(self) -> str:
-        """The result in a line if all answers are equal."""
+        """The result on one line if all answers are equal."""
         if not self.asked:
             return "the avoider was asked nothing that could be asked again"
         where = "a second avoider in a process of its own" if self.apart else "a second avoider"
@@ -99,9 +99,10 @@ class RepeatabilityResult:
 
 @dataclass(frozen=True, kw_only=True)
 class DrivenAgain(RepeatabilityResult):
-    """The result of repeated runs: a fresh controller drove ``asked`` of ``questions`` runs again.
+    """The result of repeated runs: fresh controllers drove ``asked`` of ``questions`` runs again.
 
-    If ``of_avoider``, it was the visual servo with a fresh avoider, which sees more than a trace stores.
+    If ``of_avoider``, the visual servo drove these runs, with a fresh avoider that sees more than a trace
+    stores.
     """
 
     of_avoider: bool = False
@@ -109,12 +110,12 @@ class DrivenAgain(RepeatabilityResult):
 
     @property
     def who(self) -> str:
-        """The driver of the runs."""
+        """The driver of the runs in a word: avoider or controller."""
         return "avoider" if self.of_avoider else "controller"
 
     @property
     def _alike(self) -> str:
-        """The result in a line if all runs are equal."""
+        """The result on one line if all repeated runs are equal."""
         if not self.asked:
             return f"the {self.who} ended no run that could be driven again"
         again = f"{self.asked} of {self.questions} runs driven again by a fresh {self.who}"
@@ -123,9 +124,10 @@ class DrivenAgain(RepeatabilityResult):
 
 @dataclass(frozen=True)
 class DrivenRun:
-    """A run that may be repeated: scenario, world, a hash of the commands to the arm, and the file's hash.
+    """A run that may be repeated: its name and world, a hash of its commands and angles, and a file's hash.
 
-    If ``asks``, the visual servo drove it and asked the avoider of the file.
+    ``controller_sha256`` is the hash of the controller's or avoider's file.  If ``asks``, the visual servo
+    drove the run and asked the avoider in that file.
     """
 
     run: str
@@ -136,9 +138,9 @@ class DrivenRun:
 
 
 def driven_in(trace: Trace) -> DrivenRun | None:
-    """Return the data of a run that must repeat.
+    """Return the data of a run that can be repeated as a whole, or None.
 
-    None if its questions can be repeated instead, or if it broke off.
+    None means that the run broke off, or that its questions can be repeated instead.
     """
     scenario = trace.scenario
     if not (scenario.driven or is_a_program(scenario.avoider)) or not trace.complete:
@@ -152,7 +154,7 @@ def driven_in(trace: Trace) -> DrivenRun | None:
 
 @dataclass(frozen=True, eq=False)
 class _Sampled:
-    """A question, the hash that draws it, its scenario, and the hash of its avoider's file."""
+    """A question, its scenario, its avoider's file, and ``order``, the hash that draws the question."""
 
     order: bytes
     case: Asked
@@ -161,13 +163,13 @@ class _Sampled:
 
 
 class Repeatability:
-    """Collects the questions to avoiders from now on; ``check`` repeats a sample of them.
+    """A collection of the questions that avoiders answer; ``check`` asks a sample of them again.
 
-    For a controller other than the visual servo it collects runs, and a fresh controller repeats a sample of
-    them.  A controller that carries something over from earlier episodes then drives differently.
+    For a controller other than the visual servo, the object collects runs, and a fresh controller repeats a
+    sample of them.  A controller that keeps data from earlier episodes then drives differently.
 
-    The size of the sample depends on the wall clock.  It takes ``SHARE`` of the time since the construction,
-    and has ``LEAST`` questions at least.
+    The wall clock limits the size of the sample.  ``check`` may take ``SHARE`` of the time since the
+    construction of the object, but repeats at least ``LEAST`` questions.
     """
 
     def __init__(self) -> None:
@@ -176,12 +178,12 @@ class Repeatability:
         self._sample: list[_Sampled] = []
         self._runs = 0
         self._driven: list[tuple[DrivenRun, Callable[[], Scenario]]] = []
-        self._last: Callable[[], Scenario] | None = None  # of a run, whatever came of it
+        self._last: Callable[[], Scenario] | None = None  # of the last run, even if it broke off
 
     def add(self, trace: Trace) -> None:
-        """Add the questions of a run, or the run of a controller that its scenario names.
+        """Add the questions of a run, or the whole run if the scenario names a controller.
 
-        A controller that a program passes as an object cannot be made again.
+        If a program passes its controller as an object, the run cannot be repeated.
         """
         scenario = trace.scenario
         driven = driven_in(trace)
@@ -193,7 +195,7 @@ class Repeatability:
     def take(
         self, cases: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
     ) -> None:
-        """Add questions of a run; ``scenario`` returns the avoider's scenario on demand."""
+        """Add the questions ``cases`` of a run; ``scenario`` returns the scenario that names the avoider."""
         self._last = scenario
         for case in cases:
             self._questions += 1
@@ -202,7 +204,7 @@ class Repeatability:
             self._sample = self._drawn()
 
     def take_run(self, run: DrivenRun, scenario: Callable[[], Scenario]) -> None:
-        """Add a whole run; ``scenario`` returns the controller's scenario on demand."""
+        """Add a whole run; ``scenario`` returns the scenario that names the controller."""
         self._runs += 1
         self._driven.append((run, scenario))
         if len(self._driven) > 2 * MOST_RUNS:
@@ -213,7 +215,7 @@ class Repeatability:
         return nsmallest(MOST_RUNS, self._driven, key=lambda item: item[0].sha256)
 
     def _drive_again(self, allowed_s: float) -> RepeatabilityResult:
-        """Drive a sample of the runs again, within ``allowed_s`` seconds but at least LEAST_RUNS."""
+        """Repeat a sample of the runs for ``allowed_s`` seconds, but at least LEAST_RUNS runs."""
         begun_s, again, texts = time.monotonic(), 0, list[str]()
         of_avoider = bool(self._driven) and all(run.asks for run, _ in self._driven)
         result = DrivenAgain(questions=self._runs, of_avoider=of_avoider)
@@ -230,7 +232,7 @@ class Repeatability:
         return replace(result, asked=again, differing=len(texts), words=texts[0] if texts else "")
 
     def check(self, least: int = LEAST) -> RepeatabilityResult:
-        """Repeat the questions, each alone and in the order of the hashes, then all in one call."""
+        """Repeat the questions, first each alone in the order of their hashes, then all in one call."""
         allowed_s = SHARE * (time.monotonic() - self._begun_s)
         if not all(run.asks for run, _ in self._driven) or self._only_controllers_broke_off():
             return self._drive_again(allowed_s)
@@ -255,7 +257,7 @@ class Repeatability:
         )
 
     def reported(self, output: Output) -> RepeatabilityResult | None:
-        """Return the result of ``check`` and print it; None after Ctrl-C."""
+        """Return the result of ``check`` and print it; None if the user pressed Ctrl-C."""
         try:
             result = self.check()
         except KeyboardInterrupt:
@@ -265,7 +267,7 @@ class Repeatability:
         return result
 
     def _only_controllers_broke_off(self) -> bool:
-        """Return whether there is no question and no whole run, of runs that ask no avoider."""
+        """Return whether every run had a controller that asks no avoider, and broke off."""
         if self._questions or self._driven or self._last is None:
             return False
         try:
@@ -279,7 +281,7 @@ class Repeatability:
 
 
 def _driven_otherwise(run: DrivenRun, scenario: Scenario, who: str) -> str:
-    """Return why a fresh driver drives the scenario differently, in words; empty if it does not."""
+    """Return, in words, how a fresh driver drives the scenario differently; empty if it does not."""
     world = world_of_trace(run.world)
     runs = [driven_in(run_trial(Admitter().admit(scenario), world=world)) for _ in range(2)]
     again = [run_again for run_again in runs if run_again is not None]
@@ -297,14 +299,14 @@ def _driven_otherwise(run: DrivenRun, scenario: Scenario, who: str) -> str:
 
 
 def _order(question: Question) -> bytes:
-    """Return the hash of a question, which draws it."""
+    """Return the hash of a question, which decides whether and when the question is repeated."""
     text = question.hand_position_in_base_m.tobytes() + question.tcp_position_in_base_m.tobytes()
     return hashlib.sha256(text + question.seed.to_bytes(8, "little")).digest()
 
 
 @dataclass(eq=False)
 class _Again:
-    """The results of repeated questions: ``seconds`` are avoiders by identity, ``differing`` by question."""
+    """The result of repeated questions: second avoiders by identity, and differing answers by question."""
 
     asked: int = 0
     problem: str = ""
@@ -313,7 +315,11 @@ class _Again:
     seconds: dict[int, _Second] = field(default_factory=dict)
 
     def ask(self, sample: list[_Sampled], least: int, allowed_s: float) -> None:
-        """Ask all of the sample, or as many as half of the time allows; one call for all takes no longer."""
+        """Ask the questions of ``sample`` alone, then together in one call.
+
+        The first part stops after half of ``allowed_s``, but not before ``least`` questions.  The one call
+        takes no longer than the questions alone.
+        """
         avoiders, begun_s = Avoiders(), 0.0
         for sampled in sample:
             if self.asked >= least and time.monotonic() - begun_s > allowed_s / 2.0:
@@ -326,7 +332,7 @@ class _Again:
             if shown_to(avoider):
                 self.unkept = True
                 return
-            begun_s = begun_s or time.monotonic()  # its process is there
+            begun_s = begun_s or time.monotonic()  # the clock starts when its process has started
             hand, tcp = first_question(scenario.settings)
             new = _Second(avoider, Question(np.array(hand), np.array(tcp), 0))
             second = self.seconds.setdefault(id(avoider), new)
@@ -343,7 +349,7 @@ class _Again:
 
 @dataclass(eq=False)
 class _Second:
-    """A second avoider and its questions; ``first`` is a question that no run has."""
+    """A second avoider with its questions; no run has asked the question ``first``."""
 
     avoider: Avoider
     first: Question
@@ -353,12 +359,12 @@ class _Second:
 
     @property
     def _takes_many(self) -> bool:
-        """Whether the avoider answers many questions in one call."""
+        """Whether the avoider can answer many questions in one call."""
         avoider = self.avoider
         return avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider)
 
     def alone(self, case: Asked) -> Difference | None:
-        """Return the difference of its answer to one question, or None."""
+        """Return how the avoider's answer to one question differs from the first; None if equal."""
         self.asked.append(case)
         why = "the avoider remembers" + (", or heeds what else is asked" if self._takes_many else "")
         try:
@@ -368,10 +374,10 @@ class _Second:
             return np.inf, f"{why}: asked again alone it hangs: {error} ({_place(case)})"
 
     def together(self) -> Iterator[tuple[Asked, Difference]]:
-        """Yield the questions whose answers differ in one call for all, with the differences."""
+        """Ask all questions in one call, and yield each question whose answer differs, and how."""
         if self._takes_many:
             answers = answers_together(self.avoider, [self.first, *(case.question for case in self.asked)])
-            if not answers or not np.isnan(answers[0].latency_s):  # it cannot, and was asked in turn
+            if not answers or not np.isnan(answers[0].latency_s):  # it answered them one by one
                 return
             self.answers_many = True
             why = "the avoider heeds what else is asked: asked again in one call with others"
@@ -381,7 +387,7 @@ class _Second:
 
 
 def _compared(why: str, case: Asked, answer: Answer) -> Difference | None:
-    """Return the difference of an answer to a question's first answer, or None."""
+    """Return how ``answer`` differs from the first answer to ``case``; None if both are equal."""
     how = difference(case.answer, answer)
     if not how:
         return None
@@ -392,5 +398,5 @@ def _compared(why: str, case: Asked, answer: Answer) -> Difference | None:
 
 
 def _place(case: Asked) -> str:
-    """Return the number of a question and its run, in words."""
+    """Return, in words, the number of a question and the run that asked it."""
     return f"question {case.number} of {case.run}"

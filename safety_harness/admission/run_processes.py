@@ -1,4 +1,7 @@
-"""Runs in several processes, for shipped avoiders only, which have no memory from run to run."""
+"""Runs in several processes.
+
+Only shipped avoiders run there, because they keep no data from run to run.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +23,12 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.trace.trace import Trace
 
 FEWEST_RUNS = 8  # for fewer, the start of a process takes longer than it saves
-_AHEAD = 4  # runs a process that may wait to be judged: a trace has a megabyte
+_AHEAD = 4  # finished runs for each process that may await judgement; a trace has a megabyte
 
 
 @dataclass
 class RunProcesses:
-    """Runs under way in other processes, in the order in which the caller will request them."""
+    """The runs in progress in other processes, in the order in which the caller will request them."""
 
     world: WorldEntry
     executor: ProcessPoolExecutor | None = None
@@ -34,9 +37,9 @@ class RunProcesses:
     _begun: dict[int, Future[Trace | Exception]] = field(default_factory=dict)
 
     def trace(self, admitted: Admitted) -> Trace | None:
-        """Wait for a run in another process and return its trace; None for a run of this process.
+        """Wait for a run in another process and return its trace; None if this process has to run it.
 
-        An exception of that process is raised here.
+        An exception of the other process is raised here.
         """
         if self.executor is None or is_executed(admitted.scenario.under_test):
             return None
@@ -58,16 +61,17 @@ class RunProcesses:
 
 
 class _EnoughError(Exception):
-    """The caller needs no further run."""
+    """Raised at the end of the block, since the caller needs no further run."""
 
 
 @contextmanager
 def run_processes(
     admitted: Iterable[Admitted], world: WorldEntry, jobs: int | None
 ) -> Iterator[RunProcesses]:
-    """Yield the runs of ``jobs`` processes, or of one for each core if it is None.
+    """Yield the runs that ``jobs`` processes work on; None: one process for each core.
 
-    Few runs get no process of their own.  At the end of the block, unfinished runs are dropped.
+    With fewer than FEWEST_RUNS runs, no process starts.  At the end of the block, unfinished runs are
+    dropped.
     """
     movable = deque(run for run in admitted if not is_executed(run.scenario.under_test))
     jobs = jobs or len(os.sched_getaffinity(0))

@@ -1,7 +1,7 @@
-"""Admissible draws of a scenario space: a refused draw is replaced by the next, and counted.
+"""Admissible draws of a scenario space: the next draw replaces a refused draw, and both are counted.
 
-A space does not know whether the arm reaches a start and sees the object from there.  So draws are rejected
-here, and only here.
+A space does not know whether the arm reaches a start and sees the object from there.  So only this module
+rejects draws.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from safety_harness.scenario.fields import one_mistake
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 
-MAX_REJECTION_RATIO = 200  # draws without an admitted one; later, draws for each admitted one
+MAX_REJECTION_RATIO = 200  # draws before the first admitted draw, and then for each admitted draw
 
 
 @dataclass(frozen=True)
 class AdmittedDraws:
-    """Admissible scenarios of a space, and the number of draws that they took.
+    """The admissible scenarios of a space, and the number of draws that were necessary.
 
     Args:
         scenarios: The scenarios.
         drawn: The number of draws.
-        refused: The number of refused draws for each reason, the most frequent first.  A reason is "field:
-            expected ...".
+        refused: The number of refused draws for each reason, the most frequent first.  A reason has the form
+            "field: expected ...".
 
     """
 
@@ -37,7 +37,7 @@ class AdmittedDraws:
 
     @property
     def acceptance_rate(self) -> float:
-        """The share of admitted draws."""
+        """The number of admitted draws divided by the number of all draws."""
         return len(self.scenarios) / self.drawn
 
     def __str__(self) -> str:
@@ -51,17 +51,17 @@ def draw_admissible(
 ) -> AdmittedDraws:
     """Return the first ``count`` admissible draws of a stream, without executing user code.
 
-    Their distribution is the space's own, conditioned on admission.
+    The scenarios have the space's distribution, conditioned on admission.
 
     Args:
         space: The space.
         seed: The stream.
         count: The number of scenarios, at least 1.
-        on_draw: Takes the number of draws so far, after each draw.
+        on_draw: A function that is called after each draw with the number of draws so far.
 
     Raises:
-        InadmissibleError: Fewer than one draw in MAX_REJECTION_RATIO is admissible; the hint has the most
-            frequent reason.  The limit is MAX_REJECTION_RATIO * (count + 1) draws.
+        InadmissibleError: After MAX_REJECTION_RATIO * (count + 1) draws, too few were admissible.  The hint
+            states the most frequent reason.
         ValueError: ``count`` is below 1.
 
     """
@@ -101,9 +101,10 @@ def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[
 
 
 def why_refused(error: InputError) -> str:
-    """Return the reason of a refusal, equal for points with the same problem: "field: expected ...".
+    """Return why a draw was refused, as "field: expected ..."; equal problems have equal texts.
 
-    Raises ``error`` itself if the text of the space is to blame: a missing avoider, an unknown claim.
+    The function raises ``error`` itself if the text of the space causes it, by a missing avoider or an
+    unknown claim.
     """
     field = error.place.field or ""
     if isinstance(error, ModelError) or field.startswith(("avoider", "claims", "--avoider", "--against")):

@@ -1,6 +1,6 @@
-"""Scenarios that an avoider of the command line cannot take: the command skips them and runs the rest.
+"""Scenarios that cannot run with an avoider from the command line: the command skips them.
 
-One reason is a network that was trained for another workspace, another a measured profile of another avoider.
+A network may have been trained for another workspace, or a measured profile may belong to another avoider.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _Checked = TypeVar("_Checked")
 
 @dataclass(frozen=True)
 class Incompatible:
-    """A valid scenario that cannot run with ``avoider``."""
+    """A valid scenario that cannot run with ``avoider``, and the reason."""
 
     scenario: str
     avoider: str
@@ -36,7 +36,9 @@ class Incompatible:
 def accept(
     scenario: Scenario, avoiders: Sequence[tuple[str | None, str]], inspect: Callable[[Scenario], _Checked]
 ) -> list[_Checked] | Incompatible:
-    """Return the results of a check for a scenario with each of several avoiders, or why one of them fails.
+    """Return the results of checking a scenario with each of several avoiders.
+
+    If the scenario cannot run with one of them, the result is an ``Incompatible``.
 
     Args:
         scenario: The scenario.
@@ -63,9 +65,9 @@ def accept(
 
 
 def made_equal(scenarios: Sequence[Scenario], reference: str | None, option: str) -> dict[str, Incompatible]:
-    """Return the rows of a matrix that become equal with one avoider in place of theirs, by name.
+    """Return, by name, the rows of a matrix that become equal when ``reference`` replaces their avoiders.
 
-    Such a row would have a result under a misleading name.
+    The result of such a row would have a misleading name.
     """
     rows: dict[tuple[Path | None, str], list[Scenario]] = {}
     if reference is None:
@@ -89,7 +91,7 @@ def made_equal(scenarios: Sequence[Scenario], reference: str | None, option: str
 
 
 def not_taken_words(skipped: Sequence[Incompatible]) -> str:
-    """Return how many scenarios each avoider cannot take, in words; empty for no scenario."""
+    """Return, in words, how many scenarios each avoider cannot run; empty if it can run all."""
     names = dict.fromkeys(case.avoider for case in skipped)
     return ", ".join(
         f"{sum(case.avoider == name for case in skipped)} unsuitable for {name}" for name in names

@@ -1,6 +1,6 @@
 """Trials: runs of admitted scenarios in a world, and the judgement of their traces.
 
-A run may have any controller; many runs at once have our own.
+A single run may use any controller.  Many runs at once use the controllers of their scenarios.
 """
 
 from __future__ import annotations
@@ -54,10 +54,12 @@ def run_trial(
     Args:
         admitted: The scenario, from ``admit``.
         world: The world.
-        controller: A controller in place of the scenario's; None: a fresh one from ``admitted``.
-        detector: A hand detector for rendered images, in place of our own.
-        recorded: An earlier trace of the scenario; its decision times by the wall clock count again.
-        on_tick: Takes the number of finished ticks, after each tick.
+        controller: A controller that replaces the scenario's own.  None: ``admitted`` makes a fresh
+            controller.
+        detector: A hand detector for rendered images that replaces our own.
+        recorded: An earlier trace of the scenario; the new run repeats its decision times that the wall clock
+            measured.
+        on_tick: A function that is called after each tick with the number of finished ticks.
 
     Raises:
         NoAnswerError: The avoider hangs.
@@ -85,9 +87,11 @@ def run_kinematic(
 
     Args:
         admitted: The scenario, from ``admit``.
-        controller: A controller in place of the scenario's; None: a fresh one from ``admitted``.
-        recorded: An earlier trace of the scenario; its decision times by the wall clock count again.
-        on_tick: Takes the number of finished ticks, after each tick.
+        controller: A controller that replaces the scenario's own.  None: ``admitted`` makes a fresh
+            controller.
+        recorded: An earlier trace of the scenario; the new run repeats its decision times that the wall clock
+            measured.
+        on_tick: A function that is called after each tick with the number of finished ticks.
 
     Raises:
         NoAnswerError: The avoider hangs.
@@ -100,16 +104,16 @@ def run_kinematic(
 def run_many(
     scenarios: Iterable[Admitted], *, world: WorldEntry = KINEMATIC, ticks_at_once: int = TICKS_AT_ONCE
 ) -> Iterator[Trace]:
-    """Yield the trace of every scenario in order, equal to the traces of ``run_trial``.
+    """Yield the trace of every scenario, in order; each equals the trace that ``run_trial`` returns.
 
-    Episodes run in chunks, which bounds the memory if the caller drops the traces.  Within a chunk, all
-    episodes reach their next decision together.  An avoider with ``propose_many`` then gets one call for all;
-    any other avoider answers in turn.
+    Episodes run in chunks, so that memory stays bounded if the caller drops the traces.  Within a chunk, all
+    episodes run until each needs its next decision.  An avoider with ``propose_many`` then answers all
+    questions in one call; any other avoider answers them one by one.
 
     Args:
         scenarios: Admitted scenarios.
         world: A world that runs many episodes at once.
-        ticks_at_once: The largest number of ticks in a chunk; a longer episode is a chunk by itself.
+        ticks_at_once: The largest number of ticks in a chunk; a longer episode forms a chunk by itself.
 
     Raises:
         NoAnswerError: An avoider hangs.
@@ -123,10 +127,10 @@ def run_many(
 
 
 def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace | Exception]:
-    """Yield a trace for each scenario in order, or the Exception of a run that could not go on.
+    """Yield a trace for each scenario in order, or the exception of a run that could not continue.
 
-    If the world takes many, all run together; if that breaks, they run one by one.  InstallationError for a
-    missing world, which is no failure of a run.
+    If the world runs many episodes at once, all run together.  If that fails, they run one by one.  A missing
+    world raises InstallationError, since no single run has failed.
     """
     if world.batch and len(admitted) > 1:
         try:
@@ -143,14 +147,14 @@ def _runs(
 ) -> Iterator[Trace | Exception]:
     """Yield the runs, in chunks of scenarios that can run together.
 
-    An Exception comes from a user's controller in its episode.
+    If a user's controller raises in an episode, the function yields that exception in place of the trace.
     """
     chunk: list[Admitted] = []
     ticks, chunk_driver = 0, None
     for admitted in scenarios:
         refuse_other_type("run_many(scenarios)", admitted, Admitted)
         driver = admitted.driver
-        # One after another: a driver remembers them in their order, and a batch does not store a view.
+        # These run one after another: a driver remembers their order, and a batch stores no view.
         alone = shown_to(admitted.avoider) if driver is None else not (driver.many and world is KINEMATIC)
         if driver is None and not alone:
             refuse_wall_clock(admitted.scenario, InadmissibleError, runs="these runs")
@@ -178,7 +182,7 @@ def _attempt(admitted: Admitted, world: WorldEntry) -> Trace | Exception:
 
 
 def slower_because(avoider: Avoider) -> str:
-    """Return why ``run_many`` cannot ask an avoider for all decisions at once; empty if it can."""
+    """Return why ``run_many`` cannot put all decisions to ``avoider`` at once; empty if it can."""
     if avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider):
         return ""
     return f"{avoider.name} gets one question after another: it has no propose_many"
@@ -227,9 +231,9 @@ def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace | Exc
 
 
 def _drive_chunk(chunk: list[Admitted]) -> Iterator[Trace | Exception]:
-    """Yield the runs of a user's controller in lanes, one episode for each.
+    """Yield the runs of a user's controller, which drives each episode in a lane of its own.
 
-    If the lanes break off, the episodes run one by one, so that a failure costs only its own episode.
+    If the lanes fail together, the episodes run one by one, so that only the failing episode is lost.
     """
     driver = chunk[0].driver
     assert driver is not None
@@ -253,6 +257,6 @@ def _drive_chunk(chunk: list[Admitted]) -> Iterator[Trace | Exception]:
 
 
 def _of_avoider(trace: Trace, admitted: Admitted) -> Trace:
-    """Return the trace with the hash of its avoider's file, or of its controller's."""
+    """Return the trace with the hash of the file that contains its avoider or controller."""
     sha256 = admitted.avoider_sha256 if admitted.driver is None else admitted.driver.sha256
     return replace(trace, system=trace.system.of_file(sha256))

@@ -1,15 +1,15 @@
-"""Compilation of functions with numba: cached, and with strict IEEE floats.
+"""Compilation of functions with numba, with a cache and with strict IEEE floats.
 
-All compiled functions of this package pass through here.  Numba's own file cache compares the file that
-*defines* a function, but not the files whose functions it calls.  After an edit in ``geometry`` an old
-``controller`` would go on running, and evidence from it would be wrong.
+All functions that the package compiles are compiled here.  Numba's own file cache compares the file that
+*defines* a function, but not the files whose functions it calls.  After an edit in ``geometry``, an old
+``controller`` would remain in use, and evidence from it would be wrong.
 
-So the machine code of a file lies in a folder whose name is a hash.  The hash covers that file, every file of
-the package that it imports (directly or not), and the versions of Python, numba and numpy.  A change in any
-of these compiles again; a change of another file does not.
+So the machine code of a file lies in a folder whose name is a hash.  The hash covers that file and every file
+of the package that it imports (directly or not).  It also covers the versions of Python, numba and numpy.  A
+change in any of these causes a new compilation; a change of another file does not.
 
-Numba looks for a function in the user's cache, then in the folder that a wheel brings (``machine_code``).  It
-compiles the function if both lack it.
+Numba looks for a function in the user's cache, then in the folder that a wheel contains (``machine_code``).
+It compiles the function if neither contains it.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ from safety_harness.base.machine_code import FOLDER, STAMP, InstalledCode
 F = TypeVar("F", bound=Callable[..., Any])
 _Made = TypeVar("_Made")
 
-njit: Any = numba.njit  # one of its options is not in its stubs
+njit: Any = numba.njit  # numba's stubs lack one of its options
 numba_config: Any = config  # its settings are made at run time, unknown to type checkers
 numba_event: Any = event
 _cache_impl: Any = CompileResultCacheImpl
 
 PACKAGE = Path(__file__).parents[1]
-# A test holds the package to this one form of import, so that none is overlooked.
+# A test allows the package only this form of import, so that no import is overlooked.
 _IMPORT = re.compile(r"^\s*from (\w+)\.([\w.]+) import ", re.MULTILINE)
 
 
 @cache
 def _package_of(file: Path) -> Path:
-    """Return this package if the file lies in it, else its outermost package, else its folder."""
+    """Return the package of a file: this package, else the file's outermost package, else its folder."""
     if PACKAGE in file.parents:
         return PACKAGE
     packages = [folder for folder in file.parents if (folder / "__init__.py").is_file()]
@@ -59,7 +59,7 @@ def _package_of(file: Path) -> Path:
 
 
 def _in_no_package(file: Path) -> bool:
-    """Return whether a file lies outside every package, such as a single script."""
+    """Return whether a file, such as a single script, lies outside every package."""
     return PACKAGE not in file.parents and not (file.parent / "__init__.py").is_file()
 
 
@@ -69,14 +69,14 @@ def _name(file: Path) -> bytes:
     return file.relative_to(_package_of(file)).as_posix().encode()
 
 
-@cache  # read once, though sixty files import the same ones
+@cache  # read once, although sixty files import the same files
 def _content(file: Path) -> bytes:
     """Return the bytes of a file."""
     return file.read_bytes()
 
 
 def _hash(files: Iterable[Path]) -> str:
-    """Return 16 hex digits over the versions of numba and numpy, and the names and contents of files."""
+    """Return a hash (16 hex digits) of numba's and numpy's versions, and files' names and contents."""
     digest = hashlib.sha256(f"numba {numba.__version__} numpy {np.__version__}".encode())
     for path in sorted(files):
         digest.update(_name(path))
@@ -91,7 +91,7 @@ def _package_sources() -> Iterator[Path]:
 
 @cache
 def source_hash() -> str:
-    """Return the hash over every Python file of the package, which a trace's provenance holds."""
+    """Return the hash over every Python file of the package, which a trace stores in its provenance."""
     return _hash(_package_sources())
 
 
@@ -108,8 +108,8 @@ def _imports(file: Path) -> tuple[Path, ...]:
 def sources_of(file: Path, *, without: frozenset[Path] = frozenset()) -> frozenset[Path]:
     """Return a file and every file that it imports, directly or not.
 
-    The result holds files of this package and of the file's own package.  A file in no package (a benchmark,
-    say) may import any module, so the result is every file of this package.
+    The result is limited to files of this package and of the file's own package.  If the file is in no
+    package, as a benchmark is, it may import any module.  Then the result is every file of this package.
 
     Args:
         file: The file to begin with.
@@ -129,22 +129,22 @@ def sources_of(file: Path, *, without: frozenset[Path] = frozenset()) -> frozens
 
 
 def source_hash_of(*files: Path) -> str:
-    """Return the hash over files of the package and every file that they import, directly or not."""
+    """Return the hash over some files of the package and every file that they import, directly or not."""
     return _hash(frozenset().union(*map(sources_of, files)))
 
 
 def cache_root() -> Path:
-    """Return the folder of machine code: below ``$SAFETY_HARNESS_CACHE``, else in the user's cache folder."""
+    """Return the folder of all machine code, below ``$SAFETY_HARNESS_CACHE`` or the user's cache folder."""
     root = os.environ.get("SAFETY_HARNESS_CACHE") or os.environ.get("XDG_CACHE_HOME")
     try:
         return (Path(root) if root else Path.home() / ".cache") / "safety_harness"
-    except RuntimeError:  # a user without a home
-        return Path(os.devnull) / "safety_harness"  # no folder, which ``cache_problem`` says
+    except RuntimeError:  # the user has no home folder
+        return Path(os.devnull) / "safety_harness"  # this is no folder, as ``cache_problem`` reports
 
 
 @cache
 def cache_problem(root: Path) -> str:
-    """Make the folder ``root``, and return why it cannot keep machine code; empty if it can."""
+    """Create the folder ``root``, and return why it cannot keep machine code; empty if it can."""
     try:
         root.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=root).close()
@@ -163,9 +163,9 @@ def _cannot_keep(root: Path, error: OSError) -> str:
 
 @cache
 def cache_folder(file: Path) -> Path:
-    """Return the folder for the machine code of ``file``, and set its time of use to now.
+    """Return the folder for the machine code of ``file``, and mark it as used now.
 
-    The folder may be absent or read-only; then the time of use stays.
+    If the folder is absent or read-only, it stays unmarked.
     """
     folder = cache_root() / f"{_hash(sources_of(file))}-{sys.implementation.cache_tag}"
     with suppress(OSError):
@@ -174,19 +174,19 @@ def cache_folder(file: Path) -> Path:
 
 
 def installed_folder(file: Path) -> Path:
-    """Return the folder in which a wheel brings the machine code of ``file``; it may be absent."""
+    """Return the folder that a wheel contains for the machine code of ``file``; it may be absent."""
     return PACKAGE / FOLDER / cache_folder(file).name
 
 
 def code_in_use() -> str:
-    """Return a phrase for the origin of the control stack's machine code; results are the same with each."""
+    """Return, in words, where the control stack's machine code comes from; it never changes a result."""
     stack = PACKAGE / "cell" / "controller" / "stack.py"
     compiled_here = any(cache_folder(stack).rglob("*.nbc")) or not installed_folder(stack).is_dir()
     return "machine code compiled here" if compiled_here else "machine code as installed, for any x86-64"
 
 
 def forget_old_machine_code(days: float = 30.0) -> int:
-    """Remove the machine code that no process has used for ``days``, and return the number of folders."""
+    """Remove machine code that no process has used for ``days``; return the number of removed folders."""
     oldest = time.time() - days * 86400.0
     old = [folder for folder in machine_code() if folder.stat().st_mtime < oldest]
     for folder in old:
@@ -195,36 +195,37 @@ def forget_old_machine_code(days: float = 30.0) -> int:
 
 
 def machine_code() -> list[Path]:
-    """Return the existing folders of machine code, of these and of earlier sources."""
+    """Return all existing folders of machine code, including those of earlier sources."""
     return [folder for folder in cache_root().glob("*") if folder.is_dir()]
 
 
 def compiled(function: F) -> F:
-    """Compile ``function`` on its first call and keep the machine code for the next process.
+    """Return ``function`` compiled at its first call, with its machine code kept for later processes.
 
     Results must repeat bit for bit, so ``fastmath`` is off.  A division raises no exception: as in numpy, 0/0
-    is NaN, and every caller that decides something has to look for NaN.
+    is NaN.  So every caller that makes a decision must check for NaN.
     """
-    return _compiled(function, _nrt=True)  # explicit, for numba would take it over from the first caller
+    return _compiled(function, _nrt=True)  # explicit, since numba would copy it from the first caller
 
 
 def njit_no_nrt(function: F) -> F:
-    """Compile a function that makes no array, without counting references; otherwise like ``compiled``.
+    """Return a compiled function that makes no array and counts no references; otherwise as ``compiled``.
 
-    Small functions spend less time on their arrays than numba would spend on counting the views.
+    In small functions, counting references to views of arrays would take longer than the work itself.
     """
     return _compiled(function, _nrt=False)
 
 
 def inlined(function: F) -> F:
-    """Compile a small function into the machine code of its callers; otherwise like ``njit_no_nrt``."""
+    """Return a small function compiled into the machine code of its callers; otherwise as ``njit_no_nrt``."""
     return _compiled(function, _nrt=False, forceinline=True)
 
 
 def arithmetic(function: F) -> F:
-    """Compile a function into its callers; a call from Python runs it as Python, on floats or on arrays.
+    """Return a function that is compiled into compiled callers, but that Python runs as Python code.
 
-    So it has to consist of operations whose bits IEEE 754 fixes.  Then both ways give the same bits.
+    Python may call it with floats or arrays.  It must consist of operations whose bits IEEE 754 fixes, so
+    that both ways return the same bits.
     """
     made: Any = njit(error_model="numpy", _nrt=False)(function)
     made.__class__ = _Arithmetic
@@ -239,7 +240,7 @@ class _Arithmetic(CPUDispatcher):
 
 
 def _compiled(function: F, **options: bool) -> F:
-    """Return ``function`` as a compiled function whose machine code goes to ``cache_folder`` of its file."""
+    """Return ``function`` compiled, with its machine code in the ``cache_folder`` of its file."""
     previous = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
     try:
@@ -257,16 +258,16 @@ _kind: Any = CPUDispatcher  # their class, which ``without_compiling`` changes f
 
 
 class _Locator(_cache_impl._locator_classes[0]):  # type: ignore[misc]
-    """Gives numba this package's cache folder, even a read-only folder, in place of numba's own choice.
+    """The locator that makes numba use this package's cache folder, even a read-only one.
 
     The folder's name covers the content of a package's file.  So a later checkout, a second checkout and an
-    installation of the same sources find the machine code.  A file in no package gets a folder below it, by
-    its path and time.
+    installation of the same sources find the machine code.  A file in no package gets a folder below it,
+    named by its path and time.
     """
 
     @classmethod
     def from_function(cls, function: Any, file: str) -> _Locator | None:
-        """Return the locator of a function's file, or None where the file does not exist."""
+        """Return the locator for the file of a function, or None if the file does not exist."""
         return cls(function, file) if os.path.exists(file) else None
 
     def get_cache_path(self) -> str:
@@ -275,20 +276,20 @@ class _Locator(_cache_impl._locator_classes[0]):  # type: ignore[misc]
         return str(self._cache_path if alone else os.path.dirname(self._cache_path))
 
     def get_source_stamp(self) -> Any:
-        """Return a constant for a package's file, whose folder names its content, else numba's stamp."""
+        """Return a constant if the name of the cache folder covers the file's content, else numba's stamp."""
         return super().get_source_stamp() if _in_no_package(Path(self._py_file)) else STAMP
 
 
 class _CacheImpl(_cache_impl):  # type: ignore[misc]
-    """Numba's storage of machine code, with our locator before numba's own."""
+    """Numba's storage of machine code, with our locator tried before numba's own."""
 
     _locator_classes = (_Locator, *_cache_impl._locator_classes[1:])
 
 
 class _Cache(FunctionCache):
-    """Numba's cache of one function, followed by the machine code that a wheel brings.
+    """Numba's cache for one function, with the machine code from a wheel as a second source.
 
-    If a folder is read-only or full, the process compiles again.
+    If the cache folder is read-only or full, each process compiles again.
     """
 
     _impl_class = _CacheImpl
@@ -299,7 +300,7 @@ class _Cache(FunctionCache):
         self._installed = InstalledCode(folder, self._impl.filename_base) if folder.is_dir() else None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the machine code of a signature, from the cache or the wheel; None if both lack it."""
+        """Return the machine code for a signature from the cache or the wheel; None if it is in neither."""
         with suppress(OSError):
             code = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
             if code is not None or self._installed is None:
@@ -311,7 +312,7 @@ class _Cache(FunctionCache):
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Store the machine code of a signature, or note for ``compilation`` why that failed."""
+        """Store the machine code for a signature; if that fails, keep the reason for ``compilation``."""
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError as error:
@@ -320,13 +321,13 @@ class _Cache(FunctionCache):
 
 
 class _Progress(event.Listener):
-    """Calls the ``watchers`` after each function that numba compiles; a loaded function calls no watcher."""
+    """The listener that calls the ``watchers`` after each compiled function, not after a loaded one."""
 
     depth, began_s, seconds, unwritable = 0, 0.0, 0.0, ""
     installed = 0  # functions whose code came with the package
 
     def on_start(self, event: Any) -> None:
-        """Start the clock at the outermost function, and before the first one forget old machine code."""
+        """Start the clock at an outermost function; before the first one, remove old machine code."""
         if not self.seconds:
             forget_old_machine_code()  # before this process adds to it
         if not self.depth:
@@ -348,28 +349,28 @@ numba_event.register("numba:compile", _progress)
 
 
 def compilation() -> Compilation:
-    """Return how many functions this process has compiled or loaded, and the seconds that it took."""
+    """Return how many functions this process has compiled or loaded, and the seconds spent on that."""
     ready = sum(bool(function.signatures) for function in _functions)
     unwritable = _progress.unwritable or cache_problem(cache_root())
     return Compilation(ready, len(_functions), _progress.seconds, _progress.depth > 0, unwritable)
 
 
 class _Interpreted(CPUDispatcher):
-    """A compiled function that runs as the Python that it is written in."""
+    """A compiled function that Python runs as Python."""
 
     def __call__(self, *args: Any) -> Any:
         return self.py_func(*map(_with_attributes, args))
 
 
 def _with_attributes(value: Any) -> Any:
-    """Return a view of records whose fields are attributes, as compiled functions see them."""
+    """Return a view of records whose fields are attributes, as in compiled code; other values unchanged."""
     if isinstance(value, np.ndarray) and value.dtype.names:
         return value.view(np.recarray)
     return _Record(value) if isinstance(value, np.void) and value.dtype.names else value
 
 
 class _Record:
-    """A record of an array, written in place; ``np.record`` would make a copy."""
+    """A record of an array that is changed in place, which ``np.record`` would copy."""
 
     _record: np.void
 
@@ -386,15 +387,15 @@ class _Record:
 
 
 def without_compiling(work: Callable[[], _Made]) -> _Made:
-    """Return the result of ``work``, with every compiled function in it run as Python.
+    """Return the result of ``work`` while Python runs every compiled function as Python.
 
-    Use it for work that calls each function a few times.  Admission of a scenario takes 5 ms this way, where
-    compiling takes 12 s and loading 0.3 s.  Numbers may differ from machine code's by rounding, where numpy
-    has a sine of its own.  So a caller must choose this way always or never, whether the machine code exists
-    or not.
+    Use it for work that calls each function only a few times.  Admission of a scenario takes 5 ms this way,
+    compared with 12 s for compiling and 0.3 s for loading.  Where numpy has a sine of its own, results may
+    differ from machine code by rounding.  So a caller must always choose this way, or never, whether or not
+    the machine code exists.
 
-    Python raises ArithmeticError or ValueError where machine code computes NaN or infinity (a division by
-    zero).  Then ``work`` runs again, compiled.
+    Where machine code computes NaN or infinity, such as by a division by zero, Python raises ArithmeticError
+    or ValueError.  In that case ``work`` runs again, compiled.
     """
     try:
         _call_as(_Interpreted)
@@ -408,7 +409,7 @@ def without_compiling(work: Callable[[], _Made]) -> _Made:
 
 
 def _call_as(kind: type) -> None:
-    """Give every compiled function the class ``kind``, and also each later one."""
+    """Change the class of every compiled function, including later ones, to ``kind``."""
     global _kind
     _kind = kind
     for function in _functions:

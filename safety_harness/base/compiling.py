@@ -1,4 +1,4 @@
-"""Progress of compilation, as a command prints it; light, so that it comes before numba loads."""
+"""Progress of compilation as a command prints it; this module is light, so it is imported before numba."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TextIO
 
-PATIENCE_S, EVERY_S = 1.0, 10.0  # before the first line; between two lines of a file
+PATIENCE_S, EVERY_S = 1.0, 10.0  # seconds before the first line, and between two lines in a file
 
 
 @dataclass(frozen=True)
 class Compilation:
-    """The progress of a process: it has compiled or loaded ``ready`` of the ``known`` functions.
+    """The progress of a process that has compiled or loaded ``ready`` of ``known`` functions.
 
     Args:
         ready: Functions with machine code.
         known: Functions that the process may compile.
         seconds: Time spent on compiling.
-        going_on: Whether the outermost function still compiles.
+        going_on: Whether the outermost function is still being compiled.
         unwritable: Why the process cannot keep machine code; empty if it can.
 
     """
@@ -34,16 +34,17 @@ watchers: list[Callable[[Compilation], None]] = []  # those of this process; its
 
 
 class Compiled:
-    """The ``count`` of functions that this process has compiled."""
+    """The number of functions, ``count``, that this process has compiled."""
 
     count = 0
 
 
 @dataclass
 class Pace:
-    """The rate of a job since it last compiled machine code, so that no estimate contains a compilation.
+    """The rate of a job since the last compilation in this process, so that estimates leave compilation out.
 
-    The first finished item, which may have loaded or compiled code in any process, counts only as a start.
+    The first finished item only starts the measurement, because some process may have loaded or compiled code
+    for it.
     """
 
     now_s: Callable[[], float] = time.monotonic
@@ -55,7 +56,7 @@ class Pace:
         self.begun_s = self.now_s()
 
     def rate(self, done: float) -> float | None:
-        """Return the finished items a second, or None while they are unknown."""
+        """Return the number of finished items per second, or None while it is unknown."""
         now_s = self.now_s()
         if self._since is None or self._compiled != Compiled.count:
             self._compiled, self._since = Compiled.count, (now_s, done) if done > 0.0 else None
@@ -66,9 +67,10 @@ class Pace:
 
 @dataclass
 class CompilationLine:
-    """A line about a long compilation on ``stream``.
+    """A line about a long compilation, printed on ``stream``.
 
-    On a terminal the line changes and goes away; in a file there is a new line every ten seconds.
+    On a terminal the line is updated, and disappears at the end.  In a file, a new line appears every ten
+    seconds.
     """
 
     stream: TextIO
@@ -77,7 +79,7 @@ class CompilationLine:
     _warned: bool = field(default=False)
 
     def __call__(self, now: Compilation) -> None:
-        """Print the progress ``now``, as a member of the ``watchers``."""
+        """Print the progress ``now``; this method is one of the ``watchers``."""
         if now.unwritable and not self._warned:
             self._warned = True
             self._write(f"warning: {now.unwritable}\n")

@@ -1,7 +1,8 @@
-"""The distribution that installs this package: its name, its version, and a foreign package in its place.
+"""The distribution that installs this package: its name, its version, and conflicts with another project.
 
-The import name is ``safety_harness`` and the command ``safety-harness``.  The distribution of that name is
-another project.  It has a folder ``safety_harness`` too, and pip overwrites our files with it.
+The import name is ``safety_harness`` and the command is ``safety-harness``.  But the distribution named
+``safety-harness`` is another project.  It also has a folder ``safety_harness``, with which pip overwrites our
+files.
 """
 
 from __future__ import annotations
@@ -17,24 +18,24 @@ PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 @lru_cache
 def installed_version() -> str:
-    """Return the installed version, or the checkout's where only its sources are on the path."""
+    """Return the installed version, or the checkout's version if nothing is installed."""
     try:
         return metadata.version(DISTRIBUTION)
     except metadata.PackageNotFoundError:
         if not PYPROJECT.is_file():
             raise
-        import tomllib  # which an installation does not need
+        import tomllib  # an installation does not need it
 
         return str(tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]["version"])
 
 
 def foreign_files() -> str:
-    """Return one line about a distribution ``safety-harness`` with files in our folder; empty without one."""
+    """Return a line of advice if the foreign distribution has files in our folder, else an empty text."""
     try:
         foreign = metadata.distribution(FOREIGN)
     except metadata.PackageNotFoundError:
         return ""
-    if "\nsafety_harness/" not in f"\n{foreign.read_text('RECORD') or ''}":  # an editable one has none there
+    if "\nsafety_harness/" not in f"\n{foreign.read_text('RECORD') or ''}":  # an editable install has none
         return ""
     return (
         f"{FOREIGN} {foreign.version}, another project, has files in the folder of {DISTRIBUTION}: "

@@ -1,11 +1,11 @@
 """Elementary functions with the same bits on every processor.
 
-A C library chooses its sine by the processor, and numpy its exponential, so their last bits differ between
-machines.  The functions here only add, subtract, multiply, divide, take square roots, compare and scale by
-powers of two.  IEEE 754 fixes the result of each of these.  There is no branch: a comparison is a factor of 0
-or 1.
+A C library chooses its sine by the processor, and numpy does so for its exponential.  So their last bits
+differ between machines.  The functions here only add, subtract, multiply, divide, take square roots, compare
+and scale by powers of two.  IEEE 754 fixes the result of each of these.  No function branches: the result of
+a comparison serves as a factor, 0 or 1.
 
-Compiled code compiles the functions into itself.  Python runs them as they are written, on a float or an
+In compiled code, the functions are compiled into their callers.  Python runs them as Python, on a float or an
 array.  The polynomials are those of fdlibm (Sun Microsystems, 1993).  Sine and cosine err by at most 1 unit
 in the last place, the others by at most 2 (``tests/base/test_elementary.py``).  Arguments are finite.
 """
@@ -20,17 +20,17 @@ from safety_harness.base.compiled import arithmetic
 
 Number = Any  # a float, or an array of floats
 
-ARITHMETIC = 1  # the version of these functions; 0, of earlier traces, is the C library and matrix kernels
+ARITHMETIC = 1  # the version of these functions; earlier traces have 0: C library, matrix kernels
 
-# Added and subtracted, it leaves the nearest integer.
+# To add and then subtract this number rounds to the nearest integer.
 _ROUND = 1.5 * 2.0**52
-# pi/2 in four parts: the first three have 33 bits, so their product with an integer below 2^20 is exact.
+# pi/2 in four parts.  The first three have 33 bits, so their products with integers below 2^20 are exact.
 _TURNS = 2.0 / 3.14159265358979323846
 _HALF_PI_1, _HALF_PI_2 = 1.57079632673412561417e00, 6.07710050630396597660e-11
 _HALF_PI_3, _HALF_PI_4 = 2.02226624871116645580e-21, 8.47842766036889956997e-32
 LARGEST_ANGLE_RAD = 2.0**20  # sine and cosine of this and more are NaN
-_TO_INFINITY = 2.0**1004  # times it, a smaller angle is finite
-# pi/4 in two parts: the first has 50 bits, so four times it is exact.
+_TO_INFINITY = 2.0**1004  # times this factor, a smaller angle stays finite
+# pi/4 in two parts.  The first has 50 bits, so four times this part is exact.
 _QUARTER_PI, _QUARTER_PI_REST = 7.85398163397448278999e-01, 3.06161699786838301793e-17
 _ATAN_HALF, _ATAN_HALF_REST = 4.63647609000806093515e-01, 2.26987774529616870924e-17
 _LOG2_E, _LN2, _LN2_REST = 1.44269504088896338700, 6.93147180369123816490e-01, 1.90821492927058770002e-10
@@ -38,7 +38,7 @@ _LOG2_E, _LN2, _LN2_REST = 1.44269504088896338700, 6.93147180369123816490e-01, 1
 
 @arithmetic
 def sin_cos(angle_rad: Number) -> tuple[Number, Number]:
-    """Return the sine and cosine of an angle below ``LARGEST_ANGLE_RAD``; NaN of any other."""
+    """Return the sine and cosine of an angle smaller than ``LARGEST_ANGLE_RAD``; NaN for any other angle."""
     x = angle_rad
     n = (x * _TURNS + _ROUND) - _ROUND
     # x - n pi/2 = r + rest, by differences whose rounding errors are kept
@@ -70,19 +70,19 @@ def sin_cos(angle_rad: Number) -> tuple[Number, Number]:
 
 @arithmetic
 def sin(angle_rad: Number) -> Number:
-    """Return the sine, as ``sin_cos`` does."""
+    """Return the sine of an angle, computed as by ``sin_cos``."""
     return sin_cos(angle_rad)[0]
 
 
 @arithmetic
 def cos(angle_rad: Number) -> Number:
-    """Return the cosine, as ``sin_cos`` does."""
+    """Return the cosine of an angle, computed as by ``sin_cos``."""
     return sin_cos(angle_rad)[1]
 
 
 @arithmetic
 def arctan2(y: Number, x: Number) -> Number:
-    """Return the angle [rad] of (x, y), -pi to pi; 0 at the origin.  A negative zero counts as 0."""
+    """Return the angle [rad] of (x, y), -pi to pi; 0 at the origin, and a negative zero is read as 0."""
     across, along = abs(y), abs(x)
     steep = 1.0 * (across > along)
     most, least = steep * across + (1.0 - steep) * along, steep * along + (1.0 - steep) * across
@@ -114,7 +114,7 @@ def arccos(cosine: Number) -> Number:
 
 @arithmetic
 def hypot(x: Number, y: Number) -> Number:
-    """Return the length of (x, y), each of at most 1e150; components below 1e-150 count as 0."""
+    """Return the length of (x, y) with components of at most 1e150; those below 1e-150 become 0."""
     return np.sqrt(x * x + y * y)
 
 
@@ -130,21 +130,21 @@ def _grown(x: Number) -> tuple[Number, Number]:
 
 
 def exp(x: Number) -> Number:
-    """Return e^x; 0 below -746, infinity above 710."""
+    """Return e^x, which is 0 for x below -746 and infinity for x above 710."""
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
         n, grown = _grown(np.clip(x, -800.0, 800.0))
         return np.ldexp(1.0 + grown, np.asarray(n).astype(np.int64))[()]
 
 
 def expm1(x: Number) -> Number:
-    """Return e^x - 1, accurate near 0."""
+    """Return e^x - 1, also accurate for x near 0."""
     n, grown = _grown(np.clip(x, -60.0, 700.0))
     power = np.ldexp(1.0, np.asarray(n).astype(np.int64))
     return power * grown + (power - 1.0)
 
 
 def log(x: Number) -> Number:
-    """Return the natural logarithm; -infinity at 0, NaN below."""
+    """Return the natural logarithm of x: -infinity for 0, NaN for a negative x."""
     m, n = np.frexp(x)
     small = m < 0.70710678118654752440
     m, n = np.where(small, 2.0 * m, m), n - small
@@ -161,26 +161,26 @@ def log(x: Number) -> Number:
 
 
 def log1p(x: Number) -> Number:
-    """Return the logarithm of 1 + x, accurate near 0."""
+    """Return the natural logarithm of 1 + x, also accurate for x near 0."""
     near_one = 1.0 + np.asarray(x, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(near_one == 0.0, -np.inf, log(near_one) + (x - (near_one - 1.0)) / near_one)[()]
 
 
 def power(base: Number, exponent: Number) -> Number:
-    """Return a power of a base above 0; its error grows with the size of the exponent's logarithm."""
+    """Return ``base`` above 0 to the power ``exponent``; the error grows with the logarithm of the result."""
     return exp(exponent * log(base))
 
 
 def cbrt(x: Number) -> Number:
-    """Return the cube root of a number of at least 0."""
+    """Return the cube root of x, which must be at least 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         root = exp(log(x) / 3.0)
         return np.where(np.asarray(x) > 0.0, root - (root - x / (root * root)) / 3.0, x)[()]
 
 
 def log_sum_exp(logarithms: Any, axis: int = -1, keepdims: bool = False) -> Any:
-    """Return the logarithm of the sum of exponentials along an axis."""
+    """Return the logarithm of the sum of the exponentials of ``logarithms`` along an axis."""
     values = np.asarray(logarithms, np.float64)
     most = values.max(axis=axis, keepdims=True)
     most = np.where(np.isfinite(most), most, 0.0)
@@ -189,7 +189,7 @@ def log_sum_exp(logarithms: Any, axis: int = -1, keepdims: bool = False) -> Any:
 
 
 def product(first: Any, second: Any) -> Any:
-    """Return ``first @ second`` of small arrays; a matrix kernel would add in an order of its own."""
+    """Return ``first @ second`` for small arrays, with a fixed order of addition on every processor."""
     first, second = np.asarray(first), np.asarray(second)
     if second.ndim == 1:
         return (first * second).sum(axis=-1)

@@ -1,10 +1,10 @@
-"""All exceptions that this package raises on purpose: one tree, and every error carries its data.
+"""All exceptions that this package raises on purpose; they form one tree, and each carries its data.
 
 ``SafetyHarnessError`` is the root.  Two branches matter to a caller:
 
-* ``InputError``: the user can mend it.  It holds the place (file, line, field), the expectation and the
-  actual input.  The command line prints it without a traceback and ends with exit code 2.
-* ``SimulationError``: the run could not go on.  It is never counted as safe.
+* ``InputError``: the user can correct the cause.  It states the place (file, line, field), the expectation
+  and the actual input.  The command line prints it without a traceback and ends with exit code 2.
+* ``SimulationError``: the run could not continue.  It is never counted as safe.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ MOST_WORDS = 1_000  # characters of a user's text
 
 
 def on_one_line(text: str) -> str:
-    """Return a text with "?" for each character that breaks a line or steers a terminal."""
+    """Return a text with "?" for each character that breaks a line or controls a terminal."""
     return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
 def printable(text: str) -> str:
-    """Return a user's text on one line, at most ``MOST_WORDS`` characters, without addresses of objects."""
+    """Return a user's text on one line, without addresses of objects, cut at ``MOST_WORDS`` characters."""
     return on_one_line(re.sub(r"0x[0-9a-fA-F]+", "0x...", " ".join(text[:MOST_WORDS].split())))
 
 
 def described(error: BaseException, file: str | None = None) -> str:
     """Return an exception of a user's code on one line: "NameError: name 'x' is not defined (mine.py:12)".
 
-    The text has no addresses of objects, so that a repeated run gives the same text.
+    The text contains no addresses of objects, so that a repeated run produces the same text.
 
     Args:
         error: The exception.
-        file: The user's file as in the traceback; the line is the deepest one in it.  None: no place.
+        file: The user's file as in the traceback; the text states the deepest line in it.  None: no line.
 
     """
     try:
         text = str(error)
-    except Exception:  # a user's own exception may fail to say what it is
+    except Exception:  # a user's exception may fail to describe itself
         text = ""
     message = printable(text)
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     if isinstance(error, SyntaxError) and error.filename == file:
-        lines, message = [error.lineno], printable(error.msg)  # its own text names the place, once more
+        lines, message = [error.lineno], printable(error.msg)  # its own text would repeat the place
     place = f" ({Path(file).name}:{lines[-1]})" if file and lines else ""
     return type(error).__name__ + (f": {message}" if message else "") + place
 
@@ -63,7 +63,7 @@ def described(error: BaseException, file: str | None = None) -> str:
 class Place:
     """A place in the user's input; unknown parts are ``None``.
 
-    A field alone is an option or argument of a command or a function.
+    A place with only a field is an option or argument of a command or a function.
     """
 
     file: Path | None = None
@@ -80,12 +80,12 @@ class Place:
 
 
 class InputError(SafetyHarnessError):
-    """The user's input cannot be used as it stands.
+    """The user's input cannot be used without a correction.
 
-    Every text goes on one line, and ``got`` is cut at 1,500 characters.
+    Every text is put on one line, and ``got`` is cut at 1,500 characters.
 
     Args:
-        place: Where the input stands.
+        place: The place of the input.
         expected: Completes the sentence "expected ...".
         got: Completes the sentence "got ...".
         hint: One more line of help: a near miss, or the list of allowed values.
@@ -127,19 +127,19 @@ class InputError(SafetyHarnessError):
         return cls(place=Place(file=file), expected=expected, got=got, hint=hint)
 
     def __reduce__(self) -> tuple[partial[InputError], tuple[()]]:
-        """Return the parts for pickling, which cannot call an exception with keywords."""
+        """Return the parts for pickling, because pickle cannot call a constructor with keywords."""
         make = partial(type(self), place=self.place, expected=self.expected, got=self.got, hint=self.hint)
         return make, ()
 
 
 def near_miss(text: str, allowed: Iterable[str], *, most: int = 1, all_of_them: str = "") -> str:
-    """Return ``did you mean "..."?`` with the allowed names that resemble a text, else an empty text.
+    """Return ``did you mean "..."?`` with the allowed names that resemble a text; empty if there are none.
 
     Args:
         text: The name that the user wrote.
         allowed: The names that the input may have.
-        most: The largest number of names in the answer.
-        all_of_them: The command that lists all allowed names; the answer ends with it in any case.
+        most: The largest number of names in the result.
+        all_of_them: The command that lists all allowed names; the result always ends with it.
 
     """
     by_lower = {name.lower(): name for name in allowed}
@@ -158,7 +158,7 @@ _MADE_BY = {  # the function that returns an object of each type
 
 
 def refuse_other_type(argument: str, value: object, *kinds: type, expected: str = "", hint: str = "") -> None:
-    """Raise InputError unless the argument of a function has an allowed type.
+    """Raise InputError unless the argument of a function is of an allowed type.
 
     Args:
         argument: The name of the argument.
@@ -175,15 +175,15 @@ def refuse_other_type(argument: str, value: object, *kinds: type, expected: str 
 
 
 def no_truth_value(question: str) -> InputError:
-    """Return the error for ``assert judge(trace)`` and its like, which would pass with any verdict."""
+    """Return the error for a truth test such as ``assert judge(trace)``, which would pass for any verdict."""
     hint = "assert_holds(claim, trace), or evaluation.verdict is Verdict.HOLDS"
     return InputError.of_option("truth value", "a question that a verdict answers", question, hint)
 
 
 def explanation(error: BaseException) -> str:
-    """Return an error for people: place, expectation, actual input and hint, each on its own line.
+    """Return the text of an error for people: place, expectation, actual input and hint, line by line.
 
-    A missing package takes a single line.
+    The text of a missing package is a single line.
     """
     if not isinstance(error, InputError) or isinstance(error, MissingPackageError):
         return str(error)
@@ -200,15 +200,15 @@ class RecordingError(InputError):
 
 
 class LogError(InputError):
-    """The log of a cell cannot be used as it stands: out of order, impossibly fast, damaged, ..."""
+    """The log of a cell cannot be used: it is out of order, impossibly fast, damaged, or otherwise wrong."""
 
 
 class StreamError(InputError):
-    """A monitor cannot use a line of a stream, or only a part of it."""
+    """A monitor cannot use a line of a stream, or can use only a part of the line."""
 
 
 class InadmissibleError(InputError):
-    """A well-formed scenario cannot run: start out of reach, object out of view, ..."""
+    """A well-formed scenario cannot run, for example with a start out of reach or an object out of view."""
 
 
 class FormulaError(InputError):
@@ -228,7 +228,7 @@ class OutputError(InputError):
 
     @classmethod
     def from_os_error(cls, path: Path, error: OSError) -> OutputError:
-        """Return the error for ``path`` with the message of the operating system."""
+        """Return the error for ``path``, with the operating system's message in ``error``."""
         return cls(place=Place(file=path), expected="a place that can be written", got=str(error))
 
 
@@ -245,19 +245,19 @@ class StatisticsError(InputError):
 
 
 class LedgerError(InputError):
-    """A campaign's ledger is missing, damaged, in use, of another version or from another plan."""
+    """A campaign's ledger is missing, damaged, in use, of another version, or belongs to another plan."""
 
 
 class RegionError(InputError):
-    """A box without an inside, or a shell without a volume."""
+    """A region cannot be used: a box has no inside, or a shell has no volume."""
 
 
 class InstallationError(InputError):
-    """The installation is unfit: two packages own one module, or a world lacks its engine."""
+    """The installation cannot be used: two packages own one module, or the engine of a world is missing."""
 
 
 class MissingPackageError(InstallationError):
-    """An optional package is not installed: ``place`` is its user, ``hint`` the way to install it."""
+    """A missing optional package: ``place`` states what needs it, ``hint`` how to install it."""
 
     def __init__(self, *, place: Place, expected: str, got: str, hint: str = "") -> None:
         super().__init__(place=place, expected=expected, got=got, hint=hint)
@@ -265,15 +265,18 @@ class MissingPackageError(InstallationError):
 
 
 class AvoiderError(SafetyHarnessError):
-    """An avoider could not propose a repulsive position (no direction, NaN, wrong shape)."""
+    """An avoider failed to propose a repulsive position (no direction, NaN or a wrong shape)."""
 
 
 class SearchOrderError(SafetyHarnessError):
-    """A call of ``ask`` or ``tell_scores`` is out of turn, or a searcher's point is outside the cube."""
+    """A search was used out of order, or a searcher proposed a point outside the unit cube.
+
+    The order concerns the calls of ``ask`` and ``tell_scores``.
+    """
 
 
 class FlakyAvoiderError(AvoiderError):
-    """An avoider answered the same question, with the same seed, in two ways."""
+    """An avoider gave two different answers to the same question with the same seed."""
 
 
 class SimulationError(SafetyHarnessError):
@@ -281,18 +284,18 @@ class SimulationError(SafetyHarnessError):
 
 
 class ControllerError(SimulationError):
-    """A user's controller raised, returned an invalid action, or is no controller: the run has failed."""
+    """A run failed: the user's controller raised, returned an invalid action, or is no controller."""
 
 
 class NoAnswerError(SimulationError):
-    """An avoider hangs: no answer within the wall limit.  The run has failed, without a verdict."""
+    """An avoider gave no answer within the limit of real time, so the run has failed, without a verdict."""
 
     def __init__(self, name: str, limit_s: float) -> None:
         super().__init__(f"the avoider {name!r} gave no answer within {limit_s:g} s of wall time")
 
 
 class CampaignError(SafetyHarnessError):
-    """A campaign cannot go on: its workers cannot be started, or the cluster is gone."""
+    """A campaign cannot continue, because its workers cannot start or the cluster is gone."""
 
 
 class ArmModelError(SafetyHarnessError):

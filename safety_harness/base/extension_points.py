@@ -1,13 +1,13 @@
-"""Extension points: the parts that a package can add to the core, one group of entry points for each kind.
+"""Extension points: the kinds of parts that a package can add to the core, as groups of entry points.
 
 A package lists its parts in its ``pyproject.toml``, and the core loads a part when it needs it:
 
     [project.entry-points."safety_harness.commands"]
     certify = "safety_harness.extensions.assurance.commands.certify:of_certify"
 
-The parts of this distribution come first; foreign parts follow by their names.  The core skips a part with a
-warning if it cannot load it, if the type is wrong, or if an earlier part has the name.  A skipped part never
-stops or replaces another part.
+The parts of this distribution come first; foreign parts follow, sorted by name.  The core skips a part, with
+a warning, if it cannot load the part, or if the type is wrong.  It also skips a part that has the name of an
+earlier part.  A skipped part never stops or replaces another part.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ OWN_TITLES = ("scenario", "scenario space", "suite")  # of files that the core r
 
 
 class ExtensionPoint(StrEnum):
-    """The groups, each with the type of its parts and their use in the core."""
+    """The groups of entry points, each with the type of its parts and what the core uses them for."""
 
     COMMANDS = "safety_harness.commands"
     """``typer.Typer``: has a command, or is a group of commands, with the name of this part."""
@@ -61,7 +61,7 @@ class ExtensionPoint(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedFile:
-    """A valid file, with ``words`` for people, ``data`` for programs, and its scenario spaces."""
+    """A valid file: ``words`` describes it for people, ``data`` for programs; ``spaces`` are its spaces."""
 
     file: Path
     words: str
@@ -71,21 +71,21 @@ class CheckedFile:
 
 @dataclass(frozen=True, kw_only=True)
 class InputFile:
-    """A kind of file.  A command skips such a file where its field is None.
+    """A kind of file that a package adds.  A command skips such a file if the command's field is None.
 
     Args:
         words: The kind with its article, as messages call it: ``a plan``.
         command: The command for such a file; ``{file}`` stands for its path.
-        check: Reads the file at a path and raises InputError if it is unusable.  Its second argument is a
-            function that admits a scenario and executes no user code.  For ``validate``.
-        explain: Prints the content of the file at a path and returns the exit code.  For ``explain``.
-        draft: Writes such a file from another file (the first path) to the second path, and returns the exit
-            code.  For ``new``.
-        tables: Returns its ``KeyTable`` s, for ``explain KEY``.
-        schema: Returns its JSON Schema, for ``schema``.
-        recorded: Reads the file at a path as a recorded run, with claims in place of its own.  For ``judge``,
-            ``view`` and pytest.
-        title: The key that titles such files: the name of the entry point, which fills it in.
+        check: For ``validate``: reads the file at a path and raises InputError if it is unusable.  Its second
+            argument is a function that admits a scenario and executes no user code.
+        explain: For ``explain``: prints the content of the file at a path and returns the exit code.
+        draft: For ``new``: writes such a file to the second path, from another file at the first path, and
+            returns the exit code.
+        tables: For ``explain KEY``: returns the ``KeyTable`` objects of the file.
+        schema: For ``schema``: returns the file's JSON Schema.
+        recorded: For ``judge``, ``view`` and pytest: reads the file at a path as a recorded run, with claims
+            that replace its own.
+        title: The key that titles such files.  It is the name of the entry point, which fills it in.
 
     """
 
@@ -102,7 +102,7 @@ class InputFile:
 
 @dataclass(frozen=True)
 class RegisteredPart:
-    """An entry point; ``package`` is its distribution with the version, or empty if it is ours."""
+    """An entry point; ``package`` is its distribution with the version, or empty if the part is ours."""
 
     group: str
     name: str
@@ -115,9 +115,9 @@ class RegisteredPart:
 
 @lru_cache
 def parts(point: ExtensionPoint) -> tuple[RegisteredPart, ...]:
-    """Return the parts of a kind without loading them: ours, then foreign parts by name.
+    """Return the parts of a kind without loading them: ours, then foreign parts sorted by name.
 
-    In a checkout our parts come from its ``pyproject.toml``, even if an older installation lists others.
+    In a checkout, our parts come from its ``pyproject.toml``, even if an older installation lists others.
     """
     known = {RegisteredPart(point, name, value) for name, value in _of_the_checkout().get(point, {}).items()}
     for entry in entry_points(group=point):
@@ -131,7 +131,7 @@ def parts(point: ExtensionPoint) -> tuple[RegisteredPart, ...]:
 
 @lru_cache
 def _of_the_checkout() -> dict[str, dict[str, str]]:
-    """Return the entry points by group where the sources lie in a checkout, else an empty mapping."""
+    """Return the checkout's entry points by group, or an empty mapping outside a checkout."""
     try:
         project = tomllib.loads(PYPROJECT.read_text("utf-8"))["project"]
         return dict(project["entry-points"]) if project["name"] == DISTRIBUTION else {}
@@ -140,15 +140,15 @@ def _of_the_checkout() -> dict[str, dict[str, str]]:
 
 
 def foreign_parts() -> tuple[RegisteredPart, ...]:
-    """Return the parts that foreign distributions add, for the record in evidence."""
+    """Return the parts that foreign distributions add, because evidence records them."""
     return tuple(part for point in ExtensionPoint for part in parts(point) if part.package)
 
 
 def load(part: RegisteredPart, kind: type[_Part]) -> _Part | None:
-    """Return the loaded part, or None with a warning if it does not load or is no ``kind``."""
+    """Return the loaded part, or None with a warning if it cannot be loaded or is not of type ``kind``."""
     try:
         loaded_part = EntryPoint(part.name, part.value, part.group).load()
-    except Exception as error:  # of somebody else's module, which may raise anything
+    except Exception as error:  # a foreign module may raise anything
         if not is_absent(part, error):
             warn(part, f"{type(error).__name__}: {error}")
         return None
@@ -159,14 +159,14 @@ def load(part: RegisteredPart, kind: type[_Part]) -> _Part | None:
 
 
 def is_absent(part: RegisteredPart, error: Exception) -> bool:
-    """Return whether our part is missing because its wing is not installed, which is no mistake."""
+    """Return whether loading failed because our part's wing is not installed, which is no mistake."""
     wing = ".".join(part.value.split(".")[:3])
     return not part.package and isinstance(error, ModuleNotFoundError) and wing.startswith(error.name or "?")
 
 
 @lru_cache
 def warn(part: RegisteredPart, why: str) -> None:
-    """Warn once on standard error that the harness skips a part, and ``why``."""
+    """Print one warning on standard error that the harness skips ``part`` because of ``why``."""
     if sys.stderr is not None:
         sys.stderr.write(f"warning: skipped {part}: {why}\n")
 
@@ -174,11 +174,11 @@ def warn(part: RegisteredPart, why: str) -> None:
 def loaded(
     point: ExtensionPoint, kind: type[_Part], *, reserved: tuple[str, ...] = ()
 ) -> Iterator[tuple[str, _Part]]:
-    """Yield name and part of a kind, without unusable parts.
+    """Yield the name and the part for each usable part of a kind.
 
     Args:
         point: The group of entry points.
-        kind: The type that a part must have; a part of another type gives a warning.
+        kind: The type that a part must have; a part of another type causes a warning.
         reserved: Names that a part may not have.
 
     """
@@ -199,7 +199,7 @@ def names_of(point: ExtensionPoint) -> frozenset[str]:
 
 @lru_cache
 def part_named(point: ExtensionPoint, name: str, kind: type[_Part]) -> _Part:
-    """Return the part of a name.
+    """Return the part named ``name``.
 
     Args:
         point: The group of entry points.
@@ -220,7 +220,7 @@ def part_named(point: ExtensionPoint, name: str, kind: type[_Part]) -> _Part:
 
 
 def _identities(part: object) -> set[str]:
-    """Return the texts by which files and commands choose a part, in lower case."""
+    """Return the texts, in lower case, by which files and commands choose a part."""
     texts = (getattr(part, name, None) for name in ("name", "label", "example", "words"))
     return {text.casefold() for text in texts if isinstance(text, str)}
 
@@ -228,8 +228,8 @@ def _identities(part: object) -> set[str]:
 class Registry(list[_Part]):
     """The core's own parts of a kind, followed by the parts that packages add.
 
-    The registry loads added parts at its first use.  It cannot load them when it is created: a package's
-    module may hold parts of several kinds, and import the module that creates this registry.
+    The registry loads added parts at its first use.  It cannot load them earlier, when it is created.  A
+    package's module may contain parts of several kinds, and may import the module that creates this registry.
     """
 
     def __init__(self, own: Iterable[_Part], point: ExtensionPoint, kind: type[_Part]) -> None:
@@ -237,7 +237,7 @@ class Registry(list[_Part]):
         self._waiting: tuple[ExtensionPoint, type[_Part]] | None = (point, kind)
 
     def _complete(self) -> None:
-        """Load the parts of packages at the first use, and warn about a name that exists already."""
+        """Load the parts of packages if no earlier call did, and warn about names that already exist."""
         if self._waiting is not None:
             (point, kind), self._waiting = self._waiting, None
             own = tuple(str(getattr(present, "name", "")) for present in list.__iter__(self))

@@ -1,4 +1,4 @@
-"""Optional packages, and the error where one is missing.
+"""Optional packages, and the error if one of them is missing.
 
 An ``Extra`` is an optional part of the installation.  A module imports the packages of an extra only where it
 uses them, within ``with IMAGES.needed("rendered images"):``.
@@ -40,7 +40,7 @@ class Extra:
 
     @property
     def hint(self) -> str:
-        """The way to install it with this Python, or to work without it."""
+        """How to install the extra with this Python, or how to work without it."""
         get = f"pip install '{DISTRIBUTION}[{self.name}]'"
         if self.newest_wheel is not None and sys.version_info[:2] > self.newest_wheel:
             newest = ".".join(map(str, self.newest_wheel))
@@ -50,10 +50,10 @@ class Extra:
 
     @contextmanager
     def needed(self, feature: str, file: Path | None = None) -> Iterator[None]:
-        """Import the packages of this extra within a context.
+        """Turn a missing package of this extra, imported within the context, into MissingPackageError.
 
         Args:
-            feature: The feature that needs them.
+            feature: The feature that needs the packages.
             file: The file that asks for the feature; None: no file.
 
         Raises:
@@ -72,7 +72,7 @@ class Extra:
             ) from error
 
     def require(self, feature: str, file: Path | None = None) -> None:
-        """Look for the first package without an import; arguments and errors as in ``needed``."""
+        """Check that the extra's first package exists, without importing it; otherwise like ``needed``."""
         with self.needed(feature, file):
             if find_spec(self.modules[0]) is None:
                 raise ModuleNotFoundError(name=self.modules[0])

@@ -1,4 +1,4 @@
-"""Errors of several inputs, raised together."""
+"""An error that collects the errors of several inputs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _Made = TypeVar("_Made")
 class InputErrors(InputError):
     """Several inputs cannot be used, and the command did no work.
 
-    The message is the first error's; ``errors`` holds all of them.
+    The message is that of the first error, with the other errors in its hint.  ``errors`` holds all of them.
 
     Args:
         errors: At least one error.
@@ -34,12 +34,12 @@ class InputErrors(InputError):
 
 
 def each_once(errors: Iterable[InputError]) -> list[InputError]:
-    """Return each error once; a mistake in a shared base file gives the same error for every file."""
+    """Return each error once, because a mistake in a shared base file occurs in every file that uses it."""
     return list({str(error): error for error in errors}.values())
 
 
 def usable(items: Iterable[_Item], make: Callable[[_Item], _Made]) -> tuple[list[_Made], list[InputError]]:
-    """Return the results of ``make`` for the items, and the errors of the items for which it failed."""
+    """Return the results of ``make`` for the items, and the errors of those items for which it failed."""
     made: list[_Made] = []
     errors: list[InputError] = []
     for item in items:

@@ -1,4 +1,4 @@
-"""Ctrl-C, and signals like it, while some work has to finish first, or while another process answers it."""
+"""Handling of Ctrl-C and similar signals while some work must finish, or another process handles them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from types import FrameType
 
 
 def answer_as_ctrl_c() -> None:
-    """Let SIGTERM and SIGHUP do what Ctrl-C does, unless they are ignored; forked processes end at once."""
+    """Make SIGTERM and SIGHUP act like Ctrl-C, unless they are ignored.
+
+    In forked processes, these signals end the process at once.
+    """
     own = os.getpid()
 
     def answer(number: int, frame: FrameType | None) -> None:
@@ -28,12 +31,12 @@ def answer_as_ctrl_c() -> None:
 
 @contextmanager
 def deaf_children() -> Iterator[None]:
-    """Shield processes that start in this context from Ctrl-C, from their first moment on.
+    """Protect processes that start within this context from Ctrl-C, from their first moment on.
 
     Otherwise they would end with a traceback during their imports.  A Ctrl-C for this thread takes effect
     after the context.
     """
-    resource_tracker.ensure_running()  # which would let Ctrl-C in again
+    resource_tracker.ensure_running()  # otherwise it would allow Ctrl-C again later
     earlier_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -43,7 +46,10 @@ def deaf_children() -> Iterator[None]:
 
 @contextmanager
 def one_more_ctrl_c(say: Callable[[str], None], remark: str) -> Iterator[Callable[[], bool]]:
-    """Answer the first Ctrl-C with ``remark``; the second raises.  Yields a function: was there a Ctrl-C?"""
+    """Answer the first Ctrl-C within the context with ``remark``, and raise KeyboardInterrupt at the second.
+
+    The context yields a function that returns whether Ctrl-C was pressed.
+    """
     interrupted = False
 
     def note(number: int, frame: FrameType | None) -> None:

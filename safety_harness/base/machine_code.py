@@ -1,8 +1,8 @@
-"""Machine code that a wheel brings for any x86-64 processor, so that the first run need not compile.
+"""Machine code for any x86-64 processor in a wheel, so that the first run need not compile.
 
-``make wheel`` compiles for numba's *generic* target, whose results are the same bit for bit.  Numba keeps its
-index and its code as pickles, and a pickle can execute anything when it is read.  So this module reads a file
-only from the package's own folder, and only if its SHA-256 is that in the installation's RECORD.
+``make wheel`` compiles for numba's *generic* target, whose results are the same bit for bit.  Numba stores
+its index and its code as pickles, and reading a pickle may execute anything.  So this module reads a file
+only if it lies in the package's own folder and its SHA-256 is in the installation's RECORD.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from safety_harness.base.whole_file import sha256_of
 
 FOLDER = "machine_code"
 GENERIC = ("generic", "")  # numba's processor and its features
-# Numba compares time and size of the source.  Ours lies in a folder that is named by the source's content.
+# Numba compares the source's time and size.  Our folder's name covers the source's content instead.
 STAMP = (0.0, 0)
 LOGGER = logging.getLogger("safety_harness")
 
@@ -29,14 +29,14 @@ _IndexDataCacheFile: Any = IndexDataCacheFile
 
 
 class InstalledCode(_IndexDataCacheFile):  # type: ignore[misc]
-    """The machine code of one function in the package's folder."""
+    """The machine code of one function, as it lies in the package's folder."""
 
     def __init__(self, folder: Path, filename_base: str) -> None:
         super().__init__(cache_path=str(folder), filename_base=filename_base, source_stamp=STAMP)
         self._package = folder.parents[1]
 
     def load_generic(self, key: tuple[Any, tuple[str, str, str], Any]) -> Any:
-        """Return the generic code for the ``key`` of the host's own code, or None if it is absent."""
+        """Return the generic machine code for the host's ``key``, or None if it is absent."""
         signature, (triple, _, _), hashes = key
         return self.load((signature, (triple, *GENERIC), hashes))
 
@@ -51,9 +51,9 @@ class InstalledCode(_IndexDataCacheFile):  # type: ignore[misc]
 
 
 def is_as_installed(file: Path, package: Path) -> bool:
-    """Return whether RECORD lists a file of the ``package``'s folder with the hash that it has.
+    """Return whether RECORD lists a file in the folder of ``package`` with the file's present hash.
 
-    A file with another hash gives a warning, since it was changed after the installation.
+    If the hash differs, a warning follows, because the file was changed after the installation.
     """
     expected = recorded_hashes(package).get(file.relative_to(package.parent).as_posix())
     if expected is None or not file.is_file():
@@ -66,7 +66,7 @@ def is_as_installed(file: Path, package: Path) -> bool:
 
 @cache
 def recorded_hashes(package: Path) -> dict[str, str]:
-    """Return the hashes (base64) of the machine code's files by path, from RECORD of ``package``."""
+    """Return the hashes (base64) of the machine code's files, by path, from the RECORD of ``package``."""
     try:
         installation = metadata.distribution(DISTRIBUTION)
     except metadata.PackageNotFoundError:

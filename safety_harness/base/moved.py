@@ -1,4 +1,4 @@
-"""Old import paths of documented names, for one release; they import the module at its new place."""
+"""Old import paths of documented names, kept for one release; each imports the module at its new place."""
 
 from __future__ import annotations
 
@@ -35,28 +35,28 @@ _TOPS = {name.partition(".")[0] for name in MOVED} - {"claims"}  # that package 
 
 
 class _FromNewPlace(Loader):
-    """Loads a module from its new place, or an empty package that only led to moved modules."""
+    """The loader of a module at its new place, or of an empty package that only contained moved modules."""
 
     def __init__(self, new: str) -> None:
         self._new = new
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Return None: Python makes the module."""
+        """Return None, so that Python creates the module."""
         return None
 
     def exec_module(self, module: ModuleType) -> None:
-        """Put the module at the new place into ``sys.modules`` under the old name."""
+        """Register the module at the new place under the old name in ``sys.modules``."""
         if self._new:
             sys.modules[module.__name__] = import_module(f"{PACKAGE}.{self._new}")
 
 
 class MovedModules(MetaPathFinder):
-    """Finds the modules of ``MOVED``, and refuses all others below their old packages."""
+    """The finder of the modules in ``MOVED``; it refuses all other modules below their old packages."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a moved module; ModuleNotFoundError for a module without an old path."""
+        """Return the spec of a moved module; ModuleNotFoundError for any other module of an old package."""
         package, _, old = fullname.partition(".")
         if package != PACKAGE or (old not in MOVED and old.partition(".")[0] not in _TOPS):
             return None

@@ -1,9 +1,9 @@
 """Draws from the standard normal distribution with the same bits on every processor.
 
-Numpy's generator draws by a ziggurat (Marsaglia and Tsang, 2000).  Beyond R = 3.65 it takes the C library's
-logarithm, and one draw in 3,700 is there.  This module takes those from the same random bits with our own
-logarithm.  Below R numpy multiplies.  In one draw of 80 it compares with the C library's exponential: another
-last bit there changes the draw with a chance below 1e-16.
+Numpy's generator draws by a ziggurat (Marsaglia and Tsang, 2000).  For draws beyond R = 3.65, one in 3,700,
+numpy uses the C library's logarithm.  This module computes those draws from the same random bits with our own
+logarithm.  Below R, numpy multiplies.  In one draw of 80, numpy also compares with the C library's
+exponential.  There, a different last bit changes the draw with a chance below 1e-16.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _R, _INVERSE_R = 3.6541528853610087963519472518, 0.27366123732975827203338247596
 
 
 def standard_normal(rng: np.random.Generator, shape: int | tuple[int, ...]) -> NDArray[np.float64]:
-    """Return independent draws; they leave the generator as its own ``standard_normal`` would."""
+    """Return independent draws, and leave ``rng`` in the state that its own ``standard_normal`` leaves."""
     bits = rng.bit_generator
     start_state = bits.state
     drawn = rng.standard_normal(shape)
@@ -32,8 +32,8 @@ def standard_normal(rng: np.random.Generator, shape: int | tuple[int, ...]) -> N
 
 
 def _draw_beyond_r(bits: np.random.BitGenerator) -> float:
-    """Return the size of the next draw, which is known to lie beyond R; the code follows numpy's."""
-    while int(bits.random_raw()) & 0xFF:  # another layer, whose draw was rejected after one more number
+    """Return the absolute value of the next draw, known to lie beyond R, by the same steps as numpy."""
+    while int(bits.random_raw()) & 0xFF:  # another layer: numpy rejected its draw after one more number
         bits.random_raw()
     while True:
         x, y = (-log1p(-(int(bits.random_raw()) >> 11) * 2.0**-53) for _ in range(2))

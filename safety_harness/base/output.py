@@ -1,4 +1,4 @@
-"""Output of a job while it works: a command prints it, a program may ignore it."""
+"""Output of a job during its work, which a command prints and a program may ignore."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ AS_EXPECTED, DIFFERS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130  # exit codes
 
 
 def _ignore(*lines: str) -> None:
-    """Ignore the lines."""
+    """Ignore all lines."""
 
 
 @contextmanager
 def _no_block() -> Iterator[Callable[[list[str]], None]]:
-    """Yield a function that ignores its lines."""
+    """Yield a function that ignores the lines passed to it."""
     yield lambda lines: None
 
 
 @contextmanager
 def _no_count(total: int, unit: str) -> Iterator[Callable[..., None]]:
-    """Yield a function that ignores the progress; ``total`` and ``unit`` have no effect either."""
+    """Yield a function that ignores the progress; ``total`` and ``unit`` have no effect."""
     yield lambda done, message="", at="": None
 
 
@@ -32,13 +32,14 @@ class Output:
     """The functions that receive a job's progress; the defaults ignore it.
 
     Args:
-        say: Takes lines of remarks, or no line.
-        result: Takes lines of results.
-        detail: Takes lines on each part of the work, which a command prints with --verbose.
-        explain: Takes an InputError about a skipped input.
-        block: Opens a context; its value takes the lines with the job's current step.
-        counting: Opens a context for a total and its unit; its value takes the number of finished items, the
-            next item in words, and the number of the part (``at``).
+        say: Receives lines of remarks, or no line.
+        result: Receives lines of results.
+        detail: Receives lines on each part of the work, which a command prints with --verbose.
+        explain: Receives an InputError about a skipped input.
+        block: Returns a context that yields a function.  This function receives the lines with the job's
+            current step.
+        counting: Returns a context, for a total and its unit, that yields a function.  This function receives
+            the number of finished items, the next item in words, and the number of the part (``at``).
 
     """
 
@@ -51,10 +52,10 @@ class Output:
 
     @classmethod
     def to(cls, each_line: Callable[[str], object]) -> Output:
-        """Return the output that hands each line to one function, such as ``print``.
+        """Return the output that passes each line to one function, such as ``print``.
 
         Args:
-            each_line: Takes one line of remarks or results.
+            each_line: Receives one line of remarks or results.
 
         """
 
@@ -66,7 +67,7 @@ class Output:
 
     @contextmanager
     def messages(self) -> Iterator[Callable[[str], None]]:
-        """Yield a function that takes the next step in words, for work of unknown length."""
+        """Yield a function that receives the next step in words, for work of unknown length."""
         with self.block() as show:
             yield lambda step: show([step])
 
@@ -74,7 +75,7 @@ class Output:
 
     @contextmanager
     def steps(self) -> Iterator[Callable[[str, float], None]]:
-        """Yield a function that takes the next step in words and the finished share (0 to 1)."""
+        """Yield a function that receives the next step in words and the finished share (0 to 1)."""
         pace = Pace()
         with self.block() as show:
             yield lambda step, share: show([step + where(share, 1.0, pace)])
@@ -84,12 +85,14 @@ QUIET = Output()
 
 
 def where(done: float, total: float, pace: Pace) -> str:
-    """Return progress as text: ``, 30 %, 25 s left``; empty at the start, and the whole time at the end.
+    """Return progress as text, such as ``, 30 %, 25 s left``.
+
+    The text is empty at the start, and states the total time at the end.
 
     Args:
         done: The finished amount, in the unit of ``total``.
         total: The whole amount.
-        pace: Knows the rate, and so the time that is left.
+        pace: Computes the rate, from which the remaining time follows.
 
     """
     rate = pace.rate(done)
@@ -108,7 +111,7 @@ def time_left(seconds: float) -> str:
 
 
 def time_words(seconds: float) -> str:
-    """Return a duration in whole seconds, in minutes, or in hours with a tenth."""
+    """Return a duration in words: whole seconds, whole minutes, or hours with one decimal."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

@@ -1,4 +1,4 @@
-"""Processes for work in independent pieces; campaigns have their own, replaceable ones in ``processes``."""
+"""Processes for work in independent pieces; campaigns use the replaceable processes of ``processes``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_
 def one_thread_each() -> None:
     """Limit numerical libraries to one thread, unless the environment already sets a number.
 
-    This covers libraries that are imported later, here and in new processes.
+    The limit also applies to libraries that are imported later, here and in new processes.
     """
     for name in THREADS:
         os.environ.setdefault(name, "1")
@@ -25,9 +25,10 @@ def one_thread_each() -> None:
 
 @contextmanager
 def pool(jobs: int, begin: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
-    """Yield an executor of new processes with one thread each; each calls ``begin`` first.
+    """Yield an executor of new processes with one thread each, which call ``begin`` first.
 
-    Any exception within the context ends them at once.  The first process answers Ctrl-C.
+    Any exception within the context ends the processes at once.  Only the process of the caller reacts to
+    Ctrl-C.
 
     Args:
         jobs: The number of processes.
@@ -51,19 +52,19 @@ class InterruptImmuneProcess(SpawnProcess):
     """A process that ignores Ctrl-C from its start."""
 
     def start(self) -> None:
-        """Start out of Ctrl-C's way."""
+        """Start the process while Ctrl-C is blocked."""
         with deaf_children():
             super().start()
 
 
 class InterruptImmuneContext(SpawnContext):
-    """The context that starts such processes."""
+    """The context whose processes ignore Ctrl-C from their start."""
 
     Process = InterruptImmuneProcess
 
 
 def _begin(begin: Callable[[], None] | None) -> None:
-    """Ignore Ctrl-C, then prepare the process."""
+    """Ignore Ctrl-C in this process, and then prepare the process with ``begin``."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if begin is not None:
         begin()

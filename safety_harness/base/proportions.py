@@ -1,7 +1,4 @@
-"""Exact statements about independent trials: shares with their bounds, and sign tests.
-
-The module also gives a share in words.
-"""
+"""Exact statistics of independent trials: shares with their bounds, sign tests, and shares in words."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy  # its special functions take half a second to load; scipy loads them at their first use
+import scipy  # scipy loads its special functions at their first use, which takes half a second
 from numpy.typing import NDArray
 
 from safety_harness.base.special import beta_share, binomial_at_most, settled
@@ -19,7 +16,7 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Proportion:
-    """``count`` of ``trials``, and an interval that contains the true share with at least 95 %."""
+    """The share ``count`` of ``trials``, and an interval that contains the true share with at least 95 %."""
 
     count: int
     trials: int
@@ -30,8 +27,8 @@ class Proportion:
     def from_rows(cls, having: NDArray[np.bool_]) -> Proportion:
         """Return the share of true rows (n,) with its two-sided interval (Clopper and Pearson, 1934).
 
-        At the lower end, ``count`` successes or more have a chance of 2.5 %; at the upper end, ``count`` or
-        fewer have it.  ValueError without any trial.
+        If the true share is the lower end, ``count`` or more successes have a chance of 2.5 %.  If it is the
+        upper end, ``count`` or fewer successes have that chance.  ValueError without any trial.
         """
         trials, count = len(having), int(np.count_nonzero(having))
         if not trials:
@@ -62,13 +59,14 @@ def share_words(count: int, total: int) -> str:
 
 @lru_cache(maxsize=4096)
 def upper_bound(count: int, trials: int, chance: float) -> float:
-    """Return the share under which at most ``count`` of ``trials`` successes have this chance; 1 if all are.
+    """Return the share at which at most ``count`` of ``trials`` successes have the probability ``chance``.
 
-    It is the upper end of Clopper and Pearson (1934): the true share lies above it with this chance at most.
+    The result is 1 if all trials are successes.  It is the upper end of Clopper and Pearson (1934): with at
+    most this probability, the true share lies above it.
     """
     if count >= trials:
         return 1.0
-    if 2 * count > trials:  # near 1 only the rest has all its digits
+    if 2 * count > trials:  # near 1, only the rest keeps all its digits
         return 1.0 - lower_bound(trials - count, trials, chance)
     guide = float(scipy.special.betainccinv(count + 1.0, trials - count, chance))
     return settled(lambda p: binomial_at_most(count, trials, p) <= chance, 0.0, 1.0, guide)[1]
@@ -76,7 +74,7 @@ def upper_bound(count: int, trials: int, chance: float) -> float:
 
 @lru_cache(maxsize=4096)
 def lower_bound(count: int, trials: int, chance: float) -> float:
-    """Return the share at which ``count`` of ``trials`` or more succeed with this chance; 0 if count is 0."""
+    """Return the share at which ``count`` or more of ``trials`` succeed with ``chance``; 0 for no success."""
     if count <= 0:
         return 0.0
     guide = float(scipy.special.betaincinv(count, trials - count + 1.0, chance))
@@ -84,9 +82,10 @@ def lower_bound(count: int, trials: int, chance: float) -> float:
 
 
 def sign_test(more: int, fewer: int) -> float:
-    """Return the exact two-sided p-value of "either is equally likely"; 1 without any observation.
+    """Return the exact two-sided p-value of the hypothesis that either side is equally likely.
 
-    On episodes that only one of two systems violates, this is McNemar's test.
+    It is 1 without any observation.  For episodes that only one of two systems violates, this is McNemar's
+    test.
 
     Args:
         more: Observations in favour of the first.

@@ -1,4 +1,4 @@
-"""Old names of parameters, which work for one release."""
+"""Old names of parameters, accepted for one release."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _Result = TypeVar("_Result")
 def renamed_parameters(
     **names: str,
 ) -> Callable[[Callable[_Parameters, _Result]], Callable[_Parameters, _Result]]:
-    """Return a decorator whose function also takes old names of its keywords.
+    """Return a decorator that makes a function accept old names of its keywords too.
 
     Args:
         names: The new name of each old name.

@@ -1,7 +1,7 @@
-"""The seed tree: every random number of a run descends from the scenario's seed.
+"""The seed tree: every random number of a run is derived from the scenario's seed.
 
-A path of integers below the root identifies a leaf.  So a stream stays the same when another stream is added,
-and decision k has the same numbers in any place and order.
+A path of integers below the root identifies a stream.  So a stream stays the same when another stream is
+added.  Decision k gets the same numbers wherever and in whatever order decisions are made.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 
 class Branch(IntEnum):
-    """The first step below the root.  Numbers are part of the trace format: never reuse one."""
+    """The first step below the root.  The numbers are part of the trace format: never reuse one."""
 
     HAND_SENSOR_NOISE = 1
     DECISION = 2
@@ -35,6 +35,6 @@ def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:
 
 
 def seed(root: int, branch: Branch, *path: int) -> int:
-    """Return a 63-bit seed for a consumer with its own generator (an avoider, say)."""
+    """Return a 63-bit seed for an object with its own generator, such as an avoider."""
     state = np.random.SeedSequence(root, spawn_key=(branch, *path)).generate_state(1, np.uint64)
     return int(state[0] >> np.uint64(1))

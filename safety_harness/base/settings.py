@@ -4,16 +4,16 @@ Lengths are in metres, angles in radians, times in seconds, images in pixels.  P
 base frame (x forward, y left, z up, origin at the foot of the UR10).  A scenario file may change single
 values; it never changes this object.
 
-The numbers were written down before the first run.  These changed afterwards:
+The numbers were fixed before the first run.  Afterwards, these were changed:
 
-* the object's polygon: 4/3 of its first size, for raster images to servo to 5 mm;
-* its yaw, 25 degrees in place of 0: chosen after a scan of yaws, for the least pixel noise;
-* its position: right under the camera, which sits beside the TCP, for the best conditioning;
-* the overhead camera: 0.4 m higher and 0.13 m aside, with the first scenarios;
-* the full gate: a later addition, and the default since.
+* the object's polygon: 4/3 of its first size, so that servoing with raster images reaches 5 mm;
+* the object's yaw: 25 degrees in place of 0, chosen after a scan of yaws for the least pixel noise;
+* the object's position: right under the camera, which is mounted beside the TCP, for the best conditioning;
+* the overhead camera: 0.4 m higher and 0.13 m aside, when the first scenarios were written;
+* the full gate: added later, and the default since then.
 
-The measure for the first three was the convergence of servoing without hands (docs/results/arms.md), never
-a claim about a hand.
+The first three were chosen by the convergence of servoing without hands (docs/results/arms.md), never by a
+claim about a hand.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ def setting(
 ) -> T:
     """Return a field with its default and its description for scenario files.
 
-    A value outside the bounds is a slip of the unit or an unrealistic system.  Within them, every number that
-    a run computes is finite, and the servo loop is stable (the largest gain times the longest control period
-    is 0.5).
+    A value outside the bounds means a mistaken unit or an unrealistic system.  Within the bounds, every
+    number that a run computes is finite, and the servo loop is stable.  (The largest gain times the longest
+    control period is 0.5.)
 
     Args:
-        default: The value without a file.
+        default: The value if no file states one.
         meaning: The meaning, for the reference of keys.
         least: The smallest allowed value, in SI units.  None: the bound of its dimension (``units``).
-        most: The largest allowed value, likewise.
+        most: The largest allowed value, in SI units.  None: the bound of its dimension.
         takes: A requirement that the value's type cannot express, in words.
         example: An example for the reference, if the default does not show the form.
 
@@ -66,7 +66,7 @@ class ImageSource(Enum):
 
 
 class ObjectKind(Enum):
-    """The domain of the moments' sums: a region, or a set of points."""
+    """What the moments sum over: a region, or a set of points."""
 
     DENSE = "dense"
     DISCRETE = "discrete"
@@ -105,9 +105,9 @@ class GateKind(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """Table and desired pose: a workspace in which the arm can reach every TCP start.
+    """The table and the desired pose: a workspace in which the arm can reach every TCP start.
 
-    ``preferred_joint_position_rad`` picks the inverse-kinematics branch of a start: elbow up.
+    ``preferred_joint_position_rad`` selects the branch of the inverse kinematics for a start: elbow up.
     """
 
     table_height_m: float = setting(-0.300, "z of the table", -2.0, 2.0)
@@ -120,14 +120,14 @@ class Cell:
 
 @dataclass(frozen=True, kw_only=True)
 class Object:
-    """The target of servoing: a flat polygon, in its own frame, and its place.
+    """The object that the arm servos to: a flat polygon in its own frame, and the place of that frame.
 
-    The default place is right under the camera of the desired TCP, which is 45 mm beside the TCP.  Off the
-    image's centre the condition number of the interaction matrix is 28.6 instead of 15.9.
+    By default, the object is right under the camera of the desired TCP, 45 mm beside the TCP.  Away from the
+    image's centre, the condition number of the interaction matrix is 28.6 instead of 15.9.
     """
 
     # Close to a 3-4-5 right triangle, the best conditioned shape, with its centroid at the origin;
-    # at two thirds of the size raster images do not servo to 5 mm (docs/results/arms.md).
+    # at two thirds of the size, servoing with raster images does not reach 5 mm (docs/results/arms.md).
     polygon_m: tuple[tuple[float, float], ...] = setting(
         ((-0.053, -0.040), (0.106, -0.040), (-0.053, 0.080)),
         "outline in the object's own frame, one corner after another; convex for rendered images",
@@ -142,10 +142,10 @@ class Object:
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """The eye-in-hand camera: Intel RealSense D435 colour intrinsics, pinhole, no distortion.
+    """The eye-in-hand camera: a pinhole with the colour intrinsics of an Intel RealSense D435, undistorted.
 
-    ``transform_camera_to_tcp`` is a turn by ``mount_yaw_rad`` about the tool axis and a shift by
-    ``mount_offset_in_tcp_m``.  The two ``calibration_error`` values are the *controller's* errors on top of
+    ``transform_camera_to_tcp`` is a rotation by ``mount_yaw_rad`` about the tool axis and a shift by
+    ``mount_offset_in_tcp_m``.  The two ``calibration_error`` values are the *controller's* errors relative to
     the true mount.  They are a rotation vector in the camera frame and a shift in the TCP frame; zero means a
     perfect hand-eye calibration.
     """
@@ -169,11 +169,11 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class HandSensor:
-    """The camera that watches the hands, and its errors.
+    """The camera that watches the hands, with its errors.
 
-    Depth noise of a stereo camera grows with the square of the depth: sigma_z = ``depth_noise_per_m`` z^2.  A
-    D435 has 0.0025/m, with 0.08 px subpixel error, 640 px focal length and 50 mm baseline (Intel's
-    depth-quality formula).
+    The depth noise of a stereo camera grows with the square of the depth z: sigma_z = ``depth_noise_per_m``
+    z^2.  For a D435 the factor is 0.0025/m.  This follows from 0.08 px subpixel error, 640 px focal length
+    and 50 mm baseline (Intel's depth-quality formula).
     """
 
     kind: HandSensorKind = setting(
@@ -204,7 +204,7 @@ class HandSensor:
 
 @dataclass(frozen=True, kw_only=True)
 class HandFilter:
-    """The Kalman filter of eq. 7, and the tracks that use it."""
+    """The Kalman filter of eq. 7, and the tracks of hands that use it."""
 
     prediction_horizon_s: float = setting(0.1, "how far ahead the hand is predicted", 0.0, 2.0)
     measurement_std_px: float = setting(2.0, "assumed error of the box's place")
@@ -238,7 +238,7 @@ class Servo:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Limits on the controller's demands to the arm; each acts visibly in the trace."""
+    """The limits on what the controller may demand of the arm; the trace shows each limit that acts."""
 
     max_tcp_speed_mps: float = setting(0.25, "that the controller may demand")
     max_tcp_acceleration_mps2: float = setting(1.0, "that the controller may demand")
@@ -250,13 +250,13 @@ class Motion:
 class DecisionCost(Enum):
     """The cost of a decision in simulated time, for a scenario without decision times."""
 
-    AS_DECLARED = "as declared"  # by the avoider; one that declares nothing costs nothing
-    WALL_CLOCK = "wall clock"  # what the answer took on this machine: such a run does not repeat
+    AS_DECLARED = "as declared"  # by the avoider; an avoider that declares nothing costs nothing
+    WALL_CLOCK = "wall clock"  # the time of the answer on this machine; such a run does not repeat
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """The avoider behind the times of a profile, and the machine that measured them."""
+    """The avoider whose decision times a profile contains, and the machine on which they were measured."""
 
     avoider: str  # as a scenario names it
     sha256: str  # of its file; empty for one without
@@ -278,7 +278,7 @@ class DecisionTimes:
 
 @dataclass(frozen=True, kw_only=True)
 class Avoidance:
-    """Conditions and manner of the TCP's retreat (sections 3.3 and 4.1 of the paper)."""
+    """When and how the TCP retreats (sections 3.3 and 4.1 of the paper)."""
 
     critical_distance_m: float = setting(
         0.400, "from the TCP to a predicted hand; zero is no avoidance at all", 0.0, 3.0
@@ -289,7 +289,7 @@ class Avoidance:
     arrival_tolerance_m: float = setting(0.001, "when it counts as reached", 1e-5, 0.05)
     candidate_count: int = setting(100, "candidates of the nearest-candidate avoider", 1, 10_000)
     candidate_sigma_rad: float = setting(pi / 4, "their spread in azimuth and elevation")
-    # A 60-degree cone is exactly a quarter of the sphere; a narrow one is drawn into for ever.
+    # A 60-degree cone is exactly a quarter of the sphere; for a narrow cone, nearly all draws are rejected.
     candidate_cone_rad: float = setting(pi / 3, "the cone that they are cut to", radians(5.0), pi)
     nominal_hand_position_in_base_m: Vector3 = setting(
         (0.840, -0.350, 0.005), "the hand that the cone points away from"
@@ -301,7 +301,7 @@ class Avoidance:
         "`reach` is the plain system",
     )
     table_clearance_m: float = setting(0.050, "the TCP is never sent nearer to the table")
-    # An avoider that takes longer has not answered: the system's reaction time, in which all has to fit.
+    # An avoider that takes longer has not answered: the answer must fit into the system's reaction time.
     decision_deadline_s: float = setting(0.1, "a later answer, in simulated time, counts as missing")
     decision_time: DecisionCost | DecisionTimes = setting(
         DecisionCost.AS_DECLARED,
@@ -318,7 +318,7 @@ class Avoidance:
 
 @dataclass(frozen=True, kw_only=True)
 class Hand:
-    """A sphere for the hand, and a capsule for its forearm from the hand's centre towards the elbow."""
+    """The shape of a hand: a sphere, and a capsule for its forearm, from the hand's centre to the elbow."""
 
     radius_m: float = setting(0.060, "of the sphere that is the hand", 0.01, 0.3)
     forearm_radius_m: float = setting(0.045, "of the capsule that is the forearm", 0.01, 0.3)
@@ -327,10 +327,10 @@ class Hand:
 
 @dataclass(frozen=True, kw_only=True)
 class Braking:
-    """A protective stop: reaction time, then uniform braking within T_s(v) = base + slope v.
+    """A protective stop: a reaction time, then uniform braking that takes T_s(v) = base + slope v.
 
-    Defaults are the worst-case stop times of the UR10 CB3 manual: 450, 500 and 550 ms at 1.0, 1.5 and 2.0
-    m/s.  They lie on the straight line 0.35 s + 0.1 s^2/m v.
+    v is the TCP's speed.  The defaults follow the worst-case stop times in the UR10 CB3 manual: 450, 500 and
+    550 ms at 1.0, 1.5 and 2.0 m/s.  They lie on the straight line 0.35 s + 0.1 s^2/m v.
     """
 
     reaction_time_s: float = setting(0.1, "before a protective stop begins to brake", 0.0, 5.0)
@@ -342,11 +342,11 @@ class Braking:
 class Clock:
     """The control period, its physics sub-steps, and the limit of real time for an answer.
 
-    The UR10 takes a new speed at 125 Hz, and the sub-steps divide this period.  ``wall_limit_s`` ends a run
-    whose avoider hangs; it changes no trajectory.
+    The UR10 accepts a new speed at 125 Hz; the sub-steps divide this period.  ``wall_limit_s`` ends a run
+    whose avoider hangs, but changes no trajectory.
     """
 
-    # At most 50 ms: between two ticks the arm is taken to move evenly.
+    # At most 50 ms, because the arm is assumed to move evenly between two ticks.
     control_period_s: float = setting(0.008, "from one speed command to the next", 1e-3, 0.05)
     physics_substeps: int = setting(4, "steps of the physics in one control period", 1, 100)
     wall_limit_s: float = setting(
@@ -383,9 +383,10 @@ class Settings:
 
     @cached_property
     def steady(self) -> Settings:
-        """These settings with a hand sensor without noise and delay.
+        """These settings, with a hand sensor that has no noise and no delay.
 
-        Spaces vary noise and delay.  A computation that ignores both can use its result for all of them.
+        Spaces vary noise and delay.  So a computation that ignores both can reuse its result for all
+        scenarios of a space.
         """
         hand_sensor = replace(
             self.hand_sensor,
@@ -400,6 +401,6 @@ class Settings:
 
 DEFAULTS = Settings()
 
-# What counts as converged; the image threshold of the gain switch is Servo.gain_switch_sse.
+# Servoing has converged below these errors; Servo.gain_switch_sse is the gain switch's image threshold.
 CONVERGED_POSITION_M = 0.001
 CONVERGED_ANGLE_RAD = radians(0.1)

@@ -1,7 +1,7 @@
-"""Quantiles and tails of distributions with the same bits on every processor, by ``elementary``.
+"""Quantiles and tails of distributions with the same bits on every processor, based on ``elementary``.
 
-A bound is ``settled`` among the numbers of 44 bits by our own tails.  So it is the same for every library,
-and rounded away from the truth by at most 2^-43 of itself.
+Bounds are ``settled``: our own tails find each bound among the floats of 44 significant bits.  So a bound is
+the same for every library, and is rounded away from the truth by at most 2^-43 of itself.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SPARE = 9  # bits of a float beyond 44
 # 1/(12 z) - 1/(360 z^3) + ..., Stirling's series
 _STIRLING = (1 / 12, -1 / 360, 1 / 1260, -1 / 1680, 1 / 1188, -691 / 360360, 1 / 156)
 _HALF_LOG_2PI = 0.91893853320467274178
-# of Wichura, numerator and denominator, by falling powers
+# Wichura's coefficients of numerator and denominator, by falling powers
 _NEAR = (
     (2509.0809287301226727, 33430.575583588128105, 67265.770927008700853, 45921.953931549871457)
     + (13731.693765509461125, 1971.5909503065514427, 133.14166789178437745, 3.387132872796366608),
@@ -53,7 +53,7 @@ def _ratio(x: Any, coefficients: tuple[tuple[float, ...], tuple[float, ...]]) ->
 
 
 def normal_quantile(chance: Any) -> Any:
-    """Return the standard normal quantile of chances between 0 and 1 (Wichura, 1988, AS 241)."""
+    """Return the standard normal quantile for chances between 0 and 1 (Wichura, 1988, AS 241)."""
     p = np.asarray(chance, np.float64)
     q = p - 0.5
     with np.errstate(all="ignore"):
@@ -64,20 +64,20 @@ def normal_quantile(chance: Any) -> Any:
 
 
 def lower_tail(z: Any) -> Any:
-    """Return P(Z <= z) of a standard normal Z, to some 1e-14 of itself."""
+    """Return P(Z <= z) for a standard normal Z, with a relative error of about 1e-14."""
     z = np.asarray(z, np.float64)
     half = 0.5 * upper_gamma(0.5, 0.5 * z * z)
     return np.where(z < 0.0, half, 1.0 - half)[()]
 
 
 def log_gamma(x: Any) -> Any:
-    """Return the logarithm of the gamma function above 0."""
+    """Return the logarithm of the gamma function at an x above 0."""
     x = np.asarray(x, np.float64)
     return ((x - 0.5) * log(x) - x + _HALF_LOG_2PI + _stirling(x))[()]
 
 
 def log_beta(a: Any, b: Any) -> Any:
-    """Return the logarithm of the beta function, without the large terms that would cancel."""
+    """Return the logarithm of the beta function, without the large terms that would cancel each other."""
     small, large = np.minimum(a, b), np.maximum(a, b)
     both = small + large
     balance = (0.5 - large) * log1p(small / large) - small * (log(both) - 1.0)
@@ -85,7 +85,7 @@ def log_beta(a: Any, b: Any) -> Any:
 
 
 def _stirling(x: Any) -> Any:
-    """Return the logarithm of the gamma function less (x - 1/2) log x - x + log(2 pi)/2."""
+    """Return the logarithm of the gamma function at x, minus ((x - 1/2) log x - x + log(2 pi)/2)."""
     below, shifted = np.ones_like(x), np.asarray(x, np.float64)
     for _ in range(12):
         low = shifted < 12.0
@@ -99,12 +99,12 @@ def _stirling(x: Any) -> Any:
 
 @lru_cache
 def _stirling_of(x: float) -> Any:
-    """Return ``_stirling`` of one number, kept for the next call."""
+    """Return ``_stirling`` of one number, from a cache if it was computed before."""
     return _stirling(x)
 
 
 def _deviance(x: Any, mean: Any) -> Any:
-    """Return x log(x / mean) + mean - x, without a difference of nearly equal numbers (Loader, 2000)."""
+    """Return x log(x / mean) + mean - x, without subtracting nearly equal numbers (Loader, 2000)."""
     deviation, v = x - mean, (x - mean) / (x + mean)
     total, term = deviation * v, 2.0 * x * v
     for j in range(1, 12):
@@ -114,7 +114,7 @@ def _deviance(x: Any, mean: Any) -> Any:
 
 
 def upper_gamma(a: Any, x: Any) -> Any:
-    """Return P(X > x) of a gamma distribution with shape ``a``, elementwise."""
+    """Return P(X > x), elementwise, for a gamma distribution with shape ``a``."""
     a, x = np.asarray(a, np.float64), np.asarray(x, np.float64)
     with np.errstate(all="ignore"):
         rest = _stirling(a) if a.ndim else _stirling_of(float(a))
@@ -127,9 +127,9 @@ def upper_gamma(a: Any, x: Any) -> Any:
 
 @compiled
 def _gamma_parts(a: Floats, x: Floats) -> Floats:
-    """Return (n,) the series of the lower tail below the mean, and a continued fraction (Lentz) above it.
+    """Return, for ``a`` (n,) and ``x`` (n,), the parts (n,) from which ``upper_gamma`` computes its tails.
 
-    ``a`` (n,) are the shapes of the gamma distributions, ``x`` (n,) their arguments.
+    Below the mean a part is a series of the lower tail; above, it is a continued fraction (Lentz).
     """
     parts = np.empty_like(x)
     for i in range(len(x)):
@@ -157,7 +157,7 @@ def _gamma_parts(a: Floats, x: Floats) -> Floats:
 
 
 def beta_share(a: Any, b: Any, x: Any, *, above: bool = False) -> Any:
-    """Return P(X <= x) of a beta distribution, or P(X > x) with ``above``, elementwise."""
+    """Return P(X <= x), elementwise, for a beta distribution; with ``above``, P(X > x)."""
     a, b, x = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (a, b, x)))
     with np.errstate(all="ignore"):
         turned = x > (a + 1.0) / (a + b + 2.0)
@@ -180,7 +180,7 @@ def beta_share(a: Any, b: Any, x: Any, *, above: bool = False) -> Any:
 
 
 def _lentz(term: Callable[[int], tuple[Any, Any]], first: Floats) -> Floats:
-    """Return a continued fraction first + a_1/(b_1 + a_2/(b_2 + ...)) (Lentz)."""
+    """Return the continued fraction first + a_1/(b_1 + a_2/(b_2 + ...)), where ``term(m)`` is (a_m, b_m)."""
     value, c, d, wanted = np.array(first), np.array(first), np.zeros_like(first), np.ones(first.shape, bool)
     for m in range(1, _MOST_TERMS):
         above, below = term(m)
@@ -194,7 +194,7 @@ def _lentz(term: Callable[[int], tuple[Any, Any]], first: Floats) -> Floats:
 
 
 def binomial_at_most(count: Any, trials: Any, share: Any) -> Any:
-    """Return P(X <= count) of ``trials`` with a chance ``share`` each, elementwise."""
+    """Return P(X <= count), elementwise, for ``trials`` trials that succeed with the chance ``share``."""
     count, trials = np.floor(np.asarray(count, np.float64)), np.asarray(trials, np.float64)
     inside = (count >= 0.0) & (count < trials)
     k = np.where(inside, count, 0.0)
@@ -203,12 +203,12 @@ def binomial_at_most(count: Any, trials: Any, share: Any) -> Any:
 
 
 def settled(crossed: Callable[[Floats], Any], low: float, high: float, guide: float) -> tuple[float, float]:
-    """Return neighbours among the numbers of 44 bits: the last before a crossing, and the first after it.
+    """Return two neighbouring floats of 44 significant bits: the last before a crossing, and the next one.
 
     Args:
-        crossed: False below a number between ``low`` and ``high``, True above it, elementwise.
+        crossed: False below some number between ``low`` and ``high``, True above it, elementwise.
         low: A number of at least 0 before the crossing.
-        high: A number after it.
+        high: A number after the crossing.
         guide: A number near the crossing, from any library; it only saves time.
 
     """
@@ -226,5 +226,5 @@ def settled(crossed: Callable[[Floats], Any], low: float, high: float, guide: fl
 
 
 def _of_44_bits(places: Any) -> Floats:
-    """Return the numbers at these places, in order, of all positive numbers of 44 bits."""
+    """Return the numbers with these indices in the ordered list of all positive floats of 44 bits."""
     return (np.asarray(places, np.int64) << _SPARE).view(np.float64)

@@ -1,4 +1,4 @@
-"""Files that exist whole or not at all, and the hash of a file."""
+"""Writing of files that exist complete or not at all, and the hash of a file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from safety_harness.base.exceptions import OutputError
 
 
 def sha256_of(file: Path) -> str:
-    """Return the SHA-256 of a file's bytes, read piece by piece; OSError where it cannot be read."""
+    """Return the SHA-256 of a file's bytes, read piece by piece; OSError if the file cannot be read."""
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -21,16 +21,16 @@ def sha256_of(file: Path) -> str:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a path beside ``path`` to write to; at the end of the block the new file replaces ``path``.
 
-    The old file stays until the new one is complete on disk.  If the block raises, the old file stays for
-    good and the new one disappears.  Missing folders are created.  Raises OSError.
+    The old file stays until the new file is completely on disk.  If the block raises an exception, the old
+    file stays and the new file is removed.  Missing folders are created.  Raises OSError.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        part.unlink(missing_ok=True)  # of an earlier process that had our number
+        part.unlink(missing_ok=True)  # left by an earlier process with our process number
         yield part
         with part.open("rb") as file:
-            os.fsync(file.fileno())  # the renaming must not reach the disk before the contents
+            os.fsync(file.fileno())  # the contents must be on the disk before the renaming
         os.replace(part, path)
     finally:
         with suppress(OSError):
@@ -38,7 +38,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` as UTF-8, whole or not at all.  Raises OSError."""
+    """Write ``text`` to ``path`` as UTF-8, completely or not at all.  Raises OSError."""
     with (
         replacing(path) as part,
         part.open("w", encoding="utf-8", errors="backslashreplace", newline="\n") as file,
@@ -48,7 +48,7 @@ def write_whole(path: Path, text: str) -> None:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Raise OutputError for ``path`` if the block raises OSError."""
+    """Raise OutputError for ``path`` if the code in the block raises OSError."""
     try:
         yield
     except OSError as error:
@@ -56,6 +56,6 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` as ``write_whole`` does, but raise OutputError if it fails."""
+    """Write ``text`` to ``path`` like ``write_whole``, but raise OutputError if writing fails."""
     with writing(path):
         write_whole(path, text)

@@ -1,12 +1,12 @@
-"""One declaration for each field: it serves reading, writing, explaining, tables and the schema.
+"""Declarations of the fields in a file: one declaration serves every use of the field.
 
-A field of a ``declared`` dataclass, ``speed_mps: float = key("speed", ...)``, declares its name in a file,
-its kind of value with unit and bounds, its meaning, an example and its default.  ``table_of`` gathers the
-keys of a dataclass.
+The uses are reading, writing, explaining, tables and the schema.  A field of a ``declared`` dataclass
+declares its name in a file, its kind of value with unit and bounds, its meaning, an example and its default.
+An example is ``speed_mps: float = key("speed", ...)``.  ``table_of`` gathers the keys of a dataclass.
 
-A kind of value has three parts.  ``read`` takes a ``Field`` (ScenarioError with its line), ``write`` gives a
-text that reads back to the same bits, and ``kind`` describes it for people.  ``schema`` and
-``reference_tables`` build on these.
+A kind of value has three parts.  ``read`` accepts a ``Field`` (ScenarioError with its line).  ``write``
+returns a text that reads back to the same bits.  ``kind`` describes the value for people.  ``schema`` and
+``reference_tables`` use these parts.
 """
 
 from __future__ import annotations
@@ -25,24 +25,21 @@ from safety_harness.scenario.units import ANGLE, FRACTION, LENGTH, NUMBER, Dimen
 
 REQUIRED = "required"
 T = TypeVar("T")
-# What a file is made of: a value on its line, or a mapping or a list below its key.
+# The content of a file: a value on its key's line, or a mapping or a list below the key.
 Tree: TypeAlias = "str | Mapping[str, Tree] | Sequence[Tree]"
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_./()%-]*(?: [A-Za-z0-9_./()%-]+)*")
 _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n"}
 
 
 def scalar_text(text: str) -> str:
-    """Return ``text`` as a YAML scalar: bare if no part of it looks like notation, else in quotes."""
+    """Return ``text`` as a YAML scalar, in quotes if any part of it could be read as notation."""
     if _PLAIN.fullmatch(text):
         return text
     return '"' + "".join(_ESCAPES.get(c, c if c.isprintable() else f"\\U{ord(c):08x}") for c in text) + '"'
 
 
 def in_a_line(tree: Tree) -> str | None:
-    """Return a tree on one line, or None if it takes several.
-
-    A text, a list of texts such as ``[0.1 m, 0.0 m]`` and an empty mapping fit on a line.
-    """
+    """Return ``tree`` written on one line, or None if it needs several lines."""
     if isinstance(tree, str):
         return tree
     if isinstance(tree, Mapping):
@@ -54,7 +51,7 @@ def in_a_line(tree: Tree) -> str | None:
 
 @dataclass(frozen=True)
 class QuantityValue:
-    """A number with a unit, within bounds in SI; ``or_word`` may stand in its place and reads as None."""
+    """A number with a unit, within bounds in SI; the word ``or_word`` may replace it, and is read as None."""
 
     dimension: Dimension
     above: float | None = None
@@ -82,7 +79,7 @@ class QuantityValue:
 
     @property
     def range_words(self) -> str:
-        """The bounds alone, as in ``1 mm to 2 m``; the value must have both."""
+        """The bounds alone, as in ``1 mm to 2 m``; the value must have a lower and an upper bound."""
         assert self.least is not None
         assert self.most is not None
         return f"{nice(self.least, self.dimension)} to {nice(self.most, self.dimension)}"
@@ -101,7 +98,7 @@ class QuantityValue:
         return int(value) if self.whole else value
 
     def write(self, value: float | None) -> str:
-        """Return the text of a number in SI, which reads back exactly."""
+        """Return the text of a number in SI, from which ``read`` returns the same number."""
         if value is None:
             return self.or_word or ""
         return (
@@ -125,9 +122,9 @@ class Text(_Formed):
         kind: The kind of value, for people.
         expected: Completes "expected ..." of a message.
         pattern: The pattern for the schema.
-        or_mapping: Whether ``write`` may give a mapping in its place.
-        reads: Reads a value of another type; None: one line of text.
-        writes: Writes a value of another type; None: as a YAML scalar.
+        or_mapping: Whether ``write`` may return a mapping instead of a text.
+        reads: Reads a value that is no text; None: the value is one line of text.
+        writes: Writes a value that is no text; None: the value becomes a YAML scalar.
 
     """
 
@@ -158,17 +155,17 @@ class Word:
 
     @property
     def kind(self) -> str:
-        """The words in a phrase: ``exact, raster or rendered``."""
+        """The words as a phrase: ``exact, raster or rendered``."""
         *first, last = self.options
         return f"{', '.join(first)} or {last}" if first else last
 
     def read(self, field: Field) -> Enum:
-        """Return the member of the enumeration."""
+        """Return the member of the enumeration whose word the field contains."""
         assert isinstance(self.members, type)
         return field.choice(self.members)
 
     def write(self, value: Enum) -> str:
-        """Return the word of a member."""
+        """Return the word of the enumeration's member ``value``."""
         return str(value.value)
 
 
@@ -182,26 +179,26 @@ class Several(_Formed):
     most: int | None = None
 
     def read(self, field: Field) -> tuple[Any, ...]:
-        """Return the values of the list."""
+        """Return the values in the list ``field``."""
         items = field.items(self.expected, count=self.count, least=self.least, most=self.most)
         return tuple(each(self.of.read, items))
 
     def write(self, values: Sequence[Any]) -> list[Tree]:
-        """Return the texts or mappings of the values."""
+        """Return a text or a mapping for each of ``values``."""
         return [self.of.write(value) for value in values]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Below(_Formed):
-    """A mapping with the keys of one table, out of several tables.
+    """A mapping with the keys of one of several tables.
 
     Args:
         kind: The kind of value, for people.
         expected: Completes "expected ..." of a message.
-        tables: The possible tables; their ``told_by`` tells them apart.
+        tables: The possible tables; the key ``told_by`` of each table identifies its mappings.
         noun: The name of such a mapping in messages.
-        order: The order of the tables' keys in messages; empty: as in ``tables``.
-        or_text: The pattern of a text that may stand in its place.
+        order: The order of the identifying keys in messages; empty: the order of ``tables``.
+        or_text: The pattern of a text that may replace the mapping.
 
     """
 
@@ -213,12 +210,12 @@ class Below(_Formed):
 
     @cached_property
     def by_key(self) -> Mapping[str, KeyTable]:
-        """The tables by the keys that tell them apart."""
+        """The tables by the keys that identify them."""
         tables = {table.told_by: table for table in self.tables}
         return {name: tables[name] for name in self.order or tables}
 
     def read(self, field: Field) -> Any:
-        """Return the object of the mapping."""
+        """Return the object that the mapping ``field`` describes."""
         own = self.tables[0] if len(self.tables) == 1 else self.by_key[field.only_key(self.noun, self.by_key)]
         return own.read(field)
 
@@ -228,7 +225,7 @@ class Below(_Formed):
         return next(table for table in self.tables if not several or table.kind is type(value))
 
     def write(self, value: object) -> dict[str, Tree]:
-        """Return the mapping from which ``read`` gives ``value`` again."""
+        """Return the mapping from which ``read`` returns ``value``."""
         return self.table_of(value).write(value)
 
 
@@ -241,14 +238,14 @@ class FreeKeys(_Formed):
     least: int = 0
 
     def read(self, field: Field) -> tuple[tuple[str, Field], ...]:
-        """Return the words and the fields below them, still to be read."""
+        """Return the user's words with their fields, which the caller still has to read."""
         entries = field.entries(self.expected)
         if len(entries) < self.least:
             raise field.error(self.expected)
         return entries
 
     def write(self, mapping: Mapping[str, Any]) -> dict[str, Tree]:
-        """Return the mapping of these values."""
+        """Return ``mapping`` with its words and values as texts of a file."""
         return {scalar_text(name): self.of.write(value) for name, value in mapping.items()}
 
 
@@ -257,18 +254,18 @@ Value = QuantityValue | Text | Word | Several | Below | FreeKeys
 
 @dataclass(frozen=True)
 class Key:
-    """A key: its name, its value, its meaning.
+    """A key of a file: its name, its kind of value and its meaning.
 
     Args:
         name: The name in a file.
         value: The kind of value.
         meaning: The meaning, for people.
         example: A value or lines, as in a file; empty: the default serves as example.
-        or_else: The default in words, where ``fallback`` has no text of its own.
-        said: The kind of value in words, where ``value`` cannot express it.
+        or_else: The default in words; None: the default is ``fallback``.
+        said: The kind of value in words, if ``value`` cannot express it.
         former: The name in earlier releases, which a file may still have; empty: the same.
         attribute: The field of the dataclass, which ``table_of`` fills in.
-        fallback: The default of the field, likewise; REQUIRED if it has no default.
+        fallback: The default of that field, also filled in by ``table_of``; REQUIRED if it has no default.
         within: The mappings that surround the key in the example.
 
     """
@@ -293,7 +290,7 @@ class Key:
 
     @property
     def lines(self) -> str:
-        """The example as it may stand in a file."""
+        """The example as lines that a file may contain."""
         if ": " in self.example and self.example[0] != "{":
             return self.example
         text = f"{self.name}: {self.example or self.default}"
@@ -303,7 +300,7 @@ class Key:
 
     @property
     def path(self) -> tuple[str, ...]:
-        """The keys that lead to it: ("critical distance",), or ("calibration error", "offset")."""
+        """The keys from the table's mapping down to this key, such as ("calibration error", "offset")."""
         return (*self.within, self.name)
 
     @property
@@ -313,7 +310,7 @@ class Key:
 
     @property
     def kind(self) -> str:
-        """The values that it takes, in words."""
+        """The values that the key accepts, in words."""
         return self.said or self.value.kind
 
 
@@ -326,19 +323,19 @@ class KeyTable:
         where: Completes "of ..."; empty: the name.
         keys: The keys.
         kind: The dataclass of such a mapping.
-        path: The way from the top of a file: "settings.avoidance".
-        told_by: The key that tells this mapping from its alternatives; empty: the first key.
-        beside: Tables of inner objects, by the fields that hold them.  Their keys stand in the same mapping:
-            all required keys, or no key.
+        path: The keys from the top of a file to the mapping, such as "settings.avoidance".
+        told_by: The key that identifies this mapping among its alternatives; empty: the first key.
+        beside: Tables of inner objects, by the fields that hold them.  A file gives the keys of an inner
+            object in the same mapping, and gives all required keys or none.
 
     """
 
     name: str
     where: str = ""
     keys: tuple[Key, ...]
-    kind: type[Any] | None = None  # what is made of the mapping
-    path: str = ""  # how it is reached from the top of a file: "settings.avoidance"
-    told_by: str = ""  # the key that tells this mapping from its alternatives; its first one by default
+    kind: type[Any] | None = None  # the class of the object that the mapping describes
+    path: str = ""  # the keys from the top of a file, such as "settings.avoidance"
+    told_by: str = ""  # the key that identifies this mapping; the first key by default
     beside: tuple[tuple[str, KeyTable], ...] = ()
     names: tuple[str, ...] = dataclass_field(init=False)  # in the order of a well laid out file
     former: Mapping[str, str] = dataclass_field(
@@ -353,25 +350,25 @@ class KeyTable:
         object.__setattr__(self, "former", former)
 
     def below(self) -> Iterator[KeyTable]:
-        """Yield the tables that its values lead to."""
+        """Yield the tables of the mappings that may stand below the table's keys."""
         for key in self.keys:
             yield from _tables(key.value)
 
     def name_of(self, attribute: str) -> str:
-        """Return the key of a field of the dataclass."""
+        """Return the name in a file of the dataclass's field ``attribute``."""
         return next(key.name for key in self.keys if key.attribute == attribute)
 
     def read(self, field: Field) -> Any:
-        """Return the object of the mapping ``field``."""
+        """Return the object that the mapping ``field`` describes."""
         return self.made_of(field.fields(self.names, former=self.former))
 
     def made_of(self, given: Fields) -> Any:
-        """Return the object of the given keys, with defaults for the rest."""
+        """Return the object made of the keys in ``given``, with defaults for all other keys."""
         assert self.kind is not None
         return self.kind(**self.values(given))
 
     def values(self, given: Fields) -> dict[str, Any]:
-        """Return the values of a mapping by the dataclass's fields, with defaults for absent keys."""
+        """Return the values in ``given``, by the dataclass's fields, with defaults for absent keys."""
 
         def pair(key: Key) -> tuple[str, Any]:
             field = given.optional(key.name)
@@ -390,7 +387,7 @@ class KeyTable:
         return read_values
 
     def write(self, value: object) -> dict[str, Tree]:
-        """Return the keys and values from which ``read`` gives ``value`` again; None has no key."""
+        """Return the keys and texts from which ``read`` returns ``value``; a field of None gets no key."""
         written = {
             key.name: key.value.write(inner)
             for key in self.keys
@@ -413,7 +410,7 @@ def key(
     former: str = "",
     default: Any = MISSING,
 ) -> Any:
-    """Return a field of a ``declared`` dataclass with its ``Key``, whose arguments these are."""
+    """Return a field of a ``declared`` dataclass; the arguments are those of its ``Key``."""
     return keyed(Key(name, value, meaning, example, or_else, values_text, former), default=default)
 
 
@@ -430,7 +427,7 @@ def keyed(declaration: Key | KeyTable, *, default: Any = MISSING) -> Any:
 
 @typing.dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(key, keyed))
 def declared(kind: type[T]) -> type[T]:
-    """Return a frozen dataclass of keywords, for fields that have keys."""
+    """Return the class ``kind`` as a frozen dataclass that accepts keywords only."""
     return dataclass(frozen=True, kw_only=True)(kind)
 
 
@@ -457,7 +454,7 @@ def table_of(kind: type[Any], name: str, **of_table: Any) -> KeyTable:
 
 
 def _nice(value: Any, kind: Value) -> str:
-    """Return a default as people write it."""
+    """Return the default ``value`` as people write it."""
     if isinstance(value, Enum):
         return str(value.value)
     if value is None:
@@ -474,7 +471,7 @@ def _nice(value: Any, kind: Value) -> str:
 
 
 def _tables(value: Value) -> Iterator[KeyTable]:
-    """Yield the tables that a value leads to."""
+    """Yield the tables of the mappings that the kind ``value`` allows."""
     if isinstance(value, Below):
         for table in value.tables:
             yield table
@@ -484,7 +481,7 @@ def _tables(value: Value) -> Iterator[KeyTable]:
 
 
 def vector_of(dimension: Dimension, form: str, most: float) -> Several:
-    """Return a list of three quantities, each from -``most`` to ``most``."""
+    """Return the kind of a list of three quantities, each from -``most`` to ``most``."""
     number = QuantityValue(dimension, least=-most, most=most)
     return Several(of=number, kind=form, expected=f"a list of three, each {dimension.expected}", count=3)
 

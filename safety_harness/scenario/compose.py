@@ -1,7 +1,7 @@
-"""Composition of scenario files: ``extends``, ``without`` and ``matrix``, worked out on their trees.
+"""Composition of scenario files: the keys ``extends``, ``without`` and ``matrix``, applied to trees.
 
-The results are ordinary trees, in which every part still holds the file and line of its origin.  Files,
-bytes, combinations and values are bounded, and no code of a file is executed.
+The results are ordinary trees, in which every part still states the file and line of its origin.  The number
+of files, bytes, combinations and values is bounded, and no code in a file is executed.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ MOST_VALUES = 300_000  # of all combinations together, so that they are read wit
 _LABEL = re.compile(r"[\w.+%°-]+(?: [\w.+%°-]+)*")  # it becomes part of a file's name
 _LONGEST_LABEL, _LONGEST_NAME = 40, 150
 _TITLES = {"scenario", SPACE_KEY}  # a file has one of them
-_WHOLE = {"one of", "by", "box", "shell", "in"}  # a distribution replaces another, key by key makes no sense
+_WHOLE = {"one of", "by", "box", "shell", "in"}  # a distribution replaces another as a whole, not key by key
 _Rewrite = Callable[[str], str]
 
 
 @dataclass
 class Library:
-    """The files that a path leads to; it reads each file once, and bounds their sizes together."""
+    """The files that a path leads to, each read once; their total size is bounded."""
 
     _trees: dict[Path, Node] = field(default_factory=dict)
     _bytes: int = 0
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Every file that was read, its symbolic links followed."""
+        """Every file that was read, with symbolic links resolved."""
         return tuple(self._trees)
 
     def tree(self, path: Path, place: Place | None = None) -> Node:
-        """Return the tree of a file as it stands.
+        """Return the tree of a file, before composition.
 
         Args:
             path: The file.
@@ -74,9 +74,9 @@ class Library:
 
 
 def tree_of(text: str, file: Path, place: Place | None = None) -> Node:
-    """Return the tree of a file's text; ScenarioError if it is malformed or foreign.
+    """Return the tree of a file's text; ScenarioError if the text is malformed or not ours.
 
-    Only the error of a file with a key of ours quotes the file.  Otherwise the error stands at ``place``.
+    The error quotes a file only if the file has a key of ours.  Otherwise the error states ``place`` alone.
     """
     try:
         tree = parse_tree(text, file)
@@ -90,23 +90,23 @@ def tree_of(text: str, file: Path, place: Place | None = None) -> Node:
 
 
 def is_space(tree: Node) -> bool:
-    """Return whether a tree begins a scenario space."""
+    """Return whether ``tree`` has the key of a scenario space."""
     return isinstance(tree, Mapping) and SPACE_KEY in _keys(tree)
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A scenario of a file: a tree without any key of composition, and its name."""
+    """A scenario of a file: its name, and its tree after composition."""
 
     name: str
     tree: Node
 
 
 def variants(path: Path, library: Library) -> tuple[Variant, ...]:
-    """Return the scenarios of a file: a single tree, or one for each combination of its matrix.
+    """Return the scenarios of a file: one for each combination of its matrix, or a single one.
 
-    Files of results take its name, and reports show it: ScenarioError for a name that is too long or
-    unprintable.
+    The scenario's name becomes part of file names and reports, so ScenarioError for a name that is too long
+    or unprintable.
     """
     if not path.stem.isprintable() or len(path.stem.encode()) > _LONGEST_NAME:
         expected = f"a file with a name of printable characters, at most {_LONGEST_NAME} bytes"
@@ -129,7 +129,7 @@ def variants(path: Path, library: Library) -> tuple[Variant, ...]:
 
 
 def only_variant(path: Path, library: Library, expected: str) -> Variant:
-    """Return the only scenario of a file; ScenarioError for a matrix.
+    """Return the only scenario of a file; ScenarioError if the file has a matrix.
 
     ``expected`` completes "expected ..." of the error.
     """
@@ -141,7 +141,10 @@ def only_variant(path: Path, library: Library, expected: str) -> Variant:
 
 
 def merged(base: Node, top: Node) -> Node:
-    """Return ``top`` on top of ``base``: mappings merge key by key, any other value replaces the old."""
+    """Return ``base`` with the changes of ``top``.
+
+    Mappings merge key by key; any other value of ``top`` replaces the value of ``base``.
+    """
     if not isinstance(base, Mapping) or not isinstance(top, Mapping) or _WHOLE & (_keys(base) | _keys(top)):
         return top
     changes = {key.text: (key, value) for key, value in top.entries}
@@ -156,9 +159,10 @@ def merged(base: Node, top: Node) -> Node:
 
 
 def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Place | None = None) -> Node:
-    """Return the tree of a file merged over the file that it extends.
+    """Return the tree of a file, merged over the tree of the file that it extends.
 
-    ``chain`` has the files on the way to it, ``place`` the place of its name.
+    ``chain`` lists the files that led here, each extending the next.  ``place`` is the place of the file's
+    name.
     """
     tree = library.tree(path, place)
     if not isinstance(tree, Mapping):
@@ -209,7 +213,7 @@ def _reduced(base: Mapping, without: Field) -> Mapping:
 
 
 def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
-    """Return the labels of each axis with their changes, after every check."""
+    """Return the labels of each axis of ``matrix`` with their changes, after checking all of them."""
     expected = "a mapping of axes, each a mapping of labels and what they change"
     axes: list[list[tuple[str, Node]]] = []
     changed_by: dict[tuple[str, ...], str] = {}
@@ -239,7 +243,7 @@ def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
 
 
 def _checked(label: str, change: Field) -> Field:
-    """Return the change of a label; ScenarioError if the label or a key is not allowed."""
+    """Return the change that a label stands for; ScenarioError if the label or a key is not allowed."""
     if not _LABEL.fullmatch(label) or len(label) > _LONGEST_LABEL:
         expected = f"a label of at most {_LONGEST_LABEL} letters, digits, spaces and . + - % _"
         raise change.error(expected, got=shown(label))
@@ -252,7 +256,7 @@ def _checked(label: str, change: Field) -> Field:
 
 
 def _changes(node: Node) -> Iterator[tuple[str, ...]]:
-    """Yield the paths of the values that a tree of changes sets."""
+    """Yield the paths of the values that the changes in ``node`` set."""
     assert isinstance(node, Mapping)
     for key, value in node.entries:
         if isinstance(value, Mapping) and value.entries and not _WHOLE & _keys(value):
@@ -262,7 +266,7 @@ def _changes(node: Node) -> Iterator[tuple[str, ...]]:
 
 
 def _moved(node: Node, folder: Path, target: Path) -> Node:
-    """Return a tree whose avoiders, recordings and robots are relative to another folder."""
+    """Return ``node`` with its file names, relative to ``folder``, rewritten relative to ``target``."""
     rewrites: dict[str, _Rewrite] = {
         "avoider": lambda text: avoider_seen_from(target, text, folder),
         "controller": lambda text: avoider_seen_from(target, text, folder),
@@ -274,11 +278,11 @@ def _moved(node: Node, folder: Path, target: Path) -> Node:
 
 
 def rewritten(node: Node, rewrites: dict[str, _Rewrite], rewrite: _Rewrite | None = None) -> Node:
-    """Return the tree with new texts below certain keys.
+    """Return the tree ``node`` with the texts below certain keys rewritten.
 
     Args:
         node: The tree.
-        rewrites: The function for the texts below each key.
+        rewrites: The function that rewrites the texts below each key.
         rewrite: The function for this node, from the key above it; None: no change.
 
     """

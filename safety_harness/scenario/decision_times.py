@@ -1,7 +1,7 @@
-"""The setting ``decision time``: the cost of a decision in simulated time, and measured profiles.
+"""The setting ``decision time``: the cost of a decision in simulated time, or a measured profile.
 
-A profile is a JSON file from ``safety-harness time``.  The stored form of a scenario contains its profile, so
-that a trace is complete in itself.
+A profile is a JSON file written by ``safety-harness time``.  The stored form of a scenario contains the
+content of its profile, so a trace needs no further file.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _EXPECTED = FORM.replace("`", '"')
 
 
 def read_decision_time(field: Field) -> DecisionCost | DecisionTimes:
-    """Return the decision time of a field in any of its forms; ScenarioError for another form."""
+    """Return the decision time that a field states in any allowed form; ScenarioError for another form."""
     if isinstance(field.node, Mapping):
         return _inline(field)
     text = " ".join(field.scalar(_EXPECTED).split())
@@ -57,7 +57,7 @@ def read_decision_time(field: Field) -> DecisionCost | DecisionTimes:
 
 
 def write_decision_time(value: DecisionCost | DecisionTimes) -> str | dict[str, str | list[str]]:
-    """Return the text or mapping from which ``read_decision_time`` gives the same value."""
+    """Return the text or mapping from which ``read_decision_time`` returns ``value``."""
     if isinstance(value, DecisionCost):
         return value.value
     texts = [format_quantity(entry, TIME) for entry in value.quantiles_s]
@@ -68,14 +68,14 @@ def write_decision_time(value: DecisionCost | DecisionTimes) -> str | dict[str, 
 
 
 def profile_text(times: DecisionTimes) -> str:
-    """Return the text of a profile's file."""
+    """Return the text of a profile's file with the decision times ``times``."""
     assert times.measured is not None
     whole = {"format": FORMAT, **asdict(times.measured), "quantiles_s": list(times.quantiles_s)}
     return json.dumps(whole, indent=1) + "\n"
 
 
 def refuse_wall_clock(scenario: Scenario, error: type[InputError], *, runs: str) -> None:
-    """Raise ``error`` for a scenario whose runs do not repeat.
+    """Raise ``error`` if the scenario's decisions cost wall-clock time, so that its runs do not repeat.
 
     Args:
         scenario: The scenario.
@@ -92,7 +92,7 @@ def refuse_wall_clock(scenario: Scenario, error: type[InputError], *, runs: str)
 
 
 def _inline(field: Field) -> DecisionTimes:
-    """Return the decision times of a mapping, which is a stored profile."""
+    """Return the decision times of a profile that a scenario contains as a mapping."""
     given = field.fields(KEYS)
     items = given.required("quantiles").items("a list of times", least=2, most=MOST_QUANTILES)
     measured = Measured(
@@ -105,19 +105,19 @@ def _inline(field: Field) -> DecisionTimes:
 
 
 def _checked(field: Field, times_s: tuple[float, ...], measured: Measured | None) -> DecisionTimes:
-    """Return the decision times; ScenarioError unless they rise within the bounds."""
+    """Return the decision times as an object; ScenarioError unless they rise within the bounds."""
     if not _rise(times_s):
         raise field.error(f"times that rise, from 0 s to {LONGEST_S:g} s")
     return DecisionTimes(quantiles_s=times_s, measured=measured)
 
 
 def _rise(times_s: tuple[float, ...]) -> bool:
-    """Return whether times [s] rise, from 0 to at most LONGEST_S."""
+    """Return whether the times [s] rise and lie between 0 and LONGEST_S."""
     return times_s[0] >= 0.0 and times_s[-1] <= LONGEST_S and tuple(sorted(times_s)) == times_s
 
 
 def _profile(path: Path, place: Place) -> DecisionTimes:
-    """Return the decision times of a profile's file, whose name stands at ``place``."""
+    """Return the decision times in a profile's file; ``place`` is where the file's name stands."""
     data = read_bytes(path, most=MOST_BYTES, place=place, error=ScenarioError)
     text = decode(data, most=MOST_BYTES, file=path, error=ScenarioError)
     times = _parsed(text)
@@ -141,7 +141,7 @@ class _Profile(msgspec.Struct):
 
 @lru_cache(maxsize=16)  # the scenarios of a space all name the same profile
 def _parsed(text: str) -> DecisionTimes | None:
-    """Return the decision times of a profile's text, or None for another text."""
+    """Return the decision times in a profile's text, or None if the text is no profile."""
     try:
         profile = msgspec.json.decode(text, type=_Profile)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""All scenarios that a path leads to: a file, each combination of its matrix, a folder, a suite."""
+"""All scenarios that a path leads to: those of a file, of its matrix, of a folder or of a suite."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from safety_harness.scenario.reference_tables import TOP
 DEEPEST_SUITE = 8
 MOST_FILES = 1_000
 MOST_SCENARIOS = 10_000
-# The keys that a key's value depends on: beside an example of these, an error in it would be misleading.
+# For each key, the keys that its value depends on.  Beside an example of these, its error would mislead.
 READ_WITH = {"duration": ("settings",)}
 LONGEST = "duration: 60 min"  # an example within which every fault begins
 
 
 class Mended(NamedTuple):
-    """A scenario of a file with mistakes: examples stand in the places of its faulty top keys."""
+    """A scenario of a file with mistakes, in which examples replace the wrong top keys."""
 
     scenario: Scenario
     faulty: frozenset[str]
@@ -46,9 +46,9 @@ class Mended(NamedTuple):
 
 @dataclass
 class Gathered:
-    """The scenarios of several paths, the spaces on request, and the mistakes on the way.
+    """The scenarios of several paths, the spaces on request, and all mistakes in the files.
 
-    It walks through files, folders and suites, path by path.
+    The object visits files, folders and suites, path by path.
     """
 
     scenarios: list[Scenario] = field(default_factory=list)
@@ -63,16 +63,16 @@ class Gathered:
 
     @property
     def _kinds(self) -> tuple[FileKind, ...]:
-        """The kinds of file that it accepts."""
+        """The kinds of file that the object accepts."""
         return (FileKind.SCENARIO, FileKind.SUITE, *[FileKind.SPACE] * self._spaces_too)
 
     def add(self, path: Path, place: Place | None = None, suites: tuple[Path, ...] = ()) -> None:
-        """Add the scenarios that ``path`` leads to; ``errors`` receives its mistakes.
+        """Add the scenarios that ``path`` leads to, and append the mistakes to ``errors``.
 
         Args:
             path: A file, a folder or a suite.
             place: The place of its name, for errors; None: the file itself.
-            suites: The suites on the way to it; the last of them names it.
+            suites: The suites that led to ``path``; the last suite names it.
 
         """
         try:
@@ -93,7 +93,7 @@ class Gathered:
             self.errors.append(error)
 
     def _add_file(self, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
-        """Add the scenarios of one file, or of the suite that it is."""
+        """Add the scenarios of one file; if the file is a suite, add the scenarios of the suite."""
         try:
             refuse_other_kind(file, *self._kinds, place=place)
             tree = self._library.tree(file, place)
@@ -112,7 +112,7 @@ class Gathered:
                     return
                 if scenario.name.endswith("]"):
                     same = rows.setdefault(replace(scenario, name=""), scenario.name)
-                    if same != scenario.name:  # it would hold under a name that says otherwise
+                    if same != scenario.name:  # its result would have a misleading name
                         place = Place(file=file, field="matrix")
                         got = f"{scenario.name} is the same as {same}"
                         raise ScenarioError(place=place, expected="rows that differ", got=got)
@@ -121,7 +121,10 @@ class Gathered:
             self.errors.append(error)
 
     def _add_suite(self, root: Field, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
-        """Add the scenarios of a suite, and its mistakes; ScenarioError for a circle or too many levels."""
+        """Add the scenarios of a suite and its mistakes.
+
+        ScenarioError if suites name each other in a circle or are nested too deeply.
+        """
         if resolved(file) in suites:
             circle = " names ".join(suite.name for suite in (*suites, file))
             raise ScenarioError(
@@ -147,7 +150,7 @@ class Gathered:
             self.add(path, at, (*suites, resolved(file)))
 
     def take(self, scenario: Scenario) -> None:
-        """Add a scenario; ScenarioError if its name exists already or there are too many."""
+        """Add a scenario; ScenarioError if its name is already in use or there are too many scenarios."""
         if scenario.name in self._names:
             got = f"the name {scenario.name!r} again, after {self._names[scenario.name]}"
             raise ScenarioError.of_file(scenario.file, "file names that tell the scenarios apart", got)
@@ -175,10 +178,10 @@ def read_all_scenarios(path: str | Path) -> tuple[Scenario, ...]:
 
 
 def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
-    """Return the scenarios of several paths, with all their mistakes.
+    """Return the scenarios of several paths, with all mistakes.
 
-    A file counts once, however often the paths lead to it.  In a matrix only the first faulty scenario
-    counts.
+    A file is read once, even if several paths lead to it.  Of a matrix, the result reports the mistakes of
+    the first faulty scenario only.
 
     Args:
         paths: Files, folders and suites.
@@ -197,8 +200,8 @@ def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
 def mistakes_of(variant: Variant, file: Path, mended: list[Mended]) -> list[InputError]:
     """Return the mistakes of a scenario.
 
-    Some mistakes hide those of other top keys.  To find these, the scenario is read again with an example in
-    place of each wrong top key.  The scenario that these examples make of it is added to ``mended``.
+    A mistake in one top key may hide mistakes in another.  So the function replaces each wrong top key by an
+    example, and reads the scenario again.  It appends the scenario with the examples to ``mended``.
     """
     errors, tree, faulty, there = list[InputError](), variant.tree, set[str](), set[str]()
     while True:
@@ -215,7 +218,7 @@ def mistakes_of(variant: Variant, file: Path, mended: list[Mended]) -> list[Inpu
                 errors.append(error)
             elif name and name not in faulty and faulty.isdisjoint(READ_WITH.get(name, ())):
                 missing = ScenarioError(place=error.place, expected=error.expected, got="none")
-                errors.append(error if name in there else missing)  # its own text would speak of examples
+                errors.append(error if name in there else missing)  # its own text would mention examples
         meant = {key for key in TOP.names if any(is_meant(key, error) for error in mistakes)} - there
         names = {name for name, _ in named if name}.union(meant) - faulty
         if not names:
@@ -229,14 +232,14 @@ def mistakes_of(variant: Variant, file: Path, mended: list[Mended]) -> list[Inpu
 
 
 def _as_holding(claims: Node) -> Mapping:
-    """Return the sentences of claims, each to hold."""
+    """Return the sentences of ``claims``, each with the expected verdict "holds"."""
     entries = claims.entries if isinstance(claims, Mapping) else ()
     sentences = (key for key, _ in entries if is_sentence(key.text))
     return Mapping(tuple((key, Scalar("holds", key.line, key.file)) for key in sentences), claims.line)
 
 
 def _top_key(tree: Mapping, error: InputError) -> str | None:
-    """Return the top key whose value, or whose absence, caused an error."""
+    """Return the top key of the file whose value or absence caused ``error``; None if there is none."""
     field = error.place.field or ""
     names = (*TOP.names, *(key.text for key, _ in tree.entries))
     return next((name for name in names if re.match(rf"{re.escape(name)}($|[.\[])", field)), None)

@@ -1,4 +1,4 @@
-"""The faults of a scenario as records for compiled code, with their times and effects."""
+"""The faults of a scenario as records for compiled code."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FAULT = np.dtype(
         ("kind", np.int64),
         ("from_s", np.float64),
         ("end_s", np.float64),
-        ("delay_s", np.float64),  # of what is late
+        ("delay_s", np.float64),  # of a late sensor or answer
         ("vector_m", np.float64, (3,)),  # a false hand's place or an offset in base, a shift in the TCP frame
         ("turned_rad", np.float64, (3,)),  # in the camera frame
         ("joint", np.int64),
@@ -35,7 +35,7 @@ _COLUMNS = {
 
 
 def fault_table(faults: Sequence[Fault]) -> NDArray[np.void]:
-    """Return the faults as (n,) FAULT; record k is fault k, and bit k of a trace's ``faults``."""
+    """Return the faults as records (n,) FAULT; bit k of the column ``faults`` in a trace is record k."""
     table = np.zeros(len(faults), FAULT)
     for record, fault in zip(table, faults, strict=True):
         record["kind"] = fault.phrase.kind
@@ -49,7 +49,7 @@ def fault_table(faults: Sequence[Fault]) -> NDArray[np.void]:
 
 @compiled
 def acts(faults: NDArray[np.void], k: int, kind: int | np.int64, time_s: float) -> bool:
-    """Return whether fault ``k`` (n,) FAULT has that kind and acts at ``time_s``; its end is excluded."""
+    """Return whether fault ``k`` of (n,) FAULT is of ``kind`` and acts at ``time_s``; its end is excluded."""
     fault = faults[k]
     return bool(
         fault.kind == kind and fault.from_s - TIME_EPS_S <= time_s and time_s < fault.end_s - TIME_EPS_S
@@ -58,7 +58,7 @@ def acts(faults: NDArray[np.void], k: int, kind: int | np.int64, time_s: float) 
 
 @compiled
 def acting(faults: NDArray[np.void], kind: int | np.int64, time_s: float) -> int:
-    """Return the bits of the faults (n,) FAULT of that kind that act at ``time_s``, else 0."""
+    """Return the bits of those faults in (n,) FAULT that are of kind ``kind`` and act at ``time_s``."""
     bits = 0
     for k in range(faults.shape[0]):
         if acts(faults, k, kind, time_s):
@@ -68,7 +68,7 @@ def acting(faults: NDArray[np.void], kind: int | np.int64, time_s: float) -> int
 
 @compiled
 def delay_s(faults: NDArray[np.void], kind: int | np.int64, time_s: float) -> float:
-    """Return the sum of the delays [s] of the faults (n,) FAULT of that kind that act at ``time_s``."""
+    """Return the total delay [s] of those faults in (n,) FAULT that are of ``kind`` and act at ``time_s``."""
     total = 0.0
     for k in range(faults.shape[0]):
         if acts(faults, k, kind, time_s):

@@ -1,9 +1,9 @@
 """Faults of a sensor, a joint or the avoider, with their times.
 
-Each is a frozen dataclass, written as ``- hand sensor: is late``, ``delay: 200 ms``.  One table of these
-words serves reading, writing and reports (docs/reference/scenario.md explains it for people).  A fault acts
-from ``from_s`` until ``end_s``.  The end is a time after the beginning, a moment of the run, or the end of
-the run.
+Each fault is a frozen dataclass, written in a file as ``- hand sensor: is late``, ``delay: 200 ms``.  One
+table of these words serves reading, writing and reports (docs/reference/scenario.md explains it for people).
+A fault acts from ``from_s`` until ``end_s``.  A file gives the end as a time after the beginning, or as a
+moment of the run.  Without either, the fault lasts until the end of the run.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _DELAY = Key(
 
 
 class Joint(Enum):
-    """The joints of the arm, counted from its foot, with the names of the UR family."""
+    """The joints of the arm, counted from its foot, with the names that UR uses."""
 
     PAN = "pan"
     LIFT = "lift"
@@ -62,7 +62,7 @@ class Joint(Enum):
 
 
 class FaultKind(IntEnum):
-    """The effect of a record."""
+    """The effect of a fault on a run, as a number in a record."""
 
     HAND_SENSOR_BLIND = 0
     HAND_SENSOR_FROZEN = 1
@@ -82,7 +82,7 @@ class FaultKind(IntEnum):
 
 @dataclass(frozen=True)
 class Phrase:
-    """A fault in words, ``subject: predicate``, and in compiled code."""
+    """A fault in words, ``subject: predicate``, and its kind in compiled code."""
 
     subject: str
     predicate: str
@@ -91,7 +91,7 @@ class Phrase:
 
 @declared
 class Timed:
-    """The time of a fault; a file gives at most one of ``for_s`` and ``until_s``."""
+    """The time of a fault; a file may state ``for_s`` or ``until_s``, but not both."""
 
     phrase: ClassVar[Phrase]
     from_s: float = key("from", _MOMENT, "when the fault begins", "500 ms", default=0.0)
@@ -114,7 +114,7 @@ class Timed:
 
     @property
     def end_s(self) -> float:
-        """The first moment without the fault; infinity if it stays."""
+        """The time at which the fault ends; infinity if it never ends."""
         if self.for_s is not None:
             return self.from_s + self.for_s
         return inf if self.until_s is None else self.until_s
@@ -263,7 +263,7 @@ TIMES = _TIMES.names
 
 
 def _own(kind: type[Any]) -> KeyTable:
-    """Return the keys of a fault without its time; a file needs at least one key of these."""
+    """Return the keys of a fault other than its time."""
     table = table_of(kind, kind.phrase.predicate)
     return replace(table, keys=table.keys[len(TIMES) :], told_by=kind.phrase.subject)
 
@@ -276,7 +276,7 @@ SUBJECTS = {
 
 
 def fault_tables() -> tuple[KeyTable, ...]:
-    """Return a table for each subject that can fail."""
+    """Return a table of keys for each subject that can fail."""
     tables = []
     for subject, own in SUBJECTS.items():
         first, *_ = own
@@ -294,7 +294,7 @@ def fault_tables() -> tuple[KeyTable, ...]:
 
 
 def read_faults(field: Field | None, *, duration_s: float) -> tuple[Fault, ...]:
-    """Return the faults of a scenario that lasts ``duration_s``, in the order of the file."""
+    """Return the faults in ``field``, in the order of the file, for a scenario that lasts ``duration_s``."""
     if field is None:
         return ()
     expected = f"a list of at most {MOST_FAULTS} faults"
@@ -307,7 +307,7 @@ def read_faults(field: Field | None, *, duration_s: float) -> tuple[Fault, ...]:
 
 
 def _fault(field: Field, duration_s: float) -> Fault:
-    """Return the fault of one mapping; ScenarioError if a key or a time does not fit."""
+    """Return the fault that a mapping describes; ScenarioError if a key or a time does not fit."""
     subject = field.only_key("fault", SUBJECTS)
     predicates = SUBJECTS[subject]
     clause = dict(field.entries("a fault"))[subject]
@@ -326,7 +326,7 @@ def _fault(field: Field, duration_s: float) -> Fault:
 
 
 def _times(fields: Fields, duration_s: float) -> dict[str, float]:
-    """Return the given values among ``from_s``, ``for_s`` and ``until_s``."""
+    """Return those of ``from_s``, ``for_s`` and ``until_s`` that ``fields`` states."""
     times = {f"{name}_s": fields.required(name).quantity(TIME, least=0.0) for name in TIMES if name in fields}
     begin_s = times.get("from_s", 0.0)
     if begin_s >= duration_s:
@@ -341,13 +341,13 @@ def _times(fields: Fields, duration_s: float) -> dict[str, float]:
 
 
 def write_fault(fault: Fault) -> dict[str, Tree]:
-    """Return the keys and values of one fault, from which ``read_faults`` gives it again."""
+    """Return the keys and values of one fault, from which ``read_faults`` returns the fault."""
     own = OWN_KEYS[type(fault)]
     return {own.told_by: own.name, **own.write(fault), **_TIMES.write(fault)}
 
 
 def fault_words(fault: Fault) -> str:
-    """Return a fault as a sentence: "hand sensor is late (delay 0.2 s), from 1 s until 3 s"."""
+    """Return a fault as a sentence, such as "hand sensor is late (delay 0.2 s), from 1 s until 3 s"."""
     own = OWN_KEYS[type(fault)]
     sentence = f"{own.told_by} {own.name}"
     if isinstance(fault, JointStuck):

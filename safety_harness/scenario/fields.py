@@ -1,7 +1,7 @@
-"""Typed reading of single values: a ``Field`` is a node that knows its place.
+"""Typed reading of single values: a ``Field`` is a node that knows its place in a file.
 
-Every method either returns a checked value or raises ScenarioError with file, line, field, expectation and
-actual input.
+Every method returns a checked value, or raises ScenarioError with file, line, field, expectation and actual
+input.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ V = TypeVar("V")
 T = TypeVar("T")
 
 _INTEGER = re.compile(r"[+-]?[0-9]{1,20}")
-_LONGEST_SENTENCE = 200  # characters, since YAML allows a key 1,024 of them and escapes take room
+_LONGEST_SENTENCE = 200  # characters; YAML allows 1,024 in a key, and escapes need room
 SENTENCE = f"one line of 1 to {_LONGEST_SENTENCE} printable characters"
 
 
 def is_sentence(text: str) -> bool:
-    """Return whether ``text`` can be a name, or a sentence of a language such as the claims'."""
+    """Return whether ``text`` can be a name, or a sentence such as a claim."""
     return bool(text.strip()) and text.isprintable() and len(text) <= _LONGEST_SENTENCE
 
 
@@ -45,7 +45,7 @@ _mistakes: ContextVar[list[InputError] | None] = ContextVar("_mistakes", default
 
 @contextmanager
 def every_mistake() -> Iterator[list[InputError]]:
-    """Yield the list of all mistakes within the context; readers go on after a mistake as far as they can."""
+    """Yield the list of all mistakes found within the context, where readers continue after a mistake."""
     mistakes: list[InputError] = []
     token = _mistakes.set(mistakes)
     try:
@@ -58,7 +58,7 @@ def every_mistake() -> Iterator[list[InputError]]:
 
 @contextmanager
 def one_mistake() -> Iterator[None]:
-    """Let readers stop at the first mistake within ``every_mistake``: for draws that may be refused."""
+    """Make readers stop at the first mistake, even within ``every_mistake``; draws may be refused."""
     token = _mistakes.set(None)
     try:
         yield
@@ -67,7 +67,7 @@ def one_mistake() -> Iterator[None]:
 
 
 def noted(error: InputError) -> InputError:
-    """Keep and return a mistake within ``every_mistake``, and raise it elsewhere."""
+    """Append a mistake to the list of ``every_mistake`` and return it; without such a list, raise it."""
     mistakes = _mistakes.get()
     if mistakes is None:
         raise error
@@ -77,7 +77,10 @@ def noted(error: InputError) -> InputError:
 
 
 def each(read: Callable[[T], V], items: Iterable[T]) -> list[V]:
-    """Return ``read`` of each item, or raise the first mistake (within ``every_mistake`` after all)."""
+    """Return the result of ``read`` for each item, or raise the first mistake.
+
+    Within ``every_mistake``, all items are read before the first mistake is raised.
+    """
     made, mistakes = [], list[InputError]()
     for item in items:
         try:
@@ -95,11 +98,11 @@ class Field(NamedTuple):
     Args:
         node: The value.
         file: The scenario's own file, from which relative paths start; None: a text without a file.
-        path: The name in messages: ``hands[0].starts at``.
+        path: The name of the value in messages, such as ``hands[0].starts at``.
         line: The line in its file, from 1.
         origin: The file that contains the value, if it differs from ``file``.
 
-    It is a tuple, since a search makes a million of them a minute.
+    A field is a tuple, because a search makes a million fields a minute.
 
     """
 
@@ -111,11 +114,11 @@ class Field(NamedTuple):
 
     @property
     def place(self) -> Place:
-        """The place for errors, here and after reading."""
+        """The place of the value, for errors that this module or a later check raises."""
         return Place(file=self.origin or self.file, line=self.line, field=self.path or None)
 
     def error(self, expected: str, *, got: str | None = None, hint: str = "") -> ScenarioError:
-        """Return the error for a value that differs from the expectation.
+        """Return the error for a value that is not as expected.
 
         Args:
             expected: Completes "expected ...".
@@ -128,7 +131,7 @@ class Field(NamedTuple):
         )
 
     def got(self) -> str:
-        """Return the actual value in the words of a message."""
+        """Return the actual value as a message states it."""
         if isinstance(self.node, Scalar):
             return shown(self.node.text)
         count = len(self.node.items if isinstance(self.node, Sequence) else self.node.entries)
@@ -154,8 +157,8 @@ class Field(NamedTuple):
         Args:
             dimension: Its dimension.
             above: An exclusive lower bound in SI; None: no such bound.
-            least: An inclusive lower bound, likewise.
-            most: An inclusive upper bound, likewise.
+            least: An inclusive lower bound in SI; None: no such bound.
+            most: An inclusive upper bound in SI; None: no such bound.
 
         """
         if isinstance(self.node, Scalar) and self.node.drawn and self.node.drawn[1] == dimension.si:
@@ -173,7 +176,7 @@ class Field(NamedTuple):
         raise self.error(f"{dimension.expected}, {wanted} {dimension.si}".rstrip())
 
     def integer(self, *, least: int, most: int) -> int:
-        """Return a whole number without a unit, from ``least`` to ``most``."""
+        """Return a whole number without a unit, which must lie from ``least`` to ``most``."""
         expected = f"a whole number from {least} to {most}"
         text = self.scalar(expected).strip()
         if not _INTEGER.fullmatch(text) or not least <= int(text) <= most:
@@ -181,11 +184,11 @@ class Field(NamedTuple):
         return int(text)
 
     def choice(self, choices: type[E]) -> E:
-        """Return the member of an enumeration whose value the text is."""
+        """Return the member of an enumeration whose value equals the field's text."""
         return self.one_of({str(member.value): member for member in choices})
 
     def one_of(self, choices: dict[str, V]) -> V:
-        """Return the value of a name among ``choices``."""
+        """Return the value in ``choices`` that the field's text names."""
         names = list(choices)
         expected = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
         text = self.scalar(expected)
@@ -201,7 +204,10 @@ class Field(NamedTuple):
         return text
 
     def prose(self, expected: str, *, lines: bool = False) -> str:
-        """Return a text for people, in any script, without control characters; one line unless ``lines``."""
+        """Return a text for people, in any script and without control characters.
+
+        The text must be on one line unless ``lines``.
+        """
         text = self.scalar(expected)
         for character in text:
             category = unicodedata.category(character)
@@ -212,7 +218,7 @@ class Field(NamedTuple):
     def items(
         self, expected: str, *, count: int | None = None, least: int = 0, most: int | None = None
     ) -> tuple[Field, ...]:
-        """Return the members of a list: exactly ``count``, or from ``least`` to ``most``."""
+        """Return the members of a list, which must be exactly ``count``, or from ``least`` to ``most``."""
         if not isinstance(self.node, Sequence):
             raise self.error(expected)
         length = len(self.node.items)
@@ -224,7 +230,7 @@ class Field(NamedTuple):
         )
 
     def entries(self, expected: str) -> tuple[tuple[str, Field], ...]:
-        """Return the keys and values of a mapping whose keys are free."""
+        """Return the keys and values of a mapping in which any key is allowed."""
         if not isinstance(self.node, Mapping):
             raise self.error(expected)
         return tuple(
@@ -233,7 +239,7 @@ class Field(NamedTuple):
         )
 
     def only_key(self, noun: str, names: abc.Mapping[str, object]) -> str:
-        """Return the only key among ``names`` that a mapping has; it tells the kind of mapping."""
+        """Return the only key of a mapping that is among ``names``; it tells what the mapping describes."""
         listed = ", ".join(names)
         given = [key for key, _ in self.entries(f"a {noun}: a mapping with one of the keys {listed}")]
         chosen = [key for key in given if key in names]
@@ -250,10 +256,10 @@ class Field(NamedTuple):
         hints: dict[str, str] | None = None,
         former: abc.Mapping[str, str] | None = None,
     ) -> Fields:
-        """Return the values of a mapping with certain keys; mistakes in other keys are in ``wrong``.
+        """Return the values of a mapping; mistakes in its keys become ``wrong`` in the result.
 
         Args:
-            allowed: The keys that it may have.
+            allowed: The keys that the mapping may have.
             hints: Advice for wrong keys that people are likely to try.
             former: The present keys by their names in earlier releases.
 
@@ -271,19 +277,19 @@ class Field(NamedTuple):
 
 
 def is_meant(key: str, error: InputError) -> bool:
-    """Return whether a wrong key is ``key``, misspelt."""
+    """Return whether the hint of ``error`` suggests ``key`` in place of the wrong key."""
     return f'"{key}"' in error.hint
 
 
 @lru_cache
 def _mapping_with(keys: tuple[str, ...]) -> str:
-    """Return the expectation of a mapping with these keys."""
+    """Return the words that expect a mapping with these keys."""
     return f"a mapping with the keys {', '.join(keys)}"
 
 
 @dataclass(frozen=True)
 class Fields:
-    """The values of a mapping by their keys; ``wrong`` are mistakes in the keys, which were noted."""
+    """The values of a mapping by their keys; ``wrong`` holds the noted mistakes in its keys."""
 
     whole: Field
     by_key: dict[str, Field]
@@ -296,7 +302,7 @@ class Fields:
         return iter(self.by_key)
 
     def required(self, key: str, hint: str = "") -> Field:
-        """Return the value of ``key``; ScenarioError, with the hint, if it is absent."""
+        """Return the value of ``key``; if it is absent, raise ScenarioError with ``hint``."""
         if key not in self.by_key:
             for error in self.wrong:
                 if is_meant(key, error):
@@ -326,9 +332,9 @@ def walk(field: Field) -> Iterator[Field]:
 
 @dataclass(frozen=True)
 class Places(abc.Mapping[str, Place]):
-    """The places of all values below ``root``, by path.
+    """The places of all values below ``root``, by their paths.
 
-    The first access computes them, since few scenarios have a mistake.
+    They are computed at the first access, because few scenarios have a mistake.
     """
 
     root: Field

@@ -1,8 +1,8 @@
-"""Bounded reading of files of unknown origin, errors with a place, and the recognition of ours.
+"""Bounded reading of files of unknown origin, with errors that name a place but no foreign content.
 
-Other programs have files with a ``scenario:`` or a ``seed:`` too.  A name may also lead to a confidential
-file (``scenario.yaml`` a link to ``/etc/shadow``, or ``extends: ~/.netrc``).  Errors go into the log of a
-build.  So an error never quotes a file that lacks all of our keys.
+Files of other programs may have a ``scenario:`` or a ``seed:`` too.  A name may also lead to a confidential
+file (``scenario.yaml`` a link to ``/etc/shadow``, or ``extends: ~/.netrc``).  Errors end up in the log of a
+build, so an error never quotes a file that lacks all of our keys.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ KEYS = (
     *("extends", "without", "matrix", "tcp start", "avoider", "hands", "faults", "hand sensor", "claims"),
     *("scenarios", "plan", "strata", "proof"),
 )
-# Ours beside a title only.
+# Keys that are ours only beside a title.
 COMMON = ("about", "duration", "seed", "robot", "controller", "object", "camera", "settings")
 ALL = (*TITLES, *KEYS, *COMMON)
 TOP_KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?=[ \t\r\n]|$)", re.MULTILINE)
 
 
 def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
-    """Return a caller's text as a path, with ``shipped:NAME`` resolved.
+    """Return ``source``, a path or its text, as a path with ``shipped:NAME`` resolved.
 
-    Every text of a caller becomes a path here.
+    Every path that a caller gives as a text passes through this function.
 
     Args:
         source: A path, or its text.
@@ -37,7 +37,7 @@ def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
         of_text: The function that reads a text in place of a path, for the hint.
 
     Raises:
-        InputError: It is no path, or a text of several lines.
+        InputError: ``source`` is no path, or is a text of several lines.
 
     """
     refuse_other_type(argument, source, str, Path, expected="a path")
@@ -52,9 +52,10 @@ def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
 
 
 def read_bytes(path: Path, *, most: int, place: Place, error: type[InputError]) -> bytes:
-    """Return the first ``most`` + 1 bytes of a regular file, so that ``decode`` sees a longer file.
+    """Return the first ``most`` + 1 bytes of a regular file.
 
-    Devices and pipes, which may never end, do not count as files.
+    The extra byte lets ``decode`` refuse a file that is too large.  Devices and pipes are no regular files,
+    because they may never end.
 
     Args:
         path: The file.
@@ -74,14 +75,14 @@ def read_bytes(path: Path, *, most: int, place: Place, error: type[InputError]) 
 
 
 def refuse_no_file(path: Path, expected: str, error: type[InputError]) -> None:
-    """Raise ``error`` unless ``path`` is a regular file; a pipe might wait for ever when it is opened."""
+    """Raise ``error`` unless ``path`` is a regular file; opening a pipe might block for ever."""
     problem = _no_file(path)
     if problem:
         raise error(place=Place(file=path), expected=expected, got=problem)
 
 
 def _no_file(path: Path) -> str:
-    """Return why there is no regular file at a path; empty if there is."""
+    """Return why ``path`` is no regular file; empty if it is one."""
     try:
         if path.is_file():
             return ""
@@ -91,15 +92,15 @@ def _no_file(path: Path) -> str:
 
 
 def resolved(path: Path) -> Path:
-    """Return the absolute path without links; a circle of links stays unresolved."""
+    """Return the absolute path with links resolved; links that form a circle stay."""
     return Path(os.path.realpath(path))
 
 
 def display_path(path: Path) -> Path:
     """Return the name of a file for a result: relative to the working directory, or its name alone.
 
-    Results are public, and a path from the root reveals a machine and its user.  A relative path stays
-    relative, unless it leads through the root or the folder of all homes.  A shipped file has its
+    Results are public, and an absolute path would reveal a machine and its user.  A relative path stays as it
+    is, unless it leads through the root or the folder of all homes.  A shipped file appears by its
     ``shipped:`` name.
     """
     full, here = resolved(path.parent) / path.name, resolved(Path())
@@ -124,12 +125,12 @@ def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]
 
 
 def has_a_key(text: str) -> bool:
-    """Return whether a line of a text begins with one of our titles or rare keys."""
+    """Return whether a line of ``text`` begins with a title or a rare key of ours."""
     return not {*COMMON}.issuperset(TOP_KEY.findall(text))
 
 
 def foreign(file: Path, place: Place | None) -> ScenarioError:
-    """Return the error for a file that is not ours; it quotes no content."""
+    """Return the error for a file that is not ours, without quoting the file."""
     expected = f"a scenario file, with keys such as {', '.join((*TITLES, 'hands'))}"
     hint = "nothing of it is shown here: it may be anybody's"
     got = f"{file}, which is none"

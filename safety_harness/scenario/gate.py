@@ -1,4 +1,4 @@
-"""The key ``gate`` of a scenario file: further demands of the gate (docs/reference/controller.md)."""
+"""The key ``gate`` of a scenario file: demands beyond the gate's own (docs/reference/controller.md)."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ _REGION = f"{{hand: {_BOX}, tcp: {_BOX}}}"
 
 @declared
 class PositionBox:
-    """A box of positions in the base frame; its surface belongs to it."""
+    """A box of positions in the base frame; points on its surface are inside."""
 
     low_m: Vector3 = key("from", POINT, "its lowest corner in the base frame", "[600 mm, -500 mm, -200 mm]")
     high_m: Vector3 = key("to", POINT, "its highest corner", "[700 mm, -400 mm, -100 mm]")
 
     def depth_m(self, position_in_base_m: NDArray[np.float64]) -> float:
-        """Return the depth [m] of ``position_in_base_m`` (3,) inside the box, the least over all sides.
+        """Return the distance [m] from ``position_in_base_m`` (3,) inside the box to the nearest side.
 
-        It is negative outside, and NaN for NaN.
+        The distance is negative for a position outside, and NaN for NaN.
         """
         sides = position_in_base_m - self.low_m, self.high_m - position_in_base_m
         return float(np.min(sides))
 
     @property
     def summary(self) -> str:
-        """Its corners in words."""
+        """The corners of the box, in words."""
         low, high = (", ".join(f"{1e3 * x:g}" for x in corner) for corner in (self.low_m, self.high_m))
         return f"({low}) to ({high}) mm"
 
@@ -45,21 +45,21 @@ _OF_HAND, _OF_TCP = (
 
 @declared
 class AskedRegion:
-    """A region of questions to an avoider, such as the region of a proof."""
+    """The region of questions that an avoider may be asked, such as the region of a proof."""
 
     hand: PositionBox = key("hand", _OF_HAND, "where the hand is that the avoider is asked about", _BOX)
     tcp: PositionBox = key("tcp", _OF_TCP, "where the TCP is then", _BOX)
 
     def depth_m(self, hand_in_base_m: NDArray[np.float64], tcp_in_base_m: NDArray[np.float64]) -> float:
-        """Return the depth [m] of a question inside the region, the least over all sides; negative outside.
+        """Return the smaller depth [m] of ``hand_in_base_m`` and ``tcp_in_base_m``, each (3,), in its box.
 
-        ``hand_in_base_m`` and ``tcp_in_base_m`` are (3,).
+        A depth is the distance to the nearest side of the box, negative outside.
         """
         return float(np.min([self.hand.depth_m(hand_in_base_m), self.tcp.depth_m(tcp_in_base_m)]))
 
     @property
     def summary(self) -> str:
-        """Both boxes in words."""
+        """The boxes for the hand and the TCP, in words."""
         return f"hands {self.hand.summary}, TCPs {self.tcp.summary}"
 
 
@@ -85,7 +85,7 @@ class GateRule:
 
     @property
     def demands(self) -> Iterator[str]:
-        """Its demands, each in a few words."""
+        """The demands, each in a few words."""
         if self.hands_within is not None:
             yield f"every hand within {100.0 * self.hands_within:g} %"
         if self.questions_within is not None:

@@ -1,4 +1,7 @@
-"""The kind of a file, from its content, and the command for it; used where a command gets a wrong file."""
+"""The kind of a file, found from its content, and the command for that kind.
+
+Commands use this module for a message about a file of the wrong kind.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +20,11 @@ from safety_harness.base.exceptions import InputError, MissingPackageError, Plac
 from safety_harness.base.extension_points import OWN_TITLES, ExtensionPoint, InputFile, input_files, parts
 from safety_harness.scenario.files import TITLES, TOP_KEY
 
-if TYPE_CHECKING:  # pytest loads this file in every project, and the model is slow to import
+if TYPE_CHECKING:  # the model is slow to import, and pytest loads this file in every project
     from safety_harness.scenario.model import Claim
 
 SUFFIXES = (".yaml", ".yml")
-HEAD_BYTES = 1_000_000  # of a file, which is as much as a scenario has
+HEAD_BYTES = 1_000_000  # of a file, the largest size of a scenario
 TAIL_BYTES = 100_000  # of a ZIP file, which has the names of its members at its end
 MOST_ENTRIES = 100  # of a folder
 _LOG = re.compile(r"^log:(?=[ \t\r\n]|$)", re.MULTILINE), re.compile(r"^(claims|clock|robot):", re.MULTILINE)
@@ -32,7 +35,7 @@ _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 class FileKind(Enum):
     """A kind of file or folder, with its article in messages, and the command for it.
 
-    ``names`` are the titles of our YAML, or the formats of our JSON, that are of this kind.
+    ``names`` are the titles of our YAML files, or the formats of our JSON files, of this kind.
     """
 
     SCENARIO = "a scenario", "safety-harness run {file}", "scenario"
@@ -100,7 +103,7 @@ _BINARIES = frozenset({FileKind.TRACE, FileKind.LEDGER, FileKind.MODEL, FileKind
 def kind_of(path: Path) -> Kind | None:
     """Return the kind of the file or folder at ``path``; None if it is absent or unknown.
 
-    A file that extends another has the kind of that file, which stays unread.
+    A file that extends another and has no title of its own is of unknown kind: the other file is not read.
     """
     try:
         if path.is_dir():
@@ -114,7 +117,7 @@ def kind_of(path: Path) -> Kind | None:
 
 
 def added_input(path: Path) -> InputFile | None:
-    """Return the entry of the package that adds a file's kind; None for the core's own kinds."""
+    """Return a package's entry for the kind of a file; None for the core's own kinds."""
     kind = kind_of(path)
     if isinstance(kind, InputFile):
         return kind
@@ -123,7 +126,7 @@ def added_input(path: Path) -> InputFile | None:
 
 
 def added_titles() -> set[str]:
-    """Return the titles of the kinds of file that packages add, without loading a package."""
+    """Return the titles of the kinds of file that packages add; no package is loaded."""
     return {part.name for part in parts(ExtensionPoint.INPUTS)} - {*OWN_TITLES}
 
 
@@ -138,7 +141,7 @@ def recorded_run(path: Path, claims: Sequence[Claim] = ()) -> Any:
 
     Args:
         path: The file.
-        claims: The claims in place of its own; empty: its own.
+        claims: Claims that replace the file's own; empty: the file's own claims.
 
     Raises:
         MissingPackageError: No package reads such a file.
@@ -152,7 +155,7 @@ def recorded_run(path: Path, claims: Sequence[Claim] = ()) -> Any:
 
 
 def titled(title: str) -> InputFile:
-    """Return the kind of file of a title; MissingPackageError if no package adds it."""
+    """Return the kind of files with a title; MissingPackageError if no package adds this kind."""
     if (added := input_files().get(title)) is None:
         expected = f"a package that adds the entry point {title} to safety_harness.inputs"
         hint = f"pip install --force-reinstall {DISTRIBUTION}"
@@ -167,9 +170,10 @@ def refuse_other_kind(
     place: Place | None = None,
     expected: str = "",
 ) -> None:
-    """Raise ``error`` for a file of another kind, with its kind and the command for it.
+    """Raise ``error`` for a file of another kind; the error names the kind and the command for it.
 
-    A file of unknown kind, or a damaged file that may be of a wanted kind, passes: its reader will refuse it.
+    A file of unknown kind passes.  So does a damaged file that may be of a wanted kind.  The reader of the
+    file will refuse both.
 
     Args:
         path: The file or folder.
@@ -194,7 +198,7 @@ def refuse_other_kind(
 
 
 def command_for(path: Path, kind: Kind, *wanted: Kind) -> str:
-    """Return the command for a file where another kind was expected; empty without one.
+    """Return the command for a file of an unexpected kind; empty if there is no such command.
 
     Args:
         path: The file or folder.
@@ -220,12 +224,12 @@ def command_for(path: Path, kind: Kind, *wanted: Kind) -> str:
 
 
 def _either(texts: Sequence[str]) -> str:
-    """Return texts as an alternative: ``a, b or c``."""
+    """Return ``texts`` joined as alternatives: ``a, b or c``."""
     return " or ".join([", ".join(texts[:-1])] * (len(texts) > 1) + [texts[-1]])
 
 
 def _first_in(folder: Path, wanted: set[Kind]) -> Path | None:
-    """Return the first file of a folder whose kind is ``wanted``, or None."""
+    """Return the first file in a folder that is of a ``wanted`` kind, or None."""
     try:
         entries = sorted(folder.iterdir())[:MOST_ENTRIES]
     except OSError:
@@ -240,7 +244,7 @@ def _head(file: Path) -> bytes:
 
 
 def _folder_kind(folder: Path) -> FileKind:
-    """Return the kind of a folder, from a file in it."""
+    """Return the kind of a folder, determined by a file in it."""
     for name, form, kind in _IN_FOLDERS:
         file = folder / name
         if file.is_file() and _format_of(_head(file).decode("utf-8", "replace")) == form:
@@ -249,7 +253,7 @@ def _folder_kind(folder: Path) -> FileKind:
 
 
 def _binary_kind(path: Path, head: bytes) -> FileKind | None:
-    """Return the kind of a binary file; None for a text."""
+    """Return the kind of a binary file, or None if the file is a text."""
     if head.startswith(b"PK\3\4"):
         return _zip_kind(path)
     if head.startswith(b"SQLite format 3\0"):
@@ -264,9 +268,9 @@ def _binary_kind(path: Path, head: bytes) -> FileKind | None:
 
 
 def _zip_kind(path: Path) -> FileKind:
-    """Return the kind of a ZIP file, from the names at its end.
+    """Return the kind of a ZIP file, from the names in the directory at the file's end.
 
-    It stays packed, since a file of foreign origin may unpack to any size.
+    The function unpacks nothing, because a file of foreign origin may unpack to any size.
     """
     with path.open("rb") as stream:
         stream.seek(max(stream.seek(0, os.SEEK_END) - TAIL_BYTES, 0))
@@ -277,7 +281,7 @@ def _zip_kind(path: Path) -> FileKind:
 
 
 def _text_kind(path: Path, text: str) -> Kind | None:
-    """Return the kind of a text file, from its name, its format or its title."""
+    """Return the kind of a text file, determined by its suffix, its format or its title."""
     if not text.strip():
         return FileKind.EMPTY
     if path.suffix in _BY_SUFFIX:
@@ -300,13 +304,13 @@ def _text_kind(path: Path, text: str) -> Kind | None:
 
 
 def _format_of(text: str) -> str | None:
-    """Return the format that a JSON document of ours declares."""
+    """Return the format that a JSON text of ours declares."""
     declared = _FORMAT.search(text)
     return declared[1] if declared else None
 
 
 def avoider_in(path: Path) -> str:
-    """Return the first class in a Python file with a ``propose``, without executing the file; else NAME."""
+    """Return the first class with a ``propose`` in a Python file, or "NAME"; the file is not executed."""
     try:
         with warnings.catch_warnings(action="ignore"):
             tree = ast.parse(_head(path))

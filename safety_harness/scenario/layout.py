@@ -1,4 +1,4 @@
-"""One layout for every scenario file; comments, units and the order of free keys stay.
+"""One layout for every scenario file, which keeps comments, units and the order of free keys.
 
 The file is read with everything that a person sees in it (comments, blank lines, styles).  Then all its lines
 are written anew.
@@ -40,7 +40,7 @@ _COMMENT = re.compile(r"(?<!\S)#.*")
 
 @dataclass
 class Comment:
-    """A comment: its start in the text, its line (from 0) and its column."""
+    """A comment: where it starts in the text, its line (from 0) and its column."""
 
     text: str
     index: int
@@ -50,7 +50,7 @@ class Comment:
 
 @dataclass
 class WrittenValue:
-    """A value with its written form; ``raw`` is the text of a block of prose, its header first."""
+    """A value as it is written; ``raw`` holds the lines of a block of prose, beginning with its header."""
 
     kind: str  # "scalar", "list" or "mapping"
     flow: bool = False
@@ -63,7 +63,7 @@ class WrittenValue:
 
 @dataclass
 class LayoutEntry:
-    """A key with its value, or an item of a list; an empty text in ``above`` is a blank line."""
+    """A key with its value, or an item of a list; an empty text in ``above`` means a blank line."""
 
     key: WrittenValue | None
     value: WrittenValue
@@ -73,12 +73,12 @@ class LayoutEntry:
 
     @property
     def name(self) -> str:
-        """The text of the key; empty for an item of a list."""
+        """The text of the key; empty if the entry is an item of a list."""
         return self.key.text if self.key else ""
 
 
 def written_tree(text: str) -> tuple[WrittenValue, int]:
-    """Return the tree of a text that ``parse_tree`` accepts, and the number of its comments."""
+    """Return the tree of a text that ``parse_tree`` accepts, and the number of comments in the text."""
     kinds = ScalarEvent | CollectionStartEvent | CollectionEndEvent
     events = [event for event in YAML(typ="safe", pure=True).parse(text) if isinstance(event, kinds)]
     comments = _comments(text, events)
@@ -86,7 +86,7 @@ def written_tree(text: str) -> tuple[WrittenValue, int]:
 
 
 def _comments(text: str, events: Sequence[Event]) -> list[Comment]:
-    """Return every comment: a # at the beginning of a word, outside of scalars."""
+    """Return every comment of a text: a # that begins a word outside of scalars, and the rest of its line."""
     parts, at = [], 0
     for event in events:
         if isinstance(event, ScalarEvent):
@@ -104,7 +104,7 @@ def _comments(text: str, events: Sequence[Event]) -> list[Comment]:
 
 
 class _Builder:
-    """Goes through the events once, and gives every comment to the entry that it belongs to."""
+    """The construction of a written tree, in which every comment is given to the entry that it belongs to."""
 
     def __init__(self, text: str, events: Sequence[Event], comments: list[Comment]) -> None:
         self._text, self._events, self._next = text, events, 0
@@ -120,7 +120,7 @@ class _Builder:
         return root
 
     def _value(self) -> WrittenValue:
-        """Return the value that begins at the next event, with the comments inside it."""
+        """Return the value that begins at the next event, including the comments inside it."""
         event = self._events[self._next]
         self._next += 1
         if isinstance(event, ScalarEvent):
@@ -143,7 +143,7 @@ class _Builder:
         return value
 
     def _entry(self, mapping: bool, *, first: bool) -> LayoutEntry:
-        """Return the next key with its value, or the next item, with the comments at it."""
+        """Return the next key with its value, or the next item, with the comments above and beside it."""
         start = self._events[self._next].start_mark
         above = self._comments_up_to(start.index, start.line, first=first)
         key, beside_key = None, ""
@@ -158,22 +158,22 @@ class _Builder:
         return LayoutEntry(key, value, above, beside_key, beside)
 
     def _end_mark(self) -> StreamMark:
-        """Return the end of the last event."""
+        """Return the position at which the last event ends."""
         mark: StreamMark = self._events[self._next - 1].end_mark
         return mark
 
     def _start_of_next(self) -> int:
-        """Return the start of the next event that is not the end of a block."""
+        """Return the position of the next event that does not end a block."""
         for event in self._events[self._next :]:
             if not isinstance(event, CollectionEndEvent):
                 return int(event.start_mark.index)
         return len(self._text) + 1
 
     def _beside(self) -> str:
-        """Return the comment on the line where the last event ends, if it follows directly."""
+        """Return the comment on the line where the last event ends, if no other value comes before it."""
         last, mark = self._events[self._next - 1], self._end_mark()
         if last.start_mark.index == mark.index:
-            return ""  # an empty value, which is marked where the next thing begins
+            return ""  # the parser places an empty value where the next entry begins
         here = [note for note in self._comments if note.line == mark.line and note.index >= mark.index]
         follows = self._events[self._next].start_mark.index if self._next < len(self._events) else -1
         if not here or mark.index < follows < here[0].index:
@@ -182,10 +182,10 @@ class _Builder:
         return here[0].text
 
     def _comments_up_to(self, index: int, line: int, *, first: bool) -> list[str]:
-        """Return the comments before ``index`` with the blank lines around them, and use these comments up.
+        """Return the comments before ``index`` with the blank lines around them, and remove these comments.
 
-        The blank lines go up to ``line``.  Before the ``first`` entry of a block there is no leading blank
-        line.
+        The last blank line may precede ``line``.  Before the ``first`` entry of a block, there
+        is no leading blank line.
         """
         comments = [comment for comment in self._comments if comment.index < index]
         self._comments = self._comments[len(comments) :]
@@ -203,11 +203,11 @@ class _Builder:
 
 
 def laid_out(text: str, file: Path | None = None) -> str:
-    """Return ``text`` in the layout, with its meaning unchanged; ScenarioError if it is no tree."""
+    """Return ``text`` in the layout, with unchanged meaning; ScenarioError if ``text`` is no tree."""
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     original = parse_tree(text, file)
     root, comments = written_tree(text)
-    # The values of a space vary in the order in which they stand, so that this order means something.
+    # The order of a space's values decides the order of its parameters, so it has a meaning.
     lines = list(_head(root)) + _block(root, None if is_space(original) else _WHOLE_FILE)
     new = "\n".join(lines).strip("\n") + "\n"
     if meaning(parse_tree(new, file)) != meaning(original) or written_tree(new)[1] != comments:
@@ -217,9 +217,9 @@ def laid_out(text: str, file: Path | None = None) -> str:
 
 
 def meaning(node: Node) -> object:
-    """Return the content of a tree; its lines and the order of its keys do not matter.
+    """Return the content of a tree, without its line numbers and without the order of its keys.
 
-    The order of claims does.
+    The order of claims is kept.
     """
     if isinstance(node, Scalar):
         return node.text
@@ -233,7 +233,7 @@ def meaning(node: Node) -> object:
 def _head(root: WrittenValue) -> Iterator[str]:
     """Yield the comments at the top of the file, and remove them from the first entry.
 
-    Comments that a blank line separates from the first key belong to the file.
+    Comments before a blank line above the first key belong to the file.
     """
     if not root.entries:
         return
@@ -245,7 +245,7 @@ def _head(root: WrittenValue) -> Iterator[str]:
 
 
 def _block(value: WrittenValue, kind: Value | None) -> list[str]:
-    """Return the lines of a value below its key, without indentation."""
+    """Return the lines of a value that stands below its key, without indentation."""
     if value.kind == "scalar":
         return [*value.tail, *_scalar_lines(value, "")]
     if not value.entries:
@@ -263,14 +263,14 @@ def _block(value: WrittenValue, kind: Value | None) -> list[str]:
 
 
 def _collapsed(lines: list[str]) -> list[str]:
-    """Return lines with at most one blank line in a row."""
+    """Return the lines with at most one blank line in a row."""
     return [line for at, line in enumerate(lines) if line or at == 0 or lines[at - 1]]
 
 
 def _item(entry: LayoutEntry, kind: Value | None) -> list[str]:
-    """Return the lines of an item of a list of ``kind``, with a dash before its first line.
+    """Return the lines of an item in a list of ``kind``, with a dash before the first line.
 
-    Comments at its beginning stand above it.
+    Comments at the beginning of the item are put above it.
     """
     kind = kind.of if isinstance(kind, Several) else None
     flow = _flow(entry.value, 2 + len(entry.beside), kind)
@@ -307,14 +307,14 @@ def _pair(entry: LayoutEntry, kind: Value | None) -> list[str]:
 
 
 def _beside(line: str, comment: str) -> str:
-    """Return a line with a comment after it."""
+    """Return ``line`` with a comment after it."""
     return f"{line}  {comment}" if comment else line
 
 
 def _flow(value: WrittenValue, used: int, kind: Value | None) -> str | None:
-    """Return the value on one line, or None if it takes several.
+    """Return the value written on one line, or None if it needs several lines.
 
-    A line suits a value that was on one line before, and a list of numbers.
+    One line is chosen for a value that was on one line before, and for a list of numbers.
 
     Args:
         value: The value.
@@ -344,18 +344,18 @@ def _flow(value: WrittenValue, used: int, kind: Value | None) -> str | None:
 
 
 def _is_long_prose(value: WrittenValue, used: int) -> bool:
-    """Return whether a text of more than 20 words is too long for one line."""
+    """Return whether a text has more than 20 words and is too long for one line."""
     terms = value.text.split(" ")
     return used + len(value.text) > PROSE_WIDTH and len(terms) > 20 and "\n" not in value.text and all(terms)
 
 
 def _scalar(value: WrittenValue) -> str:
-    """Return a scalar on one line, in quotes only if it needs them."""
+    """Return a scalar written on one line, with quotes only if it needs them."""
     return scalar_text(value.text) if value.style or "\n" in value.text else value.text
 
 
 def _scalar_lines(value: WrittenValue, start: str) -> list[str]:
-    """Return a scalar that may take several lines, the first one after ``start``."""
+    """Return the lines of a scalar that may need several; ``start`` precedes its first line."""
     if value.raw:
         header, *lines = value.raw
         widths = [len(line) - len(line.lstrip()) for line in lines if line.strip()]
@@ -372,7 +372,7 @@ def _scalar_lines(value: WrittenValue, start: str) -> list[str]:
 
 
 def _ordered(value: WrittenValue, kind: Value | None) -> list[tuple[LayoutEntry, Value | None]]:
-    """Return the entries with their kinds, in the documented order; free keys and items keep their order."""
+    """Return the entries with their kinds, in the documented order; free keys and items stay as they are."""
     if isinstance(kind, FreeKeys):
         return [(entry, kind.of) for entry in value.entries]
     if not isinstance(kind, Below):
@@ -389,6 +389,6 @@ def _ordered(value: WrittenValue, kind: Value | None) -> list[tuple[LayoutEntry,
 
 
 def _table_of(kind: Below, keys: set[str]) -> KeyTable:
-    """Return the table that a mapping with these keys follows."""
+    """Return the table that describes a mapping with these keys."""
     begun = [table for table in kind.tables if table.told_by in keys]
     return begun[-1] if begun else (kind.tables or (COMPOSED,))[0]

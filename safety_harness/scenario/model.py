@@ -1,7 +1,7 @@
 """A scenario as frozen data: one test case, independent of all packages that run it.
 
-Claims and avoiders are plain references here (the sentence as the user wrote it); ``admission`` resolves
-them.  Everything is in SI; ``read`` converts the units of a file.
+The scenario refers to claims and avoiders only by the user's words; ``admission`` resolves them.  All values
+are in SI; ``read`` converts the units of a file.
 """
 
 from __future__ import annotations
@@ -50,16 +50,16 @@ NO_AVOIDER = ""
 LARGEST_FACTOR = 10.0
 LONGEST_GAP_S = 10.0
 FASTEST_JUMP_MPS = 1000.0  # of noise between two samples that follow each other quickly
-# An assumption: a reach of 0.66 m with the minimum-jerk profile of Flash and Hogan (1985) that peaks
-# at 2.0 m/s (REACHING_MPS) has 1.642 v^2/d = 10 m/s^2 at most.
+# An assumption.  A reach of 0.66 m with the minimum-jerk profile of Flash and Hogan (1985) that peaks
+# at v = 2.0 m/s (REACHING_MPS) has at most 1.642 v^2/d = 10 m/s^2, for the distance d.
 REACHING_MPS2 = 10.0
 ACCELERATIONS_MPS2 = (0.1, 100.0)  # a value outside is a slip of the unit
 
 
 class Driver(str):
-    """A reference to a controller in place of the visual servo, where an avoider's reference may stand.
+    """A reference to a controller that replaces the visual servo, used like the reference of an avoider.
 
-    The system under test is the avoider that the visual servo asks, or the driver of the arm.
+    The system under test is either the avoider that the visual servo asks, or the driver of the arm.
     """
 
     __slots__ = ()
@@ -104,7 +104,7 @@ class OffsetStart:
     """A TCP start relative to the desired pose.
 
     ``offset_in_base_m`` shifts the desired TCP position.  ``tilt_in_tcp_rad`` is a rotation vector in the
-    desired TCP frame; at zero the camera looks straight down.
+    desired TCP frame; with a zero vector the camera looks straight down.
     """
 
     offset_in_base_m: Vector3 = key(
@@ -118,7 +118,7 @@ class OffsetStart:
 
 @declared
 class JointStart:
-    """A TCP start by the arm's joint angles, from the base on."""
+    """A TCP start given by the arm's joint angles, beginning at the base."""
 
     joint_position_rad: tuple[float, ...] = key(
         "joints",
@@ -130,7 +130,7 @@ class JointStart:
 
 @declared
 class PoseStart:
-    """A TCP start by its position in the base frame; ``tilt_in_tcp_rad`` as in OffsetStart."""
+    """A TCP start given by its position in the base frame; ``tilt_in_tcp_rad`` is as in OffsetStart."""
 
     position_in_base_m: Vector3 = key(
         "position",
@@ -157,12 +157,12 @@ _ACCELERATION = QuantityValue(ACCELERATION, least=ACCELERATIONS_MPS2[0], most=AC
 
 @declared
 class MovingHand:
-    """A hand that does one move after another, then rests.
+    """A hand that makes one move after another, and then rests.
 
-    The forearm points from the hand's centre towards ``elbow_towards_in_base_m`` (where the person stands) at
-    every moment.  ``shift_in_base_m`` shifts the start and every point of the moves; the first move begins
+    At every moment the forearm points from the hand's centre to ``elbow_towards_in_base_m``, where the person
+    stands.  ``shift_in_base_m`` is added to the start and to every point of the moves.  The first move begins
     after ``delay_s``.  The hand, with its tremor, never exceeds ``max_speed_mps``.  Its moves never exceed
-    ``max_acceleration_mps2``; the tremor's acceleration comes on top.
+    ``max_acceleration_mps2``, to which the tremor's acceleration is added.
     """
 
     name: str = key(
@@ -210,13 +210,13 @@ class MovingHand:
 
     @property
     def max_move_speed_mps(self) -> float:
-        """The speed bound of the moves: the hand's bound less the tremor's speed."""
+        """The largest speed of the moves: the hand's bound minus the tremor's largest speed."""
         return self.max_speed_mps - (self.tremor.max_speed_mps if self.tremor else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedMotion:
-    """Samples of a recorded hand, placed, turned and timed in the robot's base frame.
+    """The samples of a recorded hand's motion, placed, turned and timed in the robot's base frame.
 
     ``time_s`` (n,) rises strictly from 0.  ``hand_position_in_base_m`` and ``elbow_position_in_base_m`` are
     (n, 3), finite.  Between samples the motion is straight.  ``notes`` describes the gaps and jumps that
@@ -254,7 +254,7 @@ NOT_LOADED = RecordedMotion(_NOTHING[:, 0], _NOTHING, _NOTHING, (), "")  # of a 
 
 _PATH = Text(kind="path", reads=lambda field: Path(field.sentence("the path of a recording")))
 _DIGEST = replace(DIGEST, writes=lambda motion: f'"{motion.sha256}"')
-# A track as the columns spell it: ``right hand`` is ``right_hand``.
+# A track's name as in the columns: ``right hand`` becomes ``right_hand``.
 _TRACK = Text(kind="name", reads=lambda field: field.sentence("the name of a track").replace(" ", "_"))
 
 
@@ -268,13 +268,13 @@ _JUMP = QuantityValue(SPEED, above=0.0, most=FASTEST_JUMP_MPS)
 class RecordedHand:
     """A hand that repeats a recording.
 
-    Its first used sample lies at ``starts_at_in_base_m`` + ``shift_in_base_m``, after a turn by ``turn_rad``
-    about the vertical.  The motion begins after ``delay_s``, and its time runs ``speed_factor`` times as
-    fast.  Only the part from ``from_s`` to ``to_s`` on the recording's own clock counts (None: its beginning,
-    its end).
+    The recording is turned by ``turn_rad`` about the vertical, and its first used sample is moved to
+    ``starts_at_in_base_m`` + ``shift_in_base_m``.  The motion begins after ``delay_s``, and is
+    ``speed_factor`` times as fast.  Only the part from ``from_s`` to ``to_s`` on the recording's clock is
+    used (None: its ends).
 
-    Without a recorded elbow the forearm points towards ``elbow_towards_in_base_m``.  If ``max_speed_mps`` is
-    None, the bound is the recording's own speed, or REACHING_MPS for a recording that is sped up.
+    Without a recorded elbow, the forearm points to ``elbow_towards_in_base_m``.  If ``max_speed_mps`` is
+    None, the bound is the recording's own speed, or REACHING_MPS if the recording is sped up.
     """
 
     recording: Path = key(
@@ -345,7 +345,7 @@ class RecordedHand:
 
 @declared
 class JoinedHand:
-    """A hand on the same part as an earlier hand; it stays ``apart_in_base_m`` from that hand."""
+    """A hand on the same part as an earlier hand, always ``apart_in_base_m`` from that hand."""
 
     name: str = key("hand", _HAND_NAME, "for messages and reports", "- hand: left")
     joined_to: str = key(
@@ -378,9 +378,10 @@ class Claim:
     Args:
         sentence: The sentence.
         expected: The expected verdict.
-        most: The bound of an expected violation, with the name of its SI unit: the margin is at least minus
-            this.  None: no bound.
-        edition: The edition of the catalogue that defines the sentence; an old trace or ledger has its own.
+        most: The largest expected violation, with its SI unit: the margin must be at least minus this.  None:
+            no bound.
+        edition: The edition of the catalogue that defines the sentence; an old trace or ledger states its
+            own.
         place: The place of the claim in its file.
 
     """
@@ -392,21 +393,21 @@ class Claim:
     place: Place = field(default_factory=Place, compare=False)
 
     def given(self, margin: float | None) -> Verdict:
-        """Return the verdict that this claim expects of a run with a margin.
+        """Return the verdict that this claim expects of a run whose margin is ``margin``.
 
-        It is the expected verdict, or HOLDS for a margin beyond the bound.  None is the margin of a run
-        without one.
+        The verdict is the expected one, or HOLDS if the margin is beyond the bound.  ``margin`` is None for a
+        run that has no margin.
         """
         is_beyond = self.most is not None and (margin is None or not -margin <= self.most[0])
         return Verdict.HOLDS if is_beyond else self.expected
 
     def is_loosely(self, verdict: Verdict) -> bool:
-        """Return whether the claim is violated as expected, by any margin and for any reason."""
+        """Return whether a violation is expected without a bound, and ``verdict`` is a violation."""
         return verdict is Verdict.VIOLATED is self.expected and self.most is None
 
     @property
     def expectation(self) -> str:
-        """The expected verdict with its bound, as a file has it."""
+        """The expected verdict with its bound, as it stands in a file."""
         bound = "" if self.most is None else f"{BY_AT_MOST}{self.most[0]!r} {self.most[1]}".rstrip()
         return f"{self.expected.value}{bound}"
 
@@ -423,7 +424,7 @@ class Scenario:
         seed: The root of all random numbers of a run.
         start: The TCP start.
         hands: At most MAX_HANDS hands.
-        avoider: The reference of the avoider; NO_AVOIDER with a controller other than VISUAL_SERVO.
+        avoider: The reference of the avoider; NO_AVOIDER if ``controller`` is not VISUAL_SERVO.
         claims: The claims with their expected verdicts.
         settings: The settings of the system and its cell.
         robot: The arm.
@@ -431,7 +432,7 @@ class Scenario:
         obstacles: The boxes in the cell.
         controller: The reference of the controller that drives the arm.
         shield: The shield between controller and drives; None: no shield.
-        gate: The demands of the gate beyond its checks; None: no further demands.
+        gate: The gate's demands beyond its own checks; None: no further demands.
         extensions: Keys that packages add, each with its value.
         file: The file; None: a scenario from a text.
         places: The place of each field in the file.
@@ -459,19 +460,16 @@ class Scenario:
     places: Mapping[str, Place] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:
-        """Return name and title only, for values in the output of tests.
-
-        ``write_scenario`` gives the whole scenario.
-        """
+        """Return name and title only, since tests print it; ``write_scenario`` returns the whole scenario."""
         return f"<scenario {self.name}: {self.title}>"
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
         printer.text(repr(self))
 
     def place(self, *names: str) -> Place:
-        """Return the place of the first given field that the file has, for an error found after reading.
+        """Return the place of the first of the fields ``names`` that the file contains.
 
-        If the file has no such field, the place has no line.
+        Errors found after reading use it.  If the file contains no such field, the place has no line.
 
         Args:
             *names: Paths of fields, such as ``hands[0].starts at``.
@@ -486,17 +484,17 @@ class Scenario:
         Args:
             expected: Completes "expected ...".
             got: Completes "got ...".
-            *names: Paths of the fields; the error stands at the ``place`` of the first that the file has.
+            *names: Paths of the fields; the error states the first of them that the file contains.
             hint: One more line of help.
 
         """
         return InadmissibleError(place=self.place(*names), expected=expected, got=got, hint=hint)
 
     def with_files(self, name: Callable[[str], str]) -> Scenario:
-        """Return this scenario with new names for the files of its recordings and its own arm.
+        """Return this scenario with renamed files of its recordings and of the user's own arm.
 
         Args:
-            name: Maps the name of a file to the new name.
+            name: Returns the new name of a file.
 
         """
         hands = (
@@ -509,7 +507,7 @@ class Scenario:
     def leader(self, hand: HandTrajectory) -> MovingHand | RecordedHand | None:
         """Return the hand that leads ``hand``: itself, or the earlier hand that it is joined to.
 
-        The result is None for a joined hand without such an earlier hand.
+        The result is None if a joined hand names no such earlier hand.
         """
         if not isinstance(hand, JoinedHand):
             return hand
@@ -523,14 +521,14 @@ class Scenario:
 
     @property
     def under_test(self) -> str:
-        """The system under test: the avoider of the visual servo, or else the ``Driver``."""
+        """The reference of the system under test: the visual servo's avoider, or otherwise a ``Driver``."""
         return Driver(self.controller) if self.driven else self.avoider
 
     @property
     def hand_slots(self) -> int:
-        """The number of hands that the records of a run have room for, the least that suffices.
+        """The number of hands for which each record of a run has room: the smallest that suffices.
 
-        ScenarioError for too many hands.
+        ScenarioError if there are too many hands.
         """
         for slots in HAND_SLOTS:
             if len(self.hands) <= slots:
@@ -540,5 +538,5 @@ class Scenario:
 
     @property
     def ticks(self) -> int:
-        """The number of control ticks: the least that covers the duration."""
+        """The smallest number of control ticks that covers the duration."""
         return ceil(self.duration_s / self.settings.clock.control_period_s - 1e-9)

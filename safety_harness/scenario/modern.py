@@ -1,4 +1,4 @@
-"""Rewrite the words of earlier releases in a file; nothing else of its text changes."""
+"""Replacement of the words of earlier releases in a file; the rest of its text stays."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from safety_harness.scenario.codec import scalar_text
 from safety_harness.scenario.nodes import parse_tree
 from safety_harness.scenario.reference_tables import TOP
 
-# The present keys by the former keys, for each key that tells a mapping's kind.
+# For each key that identifies a kind of mapping: its present keys by its former keys.
 FORMER = {table.told_by: table.former for table in (TOP, *TOP.below()) if table.former}
 
 
@@ -21,7 +21,8 @@ def modernised(text: str, in_words_of_today: Callable[[str], str], file: Path | 
 
     Args:
         text: The text of a scenario, space, suite or plan.
-        in_words_of_today: Returns today's words for a sentence of an earlier release, else the sentence.
+        in_words_of_today: Returns today's words for a sentence of an earlier release, and any other sentence
+            as it is.
         file: The file, for errors.
 
     Raises:
@@ -37,7 +38,7 @@ def modernised(text: str, in_words_of_today: Callable[[str], str], file: Path | 
 
 
 def _edits(node: Node, in_words_of_today: Callable[[str], str]) -> Iterator[tuple[int, int, str]]:
-    """Yield (begin, end, new text) of each scalar with former words."""
+    """Yield (begin, end, new text) for each scalar below ``node`` that uses former words."""
     if isinstance(node, ScalarNode):
         if (new := in_words_of_today(node.value)) != node.value:
             yield node.start_mark.index, node.end_mark.index, new

@@ -1,8 +1,8 @@
-"""The moves of a hand, one frozen object for each, and their written form.
+"""The moves of a hand, each a frozen object, and their form in a file.
 
-A hand is at rest before its first move.  Straight ways lead from rest to rest: the speed rises and falls at
-the hand's acceleration and is at most the move's.  A move that begins while the hand still moves lets it stop
-first.
+A hand is at rest before its first move.  A straight move begins and ends at rest.  Its speed rises and falls
+at the hand's acceleration, up to at most the move's speed.  If a move begins while the hand still moves, the
+hand stops first.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ REACHING_MPS = 2.0
 LONGEST_S = 3600.0  # of a run, and of anything in it
 FASTEST_MPS = 20.0
 MOST_TIMES = 1000
-# Bounds of a tremor: values outside them are a slip of the unit.
+# Bounds of a tremor: a value outside them means a mistaken unit.
 TREMORS_M = (1e-5, 0.02)
 TREMORS_HZ = (0.1, 20.0)
 
@@ -54,10 +54,10 @@ _TREMOR_OF_1_MM = "tremor: {amplitude: 1 mm, rate: 8 Hz}"
 
 @declared
 class Tremor:
-    """A small involuntary motion on top of every move, and at rest: an ellipse of that size and rate.
+    """A small involuntary motion on an ellipse, which is added to every move and to rest.
 
-    The displacement is ``amplitude_m`` / sqrt(3) sin(2 pi ``rate_hz`` t + phase) along each axis.  The phases
-    come from the scenario's seed, so the displacement never exceeds the amplitude.
+    The displacement is ``amplitude_m`` / sqrt(3) sin(2 pi ``rate_hz`` t + phase) along each axis, at time t.
+    The phases come from the scenario's seed, and the displacement never exceeds the amplitude.
     """
 
     amplitude_m: float = key("amplitude", _AMPLITUDE, "the displacement is never larger", _TREMOR_OF_1_MM)
@@ -65,12 +65,12 @@ class Tremor:
 
     @property
     def max_speed_mps(self) -> float:
-        """The speed that it never exceeds."""
+        """The speed that the tremor never exceeds."""
         return self.amplitude_m * 2.0 * pi * self.rate_hz
 
     @property
     def max_acceleration_mps2(self) -> float:
-        """The acceleration that it never exceeds."""
+        """The acceleration that the tremor never exceeds."""
         rate_radps = 2.0 * pi * self.rate_hz
         return self.amplitude_m * rate_radps * rate_radps
 
@@ -88,14 +88,14 @@ class MoveTo:
 
 @declared
 class Wait:
-    """A stop for a time, which includes the time to stop."""
+    """A stop that lasts for a given time, including the time to come to rest."""
 
     duration_s: float = key("wait", LASTING, "stop, and stay there")
 
 
 @declared
 class Hesitation:
-    """A stop of a reach, ``distance_m`` before its goal and for ``duration_s``; then the reach goes on."""
+    """A pause in a reach, ``distance_m`` before its goal and for ``duration_s``; then the reach continues."""
 
     distance_m: float = key("hesitating at", _DISTANCE, "the distance at which the hand stops on its way")
     duration_s: float = key("for", LASTING, "how long it stops there")
@@ -106,9 +106,9 @@ HESITATION = table_of(Hesitation, "hesitation")
 
 @declared
 class ReachForTcp:
-    """A reach for the TCP, wherever it is just now, until ``until_distance_m`` from it.
+    """A reach for the TCP, wherever the TCP is at the moment, until the hand is ``until_distance_m`` from it.
 
-    The reach ends after ``at_most_s`` if the TCP retreats for that long.
+    If the TCP retreats, the reach ends after ``at_most_s``.
     """
 
     speed_mps: float = key(
@@ -131,7 +131,7 @@ class ReachForTcp:
 
 @declared
 class ReachForObject:
-    """A reach straight towards the object's own origin, until ``until_distance_m`` from it."""
+    """A reach straight to the object's origin, until the hand is ``until_distance_m`` from it."""
 
     speed_mps: float = key("reach for object", SPEEDS, "the same, straight to the object")
     until_distance_m: float = key(
@@ -146,7 +146,7 @@ class ReachForObject:
 
 @declared
 class FollowTcp:
-    """A pursuit of the TCP for ``duration_s``, with a stop ``distance_m`` from it."""
+    """A pursuit of the TCP for ``duration_s``; the hand stops ``distance_m`` from the TCP."""
 
     speed_mps: float = key(
         "follow tcp", SPEEDS, "keep heading for the TCP for that long, to stop that far from it"
@@ -157,9 +157,10 @@ class FollowTcp:
 
 @declared
 class Wander:
-    """Motion from one point of a box to the next for ``duration_s``; points are uniform, from the seed.
+    """Motion from one random point of a box to the next for ``duration_s``.
 
-    ``corners_in_base_m`` are two opposite corners of the box, in any order.
+    The points are uniform, drawn from the seed.  ``corners_in_base_m`` are two opposite corners of the box,
+    in any order.
     """
 
     speed_mps: float = key(
@@ -173,7 +174,7 @@ class Wander:
 
 @declared
 class Sweep:
-    """Motion to ``from_in_base_m``, then ``times`` times to ``to_in_base_m`` and back."""
+    """Motion to ``from_in_base_m``, and then ``times`` times to ``to_in_base_m`` and back."""
 
     speed_mps: float = key("sweep", SPEEDS, "to the one point, then so many times to the other and back")
     from_in_base_m: Vector3 = key("from", POINT, "where a sweep begins and ends")
@@ -206,7 +207,7 @@ _EXAMPLES: dict[type[Any], str] = {
 
 
 def _table_of_move(kind: type[Any], example: str) -> KeyTable:
-    """Return the table of a move, whose first key is its name; all keys share one example."""
+    """Return the table of a move; its first key names the move, and all its keys share ``example``."""
     table = table_of(kind, "")
     keys = tuple(replace(key, example=example) for key in table.keys)
     name = keys[0].name

@@ -1,8 +1,8 @@
 """The text of a scenario file as a tree whose parts know their file and line.
 
-YAML 1.2 is read down to its events and no further.  The reader constructs no value, obeys no tag, and expands
-or executes no text.  Features that the small language does not need (tags, anchors and aliases, several
-documents, tabs, deep nesting) are refused by name.
+The YAML 1.2 parser only produces events.  The reader constructs no value from them, obeys no tag, and expands
+or executes no text.  The reader refuses, by name, features that the small language does not need.  These are
+tags, anchors and aliases, several documents, tabs, and deep nesting.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ _MOST_NODES = 20_000  # in one file; reading that many takes a second or two
 
 @dataclass(frozen=True)
 class Scalar:
-    """A single value: its text, with quotes and folding undone.
+    """A single value: its text, after quotes and folding are removed.
 
-    ``drawn`` is a number with its unit, drawn from a space, which replaces the text.
+    In a drawn scenario, ``drawn`` is the number with its unit that replaces the text.
     """
 
     text: str
@@ -57,7 +57,7 @@ class Sequence:
 
 @dataclass(frozen=True)
 class Mapping:
-    """Keys and values in the order of the file; a duplicate key is an error."""
+    """Keys and values in the order of the file; the reader refuses a duplicate key."""
 
     entries: tuple[tuple[Scalar, Node], ...]
     line: int
@@ -96,7 +96,7 @@ def parse_tree(text: str, file: Path | None) -> Node:
 
 
 def join(path: str, key: str) -> str:
-    """Return the field path of ``key`` within ``path``: ``tcp start.offset``, always printable."""
+    """Return the path of ``key`` below the field ``path``, such as ``tcp start.offset``; always printable."""
     if not key.isprintable():
         key = "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in key)
     return f"{path}.{key}" if path else key
@@ -104,7 +104,7 @@ def join(path: str, key: str) -> str:
 
 @dataclass
 class _Builder:
-    """Takes events from the parser and gives nodes; ``path`` is the path of the current field."""
+    """The construction of nodes from the parser's events; ``path`` names the current field."""
 
     events: Iterator[Event]
     file: Path | None
@@ -123,7 +123,7 @@ class _Builder:
         if isinstance(event, MappingStartEvent):
             return Mapping(tuple(self._entries(path, depth + 1)), line, self.file)
         assert isinstance(event, ScalarEvent)
-        # The last line break of a block text (| or >) belongs to its notation, not to the text.
+        # In a block text (| or >), the last line break belongs to the notation, not to the text.
         text = event.value.rstrip("\n") if event.style in ("|", ">") else event.value
         return Scalar(text, line, self.file)
 
@@ -135,7 +135,7 @@ class _Builder:
             index += 1
 
     def _entries(self, path: str, depth: int) -> Iterator[tuple[Scalar, Node]]:
-        """Yield the keys and values of a mapping; ScenarioError for a key that comes twice."""
+        """Yield the keys and values of a mapping; ScenarioError if a key occurs twice."""
         first_line: dict[str, int] = {}
         while not isinstance(event := next(self.events), MappingEndEvent):
             key = self.node(event, path=path, depth=depth)
@@ -153,7 +153,7 @@ class _Builder:
             yield key, value
 
     def _refuse_what_has_no_use(self, event: Event, path: str, depth: int) -> None:
-        """Raise ScenarioError for an alias, an anchor, a tag or too deep a nesting."""
+        """Raise ScenarioError for an alias, an anchor or a tag, and for nesting that is too deep."""
         line = _line(event)
         if isinstance(event, AliasEvent):
             raise _error(self.file, line, "the value itself", f"the alias *{event.anchor}", path)
@@ -167,7 +167,7 @@ class _Builder:
 
 
 def _events(text: str, file: Path | None) -> Iterator[Event]:
-    """Yield the parser's events; any exception becomes a ScenarioError with the line."""
+    """Yield the parser's events; any exception of the parser becomes a ScenarioError with the line."""
     try:
         yield from YAML(typ="safe", pure=True).parse(text)
     except MarkedYAMLError as error:
@@ -177,7 +177,7 @@ def _events(text: str, file: Path | None) -> Iterator[Event]:
     except ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise _syntax_error(file, line, f"the character U+{error.character:04X}") from error
-    except Exception as error:  # an escape beyond the last code point, whatever else trips the parser
+    except Exception as error:  # such as an escape beyond the last code point
         raise _syntax_error(file, None, str(error)) from error
 
 
@@ -205,9 +205,9 @@ REFERRING = ("avoider", "controller", "recording")  # keys whose values name fil
 
 
 def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, inside: bool = False) -> Iterator[str]:
-    """Yield the values of a space below ``keys``: plain values, and their alternatives.
+    """Yield the texts below ``keys`` in a space that may name files: plain values and alternatives.
 
-    Other texts name no file.  A hand with the name ``/etc/passwd``, for example, brings that file into no
+    No other text names a file.  So a hand with the name ``/etc/passwd``, for example, brings no file into a
     ledger.
     """
     if isinstance(node, Scalar):

@@ -1,4 +1,4 @@
-"""Obstacles in the cell beside table and object: boxes."""
+"""Obstacles in the cell other than table and object: boxes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BOX = "- {box: [400 mm, 300 mm, 500 mm], at: [900 mm, 500 mm, 0 mm]}"
 
 @declared
 class Obstacle:
-    """A box in the base frame, turned by ``yaw_rad`` about the vertical; its surface belongs to it."""
+    """A box in the base frame, turned by ``yaw_rad`` about the vertical; points on its surface are inside."""
 
     size_m: Vector3 = key("box", _EDGES, "its edges, before it is turned along x, y and z of the base", _BOX)
     position_in_base_m: Vector3 = key("at", POINT, "of its middle", _BOX)
@@ -30,7 +30,7 @@ class Obstacle:
 
     @property
     def corners_in_base_m(self) -> NDArray[np.float64]:
-        """The corners (8, 3): the four below in order around the box, then the four above them."""
+        """The corners (8, 3): the four lower ones in order around the box, then the four above them."""
         across, along, half_height = (0.5 * edge for edge in self.size_m)
         square = np.array([[across, along], [-across, along], [-across, -along], [across, -along]])
         c, s = cos(self.yaw_rad), sin(self.yaw_rad)

@@ -1,7 +1,7 @@
-"""Recognition of our YAML files in a folder, the same for every command and for pytest.
+"""Recognition of our YAML files in a folder, with the same rules for every command and for pytest.
 
 Other programs have files with a ``scenario:``, a ``suite:`` or ``claims:`` too.  A scenario is ours if it has
-a key that only we use, or extends a file of ours.  A suite is ours if it names a file of ours.
+a key that only we use, or if it extends a file of ours.  A suite is ours if it lists a file of ours.
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ from safety_harness.scenario.kinds import HEAD_BYTES, SUFFIXES, FileKind, kind_o
 from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar, Sequence, parse_tree
 
-# What pytest does not enter either, by its own default.
+# Folders that pytest does not enter by default either.
 NOT_ENTERED = (".*", "*.egg", "build", "CVS", "dist", "node_modules", "venv", "__pycache__")
 _ALONE = {"scenario space", "tcp start", "hand sensor"}  # ours alone, whatever is beside them
 _TITLED = {"avoider", "hands"}  # ours alone beside a title
 _SHARED = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE)  # by a title of other programs as well
-_FOREIGN = {"plan", "proof", "log"}  # titles of ours that begin something else
+_FOREIGN = {"plan", "proof", "log"}  # titles of other kinds of our files
 _WORTH = re.compile(r"\b(?:scenario|suite|extends|claims|tcp start|hand sensor)\b", re.IGNORECASE)
 _LINE = re.compile(r"^[\"']?([A-Za-z ]+?)[\"']?[ \t]*:(?=[ \t\r\n]|$)", re.MULTILINE)
-_VERDICTS = ("holds", "violated", "inconclusive")  # of the enum, which takes long to import
+_VERDICTS = ("holds", "violated", "inconclusive")  # those of the enum Verdict, which is slow to import
 Entries = Mapping[str, Node | None]
 
 
 def is_ours(path: Path, known: dict[Path, bool] | None = None) -> bool:
-    """Return whether a file is a scenario, a space or a suite of ours, with or without mistakes.
+    """Return whether a file is a scenario, a space or a suite of ours, even if it has mistakes.
 
-    It never raises.  ``known`` holds the answers so far.  Files that lead to each other in a circle are ours.
+    The function never raises.  ``known`` holds the results so far.  Files that refer to each other in a
+    circle are ours.
     """
     known = {} if known is None else known
     key = resolved(path)
@@ -50,7 +51,7 @@ def is_titled(path: Path) -> bool:
 
 
 def yaml_files(folder: Path) -> Iterator[Path]:
-    """Yield every YAML file below ``folder`` by name, in the subfolders that pytest enters."""
+    """Yield every YAML file below ``folder``, sorted by name, from the subfolders that pytest enters."""
     for at, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if _is_entered(Path(at, name)))
         yield from (Path(at, name) for name in sorted(files) if Path(name).suffix.lower() in SUFFIXES)
@@ -59,10 +60,11 @@ def yaml_files(folder: Path) -> Iterator[Path]:
 def files_of(
     path: Path, wanted: tuple[FileKind, ...], place: Place | None = None
 ) -> tuple[list[Path], list[Path]]:
-    """Return the wanted files of a path, and the remaining files.
+    """Return the files of ``path`` that are of a wanted kind, and its other files.
 
-    A file stands for itself.  A folder, with its subfolders, stands for the wanted files of ours in it.  If
-    it has no wanted file, the function returns all of its files, so that their reader names their kind.
+    If ``path`` is a file, it is the only wanted file.  If ``path`` is a folder, its files and those of its
+    subfolders are examined.  If none is wanted, the function returns all of them as wanted, so that their
+    reader reports their kind.
 
     Args:
         path: A file or a folder; ``shipped:NAME`` works too.
@@ -86,7 +88,7 @@ def files_of(
 
 
 def _is_wanted(file: Path, wanted: tuple[FileKind, ...], known: dict[Path, bool]) -> bool:
-    """Return whether a file of a folder is of a wanted kind and ours."""
+    """Return whether a file found in a folder is ours and of a wanted kind."""
     kind = kind_of(file)
     if kind is FileKind.PLAN:
         return kind in wanted
@@ -94,7 +96,7 @@ def _is_wanted(file: Path, wanted: tuple[FileKind, ...], known: dict[Path, bool]
 
 
 def aside_lines(files: Iterable[Path]) -> list[str]:
-    """Return a line for each kind of file that a command left aside in folders."""
+    """Return a line for each kind of file that a command skipped in folders."""
     by_kind: dict[str, list[str]] = {}
     for file in files:
         kind = kind_of(file)
@@ -109,16 +111,16 @@ def _is_entered(folder: Path) -> bool:
 
 
 def _has_title(entries: Entries) -> bool:
-    """Return whether a mapping has a title with a text on its line.
+    """Return whether a file's top keys include a title whose value is a text on one line.
 
-    In a text that cannot be parsed, any title counts.
+    If the file cannot be parsed, any title suffices.
     """
     titles = [node for key, node in entries.items() if key.lower() in TITLES]
     return any(node is None or (isinstance(node, Scalar) and bool(node.text)) for node in titles)
 
 
 def _is_ours(path: Path, known: dict[Path, bool]) -> bool:
-    """Return whether a file is ours, without a look into ``known`` for itself."""
+    """Return whether a file is ours, without using a result for this file in ``known``."""
     entries = _entries(path)
     if _FOREIGN & {*entries}:
         return False
@@ -135,13 +137,13 @@ def _is_ours(path: Path, known: dict[Path, bool]) -> bool:
 
 
 def _has_verdicts(claims: Node | None) -> bool:
-    """Return whether a claim of a file has a verdict of ours."""
+    """Return whether the value of any claim in ``claims`` begins with a verdict of ours."""
     values = [node for _, node in claims.entries] if isinstance(claims, MappingNode) else []
     return any(isinstance(value, Scalar) and value.text.startswith(_VERDICTS) for value in values)
 
 
 def _leads_to_ours(path: Path, text: str, known: dict[Path, bool]) -> bool:
-    """Return whether a path in a file leads to a file of ours."""
+    """Return whether ``text``, a path in the file ``path``, leads to a file of ours."""
     there = path.parent / text
     if text.startswith(PREFIX):
         return True
@@ -151,7 +153,8 @@ def _leads_to_ours(path: Path, text: str, known: dict[Path, bool]) -> bool:
 def _entries(path: Path) -> Entries:
     """Return the keys at the top of a file with their values.
 
-    If the text cannot be parsed, the values are None.  If it has no keyword of ours, the result is empty.
+    If the text cannot be parsed, all values are None.  If it contains no keyword of ours, the result is
+    empty.
     """
     try:
         if not path.is_file():

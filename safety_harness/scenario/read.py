@@ -1,7 +1,7 @@
 """Scenario files: ``read_scenario`` turns a safety engineer's text into a Scenario.
 
-docs/reference/scenario.md is the reference of the language.  A function reads one object.  All checks without
-kinematics are here, and every error has file, line and field.
+docs/reference/scenario.md is the reference of the language.  Each function here reads one object.  All checks
+that need no kinematics are in this module, and every error states file, line and field.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from safety_harness.scenario.units import DIMENSIONS, parse_quantity, shown
 MOST_TICKS = 1_000_000
 SMALLEST_BOX_M = 0.01  # from corner to corner
 SHORTEST_SWEEP_M = 0.001
-# In a message the moves follow the other required keys.
+# A message lists the moves after the other required keys.
 _MOVING_KEYS = (*MOVING_HAND.names[:3], "moves", *MOVING_HAND.names[3:-1])
 _COMPOSED = dict.fromkeys(
     COMPOSING, "only a file can have it, and a text is none: read_all_scenarios reads files"
@@ -72,8 +72,8 @@ def read_scenario(path: str | Path | Scenario) -> Scenario:
     """Read the scenario in a file, together with the files that it extends.
 
     Args:
-        path: The file, or ``shipped:NAME``.  A Scenario is returned unchanged.  ``parse_scenario`` reads a
-            text.
+        path: The file, or ``shipped:NAME``.  A Scenario is returned unchanged.  To read a text, use
+            ``parse_scenario``.
 
     Raises:
         ScenarioError: The file is malformed, or it is a matrix or a suite (``read_all_scenarios`` reads
@@ -90,7 +90,7 @@ def read_scenario(path: str | Path | Scenario) -> Scenario:
 
 
 def scenario_of_variant(variant: Variant, file: Path) -> Scenario:
-    """Return the scenario of one tree of ``file``; ScenarioError for distributions."""
+    """Return the scenario of one tree from ``file``; ScenarioError if the tree contains a distribution."""
     refuse_distributions(Field(variant.tree, file, path="", line=1))
     return scenario_of(variant.tree, file, name=variant.name)
 
@@ -103,13 +103,13 @@ def parse_scenario(
     name: str | None = None,
     claims_required: bool = True,
 ) -> Scenario:
-    """Return the scenario that a text describes.  The text must not extend another file.
+    """Return the scenario that ``text`` describes; the text must not extend another file.
 
     Args:
         text: The text.
         file: A path whose folder contains the recordings.  None: the working directory.
-        recordings: Contents of recordings, and of an arm's files, by their SHA-256.  They replace files
-            wherever the text has ``sha256`` beside ``recording``.
+        recordings: Contents of recordings, and of an arm's files, by their SHA-256.  Where the text states a
+            ``sha256`` beside a file, the content replaces the file.
         name: The name of the scenario; None: from ``file``, else "unnamed".
         claims_required: Whether to refuse a scenario without claims, which has no verdict.
 
@@ -134,7 +134,7 @@ def scenario_of(
     name: str,
     claims_required: bool = True,
 ) -> Scenario:
-    """Return the scenario of a tree; arguments and errors as in ``parse_scenario``."""
+    """Return the scenario that a tree describes; arguments and errors are as in ``parse_scenario``."""
     root = Field(tree, file, path="", line=1)
     given = root.fields(TOP.names, hints=_COMPOSED)
     values = TOP.values(given)
@@ -155,7 +155,7 @@ def scenario_of(
 
 
 def _choose_controller(given: Fields, values: dict[str, Any]) -> None:
-    """Refuse an avoider beside a controller other than the visual servo, and set NO_AVOIDER for it."""
+    """Set NO_AVOIDER for a controller that asks no avoider; ScenarioError if the file gives both."""
     if values["controller"] == VISUAL_SERVO:
         return
     if "avoider" in given:
@@ -166,7 +166,7 @@ def _choose_controller(given: Fields, values: dict[str, Any]) -> None:
 
 
 def refuse_distributions(root: Field) -> None:
-    """Raise ScenarioError, with a hint, for a scenario space and for a distribution in place of a value."""
+    """Raise ScenarioError, with a hint, if a tree is a scenario space or has a distribution as a value."""
     if not isinstance(root.node, MappingNode):
         return
     for key, field in root.entries("a scenario"):
@@ -190,7 +190,7 @@ def _refuse_distribution(field: Field) -> None:
 
 
 def _check_duration(duration_s: float, field: Field, settings: Settings) -> None:
-    """Raise ScenarioError for a duration below a control period or above MOST_TICKS periods."""
+    """Raise ScenarioError for a duration below one control period or above MOST_TICKS control periods."""
     if duration_s < settings.clock.control_period_s:
         raise field.error(f"at least one control period, {settings.clock.control_period_s:g} s")
     if duration_s > MOST_TICKS * settings.clock.control_period_s:
@@ -198,7 +198,7 @@ def _check_duration(duration_s: float, field: Field, settings: Settings) -> None
 
 
 def _settings(given: Fields, robot: AnyRobot) -> Settings:
-    """Return the defaults with the values of the file; an own arm brings its own braking data."""
+    """Return the defaults with the file's values; the user's own arm brings its own braking data."""
 
     def read(named_group: tuple[str, Field]) -> tuple[str, Any]:
         name, group = named_group
@@ -217,7 +217,7 @@ def _settings(given: Fields, robot: AnyRobot) -> Settings:
 
 
 def _misplaced() -> dict[str, str]:
-    """Return advice for keys that stand one level too high, or too low, in ``settings``."""
+    """Return advice for keys that belong one level lower, in ``settings``, or one level higher."""
     hints = {key: f'"{key}:" stands at the top of the file' for key in TOP_GROUPS}
     for group, name in SETTINGS_KEYS.items():
         for key in setting_keys(type(getattr(DEFAULTS, name))):
@@ -232,7 +232,7 @@ def _hands(
 ) -> tuple[HandTrajectory, ...]:
     """Return the hands, at most MAX_HANDS, each with its own name.
 
-    ``carried`` has recordings by the SHA-256 of their bytes; they replace files.
+    ``carried`` holds the bytes of recordings by their SHA-256; they replace files.
     """
     if field is None:
         return ()
@@ -255,7 +255,7 @@ def _hands(
 
 
 def _moving_hand(given: Fields) -> MovingHand:
-    """Return a hand of moves; ScenarioError if its values contradict."""
+    """Return a hand that makes moves; ScenarioError if its values contradict each other."""
     hand: MovingHand = MOVING_HAND.made_of(given)
     if hand.elbow_towards_in_base_m == shifted(hand.starts_at_in_base_m, hand.shift_in_base_m):
         raise given.required("elbow towards").error("a point other than where the hand starts")
@@ -270,7 +270,7 @@ def _moving_hand(given: Fields) -> MovingHand:
 
 
 def _check_move(move: HandMove, given: Mapping[str, Field], hand: MovingHand) -> None:
-    """Raise ScenarioError for a move above the hand's speed bound, and for contradicting values."""
+    """Raise ScenarioError for a move that is too fast for its hand or whose values contradict each other."""
     if isinstance(move, Wander) and _apart_m(*move.corners_in_base_m) < SMALLEST_BOX_M:
         expected = f"a box of at least {SMALLEST_BOX_M * 1e3:g} mm from corner to corner"
         raise given["within"].error(expected)
@@ -289,12 +289,12 @@ def _check_move(move: HandMove, given: Mapping[str, Field], hand: MovingHand) ->
 
 
 def _apart_m(first: Vector3, second: Vector3) -> float:
-    """Return the distance [m] of two points."""
+    """Return the distance [m] between two points."""
     return length(np.subtract(first, second))
 
 
 def _joined_hand(given: Fields, earlier: list[HandTrajectory]) -> JoinedHand:
-    """Return a hand that accompanies a hand of ``earlier``."""
+    """Return a hand that accompanies one of the hands in ``earlier``."""
     hand: JoinedHand = JOINED_HAND.made_of(given)
     names = [candidate.name for candidate in earlier if not isinstance(candidate, JoinedHand)]
     if hand.joined_to not in names:
@@ -305,7 +305,10 @@ def _joined_hand(given: Fields, earlier: list[HandTrajectory]) -> JoinedHand:
 
 
 def _recorded_hand(given: Fields, settings: Settings, carried: Mapping[str, bytes]) -> RecordedHand:
-    """Return a hand of a recording, with its motion; RecordingError if it cannot be used."""
+    """Return a hand that repeats a recording, with its motion.
+
+    RecordingError if the recording cannot be used.
+    """
     values = RECORDED_HAND.values(given)
     recording = _recording(given, values["recording"], values.pop("motion", ""), carried)
     values.setdefault("name", values["track"].replace("_", " "))
@@ -319,9 +322,9 @@ def _recorded_hand(given: Fields, settings: Settings, carried: Mapping[str, byte
 
 
 def _refuse_too_fast(given: Fields, hand: RecordedHand) -> None:
-    """Raise ScenarioError for a recording faster than its bound.
+    """Raise ScenarioError if a recorded hand is faster than its bound.
 
-    Without a written bound, a recording at its own speed passes.
+    If the file states no bound, and the recording is not sped up, any speed passes.
     """
     if hand.max_speed_mps is None and hand.speed_factor <= 1.0:
         return
@@ -335,7 +338,7 @@ def _refuse_too_fast(given: Fields, hand: RecordedHand) -> None:
 
 
 def _recording(given: Fields, path: Path, digest: str, carried: Mapping[str, bytes]) -> Recording:
-    """Return the carried recording with the requested SHA-256, else the file beside the scenario."""
+    """Return the carried recording with the SHA-256 that the file states, else the file's recording."""
     field = given.required("recording")
     file = located((field.file.parent if field.file else Path()) / path, field.place)
     if digest in carried:
@@ -350,7 +353,10 @@ def _recording(given: Fields, path: Path, digest: str, carried: Mapping[str, byt
 
 
 def _elbow_track(given: Fields, values: Mapping[str, Any], recording: Recording) -> str | None:
-    """Return the track of the elbow, by default on the hand's side; None for a fixed point."""
+    """Return the track of the elbow; None if the forearm points to a fixed point.
+
+    By default, the track is the elbow on the hand's side.
+    """
     if "elbow track" in given and "elbow towards" in given:
         expected = "either an elbow track or a point that the elbow is towards"
         raise given.required("elbow towards").error(expected, got="both")
@@ -366,13 +372,13 @@ def _elbow_track(given: Fields, values: Mapping[str, Any], recording: Recording)
 
 
 def _claims(field: Field, *, required: bool) -> tuple[Claim, ...]:
-    """Return the claims as sentences with a verdict; admission looks the sentences up later."""
+    """Return the claims as sentences with expected verdicts; admission looks up the sentences later."""
     entries = CLAIMS.read(field) if required else field.entries(CLAIMS.expected)
     return tuple(each(lambda entry: _claim(*entry), entries))
 
 
 def _claim(sentence: str, verdict: Field) -> Claim:
-    """Return a claim with its verdict, and with the bound of an expected violation."""
+    """Return a claim with its expected verdict, and with the bound of an expected violation."""
     if not is_sentence(sentence):
         raise verdict.error(SENTENCE, got=shown(sentence))
     text, bounded, largest = verdict.scalar(EXPECTED).partition(BY_AT_MOST)

@@ -1,11 +1,11 @@
 """Recorded hands: a CSV file of marker positions becomes a motion in the robot's base frame.
 
 The file has a column ``time_s`` and, for each tracked point, ``<track>_x_m``, ``<track>_y_m`` and
-``<track>_z_m``.  The size of its table is bounded, and its cells stay text until a hand uses their track.
+``<track>_z_m``.  The table's size is bounded, and a cell remains text until a hand uses its track.
 
-Real recordings have gaps (empty cells) and swapped markers (jumps of several metres a second).  Straight
-motion bridges both as far as the user's bounds allow, and the notes report it.  Larger gaps and jumps are
-refused.  No position is smoothed.
+Real recordings have gaps (empty cells) and swapped markers (jumps of several metres a second).  Within the
+user's bounds, straight motion bridges both, and notes report how.  Larger gaps and jumps are refused.  No
+position is smoothed.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ _LARGEST_TIME_S = 1e10  # a clock that counts from 1970 still fits
 LARGEST_COORDINATE_M = 100.0
 _SHORTEST_STEP_S = 1e-6  # between two rows
 _NEAREST_ELBOW_M = 1e-3  # from the hand; nearer, the forearm has no direction
-_MISSING_ROWS = 1.5  # sampling periods between two rows; above it, rows are missing between them
+_MISSING_ROWS = 1.5  # sampling periods; if two rows are farther apart, rows are missing
 _ROUNDING_S = 1e-9  # 10.67 - 10.47 is not quite 0.2
 _ADVICE = 'leave it out with "from" and "to", or raise "longest gap"'
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording as it stands in its file; cells become numbers only when a hand uses their track."""
+    """A recording as it stands in its file; a cell becomes a number only when a hand uses its track."""
 
     file: Path
     sha256: str
@@ -58,19 +58,19 @@ class Recording:
 
     @property
     def tracks(self) -> tuple[str, ...]:
-        """The names of the points that have all three columns."""
+        """The names of the points for which the file has all three columns."""
         stems = (name.removesuffix("_x_m") for name in self.header if name.endswith("_x_m"))
         return tuple(stem for stem in stems if {f"{stem}_y_m", f"{stem}_z_m"} <= set(self.header))
 
     def elbow_of(self, track: str) -> str | None:
-        """Return the elbow on the side of ``track``, ``right_elbow`` for ``right_hand``, or None."""
+        """Return the elbow on the side of ``track``, such as ``right_elbow`` for ``right_hand``, or None."""
         elbow = track.replace("hand", "elbow")
         return elbow if elbow != track and elbow in self.tracks else None
 
 
 @lru_cache(maxsize=8)  # once for all the scenarios that repeat the same bytes
 def parse_recording(data: bytes, file: Path) -> Recording:
-    """Return the table in the bytes of a CSV file; RecordingError without a table with a time column."""
+    """Return the table in the bytes of a CSV file; RecordingError if they are no table with a time column."""
     text = decode(data, most=MAX_BYTES, file=file, error=RecordingError)
     header, rows, lines = _read_table(text, file)
     column = header.index(TIME_COLUMN)
@@ -92,7 +92,7 @@ def parse_recording(data: bytes, file: Path) -> Recording:
 
 
 def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str, ...]], list[int]]:
-    """Return header, rows and the rows' line numbers; empty lines do not count."""
+    """Return header, rows and the rows' line numbers, without empty lines."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows: list[tuple[str, ...]] = []
     lines: list[int] = []
@@ -115,7 +115,7 @@ def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str,
         raise _error(file, 1, expected="a line with the names of the columns", got="an empty file")
     header = rows[0]
     if TIME_COLUMN not in header:
-        ours = any(name.endswith("_x_m") for name in header)  # a foreign file may be confidential: no quote
+        ours = any(name.endswith("_x_m") for name in header)  # no quote: a foreign file may be secret
         got = f"the columns {shown(', '.join(header))}" if ours else "none of that name"
         hint = near_miss(TIME_COLUMN, header)
         raise _error(file, lines[0], expected=f'a column "{TIME_COLUMN}"', got=got, hint=hint)
@@ -131,7 +131,7 @@ def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str,
 
 
 def _check_time(time_s: NDArray[np.float64], lines: list[int], file: Path) -> None:
-    """Raise RecordingError unless there are two samples and their times rise."""
+    """Raise RecordingError unless there are at least two samples and their times rise."""
     if len(time_s) < 2:
         raise _error(file, expected="at least two samples", got=str(len(time_s)))
     for index in np.flatnonzero(~np.isfinite(time_s)):
@@ -143,7 +143,7 @@ def _check_time(time_s: NDArray[np.float64], lines: list[int], file: Path) -> No
 
 
 def _number(cell: str, file: Path, line: int | np.int64, column: str, largest: float) -> float:
-    """Return the number in a cell; NaN for a gap, which is an empty cell or "nan".
+    """Return the number in a cell, or NaN for a gap, which is an empty cell or "nan".
 
     Args:
         cell: The text of the cell.
@@ -175,10 +175,10 @@ def _error(
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """The samples of one point within the used window.
+    """The samples of one point within the part of a recording that is used.
 
-    ``time_s`` (n,) rises strictly.  ``position_m`` (n, 3) is NaN for an empty cell.  ``line`` (n,) is the
-    line of a sample in ``file``, for messages.  ``window_s`` is the requested window.
+    ``time_s`` (n,) rises strictly.  ``position_m`` (n, 3) is NaN for an empty cell.  ``line`` (n,) is each
+    sample's line in ``file``, for messages.  ``window_s`` is the requested part.
     """
 
     name: str
@@ -190,31 +190,31 @@ class Track:
 
     @cached_property
     def longest_step_s(self) -> float:
-        """The longest time between two rows without missing rows between them."""
+        """The longest time between two rows that counts as a time without missing rows."""
         return _MISSING_ROWS * (float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else 0.0)
 
     def speed_mps(self, first: int, second: int) -> float:
-        """Return the speed [m/s] straight from sample ``first`` to sample ``second``."""
+        """Return the speed [m/s] of a straight motion from sample ``first`` to sample ``second``."""
         way_m = length(self.position_m[second] - self.position_m[first])
         return float(way_m / (self.time_s[second] - self.time_s[first]))
 
 
 @dataclass(frozen=True, eq=False)
 class MendedTrack:
-    """A track without swapped samples; ``usable`` (n,) marks the remaining samples."""
+    """A track whose swapped samples are marked: ``usable`` (n,) is true for all other samples."""
 
     track: Track
     usable: NDArray[np.bool_]
     note: str  # the bridged gaps and removed jumps; empty without any
 
     def at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the positions (k, 3) at the times ``time_s`` (k,), straight between usable samples."""
+        """Return the positions (k, 3) at ``time_s`` (k,), on straight lines between usable samples."""
         known_s, known_m = self.track.time_s[self.usable], self.track.position_m[self.usable]
         return np.stack([np.interp(time_s, known_s, known_m[:, axis]) for axis in range(3)], axis=1)
 
 
 def _mend(track: Track, longest_gap_s: float, fastest_jump_mps: float) -> MendedTrack:
-    """Return the track without swapped samples, with a note on the bridged gaps.
+    """Return ``track`` with its swapped samples marked, and a note on the bridged gaps.
 
     RecordingError if fewer than two samples are usable or a gap exceeds ``longest_gap_s``.
     """
@@ -241,11 +241,12 @@ def _mend(track: Track, longest_gap_s: float, fastest_jump_mps: float) -> Mended
 def _without_jumps(
     track: Track, seen: NDArray[np.bool_], fastest_mps: float
 ) -> tuple[NDArray[np.bool_], str]:
-    """Return a mark for each of the ``seen`` samples that is the marker itself, and a note on the jumps.
+    """Return which samples (n,) show the tracked marker itself, and a note on the jumps; ``seen`` is (n,).
 
-    A sample is another marker's if only a speed above ``fastest_mps`` leads to it from the last good sample.
-    So is each sample that follows it without a break or a second jump: time alone makes a swapped marker
-    plausible again, although it has not come back.
+    A sample shows another marker if the motion from the last good sample would be faster than
+    ``fastest_mps``.  So does each sample that follows such a sample without a break or a second jump.
+    Without this second rule, a swapped marker would become plausible again as time passes, although it has
+    not come back.
     """
     usable = np.zeros(len(seen), dtype=np.bool_)
     indices = np.flatnonzero(seen).tolist()
@@ -273,7 +274,7 @@ def _without_jumps(
 
 
 def _check_ends(track: Track, good: list[int], seen: NDArray[np.bool_], longest_gap_s: float) -> None:
-    """Refuse a window that begins or ends with a gap that is too long to ignore."""
+    """Refuse a window whose first or last gap is too long to ignore."""
     begin_s, end_s = track.window_s
     first_s, last_s = float(track.time_s[good[0]]), float(track.time_s[good[-1]])
     if first_s - begin_s > longest_gap_s + _ROUNDING_S:
@@ -286,7 +287,7 @@ def _check_ends(track: Track, good: list[int], seen: NDArray[np.bool_], longest_
 def _too_long(
     track: Track, index: int, gap_s: tuple[float, float], seen: NDArray[np.bool_], longest_gap_s: float
 ) -> RecordingError:
-    """Return the error for a gap that exceeds the bound."""
+    """Return the error for a gap that exceeds ``longest_gap_s``."""
     begin, end, length = (_seconds(time_s) for time_s in (*gap_s, gap_s[1] - gap_s[0]))
     got = f"none for {length}, from {begin} to {end} of the file"
     if seen[index] and index > 0:
@@ -297,7 +298,7 @@ def _too_long(
 
 
 def _note(track: Track, good: list[int], bridged_s: list[float], jumps: str) -> str:
-    """Return a note on late starts, bridged gaps, early ends and jumps; empty without any."""
+    """Return a note on a late start, bridged gaps, an early end and jumps; empty if there are none."""
     parts = []
     if good[0] > 0:
         parts.append(f"starts {_seconds(track.time_s[good[0]] - track.time_s[0])} late")
@@ -310,7 +311,7 @@ def _note(track: Track, good: list[int], bridged_s: list[float], jumps: str) -> 
 
 
 def _count(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural where it belongs."""
+    """Return a number with its noun, which is in the plural unless the number is 1."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
@@ -326,12 +327,12 @@ def load_recording(
     forearm_length_m: float,
     places: Mapping[str, Place] = MappingProxyType({}),
 ) -> RecordedMotion:
-    """Return the window of the recording that ``hand`` uses, mended, turned and at its place.
+    """Return the part of the recording that ``hand`` repeats, mended, turned and placed.
 
-    The first used sample of ``hand.track`` lies at its start at time 0, and the hand rests there for
-    ``delay_s``.  Gaps and jumps count in the recording's own time, before ``speed_factor``.  The elbow comes
-    from ``elbow_track``.  Without such a track it lies ``forearm_length_m`` from the hand towards
-    ``elbow_towards_in_base_m``.
+    At time 0, the first used sample of ``hand.track`` lies at the hand's start, where the hand rests for
+    ``delay_s``.  Gaps and jumps are measured in the recording's own time, before ``speed_factor`` applies.
+    The elbow comes from ``elbow_track``.  Without such a track it lies ``forearm_length_m`` from the hand
+    towards ``elbow_towards_in_base_m``.
 
     Args:
         recording: The recording.
@@ -376,7 +377,7 @@ def load_recording(
 
 
 def _window(recording: Recording, hand: RecordedHand, places: Mapping[str, Place]) -> tuple[float, float]:
-    """Return the used part of the recording, as begin and end on its own clock."""
+    """Return when the used part of the recording begins and ends, on the recording's clock."""
     first_s, last_s = float(recording.time_s[0]), float(recording.time_s[-1])
     begin_s = first_s if hand.from_s is None else hand.from_s
     end_s = last_s if hand.to_s is None else hand.to_s
@@ -390,7 +391,7 @@ def _window(recording: Recording, hand: RecordedHand, places: Mapping[str, Place
 
 
 def _refuse_unknown_track(recording: Recording, name: str, place: Place | None) -> None:
-    """Raise RecordingError for a track that the recording does not have."""
+    """Raise RecordingError if the recording has no track ``name``."""
     if name not in recording.tracks:
         known = ", ".join(map(shown, recording.tracks)) or "(there is none)"
         raise RecordingError(
@@ -401,7 +402,7 @@ def _refuse_unknown_track(recording: Recording, name: str, place: Place | None) 
         )
 
 
-@lru_cache(maxsize=32)  # the variations of one recording differ in where and how fast it is repeated
+@lru_cache(maxsize=32)  # variations of one recording change only its place and its speed
 def _mended(
     recording: Recording,
     name: str,
@@ -409,7 +410,7 @@ def _mended(
     longest_gap_s: float,
     fastest_jump_mps: float,
 ) -> MendedTrack:
-    """Return one point of the recording within the window, mended."""
+    """Return one point's track within ``window_s``, mended."""
     inside = np.flatnonzero((recording.time_s >= window_s[0]) & (recording.time_s <= window_s[1]))
     columns = [(column, recording.header.index(column)) for column in (f"{name}_{axis}_m" for axis in "xyz")]
     position_m = [
@@ -433,7 +434,7 @@ def _mended(
 
 
 def _common_times(mended: list[MendedTrack], file: Path) -> NDArray[np.float64]:
-    """Return the times of samples usable in any track, within the time that all tracks cover."""
+    """Return the times at which a sample of any track is usable, from the time that all tracks cover."""
     begin_s = max(float(track.track.time_s[track.usable][0]) for track in mended)
     end_s = min(float(track.track.time_s[track.usable][-1]) for track in mended)
     any_usable = np.logical_or.reduce([track.usable for track in mended])
@@ -446,9 +447,9 @@ def _common_times(mended: list[MendedTrack], file: Path) -> NDArray[np.float64]:
 
 
 def _turned(vector: NDArray[np.float64], angle_rad: float) -> NDArray[np.float64]:
-    """Return vectors (n, 3) turned about z.
+    """Return the vectors (n, 3) turned about z.
 
-    The product is explicit, since a matrix product may round differently on another machine.
+    The product is written out, because a matrix product may round differently on another machine.
     """
     cosine, sine = cos(angle_rad), sin(angle_rad)
     x, y, z = vector.T
@@ -462,7 +463,7 @@ def _elbows_towards(
     recording: Recording,
     places: Mapping[str, Place],
 ) -> NDArray[np.float64]:
-    """Return elbows (n, 3) ``length_m`` from the hand towards one point."""
+    """Return the elbows (n, 3), each ``length_m`` from the hand in the direction of one point."""
     forearm = np.array(towards_in_base_m) - hand_in_base_m
     distance_m = np.linalg.norm(forearm, axis=1, keepdims=True)
     if distance_m.min() < _NEAREST_ELBOW_M:

@@ -1,4 +1,4 @@
-"""The keys of a scenario file, mapping by mapping, in the recommended order."""
+"""The tables of all keys of a scenario file, one for each mapping, in the recommended order."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ EXPECTED = "holds, violated, inconclusive or, with a bound, violated by at most 
 
 
 def _expectation(claim: Claim) -> str:
-    """Return the expected verdict of a claim as a file has it."""
+    """Return the expected verdict of a claim as it stands in a file."""
     return claim.expectation
 
 
@@ -59,10 +59,10 @@ _FORMS = (*(replace(key, or_else="") for key in (_STARTS["position"], _STARTS["j
 
 
 class _StartTable(KeyTable):
-    """A table of three alternatives for a start."""
+    """The table of a TCP start, which has three alternative forms."""
 
     def read(self, field: Field) -> Any:
-        """Return the start; ScenarioError for keys of two alternatives."""
+        """Return the start; ScenarioError if the keys belong to two of the forms."""
         given = field.fields(self.names)
         given_keys = [key for key in self.names if key in given and key != "tilt"]
         if len(given_keys) > 1 or ("joints" in given and "tilt" in given):
@@ -101,18 +101,21 @@ def _title(field: Field) -> str:
 
 
 def _prose(expected: str) -> Text:
-    """Return the kind of a text of several lines."""
+    """Return the kind of value for a text of several lines; ``expected`` serves messages."""
     return Text(kind="text", reads=lambda field: field.prose(expected, lines=True))
 
 
 def _added(name: str) -> Key:
-    """Return the key that a package adds."""
+    """Return the key ``name``, which a package adds."""
     key: Key = part_named(ExtensionPoint.SCENARIO_KEYS, name, Key)
     return key
 
 
 def _read_added(field: Field) -> tuple[tuple[str, Any], ...]:
-    """Return the keys that packages add, each with its value; only the package of a given key is loaded."""
+    """Return the keys that packages add, each with its value.
+
+    Only the packages of keys in the file are loaded.
+    """
     names, given = sorted(names_of(ExtensionPoint.SCENARIO_KEYS)), field.entries("a mapping")
     for name, below in given:
         if name not in names:
@@ -122,7 +125,7 @@ def _read_added(field: Field) -> tuple[tuple[str, Any], ...]:
 
 
 def _write_added(values: tuple[tuple[str, Any], ...]) -> dict[str, Tree]:
-    """Return the values of keys that packages add."""
+    """Return the keys that packages add with their values, as texts of a file."""
     return {name: _added(name).value.write(value) for name, value in values}
 
 
@@ -340,7 +343,7 @@ SUITE = KeyTable(
 
 
 def every_table() -> tuple[KeyTable, ...]:
-    """Return all tables, each once, from the top of a file downwards."""
+    """Return every table once, in the order in which a file needs them, from its top downwards."""
     keys = tuple(key for _, key in loaded(ExtensionPoint.SCENARIO_KEYS, Key))
     added = [KeyTable(name="extensions", path="extensions", keys=keys)] if keys else []
     return tuple({id(table): table for table in (TOP, COMPOSED, SUITE, *TOP.below(), *added)}.values())

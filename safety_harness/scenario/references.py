@@ -1,4 +1,4 @@
-"""Texts in a scenario file that name another file: an avoider's program or model, a recording."""
+"""Texts in a scenario file that name another file, such as an avoider's program or model, or a recording."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ OWN_WAYS = ("exec", "tcp", "unix", "shipped")
 
 
 def file_and_name(reference: str) -> tuple[str, str]:
-    """Return the file of an avoider's or controller's reference, and the name within it.
+    """Return the file in a reference to an avoider or controller, and the name within that file.
 
-    Both are empty for a reference without a file.  The name within an ONNX file is the layout of its inputs
-    and outputs, if given (``onnx_names``).
+    Both are empty for a reference without a file.  For an ONNX file, the name is the layout of its inputs and
+    outputs, if given (``onnx_names``).
     """
     if names_a_program(reference):
         return "", ""
@@ -36,7 +36,7 @@ def file_and_name(reference: str) -> tuple[str, str]:
 
 
 def with_file(reference: str, name: Callable[[str], str]) -> str:
-    """Return a reference with ``name`` applied to its file; a reference without a file stays."""
+    """Return a reference with ``name`` applied to its file; a reference without a file is unchanged."""
     file, inner = file_and_name(reference)
     return type(reference)(name(file) + (f":{inner}" if inner else "")) if file else reference
 
@@ -47,21 +47,21 @@ def names_onnx(reference: str) -> bool:
 
 
 def names_a_program(reference: str) -> bool:
-    """Return whether a reference names a program that speaks our protocol, or that a package opens."""
+    """Return whether a reference names a program that speaks our protocol, or one that a package opens."""
     return reference.startswith((EXEC, TCP, UNIX)) or bool(added_way(reference))
 
 
 def added_way(reference: str) -> str:
-    """Return the package's part that opens a controller such as ``ros2:/arm``, by name; empty without one."""
+    """Return the name of the package's part that opens a controller such as ``ros2:/arm``; empty if none."""
     name = reference.partition(":")[0]
     return name if name != reference and name in _added_ways() else ""
 
 
 @lru_cache
 def _added_ways() -> frozenset[str]:
-    """Return the names of ways that packages add.
+    """Return the names of the parts with which packages open controllers.
 
-    A name must be a word that is not ours, so that it never hides a file or a way of ours.
+    A name must be a word that we do not use, so that it hides no file and no controller of ours.
     """
     names = set()
     for part in parts(ExtensionPoint.CONTROLLERS):
@@ -73,9 +73,9 @@ def _added_ways() -> frozenset[str]:
 
 
 def seen_from(folder: Path, path: str, standing_in: Path) -> str:
-    """Return ``path``, relative to the folder ``standing_in``, as a path relative to ``folder``.
+    """Return ``path``, which is relative to ``standing_in``, as a path relative to ``folder``.
 
-    Absolute, home and shipped paths stay.
+    Absolute paths, home paths and shipped names are unchanged.
     """
     if Path(path).is_absolute() or path.startswith("~") or is_shipped(path):
         return path
@@ -83,9 +83,9 @@ def seen_from(folder: Path, path: str, standing_in: Path) -> str:
 
 
 def named_from(folder: Path, path: Path) -> str:
-    """Return a file as a file in ``folder`` names it: by its shipped name, else by its relative path.
+    """Return how a file in ``folder`` names the file ``path``: by its shipped name, else relatively.
 
-    Only an installation uses shipped names for files that have a path.
+    A file given by its path gets a shipped name only in an installation.
     """
     if is_shipped(path):
         return shipped_name(located(path))
@@ -93,7 +93,7 @@ def named_from(folder: Path, path: Path) -> str:
 
 
 def portable(path: str, folder: Path) -> str:
-    """Return a file as a result for other machines names it: as ``told`` does, but relative to ``folder``."""
+    """Return ``path`` as a result names it on any machine: relative to ``folder``, or its name alone."""
     file = Path(os.path.expanduser(path))
     if not file.is_absolute():
         shared = os.path.commonpath([resolved(folder / file.parent), resolved(folder)])
@@ -103,5 +103,8 @@ def portable(path: str, folder: Path) -> str:
 
 
 def avoider_seen_from(folder: Path, reference: str, standing_in: Path) -> str:
-    """Return an avoider's reference as ``seen_from`` does; a name without a file stays."""
+    """Return an avoider's reference with its file named as by ``seen_from``.
+
+    A reference without a file is unchanged.
+    """
     return with_file(reference, lambda file: seen_from(folder, file, standing_in))

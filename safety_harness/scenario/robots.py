@@ -1,8 +1,8 @@
 """The arm in the cell: an arm of the package, or the user's own arm, given by its files.
 
-An own arm is a URDF, its capsules from ``safety-harness robot fit``, its stop times, and its place.  The
-reader stores its texts with their SHA-256, as it does with recordings, so that a trace can be judged without
-the files.  ``safety_harness.cell.robot.robots`` turns them into numbers.
+The user's own arm consists of a URDF, capsules from ``safety-harness robot fit``, stop times and a seat.  The
+reader keeps the texts of these files with their SHA-256, as it does for recordings.  So a trace can be judged
+without the files.  ``safety_harness.cell.robot.robots`` turns the texts into numbers.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _ORIGIN: Vector3 = (0.0, 0.0, 0.0)
 
 
 class Robot(Enum):
-    """An arm of the package."""
+    """An arm that the package contains."""
 
     UR10 = "UR10"
     UR5 = "UR5"
@@ -59,7 +59,7 @@ class Robot(Enum):
 
     @property
     def arm_name(self) -> str:
-        """The name of its description's files."""
+        """The name of the files that describe the arm."""
         return self.value.lower().replace(" ", "_")
 
     @property
@@ -72,21 +72,21 @@ ROBOT_NAMES = Word(Robot)
 
 
 class YesNo(Enum):
-    """A choice of the user."""
+    """The user's choice of yes or no."""
 
     YES = "yes"
     NO = "no"
 
 
 class Angles(Enum):
-    """The unit of a URDF's position limits, which its format prescribes."""
+    """The unit of a URDF's position limits; the URDF format prescribes one."""
 
     RAD = "rad"
 
 
 @declared
 class StopTimes:
-    """The stop of an arm: a reaction time, then braking within base + slope v, v the TCP's speed."""
+    """The stop of an arm: a reaction time, then braking within base + slope v, where v is the TCP's speed."""
 
     reaction_time_s: float = key(
         "reaction time",
@@ -106,7 +106,7 @@ class StopTimes:
 
     @property
     def settings(self) -> Braking:
-        """The same data as a group of settings."""
+        """The stop times as a group of settings."""
         return Braking(
             reaction_time_s=self.reaction_time_s,
             stop_time_base_s=self.stop_time_s,
@@ -116,9 +116,9 @@ class StopTimes:
 
 @declared
 class Seat:
-    """The place of an arm's base link in the base frame of the scenario, whose z points up.
+    """The place of an arm's base link in the base frame of the scenario, whose z axis points up.
 
-    Its rotation is Rz(yaw) R(tilt), the tilt a rotation vector: [180 deg, 0 deg, 0 deg] hangs from a ceiling.
+    The rotation is Rz(yaw) R(tilt); the rotation vector [180 deg, 0 deg, 0 deg] turns the arm upside down.
     """
 
     position_in_base_m: Vector3 = key("position", POINT, "of the arm's base link", default=_ORIGIN)
@@ -130,7 +130,7 @@ class Seat:
 
 @declared
 class Piece:
-    """A capsule that encloses a part of the tool: all points within ``radius_m`` of its axis."""
+    """A capsule that encloses a part of the tool: all points within ``radius_m`` of the capsule's axis."""
 
     start_m: Vector3 = key("from", POINT, "one end of the axis", _PIECE)
     end_m: Vector3 = key("to", POINT, "the other end, which may be the same", _PIECE)
@@ -148,7 +148,7 @@ PIECES = Several(
 
 @declared
 class Tool:
-    """A tool on the link `tcp`, in the frame of that link; it moves the TCP."""
+    """A tool on the link `tcp`, given in the frame of that link; the tool moves the TCP."""
 
     position_m: Vector3 = key("position", POINT, "of the TCP", "[0 mm, 0 mm, 150 mm]", default=_ORIGIN)
     tilt_rad: Vector3 = key("tilt", ROTATION, "of the TCP, a rotation vector", default=_ORIGIN)
@@ -162,7 +162,7 @@ class Tool:
 
 @declared
 class Payload:
-    """The load of the arm, tool and part together, as a mass in one point."""
+    """The load of the arm, that is, tool and part together, as a point mass."""
 
     mass_kg: float = key("mass", QuantityValue(MASS, least=0.0, most=1000.0), "of tool and part", "2 kg")
     centre_m: Vector3 = key(
@@ -176,7 +176,7 @@ class Payload:
 
 @declared
 class Drives:
-    """The response of an arm's drives to a demanded velocity.  A payload implies limits of torque."""
+    """The response of an arm's drives to a demanded velocity; a payload implies torque limits."""
 
     dead_time_s: float = key(
         "dead time",
@@ -210,12 +210,12 @@ class Drives:
 
     @property
     def torque_limit(self) -> float | None:
-        """The share of the URDF's efforts that the drives have; None if torque has no limit."""
+        """The share of the URDF's efforts that the drives reach; None if torque has no limit."""
         return 1.0 if self.torque_share is None and self.payload is not None else self.torque_share
 
 
 def _sha256(field: Field) -> str:
-    """Return a SHA-256 in the form of 64 hex digits; ScenarioError for another text."""
+    """Return the SHA-256 in a field, which must be 64 hex digits; ScenarioError for another text."""
     digest = field.scalar("a SHA-256")
     if not re.fullmatch(r"[0-9a-f]{64}", digest):
         raise field.error("a SHA-256: 64 digits and letters from a to f")
@@ -229,7 +229,7 @@ _EXAMPLE_SHA256 = "0123456789abcdef" * 4
 
 
 def _one_a_joint(noun: str, number: QuantityValue) -> Several:
-    """Return a list of numbers, one for each joint; ``noun`` names them."""
+    """Return the kind of a list with a number for each joint; ``noun`` names the numbers."""
     expected = f"a list of {noun}, one a joint, from the base"
     return Several(of=number, kind=f"list of {noun}", expected=expected, least=3, most=8)
 
@@ -238,8 +238,8 @@ def _one_a_joint(noun: str, number: QuantityValue) -> Several:
 class OwnRobot:
     """The user's own arm; ``urdf_text`` and ``capsules_text`` are the bytes of its files.
 
-    ``files`` has the paths on this machine: the URDF, from which meshes are found, the capsules, and the
-    arm's own file if it has one.
+    ``files`` lists the paths on this machine of the URDF, the capsules and, if there is one, the arm's file.
+    Meshes are found from the URDF's path.
     """
 
     urdf: str | None = key("urdf", _FILE, "the arm's description; or `package`", "panda.urdf", default=None)
@@ -352,11 +352,11 @@ class OwnRobot:
 
     @property
     def texts(self) -> dict[str, bytes]:
-        """Its files by their SHA-256."""
+        """The contents of its files by their SHA-256."""
         return {str(self.urdf_sha256): self.urdf_text, str(self.capsules_sha256): self.capsules_text}
 
     def named(self, name: Callable[[str], str]) -> OwnRobot:
-        """Return this arm with ``name`` applied to the names of its files."""
+        """Return this arm with its files renamed by ``name``."""
         urdf = None if self.urdf is None else name(self.urdf)
         return replace(self, urdf=urdf, capsules=name(self.capsules))
 
@@ -367,7 +367,7 @@ _MOUNTED = {key.attribute: key for key in _OWN.keys}
 
 @declared
 class EquippedArm:
-    """An arm of the package with a seat, a tool or a part; its braking data are the settings'."""
+    """An arm of the package with a seat, a tool or a part; its braking data come from the settings."""
 
     arm: Robot = keyed(Key("arm", Word(Robot), "an arm of the package"))
     seat: Seat | None = keyed(_MOUNTED["seat"], default=None)
@@ -377,7 +377,7 @@ class EquippedArm:
 
     @property
     def label(self) -> str:
-        """The name for people, with the equipment."""
+        """The name for people, including the equipment."""
         mounted = {"another seat": self.seat, "a tool": self.tool, "a part": self.part}
         return f"{self.arm.label} with {' and '.join(name for name, part in mounted.items() if part)}"
 
@@ -386,7 +386,7 @@ AnyRobot = Robot | OwnRobot | EquippedArm
 
 
 def robot_seen_from(folder: Path, text: str, standing_in: Path) -> str:
-    """Return a file's text about a robot as ``folder`` has to write it; the name of an arm stays."""
+    """Return the robot's file ``text`` as a file in ``folder`` has to write it; a name stays as it is."""
     return seen_from(folder, text, standing_in) if text.endswith(_ENDINGS) else text
 
 
@@ -404,14 +404,14 @@ ROBOT = replace(_OWN, keys=(_ARM, *_BESIDE))
 
 
 class _RobotValue(Below):
-    """A name, a file with the keys of an own arm, or these keys themselves."""
+    """The value of the key ``robot``: a name, a file with an own arm's keys, or a mapping of these keys."""
 
     def read(self, field: Field) -> Field:
-        """Return the field unread: ``read_robot`` reads it, since a trace carries the texts."""
+        """Return the field itself, because ``read_robot`` reads it, with the texts that a trace carries."""
         return field
 
     def write(self, value: object) -> Any:
-        """Return the name, or the mapping of an own or an equipped arm."""
+        """Return the name of an arm, or the mapping of an own or an equipped arm."""
         if isinstance(value, Robot):
             return value.value
         return (_EQUIPPED if isinstance(value, EquippedArm) else _OWN).write(value)
@@ -425,10 +425,10 @@ ROBOT_VALUE = _RobotValue(
 
 
 def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
-    """Return the arm of a field.
+    """Return the arm that a field describes.
 
     Args:
-        field: The name of an arm, a file, or a mapping; a Robot is the default and returned as it is.
+        field: The name of an arm, a file, or a mapping.  A Robot is the default, returned unchanged.
         carried: Texts of files by their SHA-256, which replace the files.
 
     """
@@ -463,24 +463,24 @@ def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
 
 
 def _equipped(field: Field) -> Robot | EquippedArm:
-    """Return an arm of the package with its equipment, or the arm alone without any."""
+    """Return an arm of the package with its equipment, or the arm alone if it has no equipment."""
     given = field.fields(_EQUIPPED.names, hints={"braking": "settings: {braking: ...}"})
     arm: EquippedArm = _EQUIPPED.made_of(given)
     return arm if arm.seat or arm.tool or arm.part else arm.arm
 
 
 def robot_named(text: str) -> AnyRobot:
-    """Return the arm that ``text`` means in the working directory, a name or a file; ScenarioError."""
+    """Return the arm whose name or file in the working directory is ``text``; ScenarioError if neither."""
     return read_robot(Field(Scalar(text, 1), None, path="FILE", line=1), {})
 
 
 def is_arm_file(text: str) -> bool:
-    """Return whether a text names a file with the keys of an arm."""
+    """Return whether a text names a file that contains the keys of an arm."""
     return text.endswith(_ENDINGS) or is_shipped(text)
 
 
 def _keys_of_file(field: Field) -> Fields:
-    """Return the keys of an arm's file; an error in them stands at their place in that file."""
+    """Return the keys in an arm's file; errors state their place in that file."""
     file = _path(field)
     data = read_bytes(file, most=MAX_CAPSULES_BYTES, place=field.place, error=ScenarioError)
     tree = parse_tree(data.decode("utf-8", "replace"), file)
@@ -494,7 +494,7 @@ def _path(field: Field) -> Path:
 
 
 def _named_from(whole: Field, field: Field) -> str:
-    """Return the file of ``field`` as the scenario's own file has to name it."""
+    """Return the file that ``field`` names, as the scenario's own file has to name it."""
     text = field.sentence("the name of a file")
     if field.file == whole.file:
         return text
@@ -503,7 +503,7 @@ def _named_from(whole: Field, field: Field) -> str:
 
 
 def _urdf(given: Fields, carried: Mapping[str, bytes]) -> Path:
-    """Return the path of the URDF, which need not exist if its text is carried."""
+    """Return the path of the URDF; the file need not exist if its text is carried."""
     if "urdf" in given:
         return _path(given.required("urdf"))
     package = given.required("package")
@@ -518,7 +518,7 @@ def _urdf(given: Fields, carried: Mapping[str, bytes]) -> Path:
 
 
 def _text(given: Fields, name: str, file: Path, most: int, carried: Mapping[str, bytes]) -> bytes:
-    """Return the carried text with the requested SHA-256, else the file's; ScenarioError for another."""
+    """Return the carried text or the file's; ScenarioError if its SHA-256 is not the stated one."""
     digest, field = given.optional(f"{name} sha256"), given.optional(name) or given.whole
     wanted = _sha256(digest) if digest else ""
     if wanted in carried:

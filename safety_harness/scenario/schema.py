@@ -1,7 +1,7 @@
 """The JSON Schema (draft 2020-12) of scenario files, for editors, from the reference tables.
 
-A schema checks less than the reader.  It does not know bounds of values with units, contradictions between
-keys, or the content of a recording.  The reader refuses everything that the schema refuses.
+A schema checks less than the reader.  It ignores the bounds of values with units, contradictions between
+keys, and the content of a recording.  The reader refuses everything that the schema refuses.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ _ANY_TEXT: Schema = {
 
 
 def scenario_schema() -> Schema:
-    """Return the whole schema: a scenario, a scenario that extends another, a suite.
+    """Return the schema of every kind of scenario file: scenario, extending scenario and suite.
 
-    It accepts any space; only the reader checks spaces.
+    The schema accepts any space; only the reader checks spaces.
     """
     scenario = _table(TOP, further=COMPOSED)
     required = scenario.pop("required")
@@ -55,12 +55,12 @@ def table_schema(top: KeyTable, title: str) -> Schema:
 
 
 def _name(table: KeyTable) -> str:
-    """Return the name of a table's definition."""
+    """Return the name under which the schema defines a table."""
     return (f"{table.path} {table.name}" if table.path != table.name else table.name).strip()
 
 
 def _table(table: KeyTable, further: KeyTable | None = None) -> Schema:
-    """Return the schema of a table, with the keys of ``further``."""
+    """Return the schema of a table with its own keys, and with the keys of ``further``."""
     keys = (*table.keys, *(further.keys if further else ()))
     schema: Schema = {
         "type": "object",
@@ -98,7 +98,7 @@ def _value(value: Value) -> Schema:
     if isinstance(value, FreeKeys):
         free: Schema = {"type": "object", "additionalProperties": _value(value.of)}
         return {**free, "minProperties": value.least} if value.least else free
-    # One table, or several: then a key of each table, ``told_by``, tells them apart.
+    # One table, or several tables, which the key ``told_by`` of each table distinguishes.
     if not value.tables:
         return {"type": "object"}
     if value.or_text:
@@ -117,9 +117,9 @@ def _value(value: Value) -> Schema:
 
 
 def _begins(table: KeyTable, tables: tuple[KeyTable, ...]) -> Schema:
-    """Return the condition that a mapping is of this table.
+    """Return the condition under which a mapping belongs to ``table``.
 
-    The mapping has the table's first key.  It lacks the first key of every further table that also knows that
+    The mapping has the table's first key.  It lacks the first key of every other table that also accepts this
     key.
     """
     first = table.told_by
@@ -134,7 +134,7 @@ def _pointer(name: str) -> str:
 
 
 def _quantity(value: QuantityValue) -> Schema:
-    """Return the schema of a quantity: a text, or a number if the unit may be absent."""
+    """Return the schema of a quantity: a text, or also a number if the unit may be absent."""
     texts: list[Schema] = [{"type": "string", "pattern": _pattern(value.dimension, value.whole)}]
     if value.dimension.bare:
         number: Schema = {"type": "integer" if value.whole else "number"}

@@ -1,9 +1,9 @@
-"""The written form of the settings in a scenario file, derived from the dataclasses themselves.
+"""The form of the settings in a scenario file, derived from the dataclasses of the settings.
 
-Meanings and bounds stand beside the fields, in ``settings``.  A field's key is its name without the unit and
-the frame, in plain words.  So ``Avoidance.critical_distance_m`` is ``avoidance: {critical distance: 400
-mm}``.  The dimension follows from the unit at the end of the name, the form of the value from the type of the
-default.
+Meanings and bounds are declared beside the fields, in ``settings``.  A field's key is its name in plain
+words, without the unit and the frame.  So ``Avoidance.critical_distance_m`` becomes ``avoidance: {critical
+distance: 400 mm}``.  The dimension follows from the unit at the end of the name.  The form of the value
+follows from the type of the default.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from safety_harness.scenario.units import ANGLE, DIMENSIONS, LENGTH
 
 EVERY_TICK = "every tick"  # how a rate of None is written
 
-# The longer suffix first: "_per_m" also ends in "_m".
+# The longer suffix comes first, because "_per_m" also ends in "_m".
 _BY_SUFFIX = sorted(DIMENSIONS, key=lambda dimension: -len(dimension.suffix))
 # The three groups of settings that have a key of their own at the top.
 TOP_GROUPS = {"object": "object", "hand sensor": "hand_sensor", "camera": "camera"}
@@ -33,7 +33,7 @@ SETTINGS_KEYS = {
 _FRAMES = (" in base", " in tcp")
 _OF_THE_OBJECT = ("polygon", "position", "yaw")  # keys that stood in the settings of the cell
 _MOVED = {f"object {key}": f"object: {{{key}: ...}} at the top of the file" for key in _OF_THE_OBJECT}
-# Keys that share these first words stand in a mapping of their own: what it means, and an example.
+# Keys with these first words stand in a mapping of their own, given here with meaning and example.
 _MAPPINGS = {
     "calibration error": (
         "what the controller believes wrongly about the mount",
@@ -43,7 +43,7 @@ _MAPPINGS = {
 
 
 def setting_keys(group: type[Any]) -> tuple[Key, ...]:
-    """Return the keys of one settings dataclass, in its order."""
+    """Return the keys of one settings dataclass, in the order of its fields."""
     return _KEYS[group]
 
 
@@ -70,7 +70,7 @@ def _setting_key(attribute: str, default: Any, description: Mapping[str, Any]) -
     value = _value(default, number)
     takes = description["takes"]
     if not takes and description["least"] is None and not isinstance(value, Word):
-        # The bounds that its dimension gives to every setting are not worth a mention.
+        # The reference omits the bounds that the dimension sets for every setting.
         takes = value.name if isinstance(value, QuantityValue) else value.kind.partition(", each")[0]
     return Key(
         name=name.removeprefix(f"{above} "),
@@ -85,7 +85,7 @@ def _setting_key(attribute: str, default: Any, description: Mapping[str, Any]) -
 
 
 def _value(default: Any, number: QuantityValue) -> Value:
-    """Return the kind of value for a default; ``number`` is the kind of a single number."""
+    """Return the kind of value that the default has; ``number`` is the kind of a single number."""
     if isinstance(default, DecisionCost):
         return Text(kind=FORM, or_mapping=True, reads=read_decision_time, writes=write_decision_time)
     if isinstance(default, Enum):
@@ -114,7 +114,7 @@ _KEYS: dict[type[Any], tuple[Key, ...]] = {
 
 
 def read_group(field: Field, name: str) -> Any:
-    """Return the default group ``name`` of the settings with the changes of the mapping ``field``."""
+    """Return the default group ``name`` of the settings, changed by the mapping ``field``."""
     default = getattr(DEFAULTS, name)
     keys = setting_keys(type(default))
     given = field.fields(tuple(dict.fromkeys(key.path[0] for key in keys)), hints=_MOVED)
@@ -131,12 +131,12 @@ def read_group(field: Field, name: str) -> Any:
 
 
 def group_table(group: str, path: str) -> KeyTable:
-    """Return the table of one group of settings; ``path`` leads to it from the top of a file."""
+    """Return the table of one group of settings; ``path`` names its mappings from the top of a file."""
     keys: dict[str, Key] = {}
     inner: dict[str, list[Key]] = {}
     for setting in setting_keys(type(getattr(DEFAULTS, group.replace(" ", "_")))):
         key = replace(setting, within=(*path.split("."), *setting.within))
-        keys[setting.path[0]] = key  # of a mapping only its place, filled below
+        keys[setting.path[0]] = key  # for a mapping only a place, which is filled below
         if setting.within:
             inner.setdefault(setting.within[0], []).append(key)
     for name, members in inner.items():

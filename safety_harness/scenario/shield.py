@@ -1,6 +1,7 @@
 """The key ``shield`` of a scenario file: an optional protection between the controller and the drives.
 
-docs/explanation/shield.md describes and proves it; each value here is an assumption of the proof.
+docs/explanation/shield.md describes the shield and proves its effect.  Each value here is an assumption of
+the proof.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ class ShieldKind(Enum):
 
 @declared
 class Shield:
-    """The assumptions of the shield; the harness checks no assumption, so the user answers for them."""
+    """The assumptions of the shield, for which the user is responsible, because the harness checks none."""
 
     kind: ShieldKind = keyed(
         Key("kind", Word(ShieldKind), "what stands behind the controller ([shield](explanation/shield.md))"),
@@ -72,10 +73,10 @@ SHIELD = table_of(Shield, "shield", path="shield")
 
 
 class _ShieldValue(Below):
-    """The name of a kind of shield, with the defaults, or a mapping of its values."""
+    """The value of the key ``shield``: a kind of shield with defaults, or a mapping of its assumptions."""
 
     def read(self, field: Field) -> Shield:
-        """Return the shield."""
+        """Return the shield that the field describes."""
         if isinstance(field.node, Scalar):
             return Shield(kind=field.choice(ShieldKind))
         shield: Shield = SHIELD.read(field)

@@ -1,7 +1,7 @@
-"""JSON of unknown origin as a dataclass: msgspec compares the two.
+"""JSON of unknown origin as a dataclass, checked by msgspec.
 
-Conversion is never silent.  A text or boolean is no number, only an integer may stand for a float, and no
-number is NaN or infinite.  Types declare their bounds: ``Annotated[float, Meta(gt=0)]``.
+Conversion is never silent.  A text or a boolean is not accepted as a number.  Only an integer may replace a
+float, and no number may be NaN or infinite.  Types declare their bounds: ``Annotated[float, Meta(gt=0)]``.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def read_json(
 
 
 def parsed(text: str | bytes, file: Path, noun: str, error: type[InputError] = InputError) -> Any:
-    """Return the content of a JSON text; ``error``, which expects ``noun`` in ``file``, for another text."""
+    """Return the content of a JSON text; otherwise raise ``error``, which expects ``noun`` in ``file``."""
     try:
         return msgspec.json.decode(text)
     except (ValueError, RecursionError) as reason:
@@ -50,7 +50,7 @@ def parsed(text: str | bytes, file: Path, noun: str, error: type[InputError] = I
 
 
 def of_format(document: Any, form: str, file: Path, error: type[InputError] = InputError) -> dict[str, Any]:
-    """Return ``document`` if it is an object of the format ``form``, else raise ``error``."""
+    """Return ``document`` if it is an object of the format ``form``; otherwise raise ``error``."""
     if not isinstance(document, dict):
         expected = f"a JSON object of the format {form!r}"
         raise error(place=Place(file=file), expected=expected, got=type(document).__name__)
@@ -72,7 +72,7 @@ def typed(
     defaults: bool = False,
     error: type[InputError] = InputError,
 ) -> T:
-    """Return plain JSON data as a type.
+    """Return plain JSON data as an object of the type ``kind``.
 
     Args:
         data: The data.
@@ -81,7 +81,7 @@ def typed(
         where: The path to the data in the file.
         further_fields: Whether objects may have further fields, and lack fields with a default.
         defaults: Whether objects may lack fields with a default.
-        error: The type of the error, which has the path of the first wrong field.
+        error: The type of the error, which states the path of the first wrong field.
 
     """
 
@@ -107,7 +107,7 @@ def typed(
 
 
 def _other_fields(data: Any, made: Any, path: str, defaults: bool) -> Iterator[tuple[str, str, str]]:
-    """Yield path, expectation and content of each field that is unknown to ``made`` or absent in ``data``."""
+    """Yield path, expectation and content of each field that ``made`` does not know or ``data`` lacks."""
     if is_dataclass(made):
         known = [column.name for column in fields(made)]
         for name in sorted(data.keys() ^ set(known)):
@@ -124,7 +124,7 @@ def _other_fields(data: Any, made: Any, path: str, defaults: bool) -> Iterator[t
 
 
 def _value_at(data: Any, path: str) -> Any:
-    """Return the value at a path of msgspec; at "[...]", a key of the file's own, the object around it."""
+    """Return the value at a path of msgspec; a "[...]", which is a key of the file, ends the search."""
     for name, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", path):
         try:
             data = data[int(index)] if index else data[name]
@@ -140,9 +140,9 @@ def _short(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return ``value`` in JSON's types: dataclasses as objects, tuples, enumerations by their values.
+    """Return ``value`` in JSON's types; dataclasses become objects, and enumerations become their values.
 
-    Numbers of NumPy become Python's; times stay for ``json.dumps``.
+    NumPy's numbers become Python's; dates and times remain for ``json.dumps``.
     """
     own = asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
     return msgspec.to_builtins(own, enc_hook=_number)

@@ -1,7 +1,7 @@
-"""Quantities as people write them, ``80 mm`` or ``0.5 m/s``, as SI values without double rounding.
+"""Quantities as people write them, ``80 mm`` or ``0.5 m/s``, converted to SI with a single rounding.
 
-The SI value is the float nearest to the written decimal quantity: ``80 mm`` is the literal ``0.08``.  Degrees
-are the exception, since pi is no fraction: they go through ``math.radians``.
+The SI value is the float nearest to the written decimal quantity, so ``80 mm`` becomes the literal ``0.08``.
+Degrees are the exception: ``math.radians`` converts them, because pi is no fraction.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ _LONGEST_NUMBER = 64  # characters; a float's shortest exact form has at most 24
 _LARGEST_EXPONENT = 400  # decimal; no float is that large
 
 OTHER_UNIT = "nothing in a cell comes near to that: probably another unit is meant"
-_RARE = ("cm", "/cm", "mrad", "min", "km/h", "kHz")  # understood, and not what we write ourselves
+_RARE = ("cm", "/cm", "mrad", "min", "km/h", "kHz")  # units that we read but do not write
 
 _Factor = Fraction | None  # None: degrees, by math.radians
 
 
 @dataclass(frozen=True, eq=False)
 class Dimension:
-    """A kind of quantity: its name and an example for messages, its SI unit, its units' factors to SI.
+    """A kind of quantity, with its units and their factors to SI.
 
-    The name of a settings field of that kind ends in ``suffix``.  Its value lies from ``least`` to ``most``,
-    in SI, unless the field has its own bounds.  ``bare`` allows a number without a unit (numbers, and
-    fractions beside ``%``).
+    The name and the example serve messages.  The name of a settings field of that kind ends in ``suffix``.
+    Its value lies from ``least`` to ``most``, in SI, unless the field has its own bounds.  ``bare`` allows a
+    number without a unit, as for plain numbers, and for fractions besides ``%``.
     """
 
     name: str
@@ -51,12 +51,12 @@ class Dimension:
 
     @property
     def most_of_limits(self) -> float:
-        """The largest limit of a claim (SI) that makes sense in a cell; a time may be as long as a run."""
+        """The largest sensible limit of a claim in SI; a time may be as long as a run."""
         return max(self.most, {"time": 3600.0, "number": 100.0}.get(self.name, 0.0))
 
 
 def _powers(scale: Mapping[str, _Factor], suffix: str = "") -> dict[str, _Factor]:
-    """Return units with a suffix, with the same factors."""
+    """Return the units of ``scale`` with ``suffix`` added to their names and unchanged factors."""
     return {unit + suffix: factor for unit, factor in scale.items()}
 
 
@@ -107,7 +107,7 @@ def parse_quantity(text: str, dimension: Dimension, place: Place) -> float:
 
 @lru_cache(maxsize=4096)  # the scenarios of a space repeat most of their quantities
 def _understood(text: str, dimension: Dimension) -> float | dict[str, str]:
-    """Return the SI value of ``text``, or the reason against it in the words of a message."""
+    """Return the SI value of ``text``, or the parts of an error message if it has none."""
     stripped = text.strip()
     matched = _NUMBER.match(stripped)
     if matched is None:
@@ -126,13 +126,13 @@ def _understood(text: str, dimension: Dimension) -> float | dict[str, str]:
 
 
 def format_quantity(value: float, dimension: Dimension) -> str:
-    """Return ``value`` in its SI unit, so that ``parse_quantity`` gives the same float again."""
+    """Return ``value`` in its SI unit, so that ``parse_quantity`` returns the same float."""
     number = repr(float(value))
     return f"{number} {dimension.si}" if dimension.si else number
 
 
 def nice(value: float, dimension: Dimension) -> str:
-    """Return ``value`` in the unit that people would choose; it reads back to the same float."""
+    """Return ``value`` in the unit that people would choose, as a text that reads back to the same float."""
     if not dimension.units:
         return _digits(value)
     units = [unit for unit in dimension.units if not unit.startswith(_RARE)]
@@ -146,7 +146,7 @@ def nice(value: float, dimension: Dimension) -> str:
 
 
 def _in_unit(value: float, factor: Fraction | None) -> float:
-    """Return an SI value in the unit with ``factor``; None is the factor of degrees."""
+    """Return an SI value in the unit with ``factor``; None means degrees."""
     return math.degrees(value) if factor is None else float(Fraction(value) / factor)
 
 
@@ -156,7 +156,7 @@ def _digits(value: float) -> str:
 
 
 def normal_unit(unit: str) -> str:
-    """Return a unit in its only internal spelling: ``m/s^2``, ``m/s²`` and ``m / s2`` become ``m/s2``."""
+    """Return a unit in the internal spelling: ``m/s^2``, ``m/s²`` and ``m / s2`` become ``m/s2``."""
     unit = "".join(unit.split()).replace("²", "2").replace("^2", "2").replace("°", "deg")
     return unit.removeprefix("1") if unit.startswith("1/") else unit
 
@@ -170,16 +170,16 @@ def shown(text: str) -> str:
 
 
 def _units_hint(unit: str, dimension: Dimension) -> str:
-    """Return the hint with the allowed units, and with a near miss of ``unit``."""
+    """Return a hint that lists the allowed units, and names the one that resembles ``unit``."""
     if not dimension.units:
         return "a number without a unit"
     return f"{near_miss(unit, dimension.units, most=2)} allowed units: {', '.join(dimension.units)}".strip()
 
 
 def _si_value(number: str, factor: _Factor) -> float | None:
-    """Return ``number`` times ``factor``, rounded once; None without a finite result."""
+    """Return ``number`` times ``factor``, rounded once; None if the result is not finite."""
     exponent = number.lower().partition("e")[2]
-    # The exponent is looked at before anything is computed: 10**1000000000 would not end.
+    # The exponent is checked before anything is computed, because 10**1000000000 would not end.
     if len(number) > _LONGEST_NUMBER or (exponent and abs(int(exponent)) > _LARGEST_EXPONENT):
         return None
     try:
@@ -193,5 +193,5 @@ def _si_value(number: str, factor: _Factor) -> float | None:
         return None
     if not math.isfinite(magnitude):
         return None
-    # A fraction has no negative zero, a float has, and files must come back bit for bit.
+    # Unlike a float, a fraction has no negative zero, and files must be read back bit for bit.
     return math.copysign(magnitude, -1.0) if number.startswith("-") else magnitude

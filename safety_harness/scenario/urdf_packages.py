@@ -1,4 +1,4 @@
-"""URDFs of installed packages: ``pybullet/kuka_iiwa/model`` is a file, wherever pybullet is installed."""
+"""URDFs of installed packages: ``pybullet/kuka_iiwa/model`` names a file wherever pybullet is installed."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ EXTRAS = {"example-robot-data": "arms", "pybullet": "pybullet"}
 
 
 def urdf_of_package(text: str, place: Place) -> Path:
-    """Return the file of DISTRIBUTION/NAME: the only URDF of the distribution whose path ends with NAME.
+    """Return the file that ``text``, DISTRIBUTION/NAME, names: the only URDF whose path ends with NAME.
 
     Args:
-        text: DISTRIBUTION/NAME; NAME is without ``.urdf``, with enough folders to be unique.
+        text: DISTRIBUTION/NAME; NAME lacks ``.urdf`` and has enough folders to be unique.
         place: The place of the text, for errors.
 
     Raises:
@@ -44,7 +44,7 @@ def urdf_of_package(text: str, place: Place) -> Path:
 
 @lru_cache
 def _urdfs_of(distribution_name: str) -> dict[str, Path]:
-    """Return the files by their paths in the distribution, without ``.urdf``; PackageNotFoundError."""
+    """Return a distribution's URDF files by path without ``.urdf``; PackageNotFoundError if it is absent."""
     files = distribution(distribution_name).files or ()
     urdfs = [file for file in files if file.suffix == ".urdf"]
     return {file.as_posix().removesuffix(".urdf"): Path(str(file.locate())).resolve() for file in urdfs}

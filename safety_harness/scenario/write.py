@@ -1,4 +1,4 @@
-"""Scenarios as text: SI units and exact numbers, so that reading gives the same scenario again."""
+"""Scenarios as text in SI units with exact numbers, from which the reader returns the same scenario."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LAST = ("speed at most", "from", "to", "elbow track", "elbow towards")
 
 
 def write_scenario(scenario: Scenario, *, all_settings: bool = False) -> str:
-    """Return YAML text from which ``parse_scenario`` gives the scenario again, except its name and places.
+    """Return YAML text from which ``parse_scenario`` returns the scenario, except its name and places.
 
     Args:
         scenario: The scenario.
@@ -32,7 +32,7 @@ def write_scenario(scenario: Scenario, *, all_settings: bool = False) -> str:
 
 
 def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree]:
-    """Return the content of ``write_scenario``, key by key: texts, mappings and lists of mappings."""
+    """Return what ``write_scenario`` writes, by key: texts, mappings and lists of mappings."""
     tree = TOP.write(scenario)
     for key in ("about", "obstacles", "avoider", "extensions"):
         if not getattr(scenario, key):
@@ -44,7 +44,7 @@ def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree
     if scenario.faults:
         tree["faults"] = [write_fault(fault) for fault in scenario.faults]
     settings = _settings(scenario.settings, None if all_settings else DEFAULTS)
-    if isinstance(scenario.robot, OwnRobot):  # which says itself how it stops
+    if isinstance(scenario.robot, OwnRobot):  # the arm states its stop times itself
         settings = _without_braking(settings)
     tree.update(settings)
     tree["claims"] = CLAIMS.write({claim.sentence: claim for claim in scenario.claims})
@@ -52,12 +52,12 @@ def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree
 
 
 def text_of(tree: Tree) -> str:
-    """Return the YAML text of such a tree."""
+    """Return the YAML text of a tree from ``tree_of``."""
     return "\n".join(_lines(tree)) + "\n"
 
 
 def _hand(hand: HandTrajectory) -> dict[str, Tree]:
-    """Return the tree of a hand, with the last keys of a recorded hand at the end."""
+    """Return the tree of a hand; some keys of a recorded hand move to its end."""
     tree = HAND.write(hand)
     if isinstance(hand, RecordedHand):
         tree |= {key: tree.pop(key) for key in _LAST if key in tree}
@@ -65,7 +65,7 @@ def _hand(hand: HandTrajectory) -> dict[str, Tree]:
 
 
 def _settings(settings: Settings, default: Settings | None) -> dict[str, Tree]:
-    """Return the groups at the top of the file, then the remaining groups below ``settings``."""
+    """Return the changed settings: groups at the top of the file, and the other groups below ``settings``."""
 
     def changed(groups: Mapping[str, str]) -> dict[str, Tree]:
         pairs = ((key, getattr(settings, name), getattr(default, name, None)) for key, name in groups.items())
@@ -76,11 +76,11 @@ def _settings(settings: Settings, default: Settings | None) -> dict[str, Tree]:
 
 
 def _group(group: object, default: object) -> dict[str, Tree]:
-    """Return the values of ``group`` that differ from ``default``'s, in SI and exact; all values for None."""
+    """Return the values of ``group`` that differ from ``default``, in SI and exact; None: all values."""
     written: dict[str, Any] = {}
     for key in setting_keys(type(group)):
         value = getattr(group, key.attribute)
-        # repr, because a negative zero equals a positive one and is another number all the same.
+        # repr distinguishes a negative zero from a positive one, although both are equal.
         if default is None or repr(getattr(default, key.attribute)) != repr(value):
             inner = written.setdefault(key.within[0], {}) if key.within else written
             inner[key.name] = key.value.write(value)
@@ -88,7 +88,7 @@ def _group(group: object, default: object) -> dict[str, Tree]:
 
 
 def _without_braking(settings: dict[str, Tree]) -> dict[str, Tree]:
-    """Return the settings without the braking data."""
+    """Return the tree of the settings without the braking data."""
     below = settings.get("settings")
     kept = (
         {key: group for key, group in below.items() if key != "braking"} if isinstance(below, Mapping) else {}
@@ -97,7 +97,7 @@ def _without_braking(settings: dict[str, Tree]) -> dict[str, Tree]:
 
 
 def _lines(tree: Tree) -> Iterator[str]:
-    """Yield the lines of a tree."""
+    """Yield the lines of YAML text for a tree."""
     line = in_a_line(tree)
     if line is not None:
         yield line

@@ -1,9 +1,9 @@
-"""The contract of a user's controller: its sights, its actions and its reports.
+"""The contract of a user's controller: what it sees, what it may do and what it may report.
 
-A controller's ``sees`` lists words of ``SIGHTS``. The harness gives it those fields and no more: sensor data
-that has arrived by now, with noise, delay and missed detections. The simulator's truth stays hidden. All
-quantities are SI. ``_in_base_`` means the robot's base frame. The v and w of a twist belong to the TCP, in
-the base frame.
+A controller's ``sees`` lists words of ``SIGHTS``. The harness provides the fields of these words and no
+others. They hold sensor data that has already arrived, with noise, delay and missed detections. The
+simulator's truth stays hidden. All quantities are SI. ``_in_base_`` means the robot's base frame. A twist (v,
+w) is that of the TCP, in the base frame.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SightWord:
-    """A word of a vocabulary, the fields behind it, and its meaning."""
+    """A word of a vocabulary, the fields that it stands for, and its meaning."""
 
     word: str
     fields: tuple[str, ...]
@@ -62,7 +62,7 @@ REPORTS = (
 class SeenHand:
     """A hand as the sensor measured it: the centre of a sphere with the radius that the filter assumes.
 
-    ``position_in_base_m`` (3,) uses the sensor's pose at the time when the frame arrived.
+    ``position_in_base_m`` (3,) is computed with the sensor's pose at the time when the frame arrived.
     """
 
     position_in_base_m: Floats
@@ -73,8 +73,8 @@ class HandBoxes:
     """The last frame of the hand sensor, as boxes in its image.
 
     ``time_s`` is the time of exposure, NaN before the first frame. ``new`` is true if the frame arrived at
-    this tick. ``boxes`` (n, 5): u, v of the centre [px], depth of the surface there [m], area [px^2], width
-    over height. ``transform_sensor_to_base`` (4, 4) is the sensor's present pose.
+    this tick. The columns of ``boxes`` (n, 5): u, v of the centre [px], depth of the surface there [m], area
+    [px^2], width divided by height. ``transform_sensor_to_base`` (4, 4) is the sensor's present pose.
     """
 
     time_s: float
@@ -87,9 +87,9 @@ class HandBoxes:
 class PredictedHand:
     """A tracked hand, predicted to the time of this tick plus the prediction horizon of the settings.
 
-    The Kalman filter gives ``position_in_base_m`` (3,), ``velocity_in_base_mps`` (3,) and the ``covariance``
-    (6, 6) of both. They use the sensor's present pose. ``number`` stays the same while the filter tracks the
-    hand.
+    The Kalman filter computes ``position_in_base_m`` (3,), ``velocity_in_base_mps`` (3,) and the
+    ``covariance`` (6, 6) of both, with the sensor's present pose. ``number`` stays the same as long as the
+    filter tracks the hand.
     """
 
     position_in_base_m: Floats
@@ -101,11 +101,11 @@ class PredictedHand:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SeenObject:
-    """The object in its last image.
+    """The object as seen in the last image of its camera.
 
-    ``new`` is true if the image arrived at this tick. ``features`` (6,): x_n, y_n, a_n [m], gamma, delta [-],
-    alpha [rad] (eqs. 3 to 5). ``feature_error`` (6,) is f - f*. Both are NaN unless the object is
-    ``visible``.
+    ``new`` is true if the image arrived at this tick. ``features`` (6,) are x_n, y_n, a_n [m], gamma, delta
+    [-], alpha [rad] (eqs. 3 to 5). ``feature_error`` (6,) is f - f*, the difference from the desired
+    features. Both are NaN unless the object is ``visible``.
     """
 
     visible: bool
@@ -119,8 +119,8 @@ class Image:
     """The last image of the object's camera.
 
     ``new`` is true if the image arrived at this tick. ``pixels`` (height, width, 3) are uint8 in the order
-    red, green, blue, and black before the first image. ``time_s`` is the time of exposure, NaN before the
-    first image.
+    red, green, blue; they are black before the first image. ``time_s`` is the time of exposure, NaN before
+    the first image.
     """
 
     time_s: float
@@ -129,14 +129,14 @@ class Image:
 
 
 class UnseenError(ControllerError, AttributeError):
-    """A controller touched a field that its ``sees`` does not list."""
+    """A controller read a field that its ``sees`` does not list."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class Seen:
-    """A controller's sight of a tick: time, period and the fields that its ``sees`` list, read-only.
+    """A controller's view at a tick: time, period and the fields of its ``sees``, all read-only.
 
-    Any other field raises UnseenError, which gives the missing word of ``sees``. The word "joints" brings
+    Any other field raises UnseenError, which names the word missing in ``sees``. The word "joints" provides
     ``joint_position_rad`` (n,), ``joint_velocity_radps`` (n,), ``transform_tcp_to_base`` (4, 4) and
     ``tcp_position_in_base_m`` (3,).
     """
@@ -160,7 +160,7 @@ class Seen:
     def of_row(
         cls, time_s: float, period_s: float, makers: Mapping[str, Callable[[Floats], Any]], row: Floats
     ) -> Seen:
-        """Return the sight of a tick that makes each field from a row of numbers at the first touch.
+        """Return the view at a tick, in which each field is made from ``row`` when it is first read.
 
         Args:
             time_s: The time of the tick [s].
@@ -188,12 +188,12 @@ class Seen:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Decision:
-    """A decision to give way to a hand, for claims about decisions.
+    """A decision to give way to a hand, which claims about decisions judge.
 
-    Positions (3,) [m] are in the base frame: the hand that the arm gives way to, the proposed TCP position
-    and the chosen TCP position. The chosen position is NaN for a stop. ``spread_m`` (3,) is one standard
-    deviation along each axis. ``spread_threshold_m`` is the largest spread with which the controller uses a
-    proposal, NaN without a threshold.
+    Positions (3,) [m] are in the base frame: of the hand to which the arm gives way, of the proposed and of
+    the chosen TCP. The chosen position is NaN for a stop. ``spread_m`` (3,) is one standard deviation along
+    each axis. ``spread_threshold_m`` is the largest spread with which the controller uses a proposal, NaN
+    without a threshold.
     """
 
     hand_position_in_base_m: Floats
@@ -207,7 +207,7 @@ class Decision:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Report:
-    """A controller's report of itself at a tick. Claims about a missing field are inconclusive."""
+    """A controller's report about itself at a tick; claims about a missing field are inconclusive."""
 
     mode: Mode | None = None
     decision: Decision | None = None
@@ -215,12 +215,12 @@ class Report:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Move:
-    """Move by the given velocities until the next tick. Without any velocity, hold still.
+    """The action to move by the given velocities until the next tick, or to hold still without any.
 
-    ``tcp_velocity_mps`` (3,) and ``tcp_angular_velocity_radps`` (3,) are in the base frame; each is zero
-    where only its counterpart is given. The harness keeps the direction and bounds them to the settings' TCP
-    speed and acceleration and to the joints' speeds. Near a singularity the arm stops.
-    ``joint_velocity_radps`` (n,): if a joint exceeds its limit, the harness slows all joints by the same
+    ``tcp_velocity_mps`` (3,) and ``tcp_angular_velocity_radps`` (3,) are in the base frame; if only one of
+    them is given, the other is zero. The harness keeps their direction. It bounds them by the settings' TCP
+    speed and acceleration and by the joints' speeds. Near a singularity the arm stops. With
+    ``joint_velocity_radps`` (n,), if a joint exceeds its limit, the harness slows all joints by the same
     factor. The trace records the limit that acted.
     """
 
@@ -232,7 +232,7 @@ class Move:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stop:
-    """A protective stop: the brakes act until the controller moves again."""
+    """The action of a protective stop: the brakes act until the controller moves the arm again."""
 
     report: Report | None = None
 
@@ -245,8 +245,8 @@ class Moves:
     """The result of ``act_many``: a ``Move`` or ``Stop`` for each of n episodes.
 
     ``tcp_velocity_mps`` (n, 3), ``tcp_angular_velocity_radps`` (n, 3) and ``joint_velocity_radps`` (n, j)
-    mean the same as in ``Move``. ``stop`` (n,) is true for an episode that stops. ``mode`` (n,) is the
-    ``Mode`` of each episode, None if the controller does not report it.
+    mean the same as in ``Move``. ``stop`` (n,) is true for an episode in which the arm stops. ``mode`` (n,)
+    is the ``Mode`` of each episode, or None if the controller does not report it.
     """
 
     tcp_velocity_mps: Floats | None = None
@@ -258,11 +258,12 @@ class Moves:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DrivenArm:
-    """The arm that the controller drives, with n revolute joints; arrays are read-only.
+    """The arm that the controller drives, with n revolute joints; its arrays are read-only.
 
     ``position_lower_rad``, ``position_upper_rad`` and ``velocity_limit_radps`` have shape (n,).
     ``joint_origins`` (n, 4, 4) map the frame of link i + 1 at q = 0 to the frame of link i. ``joint_axes``
-    (n, 3) are in the frame of the link that the joint moves. ``flange`` (4, 4) maps the TCP to the last link.
+    (n, 3) are in the frame of the link that the joint moves. ``flange`` (4, 4) maps the TCP frame to the last
+    link's frame.
     """
 
     name: str
@@ -277,7 +278,7 @@ class DrivenArm:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Start:
-    """The start of an episode: ``joint_position_rad`` (n,), ``transform_tcp_to_base`` (4, 4)."""
+    """The arm's pose as an episode starts: ``joint_position_rad`` (n,), ``transform_tcp_to_base`` (4, 4)."""
 
     joint_position_rad: Floats
     transform_tcp_to_base: Floats
@@ -287,13 +288,14 @@ class Start:
 class UserController(Protocol):
     """The methods and attributes of a user's own controller.
 
-    An optional ``reports`` lists words of ``REPORTS``: the fields that the controller fills in the ``report``
-    of its actions. An exception, or a result that is not an action, fails the episode with that reason.
+    An optional ``reports`` lists words of ``REPORTS``, the fields that the controller fills in the ``report``
+    of its actions. If the controller raises an exception or returns something other than an action, the
+    episode fails for that reason.
 
-    Its class may have ``act_many(controllers, seen)``. This returns the ``Moves`` of several episodes at
-    once, with the same bits as ``act`` of each controller. ``seen`` has the arrays of ``arrays.observed`` for
-    the words in ``sees``, n rows each, ``time_s`` (n,) and ``period_s``. Many episodes then run in lanes,
-    side by side.
+    Its class may have ``act_many(controllers, seen)``, so that many episodes run side by side, in lanes. This
+    function returns the ``Moves`` of n episodes at once, with the same bits as ``act`` of each controller.
+    ``seen`` holds the arrays of ``arrays.observed`` for the words in ``sees``, n rows each, ``time_s`` (n,)
+    and ``period_s``.
     """
 
     @property
@@ -307,7 +309,7 @@ class UserController(Protocol):
         ...
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
-        """Begin an episode, and forget the previous episode.
+        """Begin an episode, and forget the previous one.
 
         Args:
             settings: The settings of the run.
@@ -319,7 +321,7 @@ class UserController(Protocol):
         ...
 
     def act(self, seen: Seen) -> Action:
-        """Return the action until the next tick.
+        """Return the action that lasts until the next tick.
 
         Args:
             seen: The fields of this tick that ``sees`` lists.
@@ -330,12 +332,12 @@ class UserController(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerOpener:
-    """A package's way to open a controller for ``controller: NAME:REST``, where NAME is its entry point.
+    """How a package opens a controller for ``controller: NAME:REST``, where NAME is its entry point.
 
     Args:
-        open: Return a fresh controller for a whole reference, in this process or connected to another
-            process. An exception refuses the scenario.
-        sha256: Return the hash of the code behind the reference, for traces and evidence. None: no hash is
+        open: Returns a fresh controller for a whole reference, in this process or connected to another
+            process. If it raises an exception, the scenario is refused.
+        sha256: Returns the hash of the code behind the reference, for traces and evidence. None: no hash is
             recorded.
 
     """
@@ -345,14 +347,15 @@ class ControllerOpener:
 
 
 def sees_of(controller: UserController) -> tuple[str, ...]:
-    """Return the controller's ``sees`` in the order of ``SIGHTS``; ControllerError for an unknown word."""
+    """Return the controller's ``sees`` in the order of ``SIGHTS``; ControllerError if a word is unknown."""
     return _words_of(controller, "sees", getattr(controller, "sees", None), SIGHTS)
 
 
 def reports_of(controller: UserController) -> tuple[str, ...]:
     """Return the controller's ``reports`` in the order of ``REPORTS``.
 
-    Raise ControllerError for an unknown word, or for a declared ``decision_time_s``, which no run simulates.
+    Raise ControllerError if a word is unknown, or if the controller declares a ``decision_time_s``, because
+    no run simulates it.
     """
     if getattr(controller, "decision_time_s", None):
         raise ControllerError(
@@ -366,7 +369,7 @@ def reports_of(controller: UserController) -> tuple[str, ...]:
 
 
 def _words_of(controller: object, name: str, given: object, table: tuple[SightWord, ...]) -> tuple[str, ...]:
-    """Return the words of ``table`` that ``given`` contains; ControllerError for an unknown word."""
+    """Return the words of ``table`` that are in ``given``; ControllerError if ``given`` has another word."""
     known = [entry.word for entry in table]
     if isinstance(given, str) or not isinstance(given, tuple | list | set | frozenset):
         raise ControllerError(f"{name} must be a tuple of: {', '.join(known)}; got {given!r}")

@@ -1,6 +1,6 @@
-"""The visible quantities of a tick as one row of numbers, from which fields are made on touch.
+"""The visible quantities of a tick as one row of numbers; a field is made when it is first read.
 
-This module imports no compiler: the process of a user's file reads rows too.
+This module imports no compiler, because the process of a user's file also reads rows.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ Maker = Callable[[Row], Any]
 
 @lru_cache
 def seen_dtype(hands: int, joints: int = SHIPPED_JOINTS) -> np.dtype[Any]:
-    """Return SEEN: the layout of all visible quantities, in float64 and 8-byte int64 alone.
+    """Return SEEN: the layout of all quantities that can be seen, as float64 and 8-byte int64 only.
 
-    The most wanted fields come first, so that a controller that sees only hands needs only the beginning of a
-    row.
+    The fields needed most often come first. So a controller that sees only hands needs only the beginning of
+    a row.
 
     Args:
         hands: The hand slots of the scenario. The row has TRACKS_PER_HAND boxes and tracks for each.
@@ -75,10 +75,10 @@ def seen_dtype(hands: int, joints: int = SHIPPED_JOINTS) -> np.dtype[Any]:
 
 
 class SeenLayout(dict[str, Maker]):
-    """The functions that make each visible field from a row, by the field's name.
+    """The functions that make the visible fields from a row, by the fields' names.
 
     ``hand_slots`` and ``joints`` are the sizes of SEEN. The first ``wanted`` numbers of a row suffice for the
-    sights in ``sees``.
+    words in ``sees``.
     """
 
     def __init__(self, hand_slots: int, joints: int, sees: tuple[str, ...]) -> None:
@@ -92,7 +92,7 @@ PackedSeen = tuple[float, int, int, tuple[str, ...], bytes]  # period, hands, jo
 
 
 def packed_seen(seen: Seen) -> PackedSeen:
-    """Return the row and sizes of ``seen`` for another process.
+    """Return the row of ``seen`` with its sizes, to be sent to another process.
 
     Raise ControllerError if the harness did not make ``seen``.
     """
@@ -104,7 +104,7 @@ def packed_seen(seen: Seen) -> PackedSeen:
 
 
 def unpacked(sent: PackedSeen) -> Seen:
-    """Return the ``Seen`` that ``packed_seen`` packed."""
+    """Return the ``Seen`` from which ``packed_seen`` made ``sent``."""
     period_s, hand_slots, joints, sees, numbers = sent
     row = np.frombuffer(numbers)
     return Seen.of_row(row.item(0), period_s, layout_of(hand_slots, joints, sees), row)
@@ -122,14 +122,14 @@ _LAST = {
 
 
 def _part(dtype: np.dtype[Any], name: str) -> tuple[slice, tuple[int, ...]]:
-    """Return a field's slice of a row's numbers, and its shape."""
+    """Return the slice of a row's numbers that contains a field, and the field's shape."""
     fields: Mapping[str, Any] = dtype.fields or {}
     kind, offset = fields[name][:2]
     return slice(offset // 8, (offset + kind.itemsize) // 8), kind.shape
 
 
 def _makers(dtype: np.dtype[Any], sees: tuple[str, ...]) -> Iterator[tuple[str, Maker]]:
-    """Yield the name of each visible field and the function that makes it from a row."""
+    """Yield the name of each visible field, with the function that makes the field from a row."""
 
     def array(name: str) -> Maker:
         part, shape = _part(dtype, name)

@@ -1,9 +1,9 @@
-"""Distributions in place of values: frozen, each with its map from the unit cube and back.
+"""Distributions that replace values: frozen objects, each with a map from the unit cube and its inverse.
 
 All values are in SI; ``unit`` is the SI unit of a written value.  Every map is constructive and vectorised:
-cube coordinates (n, columns) to values (n, columns), row by row.  There and back gives the same value to the
-last bit for ``Uniform``, ``Choice`` and ``InBox``.  It does so within 1e-9 standard deviations for
-``TruncatedNormal``, and within 1e-12 of the size for the rest.
+it turns cube coordinates (n, columns) into values (n, columns), row by row.  For ``Uniform``, ``Choice`` and
+``InBox``, the map applied to its inverse returns the same value to the last bit.  For ``TruncatedNormal`` the
+value is the same within 1e-9 standard deviations, and for the rest within 1e-12 of the size.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Vector = NDArray[np.float64]
 Rows = NDArray[np.float64]  # (n, d): a row a draw, a column a number
 
 _SMALLEST, _LARGEST = 1e-300, 1.0 - 2.0**-53
-LEAST_MASS = 1e-6  # of a truncated normal within its bounds; with less, they do not belong to it
+LEAST_MASS = 1e-6  # the least probability of a truncated normal between its bounds
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Uniform:
     Args:
         low: The lower end; ValueError unless it is finite and below ``high``.
         high: The upper end.
-        unit: The SI unit; empty: that of the value in whose place it stands, or none.
+        unit: The SI unit; empty: the unit of the replaced value, or none.
 
     """
 
@@ -49,21 +49,21 @@ class Uniform:
 
     @property
     def simplest(self) -> tuple[float, ...]:
-        """The value nearest to zero: slow, short, straight."""
+        """The value nearest to zero, because small values mean slow, short and straight motion."""
         return (min(max(self.low, 0.0), self.high),)
 
     def values_at(self, u: Rows) -> Vector:
-        """Return the values (n, 1) at the coordinates ``u`` (n, 1), rising; 0 and 1 give the ends."""
+        """Return the values (n, 1), rising, at the coordinates ``u`` (n, 1); 0 and 1 become the ends."""
         inside = np.minimum(self.low + u * (self.high - self.low), self.high)  # rounding may overshoot
         return np.where(u >= 1.0, self.high, inside)
 
     def cube_at(self, values: Rows) -> Vector:
-        """Return the coordinates (n, 1) of ``values`` (n, 1): the inverse of ``values_at``."""
+        """Return the coordinates (n, 1) at which ``values_at`` returns ``values`` (n, 1)."""
         u = np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0)
         return _polished(self, u, values)
 
     def log_density(self, values: Rows) -> Vector:
-        """Return the natural logarithm (n,) of the density at ``values`` (n, 1); -inf outside."""
+        """Return the natural logarithm (n,) of the density at ``values`` (n, 1); -inf outside the ends."""
         inside = (values[:, 0] >= self.low) & (values[:, 0] <= self.high)
         return np.where(inside, -log(self.high - self.low), -np.inf)
 
@@ -75,8 +75,8 @@ class TruncatedNormal:
     Args:
         mean: The mean of the unrestricted distribution.
         std: Its standard deviation; ValueError unless it is above 0.
-        low: The lower end; ValueError unless it is below ``high``, with a millionth of the distribution
-            between them.
+        low: The lower end; ValueError unless it is below ``high`` and at least a millionth of the
+            distribution lies between them.
         high: The upper end.
         unit: The SI unit, as in ``Uniform``.
 
@@ -96,11 +96,11 @@ class TruncatedNormal:
 
     @property
     def simplest(self) -> tuple[float, ...]:
-        """The value nearest to zero."""
+        """The value of the interval that is nearest to zero."""
         return (min(max(self.low, 0.0), self.high),)
 
     def values_at(self, u: Rows) -> Vector:
-        """Return the values (n, 1) at the coordinates ``u`` (n, 1), rising; 0 and 1 give the ends."""
+        """Return the values (n, 1), rising, at the coordinates ``u`` (n, 1); 0 and 1 become the ends."""
         p = self._below + (1.0 - u if self._mirrored else u) * self._mass
         z = normal_quantile(np.clip(p, _SMALLEST, _LARGEST))
         z = np.clip(-z if self._mirrored else z, *self._ends)
@@ -108,13 +108,13 @@ class TruncatedNormal:
         return np.where(u <= 0.0, self.low, np.where(u >= 1.0, self.high, inside))
 
     def cube_at(self, values: Rows) -> Vector:
-        """Return the coordinates (n, 1) of ``values`` (n, 1): the inverse of ``values_at``."""
+        """Return the coordinates (n, 1) at which ``values_at`` returns ``values`` (n, 1)."""
         z = (values - self.mean) / self.std
         share = (lower_tail(-z if self._mirrored else z) - self._below) / self._mass
         return _polished(self, np.clip(1.0 - share if self._mirrored else share, 0.0, 1.0), values)
 
     def log_density(self, values: Rows) -> Vector:
-        """Return the natural logarithm (n,) of the density at ``values`` (n, 1); -inf outside."""
+        """Return the natural logarithm (n,) of the density at ``values`` (n, 1); -inf outside the ends."""
         value = values[:, 0]
         z = (value - self.mean) / self.std
         constant = log(self.std * math.sqrt(2.0 * math.pi) * self._mass)
@@ -123,36 +123,36 @@ class TruncatedNormal:
 
     @cached_property
     def _ends(self) -> tuple[float, float]:
-        """The bounds in standard deviations from the mean."""
+        """The bounds as numbers of standard deviations from the mean."""
         return (self.low - self.mean) / self.std, (self.high - self.mean) / self.std
 
     @property
     def _mirrored(self) -> bool:
-        """Whether to compute the mirror image, for bounds mostly above the mean.
+        """Whether to compute with the mirrored distribution, as for bounds that are mostly above the mean.
 
-        The lower tail has small probabilities, which keep their digits.
+        Probabilities in the lower tail are small numbers, which keep all their digits.
         """
         return sum(self._ends) > 0.0
 
     @cached_property
     def _below(self) -> float:
-        """The probability below the bounds (mirrored: above) in the unrestricted normal distribution."""
+        """The probability that the unrestricted normal distribution is below the bounds (mirrored: above)."""
         low, high = self._ends
         return float(lower_tail(np.array(-high if self._mirrored else low)))
 
     @cached_property
     def _mass(self) -> float:
-        """The probability between the bounds in the unrestricted normal distribution."""
+        """The probability that the unrestricted normal distribution is between the bounds."""
         low, high = self._ends
         return float(lower_tail(np.array(-low if self._mirrored else high))) - self._below
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A choice among alternatives, by number; ``labels`` are for people.
+    """A choice among numbered alternatives; ``labels`` name them for people.
 
-    Every number has an interval of the cube, as long as its probability; its inverse is the middle.
-    ValueError unless all ``chances`` are above 0.
+    Every number has an interval of the cube, whose length is the number's probability.  The inverse of a
+    number is the middle of its interval.  ValueError unless all ``chances`` are above 0.
     """
 
     labels: tuple[str, ...]
@@ -176,13 +176,13 @@ class Choice:
 
     @cached_property
     def edges(self) -> Vector:
-        """The ends (k + 1,) of the numbers' intervals in the cube, from 0 to 1."""
+        """The ends (k + 1,) of the intervals of the k numbers in the cube, from 0 to 1."""
         edges = np.concatenate([[0.0], np.cumsum(self.chances)])
         scaled: Vector = edges / edges[-1]
         return scaled
 
     def values_at(self, u: Rows) -> Vector:
-        """Return the numbers (n, 1) at the coordinates ``u`` (n, 1), from 0 and rising."""
+        """Return the numbers (n, 1), rising from 0, at the coordinates ``u`` (n, 1)."""
         number = np.searchsorted(self.edges[1:-1], u[:, 0], side="right")
         return number.astype(float)[:, None]
 
@@ -193,7 +193,7 @@ class Choice:
         return middle
 
     def log_density(self, values: Rows) -> Vector:
-        """Return the natural logarithm (n,) of the probability of ``values`` (n, 1), or -inf outside."""
+        """Return the natural logarithm (n,) of the probability of ``values`` (n, 1); -inf for others."""
         value = np.nan_to_num(values[:, 0], nan=-1.0)
         number = np.clip(value, 0, len(self.chances) - 1).astype(int)
         probable = log(np.array(self.chances) / math.fsum(self.chances))[number]
@@ -202,11 +202,11 @@ class Choice:
 
 @dataclass(frozen=True)
 class InShell:
-    """A point between two spheres about a centre, uniform in volume.
+    """A point between two spheres with a common centre, uniform in volume.
 
     Args:
         centre: The centre.
-        inner: The radius of the inner sphere, from 0; ValueError unless it is below ``outer``.
+        inner: The radius of the inner sphere, at least 0; ValueError unless it is below ``outer``.
         outer: The radius of the outer sphere.
         unit: The SI unit of all three.
 
@@ -224,17 +224,17 @@ class InShell:
 
     @property
     def simplest(self) -> tuple[float, ...]:
-        """The inner sphere's point in the direction of x."""
+        """The point of the inner sphere that lies from the centre in the direction of x."""
         x, y, z = self.centre
         return x + self.inner, y, z
 
     @property
     def _volume(self) -> float:
-        """The difference of the radii's cubes."""
+        """The outer radius cubed minus the inner radius cubed."""
         return float(_cubed(self.outer) - _cubed(self.inner))
 
     def values_at(self, u: Rows) -> Vector:
-        """Return the points (n, 3) at the coordinates ``u`` (n, 3): radius, height and azimuth."""
+        """Return the points (n, 3) whose radius, height and azimuth follow from ``u`` (n, 3)."""
         r = cbrt(_cubed(self.inner) + u[:, 0] * self._volume)
         height, azimuth = 2.0 * u[:, 1] - 1.0, 2.0 * math.pi * u[:, 2]
         across = np.sqrt(np.maximum(1.0 - height * height, 0.0))
@@ -243,9 +243,9 @@ class InShell:
         return points
 
     def cube_at(self, values: Rows) -> Vector:
-        """Return the coordinates (n, 3) of the points ``values`` (n, 3): the inverse of ``values_at``.
+        """Return the coordinates (n, 3) at which ``values_at`` returns the points ``values`` (n, 3).
 
-        The centre and the poles have no azimuth, and get 0.
+        The centre and the poles have no azimuth; their third coordinate is 0.
         """
         x, y, z = (values - np.array(self.centre)).T
         r = np.sqrt(x * x + y * y + z * z)
@@ -256,9 +256,9 @@ class InShell:
         return u
 
     def log_density(self, values: Rows) -> Vector:
-        """Return the natural logarithm (n,) of the density at ``values`` (n, 3); -inf outside.
+        """Return the natural logarithm (n,) of the density at ``values`` (n, 3); -inf outside the shell.
 
-        The bounds have a tolerance of 1e-12 for rounding.
+        The radii have a tolerance of 1e-12 for rounding.
         """
         r = np.linalg.norm(values - np.array(self.centre), axis=1)
         slack = 1e-12 * (self.outer + float(np.abs(self.centre).max()))
@@ -269,7 +269,7 @@ class InShell:
 
 @dataclass(frozen=True)
 class InBox:
-    """Equally likely points of a box.
+    """Points of a box, all equally likely.
 
     Args:
         low: The lowest corner; ValueError unless each coordinate is below that of ``high``.
@@ -300,11 +300,11 @@ class InBox:
         )
 
     def values_at(self, u: Rows) -> Vector:
-        """Return the points (n, 3) at the coordinates ``u`` (n, 3), coordinate by coordinate."""
+        """Return the points (n, 3) at ``u`` (n, 3), with each coordinate computed by itself."""
         return np.hstack([side.values_at(u[:, [k]]) for k, side in enumerate(self.sides)])
 
     def cube_at(self, values: Rows) -> Vector:
-        """Return the coordinates (n, 3) of the points ``values`` (n, 3): the inverse of ``values_at``."""
+        """Return the coordinates (n, 3) at which ``values_at`` returns the points ``values`` (n, 3)."""
         return np.hstack([side.cube_at(values[:, [k]]) for k, side in enumerate(self.sides)])
 
     def log_density(self, values: Rows) -> Vector:
@@ -315,12 +315,12 @@ class InBox:
 
 @dataclass(frozen=True)
 class InRegion:
-    """Equally likely points of a named region: of a box, or of the shell around a hole in a box.
+    """Points of a named region, all equally likely: of a box, or of a larger box around a hole.
 
     Args:
         name: The name: "seen hand", "unseen hand", "seen tcp" or "unseen tcp".
-        region: The region; None until the reader of the space knows whose seen space it means.  For a shift
-            (the TCP start's offset) it is a region of shifts.
+        region: The region.  It is None until the reader of the space knows whose seen space is meant.  For a
+            shift (the TCP start's offset) it is a region of shifts.
 
     """
 
@@ -331,13 +331,13 @@ class InRegion:
 
     @property
     def known(self) -> Region:
-        """The region itself, after reading."""
+        """The region, which must be known, as it is after reading."""
         assert self.region is not None, "a region that reading has not resolved"
         return self.region
 
     @property
     def simplest(self) -> tuple[float, ...]:
-        """The centre of a box; for a shell, the middle of the hole's nearest side."""
+        """The centre of a box; or, if there is a hole, the middle of the hole's nearest side."""
         hole = self.known.hole
         if hole is None:
             return self.known.outer.centre_m
@@ -347,7 +347,7 @@ class InRegion:
     def sides_of(self, hole: Box) -> list[tuple[int, float, float, float]]:
         """Return (axis, least, most, the hole's face) for the space outside each face of the hole.
 
-        The nearest face comes first.
+        The face nearest to the hole's centre comes first.
         """
         outer, centre = self.known.outer, hole.centre_m
         sides = [
@@ -364,7 +364,7 @@ class InRegion:
     def values_at(self, u: Rows) -> Vector:
         """Return the points (n, 3) at the coordinates ``u`` (n, 3).
 
-        The first coordinate also picks one of at most six boxes.
+        The first coordinate also selects one of at most six boxes that make up the region.
         """
         low, high, edges = self._pieces
         piece = np.searchsorted(edges[1:-1], u[:, 0], side="right")
@@ -374,9 +374,9 @@ class InRegion:
         return points
 
     def cube_at(self, values: Rows) -> Vector:
-        """Return the coordinates (n, 3) of the points ``values`` (n, 3): the inverse of ``values_at``.
+        """Return the coordinates (n, 3) at which ``values_at`` returns the points ``values`` (n, 3).
 
-        A side of two boxes belongs to the first.
+        If a point lies on the common side of two boxes, the first box is used.
         """
         low, high, edges = self._pieces
         inside = np.all((values[:, None] >= low) & (values[:, None] <= high), axis=2)
@@ -395,12 +395,12 @@ class InRegion:
 
     @property
     def edges(self) -> Vector:
-        """The ends (k + 1,) of the boxes' intervals of the first coordinate, from 0 to 1."""
+        """The ends (k + 1,) of the intervals of the first coordinate that select the k boxes, from 0 to 1."""
         return self._pieces[2]
 
     @cached_property
     def _pieces(self) -> tuple[Vector, Vector, Vector]:
-        """The corners (k, 3) of the boxes, and the edges (k + 1,) of their shares of the first coordinate."""
+        """The lowest and highest corners (k, 3) of the region's k boxes, and ``edges`` (k + 1,)."""
         pieces = self.known.pieces
         low, high = (np.array([getattr(piece, end) for piece in pieces]) for end in ("low_m", "high_m"))
         edges = np.concatenate([[0.0], np.cumsum([piece.volume_m3 for piece in pieces])])
@@ -411,14 +411,14 @@ Distribution: TypeAlias = Uniform | TruncatedNormal | Choice | InBox | InShell |
 
 
 def _cubed(x: float | Vector) -> float | Vector:
-    """Return a number's third power."""
+    """Return the third power of a number."""
     return x * x * x
 
 
 def _polished(distribution: Uniform | TruncatedNormal, u: Rows, values: Rows) -> Vector:
-    """Return ``u`` with corrections of the last digits, where these give ``values`` exactly.
+    """Return ``u`` with its last digits corrected where the corrected number becomes exactly ``values``.
 
-    The search covers four floats on either side.
+    The search covers the four nearest floats on either side.
     """
     rows = np.flatnonzero(distribution.values_at(u)[:, 0] != values[:, 0])
     if not len(rows):
@@ -433,6 +433,6 @@ def _polished(distribution: Uniform | TruncatedNormal, u: Rows, values: Rows) ->
 
 
 def _refuse_unless(condition: bool, expected: str, got: object) -> None:
-    """Raise ValueError unless a condition is true."""
+    """Raise ValueError unless ``condition`` is true."""
     if not condition:
         raise ValueError(f"expected {expected}; got {got}")

@@ -1,4 +1,7 @@
-"""Scenario spaces from files and texts, with a trial of every end, a value between, and every choice."""
+"""Reading of scenario spaces from files and texts, and a trial of the values that they allow.
+
+The trial covers both ends of every parameter, a value between, and every alternative.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from safety_harness.space.template import Parameter
 
 Vector = NDArray[np.float64]
 
-_INNER = 0.381966  # of the cube: no round number, so that it tells whole numbers from fractions
+_INNER = 0.381966  # a cube coordinate; no round number, so that whole numbers differ from fractions
 _SOMEWHERE = Region(Box((0.7, -0.3, 0.2), (0.8, -0.2, 0.3)))  # before the settings are read
 
 
@@ -34,10 +37,10 @@ def read_space(path: str | Path, library: Library | None = None) -> ScenarioSpac
 
     Args:
         path: The file, or ``shipped:NAME``; ``parse_space`` reads a text.
-        library: Records every file that is read.  None: no record.
+        library: Records every file that is read.  None: nothing is recorded.
 
     Raises:
-        InputError: The file cannot be used as it stands; the error has its place.
+        InputError: The file cannot be used; the error states the place.
 
     """
     path = as_path(path, "read_space(path)", of_text="parse_space")
@@ -49,18 +52,19 @@ def read_space(path: str | Path, library: Library | None = None) -> ScenarioSpac
 def parse_space(
     text: str, file: Path | None = None, recordings: Mapping[str, bytes] | None = None
 ) -> ScenarioSpace:
-    """Return the scenario space that a text describes.
+    """Return the scenario space that ``text`` describes.
 
-    The reader tries every parameter: its ends, a value between them, each of its alternatives.  It refuses a
-    value that the scenario reader refuses, and a value that cannot be read back.
+    The reader tries every parameter at its ends and at a value between them, or at each of its alternatives.
+    It refuses a space with a value that the scenario reader refuses, or that cannot be read back from the
+    scenario.
 
     Args:
         text: The text.
-        file: The folder of this path is where recordings are.  None: the working directory.
+        file: A path whose folder contains the recordings.  None: the working directory.
         recordings: Contents of recordings by their SHA-256, as for ``parse_scenario``.
 
     Raises:
-        InputError: The text cannot be used as it stands; the error has its place.
+        InputError: The text cannot be used; the error states the place.
 
     """
     refuse_other_type("parse_space(text)", text, str, expected="a text", hint="read_space(path) reads a file")
@@ -70,7 +74,7 @@ def parse_space(
 def space_of(
     tree: Node, file: Path | None, recordings: Mapping[str, bytes] | None = None, *, name: str | None = None
 ) -> ScenarioSpace:
-    """Return the scenario space of a tree.
+    """Return the scenario space that ``tree`` describes.
 
     ``name`` is the name of the space; the remaining arguments are as in ``parse_space``.
     """
@@ -91,7 +95,7 @@ def space_of(
 
 
 def _with_regions(space: ScenarioSpace) -> ScenarioSpace:
-    """Return the space with its named regions, which depend on the training data of its avoider."""
+    """Return the space with its named regions resolved from the training data of its avoider."""
     if not any(isinstance(item.distribution, InRegion) for item in space.parameters):
         return space
 
@@ -117,7 +121,7 @@ def _with_regions(space: ScenarioSpace) -> ScenarioSpace:
 
 
 def _try_out(space: ScenarioSpace) -> None:
-    """Raise ScenarioError for the first value that the reader refuses or that cannot be read back."""
+    """Raise ScenarioError for the first value that the reader refuses, or that cannot be read back."""
     for claim in space.simplest.claims:
         if claim.most is not None:
             expected = "holds, violated or inconclusive, without a bound, in a space"
@@ -143,7 +147,7 @@ def _try_out(space: ScenarioSpace) -> None:
 
 
 def _trials(space: ScenarioSpace, parameter: Parameter) -> Iterator[tuple[Vector, bool]]:
-    """Yield values (d,) that use ``parameter``, and whether to look for them in the scenario."""
+    """Yield values (d,) that use ``parameter``, each with whether the scenario must show the value again."""
     raw = np.concatenate([each.distribution.simplest for each in space.parameters])
     for condition in parameter.when[0] if parameter.when else ():
         raw[space.parameters[condition.parameter].column] = condition.least
@@ -161,7 +165,7 @@ def _trials(space: ScenarioSpace, parameter: Parameter) -> Iterator[tuple[Vector
 
 
 def _anchors(scenario: Scenario) -> tuple[object, ...]:
-    """Return the settings that the named regions depend on."""
+    """Return the settings on which the named regions depend."""
     cell, avoidance = scenario.settings.cell, scenario.settings.avoidance
     return (
         scenario.under_test,

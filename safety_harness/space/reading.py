@@ -1,4 +1,4 @@
-"""The way from the tree of a scenario space to its template and its parameters."""
+"""The reading of a scenario space: from the tree of its file to its template and its parameters."""
 
 from __future__ import annotations
 
@@ -25,43 +25,43 @@ from safety_harness.space.template import (
 )
 
 MOST_COLUMNS = 256  # of the unit cube
-MOST_MEMBERS = 5_000  # of lists, by repeating
-MOST_USES = 2_000  # of parameters, by names
+MOST_MEMBERS = 5_000  # members of lists that repetitions make
+MOST_USES = 2_000  # uses of parameters through named values
 CHOICES, SEED = "choices", "seed"
 _FIXED = ("scenario", "about", "claims")  # texts for people and sentences looked up elsewhere
 
-_Use = tuple[int, tuple[Condition, ...]]  # a parameter and what must hold for it to be used here
+_Use = tuple[int, tuple[Condition, ...]]  # a parameter, and the conditions of its use here
 
 
 @dataclass
 class _Named:
-    """A value below ``choices``."""
+    """A named value, given below the key ``choices``."""
 
     place: Field
     template: Template
-    uses: list[_Use]  # the uses of a use of this value, its own parameters first
+    uses: list[_Use]  # the uses that one use of this value causes, of its own parameters first
     used: bool = False
 
 
 class TemplateReader:
-    """Reads one file from its beginning to its end."""
+    """The reader of one file, used once, from the beginning to the end of the file."""
 
     def __init__(self) -> None:
         self._drafts: list[Parameter] = []  # their conditions and columns are known at the end
         self._named: dict[str, _Named] = {}
         self._uses: list[_Use] = []  # of the current named value, or of the scenario
         self._time = ""  # the current repetition, for names
-        self._members = 0  # that repetitions have made so far
+        self._members = 0  # the number of members that repetitions have made so far
 
     def whole(self, root: Field) -> tuple[Keyed, tuple[Parameter, ...]]:
-        """Return the template of a scenario and its parameters; ScenarioError for a text without meaning."""
+        """Return the template of a scenario and its parameters; ScenarioError if the text has no meaning."""
         entries = dict(root.entries("a mapping with the keys of a scenario"))
         if SPACE_KEY not in entries:
             expected = f'the key "{SPACE_KEY}"'
             raise ScenarioError(place=root.place, expected=expected, got=", ".join(entries) or "no keys")
         if "scenario" in entries:
             raise entries["scenario"].error(f'the key "{SPACE_KEY}" alone', got='"scenario" as well')
-        if SEED in entries:  # of the scenario that it extends: each draw has its own, or draws are copies
+        if SEED in entries:  # from an extended scenario; each draw needs its own seed
             entries[SEED].integer(least=0, most=LARGEST_SEED)
         if CHOICES in entries:
             self._choices(entries[CHOICES])
@@ -88,7 +88,7 @@ class TemplateReader:
                 raise value.error('a value that varies, such as "one of left, right"')
 
     def _parameters(self, root: Field) -> tuple[Parameter, ...]:
-        """Return the parameters with their columns and their conditions of use."""
+        """Return the parameters with their columns and the conditions under which each is used."""
         whens: list[dict[tuple[Condition, ...], None]] = [{} for _ in self._drafts]
         for number, conditions in self._uses:
             whens[number][conditions] = None
@@ -110,7 +110,7 @@ class TemplateReader:
         return len(self._drafts) - 1
 
     def _template(self, at: Field, context: tuple[Condition, ...]) -> Template:
-        """Return the template of a field that is used under the conditions ``context``."""
+        """Return the template of a field; ``context`` holds the conditions under which the field is used."""
         if isinstance(at.node, Scalar):
             return self._scalar(at, context)
         if isinstance(at.node, Sequence):
@@ -130,7 +130,10 @@ class TemplateReader:
         )
 
     def _scalar(self, at: Field, context: tuple[Condition, ...]) -> Template:
-        """Return the template of a text: a named value, alternatives, a distribution, or the text itself."""
+        """Return the template of a text, by its words.
+
+        It is a named value, a choice of alternatives, a value with a distribution, or the text itself.
+        """
         text = " ".join(at.scalar("a value").split())
         if text.startswith("the "):
             return self._use(at, text.removeprefix("the ").strip(), context).template
@@ -142,7 +145,7 @@ class TemplateReader:
         return at.node if distribution is None else Given(self._parameter(at, distribution, context), at.line)
 
     def _use(self, at: Field, name: str, context: tuple[Condition, ...]) -> _Named:
-        """Return a named value, and note that its parameters are used under ``context``."""
+        """Return a named value, and record that its parameters are used under the conditions ``context``."""
         if name not in self._named:
             known = ", ".join(self._named)
             expected = f"one of the choices {known}" if known else "a name below choices, which has none"
@@ -168,7 +171,7 @@ class TemplateReader:
         return Listing(tuple(items), at.node.line)
 
     def _repeat(self, at: Field, context: tuple[Condition, ...]) -> list[Template]:
-        """Return the members that a mapping with ``repeat`` gives."""
+        """Return the members of a list that a mapping with ``repeat`` stands for."""
         given = at.fields(("repeat", "moves"))
         least, most = times(given.required("repeat"))
         moves = given.required("moves").items("the list that is repeated", least=1)
@@ -227,7 +230,7 @@ class TemplateReader:
     def _alternatives(
         self, at: Field, number: int, options: tuple[Field, ...], context: tuple[Condition, ...]
     ) -> Alternatives:
-        """Return the alternatives of a parameter, each used if the parameter has its number."""
+        """Return ``options`` as alternatives, used if the value of parameter ``number`` is their number."""
         templates = (
             self._template(option, (*context, Condition(number, choice, choice)))
             for choice, option in enumerate(options)
@@ -236,7 +239,7 @@ class TemplateReader:
 
 
 def _chances(at: Field, count: int) -> tuple[float, ...]:
-    """Return the chances of alternatives."""
+    """Return the chances of ``count`` alternatives."""
     expected = f"a list of {count} chances, numbers from 0.000001 to 1000000 such as 3 or 25 %"
     chances = []
     for item in at.items(expected, count=count):
@@ -248,7 +251,7 @@ def _chances(at: Field, count: int) -> tuple[float, ...]:
 
 
 def _point(at: Field) -> Distribution:
-    """Return the distribution of the point that a mapping describes."""
+    """Return the distribution of the point that a mapping describes: a region, a box or a shell."""
     entries = dict(at.entries("a mapping"))
     if "in" in entries:
         return _region(at, entries["in"])
@@ -263,7 +266,7 @@ def _point(at: Field) -> Distribution:
 
 
 def _box(at: Field) -> InBox:
-    """Return the distribution of a point between two corners."""
+    """Return the distribution of a point in a box given by two corners."""
     (low, unit), (high, high_unit) = (_corner(corner) for corner in at.items("two corners", count=2))
     if unit != high_unit or not all(a < b for a, b in zip(low, high, strict=True)):
         raise at.error("two corners, each coordinate of the second larger, all of one kind")
@@ -281,7 +284,7 @@ def _region(at: Field, name: Field) -> InRegion:
 
 
 def _corner(at: Field) -> tuple[Vector3, str]:
-    """Return three quantities of one kind, and their SI unit."""
+    """Return three quantities of one kind as numbers in SI, and their SI unit."""
     (x, unit), (y, y_unit), (z, z_unit) = (fixed_quantity(c) for c in at.items("a list of three", count=3))
     if not unit == y_unit == z_unit:
         raise at.error("three quantities of one kind")

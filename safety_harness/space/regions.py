@@ -1,16 +1,17 @@
-"""Regions without numbers: the space that an avoider saw in training, and the shells around it (Table 3).
+"""Regions given by name: the space that an avoider saw in training, and the shells around it (Table 3).
 
-The paper gives only the bounds of the seen hands (nominal +- 300 mm, section 4.1).  The remaining bounds are
-ours.  They were chosen before any result, for these reasons:
+The paper gives only the bounds of the seen hands (nominal +- 300 mm, section 4.1).  We chose the remaining
+bounds, before any result, for these reasons:
 
 * Seen TCPs lie within +-(60, 150, 100) mm of the desired position, x narrowest as in the paper.  In the
   default cell the arm reaches all of that box, with the object in view.
-* Unseen TCPs lie outside that box and inside a box of twice its size.  They border on the seen box: a TCP on
-  its rim that retreats by R = 100 mm ends there.  Seven eighths of the larger box are new.  In the default
-  cell the arm reaches all of them; in about a fifth the object is partly out of view.
-* Unseen hands lie outside the seen box and inside a box of 1.5 times its size, and no hand's centre is below
-  the table's top.  A hand only shifts the target, by 0.05 of its own displacement (eq. 13), so a larger box
-  would teach little.  Twice the box would have hands among the arm's own links.
+* Unseen TCPs lie outside that box and inside a box of twice its size.  This region borders on the seen box,
+  so a TCP that retreats from the seen box's rim by R = 100 mm ends there.  The region is seven eighths of the
+  larger box.  In the default cell the arm reaches all of these TCPs.  At about a fifth of them, the object is
+  partly out of view.
+* Unseen hands lie outside the seen box and inside a box of 1.5 times its size.  No hand's centre is below the
+  table's top.  A hand only shifts the target, by 0.05 of its own displacement (eq. 13), so a larger box would
+  teach little.  In a box of twice the size, hands would be among the arm's own links.
 
 A network's file states the bounds of its training, and the regions follow them.
 """
@@ -47,9 +48,9 @@ REGIONS = ("seen hand", "unseen hand", "seen tcp", "unseen tcp")
 
 @dataclass(frozen=True)
 class SeenRegions:
-    """The boxes of hands and TCPs that an avoider was trained on, in the base frame.
+    """The boxes of hands and TCPs that an avoider saw in training, in the base frame.
 
-    ``source`` tells whose boxes they are.
+    ``source`` states whose training the boxes come from.
     """
 
     hand: Box
@@ -58,7 +59,7 @@ class SeenRegions:
 
 
 def paper_seen(settings: Settings, source: str = "the paper") -> SeenRegions:
-    """Return the paper's seen space: TCPs about the desired position, hands about the nominal position."""
+    """Return the paper's seen space: TCPs around the desired position, hands around the nominal position."""
     return SeenRegions(
         hand=Box.centred_at(settings.avoidance.nominal_hand_position_in_base_m, SEEN_HAND_HALF_SIZE_M),
         tcp=Box.centred_at(settings.cell.desired_tcp_position_in_base_m, SEEN_TCP_HALF_SIZE_M),
@@ -67,10 +68,10 @@ def paper_seen(settings: Settings, source: str = "the paper") -> SeenRegions:
 
 
 def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> SeenRegions:
-    """Return the space that a scenario's avoider saw in training, from its file's metadata.
+    """Return the space that a scenario's avoider saw in training, as its file's metadata state it.
 
-    The function reads the metadata of a network and runs no user program.  An avoider without metadata counts
-    as trained on the paper's seen space, and ``source`` reports this.
+    The function reads the metadata of a network and runs no user program.  If an avoider has no metadata, the
+    result is the paper's seen space, and ``source`` reports this.
 
     Args:
         avoider: The avoider's reference.
@@ -95,7 +96,7 @@ def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> SeenReg
 
 
 def region_named(name: str, seen: SeenRegions, settings: Settings) -> Region:
-    """Return the region of a name in the base frame.
+    """Return the region called ``name``, in the base frame.
 
     Args:
         name: A member of ``REGIONS``.
@@ -121,7 +122,7 @@ def region_named(name: str, seen: SeenRegions, settings: Settings) -> Region:
 
 
 def exported_use(path: Path) -> NetworkUse | None:
-    """Return the network's data from an ONNX file of ours; None for a foreign file."""
+    """Return the data of the network in an ONNX file of ours; None if the file is not ours."""
     text = onnx_metadata(path, onnx_bytes(path)).get(KEY)
     if text is None:
         return None

@@ -1,4 +1,4 @@
-"""Distributions as people write them in place of a value: ``from 0.5 m/s to 2 m/s``."""
+"""Distributions as people write them to replace a value, such as ``from 0.5 m/s to 2 m/s``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TIMES = re.compile(r"(?:from )?([0-9]{1,9})(?: to ([0-9]{1,9}))? times?")
 
 
 def sentence(field: Field, text: str) -> Uniform | TruncatedNormal | None:
-    """Return the distribution of a text that begins with "from" or "normal"; None for another text."""
+    """Return the distribution that a text states; None unless it begins with "from" or "normal"."""
     first = text.partition(" ")[0]
     if first == "from":
         return _uniform(field, text)
@@ -28,7 +28,7 @@ def sentence(field: Field, text: str) -> Uniform | TruncatedNormal | None:
 
 
 def times(field: Field) -> tuple[int, int]:
-    """Return the least and the most of a text such as ``from 1 to 4 times``."""
+    """Return the smallest and largest number in a text such as ``from 1 to 4 times``."""
     expected = f'how often, such as "from 1 to 4 times", at most {MOST_TIMES}'
     matched = _TIMES.fullmatch(" ".join(field.scalar(expected).split()))
     if matched is None:
@@ -40,7 +40,7 @@ def times(field: Field) -> tuple[int, int]:
 
 
 def fixed_quantity(field: Field, text: str | None = None) -> tuple[float, str]:
-    """Return a quantity in SI with its SI unit; the written unit tells its dimension.
+    """Return a quantity in SI with its SI unit; the written unit determines the dimension.
 
     Args:
         field: The field, for errors.
@@ -58,7 +58,7 @@ def fixed_quantity(field: Field, text: str | None = None) -> tuple[float, str]:
 
 
 def _uniform(field: Field, text: str) -> Uniform:
-    """Return the uniform distribution of a text."""
+    """Return the uniform distribution that a text states."""
     matched = _UNIFORM.fullmatch(text)
     if matched is None:
         raise field.error('both ends, such as "from 0.5 m/s to 2 m/s"')
@@ -69,7 +69,7 @@ def _uniform(field: Field, text: str) -> Uniform:
 
 
 def _normal(field: Field, text: str) -> TruncatedNormal:
-    """Return the truncated normal distribution of a text."""
+    """Return the truncated normal distribution that a text states."""
     matched = _NORMAL.fullmatch(text)
     if matched is None:
         example = "normal 1 m/s +- 0.2 m/s from 0.5 m/s to 2 m/s"
@@ -85,7 +85,7 @@ def _normal(field: Field, text: str) -> TruncatedNormal:
 
 
 def _alike(field: Field, *texts: str) -> tuple[tuple[float, ...], str]:
-    """Return quantities in SI, which must have one dimension, and its SI unit."""
+    """Return the quantities in ``texts`` as numbers in SI, and the SI unit that they must share."""
     quantities = [fixed_quantity(field, text) for text in texts]
     if len({unit for _, unit in quantities}) > 1:
         raise field.error("quantities of one kind, each with its unit")
@@ -93,7 +93,7 @@ def _alike(field: Field, *texts: str) -> tuple[tuple[float, ...], str]:
 
 
 def options_of(field: Field, text: str) -> tuple[str, ...]:
-    """Return the options of a text ``A, B`` as they are written."""
+    """Return the options in a text ``A, B`` as they are written there."""
     options = tuple(option.strip() for option in text.split(","))
     _refuse_options(field, options)
     if not all(options):
@@ -102,7 +102,7 @@ def options_of(field: Field, text: str) -> tuple[str, ...]:
 
 
 def listed_options(field: Field) -> tuple[Field, ...]:
-    """Return the options of a list."""
+    """Return the options that a list contains."""
     options = field.items(f"a list of 2 to {MOST_OPTIONS} options")
     _refuse_options(field, tuple(range(len(options))))
     return options

@@ -1,7 +1,8 @@
-"""A scenario space: one text that is a set to search, a distribution to sample, and a source of tests.
+"""A scenario space: one text that serves as a set to search, a distribution to sample and a source of tests.
 
-The data flow from text to tree, then to template and parameters (``reading``), to values, and to a scenario.
-A scenario is the filled form of its structure (``tracing``).  ``matches`` leads back.
+The text becomes a tree, and the tree becomes a template with parameters (``reading``).  Values of the
+parameters make a scenario.  A form speeds up the making of scenarios with the same structure (``tracing``).
+``matches`` finds the values of a given scenario.
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ _UNUSED = 0.5  # the cube coordinate of a value that a scenario does not use
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ScenarioSpace:
-    """A set of scenarios with a distribution; made by ``read_space``, ``parse_space`` or ``space_from``.
+    """A set of scenarios with a distribution, from ``read_space``, ``parse_space`` or ``space_from``.
 
-    A claim's expected verdict is the verdict that every scenario of the space should get.
+    The expected verdict of a claim is the verdict that every scenario of the space should get.
 
     Args:
         name: The name.
@@ -51,7 +52,7 @@ class ScenarioSpace:
         tree: The tree of the file.
         template: The tree of its scenarios, with a gap for each value that varies.
         parameters: The parameters, in the order of the unit cube's coordinates.
-        notes: Notes for people: whose seen space it means.
+        notes: Notes for people, which state whose seen space the regions mean.
         recordings: Contents of recordings by their SHA-256, which replace files.
 
     """
@@ -67,7 +68,7 @@ class ScenarioSpace:
     _forms: dict[bytes, Form | None] = field(default_factory=dict, init=False)  # by the choices' values
 
     def __repr__(self) -> str:
-        """Return name and title only, since a strategy of a space shows it as its name."""
+        """Return only name and title, because Hypothesis shows this text as the name of a strategy."""
         return f"<scenario space {self.name}: {self.title}>"
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
@@ -75,7 +76,7 @@ class ScenarioSpace:
 
     @cached_property
     def dimension(self) -> int:
-        """The number of coordinates of the unit cube, the same for every scenario of the space."""
+        """The dimension d of the unit cube, which is the same for every scenario of the space."""
         return sum(parameter.distribution.columns for parameter in self.parameters)
 
     @property
@@ -85,18 +86,18 @@ class ScenarioSpace:
 
     @property
     def simplest_values(self) -> Vector:
-        """The values (d,) of ``simplest``, NaN for unused values."""
+        """The values (d,) of the scenario ``simplest``, with NaN for unused values."""
         values = np.concatenate([parameter.distribution.simplest for parameter in self.parameters])
         row: Vector = self.without_unused(values[None])[0]
         return row
 
     def draw(self, seed: int, k: int, values: Vector | None = None) -> Scenario:
-        """Return draw ``k`` of the stream ``seed``, independent of all others and the same in every process.
+        """Return draw ``k`` of the stream ``seed``; draws are independent, and equal in every process.
 
         Args:
             seed: The root of the random numbers.
             k: The number of the draw, from 0.
-            values: Its row (d,) of ``values_of_draws``, if known.
+            values: The draw's row (d,) of ``values_of_draws``, if known.
 
         """
         if values is None:
@@ -104,10 +105,10 @@ class ScenarioSpace:
         return self.scenario(values, seed=leaf(seed, Branch.SPACE_DRAW, k, 1), name=f"{self.name}#{k}")
 
     def values_of_draws(self, seeds: Sequence[int], k: int) -> Vector:
-        """Return the values (n, d) of draw ``k`` of each stream; n does not change their bits.
+        """Return the values (n, d) of draw ``k`` of each of n streams; their bits do not depend on n.
 
-        Points in shells therefore come one by one: for an array, numpy may round a sine differently than for
-        a number.
+        Therefore points in shells are computed one by one: numpy may round the sine of an array and of a
+        number differently.
 
         Args:
             seeds: The streams, n of them.
@@ -135,7 +136,7 @@ class ScenarioSpace:
         return (self.draw(seed, k) for k in range(count))
 
     def at(self, u: ArrayLike, *, seed: int = 0, name: str | None = None) -> Scenario:
-        """Return the scenario of a point of the unit cube.
+        """Return the scenario at a point of the unit cube.
 
         Args:
             u: The point (d,).
@@ -149,7 +150,7 @@ class ScenarioSpace:
         return self.scenario(self.values_at(np.asarray(u, float)[None])[0], seed=seed, name=name)
 
     def values_at(self, u: Rows) -> Vector:
-        """Return the values (n, d) in SI at points ``u`` (n, d) of the unit cube; NaN for unused values."""
+        """Return the values (n, d) in SI at points ``u`` (n, d) of the unit cube, with NaN if unused."""
         self._refuse_other_shape(u)
         if not np.all((u >= 0.0) & (u <= 1.0)):
             raise self._error("coordinates from 0 to 1", f"{u.min()} to {u.max()}")
@@ -159,7 +160,7 @@ class ScenarioSpace:
         return self.without_unused(values)
 
     def cube_at(self, values: Rows) -> Vector:
-        """Return the points (n, d) of the unit cube for ``values`` (n, d); ScenarioError outside it."""
+        """Return the points (n, d) of the unit cube at ``values`` (n, d); ScenarioError outside the space."""
         outside = np.flatnonzero(~np.isfinite(self.log_density_at(values)))
         if len(outside):
             raise self._error("values within their distributions", f"others in row {outside[0]}")
@@ -170,9 +171,9 @@ class ScenarioSpace:
         return u
 
     def log_density_at(self, values: Rows) -> Vector:
-        """Return the natural logarithm (n,) of the density at ``values`` (n, d); -inf outside.
+        """Return the natural logarithm (n,) of the density at ``values`` (n, d); -inf outside the space.
 
-        The measure is the product of lengths, volumes (SI) and counts over the used parameters.
+        The density refers to the product of lengths, volumes (SI) and counts over the used parameters.
         """
         self._refuse_other_shape(values)
         density = np.zeros(len(values))
@@ -182,14 +183,14 @@ class ScenarioSpace:
         return density
 
     def without_unused(self, values: Rows) -> Vector:
-        """Return ``values`` (n, d) with NaN for the values that the choices among them leave unused."""
+        """Return ``values`` (n, d) with NaN for each value that the choices in its row leave unused."""
         cleared = values.copy()
         for parameter, used in zip(self.parameters, self.used_by(values), strict=True):
             cleared[~used, parameter.columns] = np.nan
         return cleared
 
     def used_by(self, values: Rows, parameters: Sequence[Parameter] | None = None) -> list[NDArray[np.bool_]]:
-        """Return, for each parameter, which scenarios (n,) of ``values`` (n, d) use it.
+        """Return, for each parameter, a mask (n,) of the scenarios in ``values`` (n, d) that use it.
 
         Args:
             values: The values of n scenarios.
@@ -209,10 +210,10 @@ class ScenarioSpace:
         ]
 
     def scenario(self, values: Vector, *, seed: int = 0, name: str | None = None) -> Scenario:
-        """Return the scenario of values.
+        """Return the scenario that has the given values.
 
-        The reader reads one scenario for each structure; for further scenarios the values go in at their
-        paths.
+        At first, the reader makes the scenario of each structure.  For further scenarios of that structure,
+        the values are put into a form.
 
         Args:
             values: The values (d,), as from ``values_at``.
@@ -228,7 +229,7 @@ class ScenarioSpace:
         return made
 
     def _form(self, structure: bytes, row: Values) -> Form | None:
-        """Return the form of a structure; None at the first scenario of it, and where no form works."""
+        """Return the form of a structure; None for its first scenario, and if no form fits the structure."""
         if structure not in self._forms:
             if len(self._forms) >= _MOST_FORMS:
                 self._forms.clear()
@@ -239,9 +240,9 @@ class ScenarioSpace:
         return self._forms.get(structure)
 
     def _read(self, row: Values, known: Sequence[Any] | None = None, *, name: str = "") -> Scenario:
-        """Return the scenario of values, from the reader.
+        """Return the scenario of the values ``row``, made by the reader.
 
-        ``known`` are numbers that the reader gets in place of the written values.
+        ``known`` are numbers that replace the written values in the reader.
         """
         tree = filled(self.template, self.parameters, row, known)
         read = scenario_of(tree, self.file, self.recordings, name=name)
@@ -250,16 +251,16 @@ class ScenarioSpace:
 
     @cached_property
     def _choices(self) -> NDArray[np.int64]:
-        """The coordinates of the choices, which decide which coordinates are used, and their places."""
+        """The coordinates of the choices, which decide which other coordinates are used, and where."""
         choices = (p.column for p in self.parameters if isinstance(p.distribution, Choice))
         return np.fromiter(choices, np.int64)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the data without the forms: another process makes its own."""
+        """Return the data without the forms, because another process makes its own forms."""
         return vars(self) | {"_forms": {}}
 
     def values_of(self, scenario: Scenario) -> Vector:
-        """Return values (d,) that give ``scenario`` up to its name and seed; ScenarioError without any."""
+        """Return values (d,) that produce ``scenario`` up to its name and seed; ScenarioError if none do."""
         for values in self._readings(scenario):
             return values
         raise self._error("a scenario of the space", f"{scenario.name}, which is none")
@@ -267,17 +268,17 @@ class ScenarioSpace:
     def cube_of(self, scenario: Scenario) -> Vector:
         """Return the point (d,) of the unit cube whose scenario is ``scenario``, up to its name and seed.
 
-        A choice has the middle of its interval, an unused value 0.5.  ScenarioError for a scenario outside
-        the space.
+        The coordinate of a choice is the middle of its interval; that of an unused value is 0.5.
+        ScenarioError if the scenario is outside the space.
         """
         row: Vector = self.cube_at(self.values_of(scenario)[None])[0]
         return row
 
     def log_density(self, scenario: Scenario) -> float:
-        """Return the natural logarithm of the density, as ``log_density_at``; -inf for a scenario outside.
+        """Return the natural logarithm of the density at ``scenario``, as ``log_density_at``; -inf outside.
 
-        Overlapping alternatives give a scenario in several ways, and their densities add up.  A way that hits
-        a value exactly outweighs a way that would need a coincidence.
+        If overlapping alternatives produce the scenario in several ways, their densities are added.  A way
+        that contains a value exactly outweighs a way that would produce it only by coincidence.
         """
         readings = list(self._readings(scenario))
         if not readings:
@@ -291,7 +292,7 @@ class ScenarioSpace:
         return any(True for _ in self._readings(scenario))
 
     def _readings(self, scenario: Scenario) -> Iterator[Vector]:
-        """Yield the values (d,) that give ``scenario``, for every way to read it."""
+        """Yield values (d,) that produce ``scenario``, for each way in which they can."""
         own_settings = not self._keys.isdisjoint((*TOP_GROUPS, "settings"))
         written = tree_of(scenario, all_settings=own_settings)
         for count, matched in enumerate(matches(self.template, written, self.parameters)):
@@ -304,7 +305,7 @@ class ScenarioSpace:
                 yield values
 
     def _gives(self, values: Vector, scenario: Scenario) -> bool:
-        """Return whether the values (d,) give ``scenario``."""
+        """Return whether the values (d,) produce ``scenario``."""
         try:
             made = self.scenario(values, seed=scenario.seed, name=scenario.name)
         except InputError:
@@ -312,7 +313,7 @@ class ScenarioSpace:
         return made == scenario
 
     def _free_coordinates(self, values: Vector) -> int:
-        """Return the number of used coordinates that are not choices."""
+        """Return the number of used coordinates that belong to no choice."""
         return sum(
             parameter.distribution.columns
             for parameter in self.parameters
@@ -325,20 +326,20 @@ class ScenarioSpace:
         return frozenset(key.text for key, _ in self.template.entries)
 
     def _refuse_other_shape(self, array: Vector) -> None:
-        """Raise ScenarioError unless an array is (n, d)."""
+        """Raise ScenarioError unless ``array`` has the shape (n, d)."""
         if array.ndim != 2 or array.shape[1] != self.dimension:
             shape = " x ".join(map(str, array.shape))
             raise self._error(f"rows of {self.dimension} coordinates", f"an array of {shape}")
 
     def _error(self, expected: str, got: str) -> ScenarioError:
-        """Return the error for this space."""
+        """Return an error whose place is this space."""
         return ScenarioError(place=Place(file=self.file, field=self.name), expected=expected, got=got)
 
 
 def each_to_hold(claims: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Return the claims of one scenario of a space, each expected to hold.
+    """Return the claims for one scenario of a space, each with the expected verdict "holds".
 
-    A space may expect that a claim is violated somewhere; a single scenario should not violate it.
+    A space may expect that a claim is violated somewhere, but a single scenario should not violate it.
     """
     violated = Verdict.VIOLATED
     return tuple(replace(c, expected=Verdict.HOLDS) if c.expected is violated else c for c in claims)

@@ -1,9 +1,9 @@
-"""A space as a Hypothesis strategy: every example is in the space, and shrinking leads to its simplest.
+"""A space as a Hypothesis strategy: all examples are in the space, and shrink towards its simplest one.
 
-Shrinking prefers first alternatives, fewer repetitions, values nearer to zero (so: slower, shorter, less
-turned) and points nearer to the seen space.  It also prefers round numbers: values lie on a decimal grid of
-100 to 1000 steps, unless an example needs a value between.  The grid has millimetres for a range of a
-decimetre and more, and degrees for angles.
+Shrinking prefers first alternatives, fewer repetitions, values nearer to zero (slower, shorter, less turned)
+and points nearer to the seen space.  It also prefers round numbers: values are on a decimal grid of 100 to
+1000 steps, unless an example needs others.  For a range of a decimetre or more, the grid has steps of
+millimetres.  For angles it has steps in degrees.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _STEPS = 100  # at least, on the grid of a value
 
 
 def strategy(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
-    """Return a strategy for scenarios of ``space``, each with its own seed."""
+    """Return a strategy for the scenarios of ``space``, each with its own seed."""
     refuse_other_type("strategy(space)", space, ScenarioSpace)
     seeds = st.integers(min_value=0, max_value=LARGEST_SEED)
     return st.builds(_scenario, st.just(space), values(space), seeds)
@@ -37,10 +37,10 @@ def strategy(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
 
 @st.composite
 def values(draw: st.DrawFn, space: ScenarioSpace) -> Vector:
-    """Draw values (d,) of ``space`` in SI, parameter by parameter; NaN for unused values."""
+    """Draw values (d,) of ``space`` in SI, one parameter after another; unused values are NaN."""
     drawn = np.full((1, space.dimension), np.nan)
     for number, parameter in enumerate(space.parameters):
-        # A named value comes before the choices that decide about its use.
+        # A named value is drawn before the choices that decide about its use.
         undecided = any(condition.parameter > number for when in parameter.when for condition in when)
         if undecided or space.used_by(drawn, [parameter])[0][0]:
             drawn[0, parameter.columns] = draw(_value(parameter.distribution))
@@ -49,7 +49,7 @@ def values(draw: st.DrawFn, space: ScenarioSpace) -> Vector:
 
 
 def _scenario(space: ScenarioSpace, row: Vector, seed: int) -> Scenario:
-    """Return the scenario of values (d,), or reject them if the reader does."""
+    """Return the scenario of the values (d,), or let Hypothesis reject them if the reader refuses them."""
     try:
         return space.scenario(row, seed=seed)
     except InputError:  # values that the reader refuses together
@@ -58,7 +58,7 @@ def _scenario(space: ScenarioSpace, row: Vector, seed: int) -> Scenario:
 
 @lru_cache(maxsize=1024)
 def _value(distribution: Distribution) -> st.SearchStrategy[tuple[float, ...]]:
-    """Return a strategy for the values of one parameter, simplest first."""
+    """Return a strategy for the values of one parameter, which shrink to the simplest value."""
     if isinstance(distribution, Choice):
         return st.tuples(st.integers(0, len(distribution.labels) - 1).map(float))
     if isinstance(distribution, InShell):
@@ -73,7 +73,7 @@ def _value(distribution: Distribution) -> st.SearchStrategy[tuple[float, ...]]:
 
 
 def _in_shell(shell: InShell) -> st.SearchStrategy[tuple[float, ...]]:
-    """Return a strategy for points that shrink to the inner sphere and to the direction of x."""
+    """Return a strategy for points that shrink to the inner sphere, in the direction of x."""
 
     def point(r: float, height: float, azimuth_rad: float) -> tuple[float, ...]:
         across = r * math.sqrt(1.0 - height * height)
@@ -85,7 +85,7 @@ def _in_shell(shell: InShell) -> st.SearchStrategy[tuple[float, ...]]:
 
 
 def _in_region(distribution: InRegion) -> st.SearchStrategy[tuple[float, ...]]:
-    """Return a strategy for points that shrink to the centre of a box, or to the nearest side of the hole."""
+    """Return a strategy for points that shrink to a box's centre, or to the nearest side of a hole."""
     outer, hole = distribution.known.outer, distribution.known.hole
     if hole is None:
         return _value(InBox(outer.low_m, outer.high_m))
@@ -102,9 +102,9 @@ def _in_region(distribution: InRegion) -> st.SearchStrategy[tuple[float, ...]]:
 
 
 def real(low: float, high: float, target: float, unit: str) -> st.SearchStrategy[float]:
-    """Return a strategy for numbers from ``low`` to ``high`` that shrink to ``target``, and to round numbers.
+    """Return a strategy for numbers from ``low`` to ``high`` that shrink to ``target`` and round numbers.
 
-    Angles (the unit ``rad``) have their grid in degrees.
+    For angles (the unit ``rad``), the round numbers are in degrees.
     """
     grid = _grid(low, high, 180.0 / math.pi if unit.startswith("rad") else 1.0)
     above = [target, *(value for value in grid if value > target)]
@@ -114,7 +114,7 @@ def real(low: float, high: float, target: float, unit: str) -> st.SearchStrategy
         side, place = (above, step) if step >= 0 else (below, -step)
         if fraction == 0.0 or place == 0:
             return side[place]
-        # Back towards the target: the round number just beyond is then as good where more is worse.
+        # The fraction leads back towards the target, so shrinking can reach the round number just beyond.
         return min(max(side[place] + fraction * (side[place - 1] - side[place]), low), high)
 
     # The fraction between grid points is drawn first, so that shrinking removes it first.
@@ -123,7 +123,7 @@ def real(low: float, high: float, target: float, unit: str) -> st.SearchStrategy
 
 
 def _grid(low: float, high: float, scale: float) -> list[float]:
-    """Return the round numbers from ``low`` to ``high`` in units of 1 / ``scale``, with both ends."""
+    """Return ``low``, the round numbers between, in units of 1 / ``scale``, and ``high``."""
     step = Fraction(10) ** int(f"{(high - low) * scale / _STEPS:e}".split("e")[1])
     first, last = math.ceil(low * scale / step), math.floor(high * scale / step)
     round_numbers = (float(k * step) / scale for k in range(first, last + 1))

@@ -1,8 +1,8 @@
 """A scenario's tree with gaps: fixed nodes, and places that a space's parameters fill.
 
-A value goes into the tree as an exact quantity in its SI unit, so that the ordinary reader reads it and the
-language stays one.  For the way from a scenario back to values, its written tree is laid over the template,
-gap by gap.  A match is a guess that the template allows; the caller fills it in and compares.
+A value enters the tree as an exact quantity in its SI unit.  So the ordinary reader reads it, and no second
+language is needed.  To find the values of a scenario, its written tree is compared with the template, gap by
+gap. A match is only a guess that the template allows, so the caller fills it in and compares the scenarios.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from safety_harness.space.sentences import fixed_quantity
 
 @dataclass(frozen=True)
 class Given:
-    """The value of a parameter: a quantity, or a list of three."""
+    """A gap that a parameter's value fills: a quantity, or a list of three quantities."""
 
     parameter: int
     line: int
@@ -35,7 +35,7 @@ class Given:
 
 @dataclass(frozen=True)
 class Alternatives:
-    """A choice among subtrees, by the number of a parameter."""
+    """A gap that one of several subtrees fills, chosen by the number of a parameter."""
 
     parameter: int
     options: tuple[Template, ...]
@@ -44,9 +44,9 @@ class Alternatives:
 
 @dataclass(frozen=True)
 class Repeated:
-    """Members of a list: ``least`` copies, and as many more as a parameter has.
+    """A gap in a list that ``least`` copies fill, and as many more as a parameter's number says.
 
-    ``copies`` has the largest possible number of copies; each copy has its own parameters.
+    ``copies`` holds the largest possible number of copies; each copy has its own parameters.
     """
 
     parameter: int
@@ -77,7 +77,7 @@ Match: TypeAlias = dict[int, tuple[float, ...]]  # the values of each parameter 
 
 @dataclass(frozen=True)
 class Condition:
-    """The condition that a parameter's number is from ``least`` to ``most``."""
+    """The condition that the number of a parameter is from ``least`` to ``most``."""
 
     parameter: int
     least: int
@@ -86,13 +86,14 @@ class Condition:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value that varies.
+    """A value that varies between the scenarios of a space.
 
     Args:
         name: Its path in the file, for people.
         distribution: Its distribution.
         column: Its first coordinate in the cube.
-        when: The alternative conditions of its use; a scenario uses it if all members of a tuple are true.
+        when: The conditions of its use.  A scenario uses the parameter if all members of any one tuple are
+            true.
         place: Its place in the file.
 
     """
@@ -105,7 +106,7 @@ class Parameter:
 
     @cached_property
     def columns(self) -> slice:
-        """Its coordinates in the cube, and in an array of values."""
+        """The parameter's coordinates in the cube, and its columns in an array of values."""
         return slice(self.column, self.column + self.distribution.columns)
 
 
@@ -115,13 +116,13 @@ def filled(
     values: Values[float],
     known: Values[Any] | None = None,
 ) -> Node:
-    """Return the tree of values.
+    """Return the tree that the template becomes with the given values.
 
     Args:
         template: The template.
         parameters: The parameters of the space.
         values: The values, one for each coordinate.
-        known: The numbers that the reader gets in place of the values; None: the values.
+        known: Numbers that replace the values in the reader; None: the values themselves.
 
     """
     if isinstance(template, Node):
@@ -152,29 +153,29 @@ def filled(
 
 
 def written(value: float, unit: str) -> str:
-    """Return a quantity from which the reader gives the same float again."""
+    """Return the text of a quantity, from which the reader returns the same float."""
     return f"{float(value)!r} {unit}".rstrip()
 
 
 def matches(template: Template, written: Tree, parameters: Values[Parameter]) -> Iterator[Match]:
-    """Yield every match of ``written`` (by ``scenario.write.tree_of``) with the template.
+    """Yield every match of the tree ``written`` (by ``scenario.write.tree_of``) with the template.
 
-    A match has the values of each parameter in it.
+    A match holds the values of each parameter that occurs in it.
     """
     yield from _Matcher(parameters).below(template, written, {}, False)
 
 
 class _Matcher:
-    """Lays a written tree over a template.
+    """The comparison of a written tree with a template.
 
-    ``strict`` means that fixed parts must be equal too, which tells alternatives apart.
+    ``strict`` means that fixed parts must be equal too, by which alternatives are distinguished.
     """
 
     def __init__(self, parameters: Values[Parameter]) -> None:
         self._parameters = parameters
 
     def below(self, template: Template, written: Tree, matched: Match, strict: bool) -> Iterator[Match]:
-        """Yield every extension of the match ``matched`` by a subtree."""
+        """Yield every way to extend ``matched`` by a subtree of the template and of the written tree."""
         if isinstance(template, Node):
             if not strict or _alike(template, written):
                 yield matched
@@ -198,7 +199,7 @@ class _Matcher:
             yield from self._entries(template.entries, written, matched, strict)
 
     def _given(self, template: Given, written: Tree, matched: Match) -> Iterator[Match]:
-        """Yield the extension by the value of a parameter, if it is possible."""
+        """Yield ``matched`` extended by a parameter's value, if the written tree has a possible value."""
         distribution = self._parameters[template.parameter].distribution
         texts = _listed(written) if distribution.columns > 1 else [written]
         if texts is None or len(texts) != distribution.columns:
@@ -211,7 +212,7 @@ class _Matcher:
     def _items(
         self, items: Values[Template], written: Values[Tree], matched: Match, strict: bool
     ) -> Iterator[Match]:
-        """Yield every extension by the members of a list."""
+        """Yield every way to extend ``matched`` by the members of a list."""
         if not items:
             if not written:
                 yield matched
@@ -234,7 +235,7 @@ class _Matcher:
         matched: Match,
         strict: bool,
     ) -> Iterator[Match]:
-        """Yield every extension by the entries of a mapping."""
+        """Yield every way to extend ``matched`` by the entries of a mapping."""
         if not entries:
             yield matched
             return
@@ -248,14 +249,14 @@ class _Matcher:
 
 
 def _with(matched: Match, parameter: int, values: tuple[float, ...]) -> Match | None:
-    """Return ``matched`` with one more parameter; None if it has the parameter with other values."""
+    """Return ``matched`` with one more parameter; None if it holds other values of the parameter."""
     if parameter in matched:
         return matched if matched[parameter] == values else None
     return {**matched, parameter: values}
 
 
 def _alike(node: Node, written: Tree) -> bool:
-    """Return whether a fixed part equals its written form, without the help of the reader."""
+    """Return whether a fixed part equals its written form, as far as the texts alone show it."""
     if isinstance(node, Mapping):
         if not isinstance(written, abc.Mapping) or not _same_keys(node.entries, written):
             return False
@@ -279,17 +280,17 @@ def _alike(node: Node, written: Tree) -> bool:
 
 
 def _same_keys(entries: Values[tuple[Scalar, object]], written: abc.Mapping[str, Tree]) -> bool:
-    """Return whether all keys were written; further keys may be defaults of the reader."""
+    """Return whether the written mapping has all keys; its further keys may be defaults."""
     return all(scalar_text(key.text) in written for key, _ in entries)
 
 
 def _listed(written: Tree) -> Values[Tree] | None:
-    """Return the members of a list; None for another tree."""
+    """Return the members of a written list; None if ``written`` is no list."""
     return None if isinstance(written, str | abc.Mapping) else written
 
 
 def _number(written: Tree, unit: str) -> float | None:
-    """Return the value of a quantity written in SI; None for another unit, or for another text."""
+    """Return the number of a quantity written in ``unit``; None for another unit or another text."""
     if not isinstance(written, str):
         return None
     number, _, its_unit = written.partition(" ")

@@ -1,10 +1,10 @@
-"""The places of a space's drawn values in its scenario, and the conditions on them.
+"""The form of a space's scenarios: the places of the drawn values, and the conditions on the values.
 
-A scenario is read once for each structure, with a ``TracedNumber`` in place of every number that varies.  It
-passes through the ordinary reader like its number; it remembers its computation, and every comparison that it
-was part of.  Further values go in at the same paths, as long as they answer all these comparisons alike.  A
+The ordinary reader reads one scenario of each structure, with a ``TracedNumber`` in place of every number
+that varies.  A traced number acts like its number, but remembers its computation and every comparison that
+used it.  Later values are put at the same paths, if all these comparisons have the same results for them.  A
 conversion, an array or a text cannot be remembered and raises TypeError, so that a form never has a wrong
-value.  A path leads through dataclass fields by name, through members of tuples by number.
+value.  A path leads through dataclass fields by their names, and through members of tuples by their numbers.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Values = Sequence[float]
 _Computed = Callable[[Values], Any]  # from a point's values
 _Check = tuple[_Computed, bool]  # a comparison, and its required result
 
-# The groups of settings as they are by default.
+# The default groups of settings, in which no value is drawn.
 _NEVER_DRAWN = frozenset(id(getattr(DEFAULTS, group.name)) for group in fields(DEFAULTS))
 
 
@@ -40,18 +40,18 @@ def value_at(root: object, path: Path) -> Any:
 
 
 def with_value(root: T, path: Path, value: object) -> T:
-    """Return ``root`` with ``value`` at ``path``; every object on the way is new."""
+    """Return ``root`` with ``value`` at ``path``; every object on the way there is new."""
     return form_of(root, {path: 0})([value])
 
 
 def leaves(root: object, path: Path = (), *, but: Collection[int] = ()) -> list[tuple[Path, Any]]:
-    """Return everything below ``root`` except dataclasses and tuples themselves, with paths and in order.
+    """Return all values below ``root`` with their paths, in order; dataclasses and tuples are entered.
 
-    Fields that do not count in a comparison (places in files) are skipped.
+    Fields that comparisons ignore (places in files) are skipped.
 
     Args:
         root: The object to begin with.
-        path: Its own path.
+        path: The path of ``root``.
         but: The ``id`` of each object to skip.
 
     """
@@ -66,12 +66,12 @@ def leaves(root: object, path: Path = (), *, but: Collection[int] = ()) -> list[
 
 @lru_cache
 def _compared(kind: Any) -> tuple[str, ...]:
-    """Return the names of the fields that count in a comparison."""
+    """Return the names of the fields that comparisons of the dataclass ``kind`` use."""
     return tuple(field.name for field in fields(kind) if field.compare)
 
 
 def form_of(root: T, numbers: Mapping[Path, int]) -> Callable[[Sequence[Any]], T]:
-    """Return ``root`` as a function of values: it puts ``values[numbers[path]]`` at each path."""
+    """Return a function that makes ``root`` with ``values[numbers[path]]`` at each path."""
     if () in numbers:
         return itemgetter(numbers[()])
     below: dict[Any, dict[Path, int]] = {}
@@ -93,15 +93,15 @@ def form_of(root: T, numbers: Mapping[Path, int]) -> Callable[[Sequence[Any]], T
 
 
 def path_text(path: Path) -> str:
-    """Return a path as text: ``hands[0].moves[1].speed_mps``."""
+    """Return a path as text, such as ``hands[0].moves[1].speed_mps``."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
     return text.removeprefix(".")
 
 
 def _operator(apply: Callable[[Any, Any], Any], *, mirrored: bool = False) -> Callable[[Any, Any], Any]:
-    """Return an operator of ``TracedNumber``.
+    """Return an operator for ``TracedNumber``.
 
-    A comparison gives a bool and is recorded; any other operator gives a traced number.
+    A comparison returns a bool and is recorded; any other operator returns a traced number.
     """
 
     def applied(self: TracedNumber, operand: object) -> Any:
@@ -123,9 +123,9 @@ def _operator(apply: Callable[[Any, Any], Any], *, mirrored: bool = False) -> Ca
 
 
 class TracedNumber:
-    """A number that ``compute`` derives from a point's values; ``values`` belong to the current point.
+    """A number that ``compute`` derives from ``values``, the values of the current point.
 
-    All numbers of a reading share their ``checks``: every comparison so far.
+    All numbers of one reading share ``checks``, the list of every comparison so far.
     """
 
     __array_ufunc__ = None  # numpy refuses to compute with it
@@ -151,13 +151,13 @@ class TracedNumber:
     __repr__ = __str__
 
     def __reduce__(self) -> tuple[type[float], tuple[float]]:
-        """Return the number itself for another process."""
+        """Return the number as a plain float, because another process gets no trace of it."""
         return float, (self.compute(self.values),)
 
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A form for all scenarios of one structure, which differ in values, name and seed."""
+    """A form for all scenarios of one structure, which differ only in values, name and seed."""
 
     checks: tuple[_Check, ...]
     places: tuple[_Computed, ...]
@@ -165,13 +165,13 @@ class Form:
 
     @classmethod
     def read(cls, row: Values, read: Callable[[Sequence[TracedNumber]], Scenario]) -> Form:
-        """Return the form from one point's values; InputError as the reader's.
+        """Return the form made by reading one point's values; InputError if the reader raises it.
 
         If the reader does more with the numbers than arithmetic, the form fits no point.
 
         Args:
             row: The values of the point.
-            read: The reader, which takes the traced numbers.
+            read: The reader, which accepts the traced numbers.
 
         """
         checks: list[_Check] = []
@@ -191,7 +191,10 @@ class Form:
         return cls(tuple(checks), tuple(places), form_of(scenario, numbers))
 
     def filled(self, row: Values, name: str, seed: int) -> Scenario | None:
-        """Return the scenario of a point's values; None if only the reader can make it, or refuse it."""
+        """Return the scenario of a point's values; None if the form does not fit them.
+
+        In that case, the reader has to make the scenario, or to refuse it.
+        """
         if self.fill is None or not all(compute(row) is answer for compute, answer in self.checks):
             return None
         numbers = [compute(row) for compute in self.places]

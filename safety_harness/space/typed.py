@@ -1,4 +1,4 @@
-"""Scenario spaces from Python: a scenario, and the values that vary in it by their paths.
+"""Scenario spaces made in Python from a scenario, and from the values that vary, given by their paths.
 
     space_from(scenario, {
         "hands[0].moves[0].speed": Uniform(0.2, 1.6),
@@ -6,8 +6,8 @@
         "avoider": OneOf(("opposite pose", "mc-dropout"), chances=(3, 1)),
     })
 
-Numbers are in SI.  A number or a distribution without a unit takes the unit of the value that it replaces.
-Within a mapping, values are texts as in a file (``{"wait": "1 s"}``) or distributions with their unit.
+Numbers are in SI.  A number or a distribution without a unit gets the unit of the value that it replaces.
+Within a mapping, a value is a text as in a file (``{"wait": "1 s"}``) or a distribution with a unit.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Switch:
-    """A value that depends on a named choice.
+    """A value that depends on the option of a named choice.
 
     Args:
         name: The name of the choice, whose options are words.
@@ -77,7 +77,7 @@ class Ref:
 
 @dataclass(frozen=True)
 class Repeat:
-    """Members of a list, repeated.
+    """Members of a list that are repeated.
 
     Args:
         least: The least number of repetitions.
@@ -114,7 +114,7 @@ def space_from(
     *,
     choices: Mapping[str, Value] | None = None,
 ) -> ScenarioSpace:
-    """Return the space of a scenario with values that vary.
+    """Return the space of scenarios that differ from ``scenario`` in the values that vary.
 
     Args:
         scenario: The scenario.
@@ -146,7 +146,7 @@ def space_from(
 
 
 def _replaced(node: Node, steps: Values[int | str], new: Node) -> Node:
-    """Return the tree with another node at a path; missing mappings on the way are created."""
+    """Return the tree with ``new`` at the path ``steps``; missing mappings on the way are created."""
     if not steps:
         return new
     step, rest = steps[0], steps[1:]
@@ -164,7 +164,7 @@ def _replaced(node: Node, steps: Values[int | str], new: Node) -> Node:
 
 
 def _unit(node: Node) -> str:
-    """Return the SI unit of a written quantity, or of the first member of a list; empty for a word."""
+    """Return the SI unit of a written quantity, or of a list's first member; empty if there is none."""
     while isinstance(node, SequenceNode) and node.items:
         node = node.items[0]
     if not isinstance(node, Scalar):
@@ -178,7 +178,7 @@ def _unit(node: Node) -> str:
 
 
 def _node(value: Value, unit: str) -> Node:
-    """Return ``value`` as it would stand in a file."""
+    """Return ``value`` as the node that a file would contain."""
 
     def text(number: float) -> str:
         return written(number, getattr(value, "unit", "") or unit)
@@ -216,5 +216,5 @@ def _node(value: Value, unit: str) -> Node:
 
 
 def _keyed(entries: Mapping[str, Value], unit: str) -> MappingNode:
-    """Return a mapping as it would stand in a file."""
+    """Return a mapping as the node that a file would contain."""
     return MappingNode(tuple((Scalar(key, 1), _node(value, unit)) for key, value in entries.items()), 1)

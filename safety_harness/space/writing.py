@@ -1,4 +1,4 @@
-"""Scenario spaces as text: the tree as it was written, without its comments."""
+"""Scenario spaces as text: the tree as it was written, but without comments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _QUANTITY = re.compile(r"[+-]?[0-9.][A-Za-z0-9./%]*(?: [A-Za-z0-9./%-]+)*")
 
 
 def write_space(space: ScenarioSpace) -> str:
-    """Return YAML text from which ``parse_space`` gives the space again, except its name and places.
+    """Return YAML text from which ``parse_space`` returns the space, except its name and places.
 
     Args:
         space: The space.
@@ -25,7 +25,7 @@ def write_space(space: ScenarioSpace) -> str:
 
 
 def _tree(node: Node) -> Tree:
-    """Return a node as ``text_of`` expects it."""
+    """Return a node in the form that ``text_of`` expects."""
     if isinstance(node, Scalar):
         return node.text if _QUANTITY.fullmatch(node.text) else scalar_text(node.text)
     if isinstance(node, Mapping):

@@ -1,4 +1,4 @@
-"""Answer times on the machine of a run, against the run's limit: reported, never compared."""
+"""Answer times on the machine of a run, against the run's limit; they are reported, but never compared."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ MOST_SLOW = 0.05  # of the answers: with more, the 95th percentile is above the 
 
 @dataclass(frozen=True)
 class AnswersTook:
-    """The count of timed ``answers``, and of ``slow`` answers, which took longer than ``limit_s`` [s].
+    """The number of timed ``answers``, and of ``slow`` answers that took longer than ``limit_s`` [s].
 
-    The limit is the largest cost of a decision in simulated time. Where a decision costs nothing, as with
-    every controller, it is a control period. ``slowest_s`` [s] is the longest answer by the wall's clock.
+    The limit is the largest cost of a decision in simulated time. If decisions cost nothing, as with every
+    controller, the limit is one control period. ``slowest_s`` [s] is the longest wall-clock time of an
+    answer.
     """
 
     answers: int = 0
@@ -29,7 +30,7 @@ class AnswersTook:
 
     @classmethod
     def from_trace(cls, trace: Trace) -> AnswersTook:
-        """Return the times from the record of one run. Answers that were given together have no time."""
+        """Return the answer times of one run, without answers given together, which have no time each."""
         settings, took_s = trace.scenario.settings, trace.answer_s
         limit_s = 0.0
         if not trace.scenario.driven:
@@ -48,7 +49,7 @@ class AnswersTook:
 
     @property
     def summary(self) -> str:
-        """The sentence about slow answers; empty while the 95th percentile is within the limit."""
+        """A sentence about slow answers; empty if the 95th percentile is within the limit."""
         if self.slow <= MOST_SLOW * self.answers:
             return ""
         share = share_words(self.slow, self.answers)
@@ -60,7 +61,7 @@ class AnswersTook:
 
 
 def most_cost_s(trace: Trace) -> float:
-    """Return the largest cost [s] of a decision of the run in simulated time."""
+    """Return the largest cost [s] in simulated time that a decision of the run may have."""
     cost = trace.scenario.settings.avoidance.decision_time
     drawn_s = cost.quantiles_s if isinstance(cost, DecisionTimes) else trace.decisions["decision_time_s"]
     return float(np.max(drawn_s, initial=0.0))

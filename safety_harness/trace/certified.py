@@ -1,6 +1,6 @@
-"""Proofs about the decisions of a run, made later on request: part of its trace, and of no verdict.
+"""Proofs about the decisions of a run, made later on request; no verdict uses them.
 
-``extensions.lab.proof.decisions`` makes them. They change no other part of a trace.
+``extensions.lab.proof.decisions`` makes the proofs. They become part of the trace and change no other part.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from safety_harness.trace.system import Line
 
 
 class Sameness(Enum):
-    """Whether all hands in a box have the same outcome. ``OTHER``: a hand there has another outcome."""
+    """Whether all hands in a box have the same outcome; ``OTHER`` means that a hand has another outcome."""
 
     SAME = "the same"
     OTHER = "not the same"
@@ -25,9 +25,10 @@ class Sameness(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class CertifiedDecision:
-    """The sameness of two outcomes over the box.
+    """Whether each of two outcomes of a decision is the same for all hands in the box.
 
-    ``certain``: the spread is small enough. ``away``: the way leads away from the hand.
+    ``certain`` is about the outcome that the spread is small enough. ``away`` is about the outcome that the
+    way leads away from the hand.
     """
 
     certain: Sameness
@@ -35,14 +36,14 @@ class CertifiedDecision:
 
     @property
     def whole(self) -> Sameness:
-        """The sameness of both outcomes together."""
+        """The worse of the two results."""
         both = (self.certain, self.away)
         order = (Sameness.NONE, Sameness.OTHER, Sameness.UNDECIDED)
         return next((sameness for sameness in order if sameness in both), Sameness.SAME)
 
     @property
     def summary(self) -> str:
-        """The sameness in words, such as ``not the same: leads away``."""
+        """The result in words; ``not the same: leads away``, for example, names the outcome that differs."""
         if self.whole in (Sameness.SAME, Sameness.NONE):
             return str(self.whole.value)
         checks = {"certain": self.certain, "leads away": self.away}
@@ -51,7 +52,10 @@ class CertifiedDecision:
 
 @dataclass(frozen=True, kw_only=True)
 class CertifiedDecisions:
-    """A proof for each decision, for all hands within ``half_m`` by axis of the hand in the question."""
+    """A proof for each decision of a run.
+
+    It covers all hands whose coordinates are each within ``half_m`` of the hand in the question.
+    """
 
     half_m: Annotated[float, Meta(ge=0.0, le=1.0)]
     network_sha256: Line
@@ -59,7 +63,7 @@ class CertifiedDecisions:
 
     @property
     def summary(self) -> str:
-        """The number of decisions of each sameness, in words."""
+        """The number of decisions with each result, in words."""
         counts = {kind: sum(decision.whole is kind for decision in self.decisions) for kind in Sameness}
         parts = [f"{count} {kind.value}" for kind, count in counts.items() if count]
         return f"{len(self.decisions)} decisions for every hand within {self.half_m * 1e3:g} mm by axis: " + (

@@ -1,4 +1,4 @@
-"""A bitwise comparison of two traces of the same scenario: equal, or their first difference."""
+"""A bitwise comparison of two traces of the same scenario, which finds their first difference."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from safety_harness.trace.unmeasured import as_measured
 
 @dataclass(frozen=True)
 class TraceDifference:
-    """The first record in which two traces differ, with the fields that differ."""
+    """The first record in which two traces differ, with the names of the fields that differ."""
 
     what: str  # "tick", "decision", "end", or "trace" where they differ in what was measured
     index: int
@@ -30,15 +30,15 @@ class TraceDifference:
         return f"{where} in {', '.join(self.fields)}: {self.first} against {self.second}"
 
 
-CLOSE = 1e-6  # of traces whose arithmetic or physics may differ in their last bits: relative, and in SI units
+CLOSE = 1e-6  # tolerance, relative and in SI, for traces whose last bits may differ
 
 
 def first_difference(first: Trace, second: Trace, tolerance: float = 0.0) -> TraceDifference | None:
     """Return the first difference between two traces, or None if ticks, decisions and end are the same.
 
-    A column that was not measured in the same way in both is the first difference. Otherwise it is the
-    earliest record that differs in a column that both measured. A decision comes before a tick of the same
-    time, since the tick's command follows from it.
+    If the traces do not measure a column in the same way, this column is the first difference. Otherwise, it
+    is the earliest record that differs in a column that both measured. At equal times a decision comes before
+    a tick, because the tick's command follows from the decision.
 
     Args:
         first: A trace.
@@ -67,7 +67,7 @@ def first_difference(first: Trace, second: Trace, tolerance: float = 0.0) -> Tra
 
 
 def _compare_rows(name: str, first: Trace, second: Trace, tolerance: float) -> TraceDifference | None:
-    """Return the first difference in a shield's or an engine's rows, with the time of its tick."""
+    """Return the first difference in the rows ``name`` of a shield or an engine, with its tick's time."""
     a, b = getattr(first, name), getattr(second, name)
     if len(a) != len(b):
         lengths = f"{len(a)} ticks", f"{len(b)} ticks"
@@ -124,7 +124,7 @@ def _compare(
 
 
 def _same(first: NDArray[np.generic], second: NDArray[np.generic], tolerance: float) -> NDArray[np.bool_]:
-    """Return where two columns have the same bits, or, with a tolerance, nearly the same numbers."""
+    """Return where two columns have the same bits or, with a tolerance, nearly the same numbers."""
     if tolerance > 0.0 and first.dtype == np.float64:
         return np.asarray(np.isclose(first, second, rtol=tolerance, atol=tolerance, equal_nan=True))
     return np.asarray(_bits(first) == _bits(second))

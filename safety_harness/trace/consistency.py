@@ -1,4 +1,4 @@
-"""Checks of a trace's records against each other, without the robot: can a run have written it?
+"""Checks of a trace's records against each other, without the robot: can a run have written them?
 
 A hash protects a stored trace against damage, but an editor of the file can write a new hash. These checks
 refuse a nonsensical trace before any verdict. Only a repetition of the run shows whether a sensible trace is
@@ -39,7 +39,7 @@ LARGEST_CHARACTER, SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
 
 @dataclass(frozen=True)
 class Inconsistency:
-    """The first record of a field that no run writes.
+    """The first record whose value of ``field`` no run can have written.
 
     ``what`` is "tick", "decision", or "trace" for the whole trace; ``index`` counts from 0.
     """
@@ -52,7 +52,7 @@ class Inconsistency:
 
     @property
     def where(self) -> str:
-        """Field and record, as errors give them."""
+        """The field and the record, as an error states them."""
         return self.field if self.what == "trace" else f"{self.field} at {self.what} {self.index}"
 
     def __str__(self) -> str:
@@ -61,7 +61,7 @@ class Inconsistency:
 
 @once_a_trace
 def first_inconsistency(trace: Trace) -> Inconsistency | None:
-    """Return the first place where ``trace`` contradicts its scenario or itself, or None."""
+    """Return the first contradiction of ``trace`` with its scenario or with itself, or None."""
     checks: tuple[Callable[[Trace], Iterator[Inconsistency]], ...] = (
         _length,
         _decisions,
@@ -73,7 +73,7 @@ def first_inconsistency(trace: Trace) -> Inconsistency | None:
 
 
 def _is_known(known: Knowledge, flaw: Inconsistency) -> bool:
-    """Were the wrong field and the columns that it is compared with measured there?"""
+    """Return whether the wrong field, and the columns that it is compared with, were measured there."""
     name = OF_DECISIONS * (flaw.what == "decision") + flaw.field
     names = (name, *COMPARED.get(name, ()))
     gap = known.first_gap(names)
@@ -83,7 +83,7 @@ def _is_known(known: Knowledge, flaw: Inconsistency) -> bool:
 def at_first(
     bad: NDArray[np.bool_], field: str, kind: str, expected: str, values: NDArray[np.generic]
 ) -> Iterator[Inconsistency]:
-    """Yield the first record (n, ...) in which any element is ``bad``, with its value.
+    """Yield an inconsistency for the first record (n, ...) in which any element is ``bad``, with its value.
 
     Args:
         bad: True for a wrong element (n, ...).
@@ -99,7 +99,7 @@ def at_first(
 
 
 def _length(trace: Trace) -> Iterator[Inconsistency]:
-    """Check that a complete run has every tick of its scenario, and a shorter run no more."""
+    """Check that a complete run has exactly the ticks of its scenario, and a shorter run no more."""
     most, count = trace.scenario.ticks + 1, len(trace.ticks)
     if count > most or (trace.ended == "complete" and count < most):
         amount = f"{most} of them" if trace.ended == "complete" else f"at most {most} of them"
@@ -139,7 +139,7 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
 
 
 def _interventions(trace: Trace) -> Iterator[Inconsistency]:
-    """Check that a shield has a share from 0 to 1 at each tick, below 1 exactly where its flag stands."""
+    """Check that a shield's share is from 0 to 1 at each tick, and below 1 exactly where its flag is set."""
     done, ticks = trace.interventions, trace.ticks
     if trace.scenario.shield is None or trace.known.missing(["limits"]):
         return
@@ -154,7 +154,7 @@ def _interventions(trace: Trace) -> Iterator[Inconsistency]:
 
 
 def _times_s(scenario: Scenario, fault: Fault) -> tuple[float, float]:
-    """Return when a fault may act; a late avoider makes the controller wait until the deadline."""
+    """Return from and until when a fault may act; a late avoider may act until the deadline after it."""
     settings = scenario.settings
     wait_s = settings.avoidance.decision_deadline_s + settings.clock.control_period_s
     return fault.from_s - TIME_EPS_S, fault.end_s + wait_s * isinstance(fault, AvoiderFault)
@@ -170,7 +170,7 @@ def _first_wrong(
     limits: int,  # the flags that there can be
     fault_times_s: NDArray[np.float64],  # (f, 2) from and until when each may act
 ) -> NDArray[np.int64]:
-    """Return (13,) the first tick that fails each check, n for a check without a failure."""
+    """Return (13,), for each check, the first tick that fails it, or n if no tick fails it."""
     n = ticks.shape[0]
     first = np.full(CHECKS, n)
     made = np.full(n, -1)
@@ -241,9 +241,10 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
 
 
 def _costs(trace: Trace) -> Iterator[Inconsistency]:
-    """Check that a question follows the previous decision, and the times of the answers.
+    """Check that each question comes after the previous decision, and that each answer is on time.
 
-    An answer comes after the decision time, or at the deadline.
+    An answer must come when the decision time is over, or at the deadline. If a fault delays answers, it may
+    come later.
     """
     decisions, settings = trace.decisions, trace.scenario.settings
     tick, question, cost_s = (decisions[name] for name in ("tick", "asked_tick", "decision_time_s"))

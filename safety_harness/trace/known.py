@@ -1,8 +1,8 @@
-"""The measured columns of a trace, with sources and uncertainties.
+"""The measured columns of a trace, with the source and the uncertainty of each column.
 
-A log seldom has all columns of a simulated run. A column is a field of the ticks, by its name, or a field of
-the decisions, as ``decision.outcome``. An unmeasured value is stored as NaN, zero or -1. No code may read it:
-claims on it are inconclusive.
+A log seldom has all columns of a simulated run. A column is a field of the ticks, given by its name, or a
+field of the decisions, such as ``decision.outcome``. An unmeasured value is stored as NaN, zero or -1. No
+code may read such a value, so claims that need it are inconclusive.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ NOWHERE = (Source.NONE, Source.UNREPORTED)
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """Ticks from ``first`` to the tick before ``after`` in which a column was not measured.
+    """The ticks from ``first`` to the tick before ``after``, in which a column was not measured.
 
-    It concerns one ``hand``, counted from 0, or with None all hands of the column. A gap of ``hand_present``
-    means that a hand may be there. A gap of a mode may list the modes in ``either``: the mode was one of
-    these at each of the ticks. An empty ``either`` means any mode.
+    A gap concerns one ``hand``, counted from 0, or, with None, all hands of the column. In a gap of
+    ``hand_present``, a hand may be there. A gap of the column ``mode`` may list modes in ``either``: at each
+    of its ticks, the mode was one of these. An empty ``either`` means any mode.
     """
 
     first: int
@@ -60,7 +60,7 @@ class Gap:
 
 @dataclass(frozen=True, kw_only=True)
 class Closer:
-    """Ticks from ``first`` to the tick before ``after`` in which a column has a smaller uncertainty."""
+    """The ticks from ``first`` to the tick before ``after``, in which a column has a smaller uncertainty."""
 
     first: int
     after: int
@@ -72,11 +72,11 @@ class Measurement:
     """The source and the uncertainty of a column.
 
     Outside the ``gaps``, every stored number is within ``uncertainty`` of the true number, in the column's
-    own SI unit. For a position, or the position of a pose, this is a distance. ``closer`` spans have a
-    smaller uncertainty. Between two ticks the larger uncertainty of the two holds. ``at_most_per_s`` bounds
-    the rate of change of the true number. ``Source.NONE`` was not measured at all; ``Source.UNREPORTED`` is a
-    column that the controller of a simulated run does not report. A derived column has the uncertainty that
-    follows from its inputs.
+    own SI unit. For a position, or the position of a pose, the uncertainty is a distance. In the spans
+    ``closer``, the uncertainty is smaller. Between two ticks, the larger of their uncertainties applies.
+    ``at_most_per_s`` bounds the rate of change of the true number. A column of ``Source.NONE`` was not
+    measured at all. A column of ``Source.UNREPORTED`` is not reported by the controller of a simulated run.
+    The uncertainty of a derived column follows from its inputs.
     """
 
     source: Source = Source.SIMULATED
@@ -87,7 +87,7 @@ class Measurement:
 
     @property
     def limited(self) -> bool:
-        """Is any part of it unknown or uncertain?"""
+        """Whether any part of the column is unknown or uncertain."""
         return self.source in NOWHERE or self.uncertainty > 0.0 or bool(self.gaps)
 
 
@@ -100,8 +100,8 @@ class Knowledge:
     """The measurement of each column; a column without an entry was simulated, and is exact.
 
     Raises:
-        TraceError: A column that no trace has; an uncertainty that is not a finite number of at least zero,
-            or that belongs to whole numbers; a gap without ticks, or of a hand that the column does not hold.
+        TraceError: A column is in no trace. Or an uncertainty is not a finite number of at least zero, or
+            belongs to whole numbers. Or a gap has no ticks, or concerns a hand that the column does not hold.
 
     """
 
@@ -117,12 +117,12 @@ class Knowledge:
 
     @cached_property
     def whole(self) -> bool:
-        """Is every column known exactly at every tick?"""
+        """Whether every column is known exactly at every tick."""
         return not any(measurement.limited for measurement in self.columns.values())
 
     @property
     def simulated(self) -> bool:
-        """Was all of it simulated, so that it can be run again?"""
+        """Whether all columns were simulated, so that the run can be repeated."""
         return all(
             known == NOT_REPORTED or (known.source is Source.SIMULATED and not known.limited)
             for known in self.columns.values()
@@ -130,7 +130,7 @@ class Knowledge:
 
     @property
     def recorded(self) -> bool:
-        """Was any of it read from a log?"""
+        """Whether any column was read from a log."""
         return any(measurement.source is Source.LOG for measurement in self.columns.values())
 
     def column(self, name: str) -> Measurement:
@@ -152,7 +152,7 @@ class Knowledge:
         return tuple(name for name in names if self.column(name).source in NOWHERE)
 
     def unreported(self, names: Iterable[str]) -> bool:
-        """Are all of ``names`` columns that the controller of a simulated run does not report?"""
+        """Return whether ``names`` are all columns that the controller of a simulated run does not report."""
         return all(self.column(name).source is Source.UNREPORTED for name in names)
 
     def uncertain(self, names: Iterable[str]) -> tuple[str, ...]:
@@ -160,12 +160,12 @@ class Knowledge:
         return tuple(name for name in names if self.column(name).uncertainty > 0.0)
 
     def first_gap(self, names: Iterable[str]) -> Gap | None:
-        """Return the gap of any of ``names`` that begins first."""
+        """Return the earliest gap in any of the columns ``names``, or None."""
         gaps = [gap for name in names for gap in self.column(name).gaps]
         return min(gaps, key=lambda gap: gap.first, default=None)
 
     def measured(self, name: str, ticks: NDArray[np.void]) -> NDArray[np.bool_]:
-        """Return where a column was measured, at each of ``ticks`` (n,).
+        """Return at which of ``ticks`` (n,) a column was measured.
 
         Args:
             name: The column.
@@ -182,10 +182,10 @@ class Knowledge:
         return mask
 
     def refuse_gaps_beyond(self, ticks: NDArray[np.void], hands: int) -> None:
-        """Raise TraceError for a gap that ends after the last of ``ticks``, or for a hand above ``hands``.
+        """Raise TraceError if a gap or span ends after the last of ``ticks``, or a gap's hand does not exist.
 
-        Only ``hand_present`` may have gaps of more hands, up to the room in a tick: another hand may be
-        there.
+        There are ``hands`` hands. Only gaps of ``hand_present`` may concern more hands, as many as a tick has
+        room for, because another hand may be there.
         """
         count, (slots,) = len(ticks), ticks.dtype[PRESENCE].shape
         for name, measurement in self.columns.items():
@@ -231,7 +231,7 @@ def _refuse_impossible(name: str, measurement: Measurement) -> None:
             raise refuse("gaps in which it was either of some, only of the mode", str(gap))
 
 
-LEVELS = 1.1  # an uncertainty by tick is rounded up to the next of a geometric series, for few spans
+LEVELS = 1.1  # the ratio of the levels to which uncertainties are rounded up, for few spans
 
 
 def measurement(

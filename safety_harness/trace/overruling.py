@@ -1,4 +1,4 @@
-"""How often the gate overruled the avoider's proposals, for which reasons, and with which result."""
+"""Counts of the avoider's proposals that the gate overruled, by reason and by result."""
 
 from __future__ import annotations
 
@@ -20,35 +20,36 @@ _NO_ANSWER = Check.NOT_FINITE | Check.LATE
 REASONS: tuple[Check, ...] = tuple(check for check in Check if check and not check & _NO_ANSWER)
 
 _READ = ("fault", "proposed_position_in_base_m", "outcome", "proposed_failed")  # of each decision
-_BITS = tuple((check, int(check)) for check in REASONS)  # a flag is slow to combine
+_BITS = tuple((check, int(check)) for check in REASONS)  # as numbers, because combining flags is slow
 _NAMES = {check: str(check.name).lower() for check in REASONS}
 COUNTS = ("proposals", *(f"overruled_{reason}" for reason in ("replaced", "stopped", *_NAMES.values())))
 
 
 def answered(trace: Trace) -> NDArray[np.bool_]:
-    """Return (m,) true for decisions to which the avoider gave a usable answer in time."""
+    """Return (m,) true for each decision in which the avoider gave a usable answer in time."""
     there: NDArray[np.bool_] = trace.decisions["fault"] == ""
     there &= (np.abs(trace.decisions["proposed_position_in_base_m"]) < ENDLESS).all(axis=1)
     return there
 
 
 def overruled(trace: Trace) -> NDArray[np.bool_]:
-    """Return (m,) true for decisions where the arm did not do as the avoider answered."""
+    """Return (m,) true for each decision in which the arm did not follow the avoider's answer."""
     vetoed: NDArray[np.bool_] = trace.decisions["outcome"] != DecisionOutcome.PROPOSED
     return vetoed & answered(trace)
 
 
 def is_measured(trace: Trace) -> bool:
-    """Does the trace record the fate of its proposals?"""
+    """Return whether the trace records the fate of the avoider's proposals."""
     return decided(trace, *_READ)
 
 
 @dataclass(frozen=True)
 class Overruling:
-    """The counts of ``proposals`` (answers in time), ``replaced`` by the opposite pose, or ``stopped``.
+    """The counts of the avoider's ``proposals``, which are answers in time, and of overruled proposals.
 
-    ``reasons`` counts the checks that overruled proposals failed. One proposal may fail several. A trace with
-    unmeasured decisions counts for nothing, by ``is_measured``.
+    An overruled proposal is ``replaced`` by the opposite pose, or the arm is ``stopped``. ``reasons`` counts
+    the checks that overruled proposals failed; one proposal may fail several checks. A trace adds nothing to
+    the counts unless its decisions were measured (``is_measured``).
     """
 
     proposals: int = 0
@@ -90,19 +91,19 @@ class Overruling:
 
     @classmethod
     def of_counts(cls, counts: Sequence[int]) -> Overruling:
-        """Return the counts from such numbers."""
+        """Return the object with these counts, which are in the order of ``COUNTS``."""
         proposals, replaced, stopped, *failed = counts
         reasons = Counter({check: n for check, n in zip(REASONS, failed, strict=True) if n})
         return cls(proposals, replaced, stopped, reasons)
 
     @property
     def named(self) -> dict[str, int]:
-        """All counts by name for JSON, with the count of each reason."""
+        """All counts by their names, for JSON, with one count for each reason."""
         return {"overruled": self.overruled, **dict(zip(COUNTS, self.counts, strict=True))}
 
     @property
     def summary(self) -> str:
-        """A line with the most frequent reason first; empty without proposals."""
+        """The counts on a line, with the most frequent reason first; empty without proposals."""
         if not self.proposals:
             return ""
         of_all = f"{self.proposals:,} {'proposal' if self.proposals == 1 else 'proposals'}"
@@ -119,5 +120,5 @@ class Overruling:
 
     @property
     def share(self) -> float:
-        """Overruled proposals per proposal; NaN without any."""
+        """The number of overruled proposals divided by the number of proposals; NaN without proposals."""
         return self.overruled / self.proposals if self.proposals else float("nan")

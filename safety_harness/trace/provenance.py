@@ -1,8 +1,8 @@
-"""The software that made a trace, by the modules in this process rather than an installer's notes.
+"""The software that made a trace, identified by the modules loaded in this process.
 
-Two packages may install the same module (``opencv-python`` beside ``opencv-python-headless``). The files of
-one then replace the files of its rival, while the metadata of both stay. A version therefore counts only if
-the package's record has the hash of the loaded file.
+The notes of an installer do not suffice. Two packages may install the same module (``opencv-python`` beside
+``opencv-python-headless``). Then the files of one package replace the other's files, but the metadata of both
+remain. So a version is accepted only if the package's record has the hash of the loaded file.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from safety_harness.base.extension_points import foreign_parts
 from safety_harness.base.whole_file import sha256_of, write_whole
 from safety_harness.trace.trace import Provenance
 
-# Each with the compiled module that does its work.
+# Each library, with the compiled module that does its work.
 LIBRARIES = {
     "numpy": f"numpy.{'_core' if np.__version__[0] != '1' else 'core'}._multiarray_umath",
     "numba": "numba._dispatcher",
@@ -35,11 +35,11 @@ LIBRARIES = {
     "cv2": "cv2",
 }
 OF_EVERY_RUN = ("numpy", "numba")
-# Features of a processor by which libraries choose their code, by numpy's names for them.
+# Processor features by which libraries choose their code, with numpy's names of the features.
 FEATURES = {"AVX-512": ("AVX512F", "X86_V4"), "AVX2": ("AVX2", "X86_V3"), "FMA": ("FMA3", "X86_V3")}
 DATA = "robot data"
 ROBOTS = PACKAGE / "cell" / "robot" / "data" / "ur_description"
-ELSEWHERE = "onnxruntime"  # it is loaded in another process, for a stranger's file
+ELSEWHERE = "onnxruntime"  # another process loads it, for a user's file
 ONE_OWNER = (*LIBRARIES, ELSEWHERE, "scipy", "safetensors")
 _OWNED = re.compile(rf"\n({'|'.join(ONE_OWNER)})(?:/|\.[^,/\n]*(?:py|so|pyd),)")
 NOT_LOADED = "not loaded"
@@ -49,7 +49,7 @@ NOT_LOADED = "not loaded"
 def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
     """Return the provenance of a run in this process.
 
-    Libraries that other code loaded do not appear: they would depend on the history of the process.
+    Libraries that other code loaded are left out, because they depend on the history of the process.
 
     Args:
         world: The world that simulated the run.
@@ -76,7 +76,7 @@ def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
 
 @lru_cache
 def machine() -> str:
-    """Return the kind of this machine in words: its processor, its C library and our machine code."""
+    """Return the kind of this machine in words: processor, C library and origin of our machine code."""
     there = getattr(_imported(LIBRARIES["numpy"]), "__cpu_features__", {})
     features = [feature for feature, names in FEATURES.items() if any(there.get(name) for name in names)]
     c_library = " ".join(platform.libc_ver()).strip() or "an unnamed C library"
@@ -85,7 +85,7 @@ def machine() -> str:
 
 
 def shared_modules() -> dict[str, tuple[str, ...]]:
-    """Return the modules that several installed packages own, with these packages and their versions."""
+    """Return the modules that several installed packages own, each with these packages and their versions."""
     owners = {module: _owners(module) for module in ONE_OWNER}
     return {
         module: tuple(sorted(f"{name} {distribution.version}" for name, distribution in packages.items()))
@@ -108,7 +108,7 @@ def _by_metadata(library: str) -> tuple[str, str]:
 
 
 def _loaded(library: str, core: ModuleType | None) -> tuple[tuple[str, str], tuple[str, str] | None]:
-    """Return name and version of a library, and its compiled file with the hash."""
+    """Return the name and version of a library, and the name and hash of its compiled file."""
     if core is None:
         return (library, NOT_LOADED), None
     path = Path(str(getattr(core, "_native", core).__file__))  # cv2 has its compiled part below itself
@@ -128,16 +128,16 @@ def _version(library: str, name: str, sha256: str) -> tuple[str, str]:
 
 @lru_cache
 def _owners(module: str) -> dict[str, metadata.Distribution]:
-    """Return the installed packages, by name, that bring a module of ONE_OWNER."""
+    """Return, by name, the installed packages that contain ``module``, a module of ONE_OWNER."""
     return {name: distribution for owned, name, distribution in _installed() if owned == module}
 
 
 @lru_cache
 def _installed() -> tuple[tuple[str, str, metadata.Distribution], ...]:
-    """Return the modules of ONE_OWNER with the packages that bring them, the first package of a name.
+    """Return each module of ONE_OWNER with each package that contains it; the first of a name wins.
 
-    A package's list of names or of files shows its modules. ``metadata.packages_distributions`` gives as
-    much, but takes a second.
+    A package's list of names or of files shows its modules. ``metadata.packages_distributions`` gives the
+    same information, but takes a second.
     """
     owners: dict[tuple[str, str], metadata.Distribution] = {}
     for distribution in metadata.distributions():
@@ -152,8 +152,8 @@ def _installed() -> tuple[tuple[str, str, metadata.Distribution], ...]:
 def _sha256(path: Path) -> str:
     """Return the hash of a file, and read the file only if it has changed: pybullet's files have 140 MB.
 
-    A note beside the machine code keeps the hash under the file's path, device, number, size and times of
-    change. Whoever overwrites or replaces the file alters at least one of them.
+    A note beside the machine code keeps the hash, under the file's path, device, number, size and times of
+    change. Whoever overwrites or replaces the file changes at least one of these.
     """
     known = path.stat()
     identity = known.st_dev, known.st_ino, known.st_size, known.st_mtime_ns, known.st_ctime_ns

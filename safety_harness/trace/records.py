@@ -1,8 +1,8 @@
-"""The layout of a trace: one record a control tick, one record a decision.
+"""The layout of a trace: one record for each control tick, and one for each decision.
 
 Compiled code fills these records in place, so they are numpy structured types with fixed shapes. The number
 of hand slots and of joints is part of a tick's type. Compiled code reads every size from the type of its
-record, so that numba's cache tells the sizes apart. Frames and units are in the field names; ``_in_base_``
+record, so that numba's cache keeps different sizes apart. Field names state frames and units; ``_in_base_``
 means the robot's base frame.
 """
 
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from safety_harness.scenario.model import HAND_SLOTS
 
 JOINTS = 6  # of the shipped arms
-TRACKS_PER_HAND = 2  # and boxes in a frame: beside hands that are there, false ones and ones that left
+TRACKS_PER_HAND = 2  # and boxes in a frame, which also hold false hands and hands that left
 FAULT_CHARACTERS = 240  # of the reason for a failed answer
-ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
+ENDLESS = 1e100  # from here on, a number is treated as infinite, since its square overflows
 
 
 class Mode(IntEnum):
-    """The controller's present activity (the state table of docs/reference/controller.md)."""
+    """The present activity of the controller (the state table of docs/reference/controller.md)."""
 
     SERVOING = 0
     REPULSING = 1
@@ -33,7 +33,7 @@ class Mode(IntEnum):
 
 
 class Limit(IntFlag):
-    """The limits that acted on a tick's command."""
+    """The limits that changed a tick's command."""
 
     NONE = 0
     TCP_SPEED = 1
@@ -49,11 +49,11 @@ class Trigger(IntEnum):
 
     HAND_ENTERED = 0  # while servoing, lost or released: a predicted hand is within the distance
     HAND_STILL_THERE = 1  # on arrival at the repulsive position
-    ANOTHER_HAND = 2  # while moving: a hand that the last decision did not know of
+    ANOTHER_HAND = 2  # while moving: a hand that was unknown at the last decision
 
 
 class DecisionOutcome(IntEnum):
-    """The result of a decision."""
+    """The result of a decision: the arm's next action."""
 
     PROPOSED = 0  # the avoider's own position
     OPPOSITE = 1  # the opposite pose, because the proposed one failed a check
@@ -61,7 +61,7 @@ class DecisionOutcome(IntEnum):
 
 
 class Check(IntFlag):
-    """The checks that a candidate position failed."""
+    """The checks that a candidate position may fail."""
 
     NONE = 0
     NOT_FINITE = 1  # the avoider raised, or returned NaN or a wrong shape
@@ -69,17 +69,17 @@ class Check(IntFlag):
     PATH_UNREACHABLE = 4  # the end can be reached, the straight way there cannot
     TABLE = 8  # the TCP's way ends below the table
     UNCERTAIN = 16  # the spread is above the avoider's threshold
-    NEAR_REACH_LIMIT = 32  # reachable, but hardly farther than that
+    NEAR_REACH_LIMIT = 32  # reachable, but close to the limit of reach
     TOWARDS_A_HAND = 64  # the straight way does not lead away from every predicted hand
     ROBOT_ITSELF = 128  # on the way the wrist comes too near to base, shoulder or upper arm
     LATE = 256  # no answer within the decision deadline, in simulated time
     OBSTACLE = 512  # on the way the arm comes too near to an obstacle of the cell
-    OUTSIDE_REGION = 1024  # the question is outside of the region that the scenario's gate keeps to
+    OUTSIDE_REGION = 1024  # the question is outside the region that the scenario's gate demands
 
 
 @lru_cache
 def tick_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """Return the type of a tick for so many hand slots and joints.
+    """Return the type of a tick for ``hands`` hand slots and ``joints`` joints.
 
     Args:
         hands: The hand slots, one of HAND_SLOTS. The tick has TRACKS_PER_HAND tracks for each.
@@ -134,16 +134,16 @@ def _compiled(dtype: np.dtype[Any]) -> np.dtype[Any]:
 
 
 def as_compiled(ticks: NDArray[np.void]) -> NDArray[np.void]:
-    """Return (n,) ticks for compiled code, which cannot handle arrays of booleans within a record.
+    """Return (n,) ticks as compiled code needs them: a view of the same bytes.
 
-    The result is a view of the same bytes, with such arrays as ``uint8``.
+    In the view, arrays of booleans within a record are ``uint8``, because compiled code cannot handle them.
     """
     return ticks.view(_compiled(ticks.dtype))
 
 
 @lru_cache
 def columns(dtype: np.dtype[Any]) -> dict[str, slice]:
-    """Return the place of each floating-point field of a tick, in float64 counted from its beginning."""
+    """Return each floating-point field's place in a tick, counted in float64 from the tick's beginning."""
     return {
         name: slice(field[1] // 8, (field[1] + field[0].itemsize) // 8)
         for name, field in (dtype.fields or {}).items()
@@ -152,13 +152,13 @@ def columns(dtype: np.dtype[Any]) -> dict[str, slice]:
 
 
 def as_numbers(ticks: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return (n,) ticks as (n, c) float64 of the same bytes; only the ``columns`` of them are numbers."""
+    """Return (n,) ticks as (n, c) float64 of the same bytes, in which only the ``columns`` are numbers."""
     return np.ascontiguousarray(ticks).view(np.float64).reshape(len(ticks), ticks.dtype.itemsize // 8)
 
 
 @lru_cache
 def decision_dtype(joints: int = JOINTS) -> np.dtype[Any]:
-    """Return the type of a decision for an arm with so many ``joints``."""
+    """Return the type of a decision for an arm with ``joints`` joints."""
     return np.dtype(
         [
             ("tick", np.int64),  # at which its answer counts
@@ -167,7 +167,7 @@ def decision_dtype(joints: int = JOINTS) -> np.dtype[Any]:
             (
                 "decision_time_s",
                 np.float64,
-            ),  # what it cost in simulated time, beside any fault; 0: not modelled
+            ),  # its cost in simulated time, without any fault; 0: not modelled
             ("trigger", np.int64),
             ("seed", np.int64),
             ("hand_position_in_base_m", np.float64, (3,)),  # nearest predicted hand when the answer counts
@@ -189,8 +189,8 @@ def decision_dtype(joints: int = JOINTS) -> np.dtype[Any]:
 
 DECISION = decision_dtype()
 
-# What the shield of a scenario that has one did in a tick: the share of the wanted speed that it allowed, and
-# the capsule that the hand which asked for it was nearest to; -1 for none, and for want of a frame.
+# What a scenario's shield did in a tick: the share of the wanted speed that it allowed, and the capsule
+# nearest to the hand that caused this share; -1 without such a hand, or before the first frame.
 INTERVENTION = np.dtype(
     [("scale", np.float64), ("capsule", np.int64)], align=True
 )  # all that old traces have
@@ -198,7 +198,7 @@ INTERVENTION = np.dtype(
 
 @lru_cache
 def intervention_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """Return INTERVENTION with two more parts: the hands that the shield used, and its command to the drives.
+    """Return INTERVENTION extended by the hands that the shield used, and its command to the drives.
 
     Args:
         hands: The hand slots. The record has room for TRACKS_PER_HAND boxes for each.
@@ -210,7 +210,7 @@ def intervention_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
         [
             ("scale", np.float64),
             ("capsule", np.int64),
-            ("taken_s", np.float64),  # when, as its time stamp has it; -inf: no frame yet
+            ("taken_s", np.float64),  # the time stamp of the frame used; -inf: no frame yet
             ("count", np.int64),
             ("hand_in_base_m", np.float64, (boxes, 3)),
             ("sent_radps", np.float64, (joints,)),

@@ -1,9 +1,9 @@
 """Traces on disk: one zip of plain arrays and JSON, loaded without execution of its contents.
 
 A file holds the scenario's text with exact values, its recordings, and the files of an own arm. It also holds
-ticks, decisions and provenance, and a hash over all of that. No pickle. The hashes find damage, not intent:
-an editor of a file can write new hashes. The reader refuses contradictions all the same. Only a repetition of
-the run shows whether the rest is true.
+ticks, decisions and provenance, and a hash over all of that. It contains no pickle. The hashes reveal damage
+but no intent, because an editor of a file can write new hashes. So the reader also refuses contradictions.
+Only a repetition of the run shows whether the rest is true.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ from safety_harness.trace.system import Component, Line, SystemUnderTest, system
 from safety_harness.trace.trace import Provenance, Trace, no_interventions, not_recorded
 
 FORMAT = "safety-harness trace 4"
-IN_PART = "safety-harness trace 5"  # that says what is known of its columns, which others know all of
-EARLIER_FORMAT = "safety-harness trace 3"  # whose decisions do not say when the avoider was asked
+IN_PART = "safety-harness trace 5"  # this format states what is known of its columns; others know all
+EARLIER_FORMAT = "safety-harness trace 3"  # its decisions do not state when the avoider was asked
 HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
 ARRAY_HEADER_BYTES = 20_000  # room for the header of an array
 KNOWN = "known.json"
-CERTIFIED = "certified.json"  # only where somebody asked for it
-INTERVENTIONS = "interventions.npy"  # only of a scenario that has a shield
+CERTIFIED = "certified.json"  # only if a user asked for proofs
+INTERVENTIONS = "interventions.npy"  # only for a scenario with a shield
 OVERSHOOT = "overshoot.npy"  # only where an engine's sub-steps were recorded
 CARRIED = ("recordings/", "robot/")  # files of the scenario by their SHA-256
 MOST_PARTS = 12 + MAX_HANDS
@@ -84,17 +84,17 @@ class _Run:
     ended: Line
     provenance: Provenance
     system: SystemUnderTest | None = None  # None in a trace of an earlier version
-    claims: int = 1  # the edition of the catalogue in whose meaning they are read
+    claims: int = 1  # the edition of the catalogue that defines the claims
 
 
 def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] | None = None) -> None:
-    """Write ``trace`` to ``path``, whole or not at all.
+    """Write ``trace`` to ``path``, completely or not at all.
 
     Args:
         trace: The trace.
         path: The file to write.
         recordings: The bytes of recorded motions by sha256. A missing recording is read from the file that
-            the scenario names. None: all are.
+            the scenario names. None: all recordings are read from their files.
 
     Raises:
         OSError: The file cannot be written.
@@ -155,7 +155,7 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
 
 
 def _fields_alone(records: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the records with zeros between their fields, where memory may hold any bytes."""
+    """Return the records with zeros between their fields, because memory may hold any bytes there."""
     clean = np.zeros(records.shape, records.dtype)
     for name in records.dtype.names or ():
         clean[name] = records[name]
@@ -163,7 +163,7 @@ def _fields_alone(records: NDArray[np.void]) -> NDArray[np.void]:
 
 
 def _portable(scenario: Scenario) -> Scenario:
-    """Return the scenario without any path that only this machine has."""
+    """Return the scenario with every path that exists only on this machine replaced by a portable name."""
     folder = scenario.file.parent if scenario.file else Path()
 
     def name(path: str) -> str:
@@ -174,7 +174,7 @@ def _portable(scenario: Scenario) -> Scenario:
 
 
 def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
-    """Return the bytes of a recording; TraceError if the file has changed since it was read."""
+    """Return the bytes of a recording; TraceError if its file has changed since the scenario was read."""
     folder = scenario.file.parent if scenario.file else Path()
     data = located(folder / hand.recording).read_bytes()
     if hashlib.sha256(data).hexdigest() != hand.motion.sha256:
@@ -199,7 +199,10 @@ def load_trace(path: str | Path) -> Trace:
 
 
 class _Reader:
-    """A reader of one file; every error names the file. It unpacks no part that is larger than allowed."""
+    """The reader of one trace file, whose errors all name the file.
+
+    It unpacks no part that is larger than allowed.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -220,7 +223,7 @@ class _Reader:
             raise self._error("a trace file, whole", _in_words(error)) from error
 
     def _trace(self, archive: zipfile.ZipFile) -> Trace:
-        """Read the small parts first: they determine the allowed sizes of the large parts."""
+        """Return the trace; the small parts are read first, since they limit the sizes of the large parts."""
         first = min((info.header_offset for info in archive.infolist()), default=0)
         if first:  # what lies before would not be read
             raise self._error("one trace alone in the file", f"{first} bytes before it")
@@ -238,7 +241,7 @@ class _Reader:
         old = self._format == EARLIER_FORMAT
         joints = len(
             scenario.settings.cell.preferred_joint_position_rad
-        )  # one for each, as admission sees to
+        )  # one for each, as admission ensures
         decision = DECISION_3 if old else decision_dtype(joints)
         decisions = self._array(archive, "decisions.npy", decision, most)
         ticks = self._array(archive, "ticks.npy", tick_dtype(scenario.hand_slots, joints), most)
@@ -292,7 +295,7 @@ class _Reader:
         return TraceError(place=Place(file=self._path, field=field), expected=expected, got=got)
 
     def _refuse_no_directory(self, file: IO[bytes]) -> None:
-        """Refuse a long directory by the zip's end record, before its entries can fill the memory."""
+        """Refuse a file without a zip end record, or whose zip directory could fill the memory."""
         size = file.seek(0, os.SEEK_END)
         file.seek(max(size - ZIP_END.size, 0))
         end = file.read(ZIP_END.size)
@@ -304,7 +307,7 @@ class _Reader:
             raise self._error(f"a trace file of at most {MOST_PARTS} parts", got)
 
     def _unpack(self, archive: zipfile.ZipFile, name: str, most: int) -> None:
-        """Read a part of at most ``most`` bytes, and compare its hash."""
+        """Read a part of at most ``most`` bytes, and check its hash."""
         if name not in self._parts:
             raise self._error("a part of this name", "none", name)
         size = archive.getinfo(name).file_size
@@ -319,12 +322,12 @@ class _Reader:
             raise self._error(f"contents with sha256 {self._hashes[name]}", f"sha256 {actual}", name)
 
     def _json(self, name: str, kind: type[T]) -> T:
-        """Return a part that is a JSON object of this kind."""
+        """Return the part ``name``, a JSON object, as an object of type ``kind``."""
         value = parsed(self._parts[name], self._path, name, TraceError)
         return typed(value, kind, self._path, defaults=True, error=TraceError)
 
     def _run(self) -> tuple[_Run, Component | None]:
-        """Return the run's record, and the avoider if an earlier version stored no more of the system."""
+        """Return the run's record, and the avoider if an earlier version stored only that of the system."""
         record, avoider = parsed(self._parts["run.json"], self._path, "run.json", TraceError), None
         made = record.get("provenance") if isinstance(record, dict) else None
         if isinstance(made, dict) and "system" not in record and OF_AVOIDER[0] in made:
@@ -348,7 +351,7 @@ class _Reader:
         return known
 
     def _check_header(self, archive: zipfile.ZipFile) -> None:
-        """Check the format, and that every other part has a hash."""
+        """Check the file's format, and check that every other part has a hash."""
         self._unpack(archive, HEADER, SMALL_BYTES)
         header = self._json(HEADER, _Header)
         if header.format not in (FORMAT, EARLIER_FORMAT, IN_PART):
@@ -386,7 +389,7 @@ class _Reader:
     ) -> NDArray[Any]:
         """Return at most ``most`` records of ``dtype``, or of the ``earlier`` type.
 
-        It compares the header's length with the actual bytes before it trusts the header.
+        The method compares the length in the header with the actual bytes before it trusts the header.
         """
         self._unpack(archive, name, most * dtype.itemsize + ARRAY_HEADER_BYTES)
         data = io.BytesIO(self._parts.pop(name))
@@ -410,7 +413,7 @@ def _in_words(error: Exception) -> str:
 
 
 def as_now(decisions: NDArray[np.void], ticks: NDArray[np.void], faults: Sequence[Fault]) -> NDArray[np.void]:
-    """Return (m,) DECISION_3 as (m,) DECISION. Only a fault of the scenario made decisions cost time then."""
+    """Return (m,) DECISION_3 as (m,) DECISION; at that time only a fault made decisions cost time."""
     now = np.zeros(len(decisions), DECISION)
     for name in DECISION_3.names or ():
         now[name] = decisions[name]
@@ -419,9 +422,9 @@ def as_now(decisions: NDArray[np.void], ticks: NDArray[np.void], faults: Sequenc
 
 
 def _asked_at(at: NDArray[np.int64], acts: NDArray[np.int64], faults: Sequence[Fault]) -> NDArray[np.int64]:
-    """Return (m,) the tick of each question.
+    """Return (m,) the tick at which each question was asked.
 
-    A fault that delays the answer marks the ticks from the question to the decision.
+    While a fault delays an answer, all ticks from the question to the decision record the fault.
     """
     slow = sum(1 << k for k, fault in enumerate(faults) if isinstance(fault, AvoiderLate | AvoiderSilent))
     waiting = (acts & slow) != 0
@@ -433,7 +436,7 @@ def _asked_at(at: NDArray[np.int64], acts: NDArray[np.int64], faults: Sequence[F
 
 
 def _whole(measurement: Any) -> Any:
-    """Return the measurement with the entries that earlier files lack."""
+    """Return the stored measurement, with the entries added that earlier files lack."""
     if not isinstance(measurement, dict):
         return measurement
     gaps = measurement.get("gaps")

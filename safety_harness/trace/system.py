@@ -1,4 +1,4 @@
-"""The system under test as a value: its parts by name, each with the hash of its contents."""
+"""The system under test as data: its parts by name, each with the hash of its contents."""
 
 from __future__ import annotations
 
@@ -52,37 +52,37 @@ class SystemUnderTest:
 
     @property
     def tested(self) -> Component:
-        """The user's part: the avoider, or the controller where there is no avoider."""
+        """The part that the user tests: the avoider, or the controller if there is no avoider."""
         return self.controller if self.avoider is None else self.avoider
 
     def of_file(self, sha256: str) -> SystemUnderTest:
-        """Return the system with the hash of the file that holds the user's part."""
+        """Return the system with ``sha256`` as the hash of the file that contains the user's part."""
         part = replace(self.tested, sha256=sha256)
         return replace(self, controller=part) if self.avoider is None else replace(self, avoider=part)
 
     @property
     def label(self) -> str:
-        """The user's part in a line: ``avoider opposite pose``, or ``controller stop when near``."""
+        """The user's part on a line, such as ``avoider opposite pose`` or ``controller stop when near``."""
         return f"{'controller' if self.avoider is None else 'avoider'} {self.tested.name}"
 
     @property
     def parts(self) -> dict[str, Component]:
-        """The parts that the system has, by field."""
+        """The existing parts of the system, by field."""
         pairs = ((field.name, getattr(self, field.name)) for field in fields(self))
         return {name: part for name, part in pairs if part is not None}
 
     @property
     def as_dict(self) -> dict[str, Any]:
-        """The parts as a stored dictionary; ``shield`` is a key only with a shield."""
+        """The parts as a dictionary for storage, with the key ``shield`` only if there is a shield."""
         return {name: part for name, part in asdict(self).items() if name != "shield" or part is not None}
 
     @property
     def as_json(self) -> str:
-        """The dictionary as JSON, with the same text for the same system."""
+        """The dictionary as JSON; equal systems have the same text."""
         return json.dumps(self.as_dict, sort_keys=True)
 
     def changes(self, now: SystemUnderTest) -> Iterator[str]:
-        """Yield a line for each part that differs ``now``; a hash that an old file lacks is no change."""
+        """Yield a line for each part that differs in ``now``; a hash missing in an old file is ignored."""
         then, new = self.parts, now.parts
         for name in dict.fromkeys([*then, *new]):
             earlier, later = then.get(name), new.get(name)
@@ -99,7 +99,7 @@ def system_of(
     controller: Component | None = None,
     robot_sha256: str = "",
 ) -> SystemUnderTest:
-    """Return the system of a run of a ``controller``, or of the visual servo that asks ``avoider``.
+    """Return the system of a run whose arm a ``controller`` drives, or the visual servo with ``avoider``.
 
     Args:
         scenario: The scenario of the run.
@@ -135,7 +135,7 @@ def _shield(shield: Shield | None) -> Component | None:
     return Component(name=shield.kind.value, sha256=hashlib.sha256(text.encode()).hexdigest())
 
 
-# of an own arm, whose files count by their hashes, never by where they lie
+# Of the user's own arm: the hashes of its files matter, but not their paths.
 _NAMES: Any = dict.fromkeys(("urdf", "package", "capsules", "files", "urdf_text", "capsules_text"), "")
 _UNKNOWN = Component(name="not noted")
 NOT_NOTED = SystemUnderTest(
@@ -148,7 +148,7 @@ _IMAGES = {source: f"object {source.value}" for source in ImageSource}
 
 @lru_cache
 def _parts(settings: Settings) -> tuple[Component, Component, Component, Component]:
-    """Return the parts that follow from the settings alone: servo, gate, perception, and the settings."""
+    """Return the parts that the settings alone determine: servo, gate, perception, and the settings."""
     sees = f"{_SENSORS[settings.hand_sensor.kind]}, {_IMAGES[settings.camera.source]}"
     return (
         Component(name=VISUAL_SERVO, sha256=_hash_of(settings, "servo", "motion")),
@@ -159,14 +159,14 @@ def _parts(settings: Settings) -> tuple[Component, Component, Component, Compone
 
 
 def _hash_of(settings: Settings, *names: str) -> str:
-    """Return the hash of the exact values of some settings, in the order of their names."""
+    """Return the hash of the exact values of the groups ``names`` of the settings, sorted by name."""
     values = ", ".join(f'"{name}": {_text(getattr(settings, name))}' for name in sorted(names))
     return hashlib.sha256(f"{{{values}}}".encode()).hexdigest()
 
 
 @lru_cache(maxsize=256)
 def _text(part: Any) -> str:
-    """Return a part of the settings as JSON. Few draws of a space differ here, so the cache serves most."""
+    """Return a part of the settings as JSON; the cache helps, because few draws of a space differ in it."""
     return json.dumps(asdict(part), sort_keys=True, default=_plain)
 
 

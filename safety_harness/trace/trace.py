@@ -1,4 +1,4 @@
-"""A trace: the frozen record of one run, enough to judge it without simulation."""
+"""A trace: the frozen record of one run, which suffices to judge the run without simulation."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ R = TypeVar("R")
 
 
 def no_interventions() -> NDArray[np.void]:
-    """Return the (0,) INTERVENTION of a run without a shield."""
+    """Return the empty array (0,) of INTERVENTION, for a run without a shield."""
     return np.zeros(0, INTERVENTION)
 
 
 def not_recorded() -> NDArray[np.float64]:
-    """Return the (0, 0) overshoot of a run whose sub-steps were not recorded."""
+    """Return the empty overshoot (0, 0), for a run whose sub-steps were not recorded."""
     return np.zeros((0, 0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """The software that made a trace. ``source_hash`` covers every Python file of the package.
+    """The software that made a trace; ``source_hash`` covers every Python file of the package.
 
-    ``libraries`` are (name, version) pairs, which also state that a library was not loaded. ``files`` are the
-    compiled files of these libraries (name, sha256). ``arithmetic`` is the version of the functions that made
-    its numbers, ``elementary.ARITHMETIC``; 0 in a trace of an earlier version. ``machine`` is the kind of
-    machine, which must not matter: it takes no part in a comparison.
+    ``libraries`` are pairs (name, version); a pair may also state that a library was not loaded. ``files``
+    are the compiled files of these libraries, as pairs (name, sha256). ``arithmetic`` is the version of the
+    functions that computed the numbers, ``elementary.ARITHMETIC``, or 0 in a trace of an earlier version.
+    ``machine`` is the kind of machine. Comparisons ignore it, because it must not matter.
     """
 
     package_version: Line
@@ -53,29 +53,29 @@ class Provenance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trace:
-    """The record of one run: ``ticks`` (n,) and ``decisions`` (m,), both read-only.
+    """The record of one run, with read-only ``ticks`` (n,) and ``decisions`` (m,).
 
-    ``certified`` has proofs about its decisions that a user requested afterwards, or is None. No verdict
-    reads it.
+    ``certified`` holds proofs about the decisions, if a user requested them after the run, or is None. No
+    verdict uses it.
 
     Args:
         scenario: The scenario of the run.
         ticks: (n,) of ``tick_dtype`` for the scenario's ``hand_slots``. A complete run has ``scenario.ticks``
             + 1, since it records both ends of the duration. A run that was cut short has fewer.
         decisions: (m,) of ``decision_dtype``.
-        decision_latency_s: (m,) the wall-clock time of each decision [s]. NaN where several decisions were
-            made together, without a time for each. A repetition gives other times, so only reports read it.
-            The cost in simulated time is in the decision's own record.
+        decision_latency_s: (m,) the wall-clock time of each decision [s]. It is NaN where several decisions
+            were made together, without a time for each. The times differ when the run is repeated, so only
+            reports use them. The cost in simulated time is in the decision's own record.
         provenance: The software that made the trace.
-        ended: "complete", or the reason why the run was cut short. No property takes a shortened run for a
-            safe run.
-        known: The columns that were measured, and how well.
+        ended: "complete", or the reason why the run was cut short. No property takes a shortened run for
+            a safe run.
+        known: Which columns were measured, and how exactly.
         system: The system under test.
         interventions: (n,) INTERVENTION of the shield, one a tick; empty without a shield.
-        overshoot_radps: (n, joints) by how much the joints' speeds left the speeds of the two ticks, in an
-            engine's sub-steps from each tick to the next. (0, 0) if not recorded.
-        answer_s: (k,) the wall-clock time of each answer of a user's controller [s]. It is not stored or
-            compared, and only reports read it. Empty where answers have no time of their own.
+        overshoot_radps: (n, joints) by how much a joint's speed left the range between its speeds at a tick
+            and at the next. An engine records it in its sub-steps. (0, 0) if not recorded.
+        answer_s: (k,) the wall-clock time of each answer of a user's controller [s]. It is neither stored nor
+            compared, and only reports use it. Empty if answers have no times of their own.
 
     """
 
@@ -102,7 +102,7 @@ class Trace:
 
     @property
     def complete(self) -> bool:
-        """Did the run last as long as its scenario says?"""
+        """Whether the run lasted as long as its scenario demands."""
         return self.ended == "complete" and len(self.ticks) == self.scenario.ticks + 1
 
     @property
@@ -113,7 +113,7 @@ class Trace:
 
 
 def once_a_trace(function: Callable[[Trace], R]) -> Callable[[Trace], R]:
-    """Return ``function`` with a cache that keeps each result as long as its trace: traces never change."""
+    """Return ``function`` with a cache that keeps each result as long as its trace, which never changes."""
     known: WeakKeyDictionary[Trace, R] = WeakKeyDictionary()
 
     @wraps(function)
@@ -129,8 +129,8 @@ def once_a_trace(function: Callable[[Trace], R]) -> Callable[[Trace], R]:
 def history(trace: Trace, name: str) -> NDArray[Any]:
     """Return a field (n, ...) of the ticks, read-only, with each component's n values contiguous in memory.
 
-    Numpy operations over all ticks at once are several times quicker on it than on ``trace.ticks[name]``.
-    Compiled code goes from tick to tick, and is as quick without a copy.
+    Numpy operations on all ticks at once are several times faster on it than on ``trace.ticks[name]``.
+    Compiled code visits the ticks one by one, and is equally fast without a copy.
     """
     known = _histories(trace)
     if name not in known:

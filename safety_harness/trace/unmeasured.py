@@ -1,4 +1,4 @@
-"""The unmeasured parts of a trace, for code that shows, counts or repeats it."""
+"""The unmeasured parts of a trace, handled for code that shows, counts or repeats the trace."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from safety_harness.trace.trace import Trace
 
 
 def measured(trace: Trace, name: str) -> NDArray[np.bool_]:
-    """Return (n,) true at the ticks at which a column was measured; (n, hands) for a column of hands."""
+    """Return (n,) true at each tick at which a column was measured; (n, hands) for a column of hands."""
     return trace.known.measured(name, trace.ticks)
 
 
 def decided(trace: Trace, *names: str) -> bool:
-    """Were these fields of the trace's decisions measured? Without names: were all of them?"""
+    """Return whether the fields ``names`` of the trace's decisions were measured (no names: all fields)."""
     fields = names or DECISION.names or ()
     return not trace.known.missing(f"{OF_DECISIONS}{name}" for name in fields)
 
 
 def as_measured(trace: Trace) -> Trace:
-    """Return the trace with blanks in all unmeasured places, in place of any stored value."""
+    """Return the trace with a blank in every unmeasured place, whatever value was stored there."""
     return trace if trace.known.whole else knowing(trace, trace.known.columns)
 
 
 def without_gaps(trace: Trace, names: Iterable[str]) -> Trace:
-    """Return the trace with zeros in the gaps of the columns ``names``, so that no value there is wrong."""
+    """Return the trace with zeros in the gaps of the columns ``names``, so that no stored value misleads."""
     lacking = [] if trace.known.whole else [name for name in names if trace.known.column(name).gaps]
     if not lacking:
         return trace
@@ -44,7 +44,7 @@ def without_gaps(trace: Trace, names: Iterable[str]) -> Trace:
 
 
 def refuse_not_simulated(trace: Trace, file: Path | None = None) -> None:
-    """Raise TraceError for a trace that cannot be run again, because no simulation of ours made it.
+    """Raise TraceError if a trace cannot be run again because it is not from a simulation of ours.
 
     Args:
         trace: The trace.
@@ -61,9 +61,9 @@ def refuse_not_simulated(trace: Trace, file: Path | None = None) -> None:
 
 
 def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
-    """Return ``trace`` with the measurements of ``columns`` added to its knowledge, and unknown places blank.
+    """Return ``trace`` with the measurements ``columns`` added to its knowledge, and unknown places blank.
 
-    Blank numbers are NaN, blank indices -1, all other fields zero or empty.
+    A blank number is NaN, a blank index is -1, and any other blank field is zero or empty.
 
     Raises:
         TraceError: As for ``Knowledge``, for gaps after the last tick, or for a hand that the scenario lacks.
@@ -89,7 +89,7 @@ _INDICES = ("decision", "hand_distance_capsule")
 
 
 def until(trace: Trace, tick: int, why: str) -> Trace:
-    """Return the run before ``tick``, cut short for the reason ``why``."""
+    """Return the part of the run before ``tick``; ``why`` is the reason why it ends there."""
     kept = trace.decisions["tick"] < tick
     columns = {
         name: replace(

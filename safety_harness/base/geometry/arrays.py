@@ -1,4 +1,4 @@
-"""Arrays of float64 whose type names their shape, for the many parameters of compiled functions."""
+"""Types for arrays of float64 that name the array's shape, for the many parameters of compiled functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small dense linear systems and copies in compiled code; numba's own solver would need scipy."""
+"""Small dense linear systems and copies of arrays in compiled code; numba's own solver would need scipy."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ def solve_in_place(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> 
     """Solve A x = b by Gaussian elimination with partial pivoting (Golub and Van Loan, 2013, section 3.4).
 
     Args:
-        matrix: (n, n) A; the elimination destroys it.
-        vector: (n,) b; becomes x.
+        matrix: (n, n) A; the elimination overwrites it.
+        vector: (n,) b; x replaces it.
 
     Returns:
-        False, with unusable contents, if a pivot is zero or not finite.
+        False if a pivot is zero or not finite; then ``vector`` is unusable.
 
     """
     n = vector.shape[0]
@@ -48,10 +48,10 @@ def solve_in_place(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> 
 
 @njit_no_nrt
 def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> bool:
-    """Compute the Gauss-Jordan inverse with partial pivoting.
+    """Compute the inverse of a matrix by Gauss-Jordan elimination with partial pivoting.
 
-    Row operations turn (A | I) into (I | A^-1).  An exactly singular matrix (a straight elbow gives one) is a
-    valid input, so the result reports it without an exception.
+    Row operations turn (A | I) into (I | A^-1).  An exactly singular matrix is a valid input, since a
+    straight elbow has one.  So the result reports it without an exception.
 
     Args:
         matrix: (n, n) A, unchanged; n is at most 15.
@@ -66,10 +66,11 @@ def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> boo
 
 @inlined
 def invert_with(matrix: NDArray[np.float64], n: int, inverse_out: NDArray[np.float64]) -> bool:
-    """Compute ``invert`` with an explicit ``n``; the compiler unrolls the loops if ``n`` is a constant.
+    """Compute the same as ``invert``, with ``n`` as an argument: if it is constant, the loops are unrolled.
 
-    The inverse grows in place: each finished column of A yields to the next column of A^-1.  A swap of two
-    rows therefore needs a swap of two columns at the end; ``pivots`` holds four bits for each column.
+    The inverse is computed in place, where each finished column of A makes room for the next column of A^-1.
+    Therefore, each swap of two rows requires a swap of two columns at the end.  ``pivots`` holds four bits
+    for each column.
 
     Args:
         matrix: (n, n) A, unchanged.
@@ -105,7 +106,7 @@ def invert_with(matrix: NDArray[np.float64], n: int, inverse_out: NDArray[np.flo
                     work[row, j] -= factor * work[column, j]
     if pivots != 0:
         for column in range(n - 1, -1, -1):
-            pivot = (pivots >> 4 * column) & 15  # never row 0, which only column 0 could have
+            pivot = (pivots >> 4 * column) & 15  # never row 0, which only column 0 can have swapped
             if pivot != 0:
                 for i in range(n):
                     work[i, column], work[i, pivot] = work[i, pivot], work[i, column]
@@ -113,7 +114,7 @@ def invert_with(matrix: NDArray[np.float64], n: int, inverse_out: NDArray[np.flo
 
 
 def eigen(symmetric: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the eigenvalues (n,) of ``symmetric`` (n, n), rising, and its eigenvectors as columns (n, n)."""
+    """Return the rising eigenvalues (n,) of ``symmetric`` (n, n), and its eigenvectors as columns (n, n)."""
     values, vectors = np.array(symmetric, np.float64), np.eye(len(symmetric))
     _rotate_to_diagonal(values, vectors)
     order = np.argsort(np.diagonal(values), kind="stable")
@@ -124,7 +125,7 @@ def eigen(symmetric: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 def _rotate_to_diagonal(a: NDArray[np.float64], vectors: NDArray[np.float64]) -> None:
     """Make the symmetric ``a`` (n, n) diagonal by Jacobi's rotations (Golub and Van Loan, 2013, section 8.5).
 
-    ``vectors`` (n, n) receives the same rotations of its columns.
+    The columns of ``vectors`` (n, n) undergo the same rotations.
     """
     n, size = a.shape[0], 0.0
     for k in range(n):
@@ -156,9 +157,10 @@ def _rotate_to_diagonal(a: NDArray[np.float64], vectors: NDArray[np.float64]) ->
 
 @inlined
 def copy_vector(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-    """Fill ``out`` with ``source``, both (n,).
+    """Copy ``source`` to ``out``, both (n,).
 
-    An assignment to a slice would look for an overlap first, and numba would compile its error message.
+    An assignment to a slice would first look for an overlap, and numba would compile the error message for
+    it.
     """
     for i in range(out.shape[0]):
         out[i] = source[i]
@@ -166,7 +168,7 @@ def copy_vector(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
 
 @inlined
 def copy_matrix(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-    """Fill ``out`` with ``source``, both (m, n), for the reason of ``copy_vector``."""
+    """Copy ``source`` to ``out``, both (m, n), without a slice, for the reason given in ``copy_vector``."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = source[i, j]

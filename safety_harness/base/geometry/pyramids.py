@@ -1,4 +1,4 @@
-"""Distance from a segment to a pyramid: the obstruction between a camera and a flat object."""
+"""The distance from a segment to a pyramid, which shows what hides a flat object from a camera."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from safety_harness.base.geometry.segments import segment_segment_distance
 def segment_pyramid_distance(start: Array3, end: Array3, apex: Array3, base: ArrayNx3) -> float:
     """Return the distance [m] from a segment to the solid pyramid over ``base``; 0 if they meet.
 
-    The pyramid's surface is its base and a triangle for each side.  A segment outside is nearest to a face at
-    an end of the segment or at an edge.  A segment that meets the pyramid crosses a face or has an end
-    inside.
+    The pyramid's surface consists of its base and a triangle for each side of the base.  If the segment is
+    outside, its nearest point to a face is an end of the segment, or the face's nearest point is on an edge.
+    A segment that meets the pyramid crosses a face or has an end inside.
 
     Args:
         start: (3,) An end of the segment [m]; all points are in one frame.
@@ -52,9 +52,10 @@ def segment_pyramid_distance(start: Array3, end: Array3, apex: Array3, base: Arr
 
 @compiled
 def _normal(polygon: ArrayNx3) -> NDArray[np.float64]:
-    """Return the unit normal (3,) of a flat ``polygon`` (n, 3) by Newell's sum; zeros without an area.
+    """Return the unit normal (3,) of a flat ``polygon`` (n, 3) by Newell's sum, or zeros if it has no area.
 
-    It is N/|N| with N = sum_k (p_k - p_0) x (p_(k+1) - p_0) over the corners p_k; |N| is twice the area.
+    The normal is N/|N| with N = sum_k (p_k - p_0) x (p_(k+1) - p_0) over the corners p_k; |N| is twice the
+    area.
     """
     normal = np.zeros(3)
     n = polygon.shape[0]
@@ -72,7 +73,10 @@ def _normal(polygon: ArrayNx3) -> NDArray[np.float64]:
 
 @compiled
 def _height(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
-    """Return the height n . (p - p_0) [m] of ``point`` (3,) over ``polygon`` (n, 3) with ``normal`` (3,)."""
+    """Return the height n . (p - p_0) [m] of ``point`` p (3,) over ``polygon`` (n, 3).
+
+    n is ``normal`` (3,), and p_0 is the polygon's first corner.
+    """
     height = 0.0
     for i in range(3):
         height += normal[i] * (point[i] - polygon[0, i])
@@ -83,9 +87,9 @@ def _height(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
 def _is_over(point: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
     """Return whether ``point`` (3,) is in the prism along ``normal`` (3,) over ``polygon`` (n, 3).
 
-    The even-odd rule: a ray from the point's foot in the plane crosses the outline an odd number of times.
-    The test drops the coordinate with the largest component of the normal, so that the outline keeps its
-    area.
+    By the even-odd rule, the point is inside if a ray from its foot in the plane crosses the outline an odd
+    number of times.  The test drops the coordinate in which the normal is largest, so that the outline keeps
+    its area.
     """
     drop = 0
     for i in range(1, 3):
@@ -107,9 +111,9 @@ def _is_over(point: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
 
 @compiled
 def _base_distance(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
-    """Return |n . (p - p_0)| [m] for a point over the polygon, else infinity: its edges are nearer.
+    """Return |n . (p - p_0)| [m] for a point over the polygon, or infinity if the polygon's edges are nearer.
 
-    ``point`` (3,), ``polygon`` (n, 3) and ``normal`` (3,) as in ``_height``.
+    ``point`` p (3,), ``polygon`` (n, 3) and ``normal`` n (3,) are as in ``_height``.
     """
     return abs(_height(point, polygon, normal)) if _is_over(point, polygon, normal) else np.inf
 
@@ -118,8 +122,8 @@ def _base_distance(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
 def _crosses(start: Array3, end: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
     """Return whether the segment crosses ``polygon`` (n, 3) with ``normal`` (3,).
 
-    The ends ``start`` and ``end`` (3,) have heights h_0 and h_1 of different sign.  The polygon contains the
-    point at the share h_0/(h_0 - h_1) of the segment.
+    It does if the ends ``start`` and ``end`` (3,) have heights h_0 and h_1 of different sign.  In addition,
+    the polygon must contain the point at the share h_0/(h_0 - h_1) of the segment.
     """
     below, above = _height(start, polygon, normal), _height(end, polygon, normal)
     if below == above or (below > 0.0) == (above > 0.0):
@@ -135,9 +139,9 @@ def _crosses(start: Array3, end: Array3, polygon: ArrayNx3, normal: Array3) -> b
 def _is_within(point: Array3, apex: Array3, base: ArrayNx3, normal: Array3) -> bool:
     """Return whether ``point`` (3,) is inside the pyramid.
 
-    Let h be its height over ``base`` (n, 3) with ``normal`` (3,), and H the height of ``apex`` (3,).  Inside
-    means 0 <= h/H < 1, and the line from the apex a through the point p meets the base, at a + (p - a)/(1 -
-    h/H).
+    Let h be the height of the point p over ``base`` (n, 3) with ``normal`` (3,), and H the height of ``apex``
+    (3,).  The point is inside if 0 <= h/H < 1, and if the line from the apex a through p meets the base, at a
+    + (p - a)/(1 - h/H).
     """
     top, height = _height(apex, base, normal), _height(point, base, normal)
     if top == 0.0 or not 0.0 <= height / top < 1.0:

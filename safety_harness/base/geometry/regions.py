@@ -1,4 +1,4 @@
-"""Regions of space: axis-parallel boxes, and shells between a box and a hole in it."""
+"""Regions of space: axis-parallel boxes, and shells between a box and a hole inside the box."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-parallel box, its boundary included.
+    """An axis-parallel box, which includes its boundary.
 
     Args:
         low_m: The lowest corner in the base frame.
@@ -38,12 +38,12 @@ class Box:
 
     @classmethod
     def centred_at(cls, centre_m: Vector3, half_size_m: Vector3, factor: float = 1.0) -> Box:
-        """Return the box about a centre.
+        """Return the box around a given centre.
 
         Args:
-            centre_m: Its centre in the base frame.
-            half_size_m: Half of its size along each axis.
-            factor: Scales the half-sizes.
+            centre_m: The centre in the base frame.
+            half_size_m: Half of the box's size along each axis.
+            factor: Multiplies the half-sizes.
 
         """
         centre, half = np.array(centre_m), factor * np.array(half_size_m)
@@ -52,9 +52,9 @@ class Box:
     about = centred_at  # deprecated: the old name, for one release
 
     def grown(self, factor: float) -> Box:
-        """Return the box of ``factor`` times the size about the same centre.
+        """Return the box with the same centre and ``factor`` times the size.
 
-        The corners are rounded to a picometre, so that boxes of different origin give the same corners.
+        Its corners are rounded to a picometre, so that boxes computed in different ways have equal corners.
         """
         low, high = np.array(self.low_m), np.array(self.high_m)
         centre, half = (low + high) / 2.0, factor * (high - low) / 2.0
@@ -71,12 +71,12 @@ class Box:
         return float(np.prod(np.array(self.high_m) - self.low_m))
 
     def shifted(self, by_m: Vector3) -> Box:
-        """Return this box shifted by ``by_m``, its corners rounded to a picometre."""
+        """Return this box shifted by ``by_m``, with its corners rounded to a picometre."""
         low, high = (np.round(np.array(corner) + by_m, 12) + 0.0 for corner in (self.low_m, self.high_m))
         return Box(_vector3(low), _vector3(high))
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
-        """Return which points are in the box; False for NaN.
+        """Return which points are in the box; a point with NaN is not.
 
         Args:
             points_in_base_m: The points (..., 3).
@@ -91,7 +91,7 @@ class Box:
         return inside
 
     def outside_m(self, points_in_base_m: Vector) -> Vector:
-        """Return the distance of points to the box [m]: 0 inside the box, and NaN for NaN.
+        """Return the distance of each point to the box [m], 0 inside the box and NaN for a point with NaN.
 
         Args:
             points_in_base_m: The points (..., 3).
@@ -107,7 +107,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Region:
-    """A box, or the shell between it and a hole inside it.
+    """A box, or the shell between a box and a hole inside the box.
 
     Args:
         outer: The box.
@@ -129,7 +129,7 @@ class Region:
             raise RegionError.of_option("shell", expected, f"the hole {self.hole} in {self.outer}")
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
-        """Return which points are in the region; the hole's boundary belongs to it.
+        """Return which points are in the region; the boundary of the hole is part of the region.
 
         Args:
             points_in_base_m: The points (..., 3).
@@ -148,8 +148,8 @@ class Region:
     def draw(self, rng: np.random.Generator, count: int) -> Vector:
         """Return points (count, 3), uniform over the region, from four uniform numbers for each point.
 
-        The shell consists of at most six boxes.  One number picks a box by its volume, three place a point in
-        it, so every draw counts.
+        A shell is split into at most six boxes.  One number selects a box with a probability proportional to
+        its volume.  Three numbers place a point in the box, so no draw is rejected.
 
         Args:
             rng: The source of the numbers.
@@ -167,7 +167,7 @@ class Region:
 
     @property
     def pieces(self) -> tuple[Box, ...]:
-        """At most six boxes that fill the region without overlap."""
+        """The boxes, at most six, that fill the region without overlap."""
         return tuple(self._pieces())
 
     def shifted(self, by_m: Vector3) -> Region:
@@ -175,7 +175,7 @@ class Region:
         return Region(self.outer.shifted(by_m), None if self.hole is None else self.hole.shifted(by_m))
 
     def _pieces(self) -> Iterator[Box]:
-        """Yield the boxes below and above the hole, axis by axis."""
+        """Yield, for each axis, the boxes below and above the hole."""
         if self.hole is None:
             yield self.outer
             return

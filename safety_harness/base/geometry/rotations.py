@@ -17,11 +17,11 @@ SMALL_SQUARED_ANGLE = 1e-8
 
 @compiled
 def rotation_from_vector(vector: Array3) -> NDArray[np.float64]:
-    """Return the rotation matrix (3, 3) of a rotation ``vector`` (3,) v [rad], by Rodrigues' formula.
+    """Return the rotation matrix R (3, 3) of the rotation ``vector`` v (3,) [rad], by Rodrigues' formula.
 
         R = I + a [v]x + b [v]x^2,   a = sin(t)/t,   b = (1 - cos t)/t^2,   t = |v|,
 
-    with [v]x u = v x u.  Near t = 0 the series are a = 1 - t^2/6, b = 1/2 - t^2/24.
+    where [v]x u = v x u for every u.  Near t = 0 the series a = 1 - t^2/6 and b = 1/2 - t^2/24 are used.
     """
     x, y, z = vector[0], vector[1], vector[2]
     squared = x * x + y * y + z * z
@@ -48,14 +48,14 @@ def rotation_from_vector(vector: Array3) -> NDArray[np.float64]:
 
 @compiled
 def vector_from_rotation(rotation: Array3x3) -> NDArray[np.float64]:
-    """Return the rotation vector (3,) [rad] of a matrix ``rotation`` (3, 3); its length is at most pi.
+    """Return the rotation vector v (3,) [rad] of a matrix ``rotation`` R (3, 3); its length is at most pi.
 
         v = 2 atan2(|u|, w) u/|u|,   (w, u) the unit quaternion of the rotation with w >= 0,
 
     where 4 w^2 = 1 + tr R, 4 w u = (R_21 - R_12, R_02 - R_20, R_10 - R_01), and by analogy for u.  The
-    computation begins with the largest component of the quaternion (Shepperd, 1978), so terms never cancel
-    near the identity or a half turn.  At exactly pi both signs of the vector mean the same rotation, and the
-    result is either of them.
+    computation begins with the largest component of the quaternion (Shepperd, 1978).  So terms never cancel
+    near the identity or a half turn.  At exactly pi, both signs of the vector mean the same rotation, and the
+    result may have either sign.
     """
     r00, r11, r22 = rotation[0, 0], rotation[1, 1], rotation[2, 2]
     trace = r00 + r11 + r22
@@ -93,13 +93,13 @@ def vector_from_rotation(rotation: Array3x3) -> NDArray[np.float64]:
 
 @compiled
 def rotation_about(axis: Array3, angle_rad: float, rotation_out: Array3x3) -> None:
-    """Fill a matrix with the turn by an angle t about a *unit* axis a.
+    """Fill a matrix R with the rotation by an angle t about a *unit* axis a.
 
     Rodrigues' formula is R = cos t I + sin t [a]x + (1 - cos t) a a^T.
 
     Args:
-        axis: (3,) The unit axis.
-        angle_rad: The angle.
+        axis: (3,) The unit axis a.
+        angle_rad: The angle t.
         rotation_out: (3, 3) receives R.
 
     """
@@ -114,13 +114,13 @@ def rotation_entries(
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
     """Return the nine entries of ``rotation_about``, row by row.
 
-    1 - cos t is 2 sin^2(t/2), which does not cancel, and sin t is 2 sin(t/2) cos(t/2).
+    1 - cos t is computed as 2 sin^2(t/2), which does not cancel, and sin t as 2 sin(t/2) cos(t/2).
 
     Args:
         x: The first component of the *unit* axis.
         y: The second component.
         z: The third component.
-        angle_rad: The angle.
+        angle_rad: The angle t.
 
     """
     half, even = sin_cos(0.5 * angle_rad)

@@ -1,4 +1,4 @@
-"""Exact distances between points and line segments in space; all points of a call are [m] in one frame."""
+"""Exact distances between points and line segments in space; all points of one call are in one frame [m]."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ ROUNDING_M = 1e-9  # the most by which rounding lifts a lower bound above the di
 def point_segment_distance(point: Array3, start: Array3, end: Array3) -> float:
     """Return the distance [m] from a point p to the segment from a to b.
 
-    It is |p - a - t u| with u = b - a and t = (p - a) . u / |u|^2, cut to [0, 1].  If the segment is a point
-    (u = 0), t = 0.
+    It is |p - a - t u| with u = b - a and t = (p - a) . u / |u|^2, limited to [0, 1].  If the segment is only
+    a point (u = 0), t is 0.
 
     Args:
         point: (3,) p.
@@ -39,9 +39,10 @@ def point_segment_distance(point: Array3, start: Array3, end: Array3) -> float:
 def axes_lower_m(a: Array2x3, b: Array2x3) -> float:
     """Return a lower bound [m] of the distance of two segments; negative if they may touch.
 
-    The bound is |m_a - m_b| - (l_a + l_b)/2 with middles m and lengths l, and may exceed the distance by
-    ROUNDING_M.  It follows from the triangle inequality: a point of a segment is at most half the length from
-    its middle.  The bound takes a third of the work of ``segment_segment_distance``.
+    The bound is |m_a - m_b| - (l_a + l_b)/2 for the segments' middles m_a, m_b and lengths l_a, l_b.
+    Rounding may put it above the distance by ROUNDING_M.  It follows from the triangle inequality: a point of
+    a segment is at most half the length away from the middle.  The bound costs a third of the work of
+    ``segment_segment_distance``.
 
     Args:
         a: (2, 3) The ends of the first segment, by row.
@@ -92,19 +93,20 @@ def segment_segment_vector(
 def nearest_of_segments(
     a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3
 ) -> tuple[float, float, float, float, float]:
-    """Return the vector between the nearest points of two segments a and b, and both shares.
+    """Return the vector between the nearest points of segments a and b, and where on them the points lie.
 
-    Let u and v be the segments' vectors and w = b_start - a_start.  The vector is the least |w + t v - s u|
-    over s and t in [0, 1].  In the interior, with n = u x v,
+    Let u and v be the segments' vectors and w = b_start - a_start.  The vector is w + t v - s u, for the s
+    and t in [0, 1] that make it shortest.  If both points are inside the segments, then with n = u x v,
 
         s = (w x v) . n / |n|^2,   t = (w x u) . n / |n|^2.
 
-    Ericson (2005, section 5.1.9) divides by |u|^2 |v|^2 - (u . v)^2 instead, which cancels.  At an end, the
-    share of the opposite segment comes from ``point_segment_distance``.  Segments may be parallel or points.
+    Ericson (2005, section 5.1.9) divides by |u|^2 |v|^2 - (u . v)^2 instead, where digits cancel.  If one
+    point is an end of its segment, the other point's share comes from ``point_segment_distance``.  Segments
+    may be parallel or points.
 
-    The least distance lies at an end of a segment, or at two inner points whose joining line is perpendicular
-    to both segments.  The loop always tries all four ends besides the inner solution.  So nearly parallel
-    segments, whose inner solution is ill-conditioned, never make the answer wrong.
+    The least distance is at an end of a segment, or between two inner points whose joining line is
+    perpendicular to both segments.  The loop always tries the inner solution and all four ends.  So nearly
+    parallel segments, whose inner solution is ill-conditioned, never make the answer wrong.
 
     Args:
         a_start: (3,) The start of segment a.
@@ -150,7 +152,7 @@ def nearest_of_segments(
                 break
         x, y, z = wx + t * vx - s * ux, wy + t * vy - s * uy, wz + t * vz - s * uz
         squared = x * x + y * y + z * z
-        if not squared >= best:  # also takes over a NaN
+        if not squared >= best:  # this comparison also accepts a NaN
             best, best_s, best_t = squared, s, t
             best_x, best_y, best_z = x, y, z
     if np.isnan(best):

@@ -11,10 +11,10 @@ from safety_harness.base.geometry.arrays import Array3, Array3x3, Array4x4
 
 @compiled
 def transform_from(rotation: Array3x3, translation: Array3) -> NDArray[np.float64]:
-    """Return the transform (4, 4) that turns, then shifts.
+    """Return the transform (4, 4) that first rotates, then shifts.
 
     Args:
-        rotation: (3, 3) The turn.
+        rotation: (3, 3) The rotation.
         translation: (3,) The shift [m].
 
     """
@@ -29,7 +29,7 @@ def transform_from(rotation: Array3x3, translation: Array3) -> NDArray[np.float6
 
 @compiled
 def inverse_transform(transform: Array4x4) -> NDArray[np.float64]:
-    """Return the inverse (4, 4) of a rigid transform of rotation R and shift t: (R^T, -R^T t).
+    """Return the inverse (4, 4) of a rigid transform: (R^T, -R^T t) for its rotation R and shift t.
 
     Args:
         transform: (4, 4) The transform.
@@ -46,7 +46,7 @@ def invert_into(transform: Array4x4, inverse_out: Array4x4) -> None:
 
     Args:
         transform: (4, 4) The transform.
-        inverse_out: (4, 4) receives the inverse; another array than ``transform``.
+        inverse_out: (4, 4) receives the inverse; it must not be ``transform`` itself.
 
     """
     for i in range(3):
@@ -63,12 +63,13 @@ def invert_into(transform: Array4x4, inverse_out: Array4x4) -> None:
 def compose_into(outer: Array4x4, inner: Array4x4, transform_out: Array4x4) -> None:
     """Fill an array with ``outer`` @ ``inner``.
 
-    (R, t) (S, u) = (R S, R u + t): the inner transform acts first, so b_to_c and a_to_b give a_to_c.
+    The inner transform acts first, so b_to_c and a_to_b give a_to_c.  For rotations R, S and shifts t, u, the
+    product is (R, t) (S, u) = (R S, R u + t).
 
     Args:
         outer: (4, 4) The second transform.
         inner: (4, 4) The first transform.
-        transform_out: (4, 4) receives the product; another array than both.
+        transform_out: (4, 4) receives the product; it must be neither of the other two arrays.
 
     """
     for i in range(3):

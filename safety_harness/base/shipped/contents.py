@@ -1,8 +1,8 @@
-"""Files that ship with the package, by name: ``shipped:fast-reach`` is a file, wherever its installation is.
+"""Files that ship with the package, by name: ``shipped:fast-reach`` names a file in every installation.
 
-A wheel has scenarios, spaces, plans, recordings, robots and examples in a folder of this package.  A checkout
-has them beside the package, from where a build copies them.  Both have one layout, so that references between
-these files hold in both.  Only ``located`` resolves the names.
+A wheel contains scenarios, spaces, plans, recordings, robots and examples in a folder of this package.  A
+checkout has them beside the package, and a build copies them from there.  Both have the same layout, so that
+references between these files are valid in both.  Only ``located`` resolves the names.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _TITLE = re.compile(r"^(?:scenario|scenario space|suite|plan|proof): *(.+)$", re
 
 
 class ShippedKind(StrEnum):
-    """The folders with a name of their own, by that name."""
+    """The kinds of shipped files, which are also the names of their folders."""
 
     SCENARIOS = "scenarios"
     SPACES = "spaces"
@@ -41,12 +41,12 @@ FOLDERS = {
     ShippedKind.RECORDINGS: ("scenarios/recordings", "*.csv"),
     ShippedKind.ROBOTS: ("robots", "*.yaml"),
 }
-SUITES = "examples/suites"  # each of them a folder with files of its own
+SUITES = "examples/suites"  # each suite is a folder with its own files
 
 
 @dataclass(frozen=True)
 class ShippedFile:
-    """A file, or the folder of an example; ``name`` follows ``shipped:``."""
+    """A shipped file, or the folder of an example; ``name`` is the text after ``shipped:``."""
 
     kind: ShippedKind
     name: str
@@ -54,7 +54,7 @@ class ShippedFile:
 
     @property
     def description(self) -> str:
-        """A line that describes the file, from itself or a file beside it; empty without one."""
+        """A line that describes the file, from the file or from a file beside it; empty if there is none."""
         path = self.path
         if self.kind is ShippedKind.RECORDINGS:
             row = re.search(rf"`{re.escape(path.name)}` \| ([^|]+)", _text(path.with_name("README.md")))
@@ -75,13 +75,13 @@ def is_installed() -> bool:
 
 
 def contents() -> Path:
-    """Return the folder of all shipped files: the package in an installation, else the repository."""
+    """Return the folder of all shipped files: in an installation the package, otherwise the repository."""
     return PACKED if is_installed() else PACKED.parents[2]
 
 
 @lru_cache
 def shipped_files() -> tuple[ShippedFile, ...]:
-    """Return every file with a name, kind by kind."""
+    """Return every shipped file that has a name, kind by kind."""
     return tuple(_listed(contents()))
 
 
@@ -104,8 +104,8 @@ def located(path: str | Path, place: Place | None = None) -> Path:
     """Return the path itself, or the shipped file or folder if a part begins with ``shipped:``.
 
     The function drops the parts before ``shipped:``, so that a caller may pass ``folder / text`` for any text
-    of a file.  A name is from ``shipped_files``, with or without ``.yaml``, from the folders, or a path below
-    the root.
+    in a file.  A name may be that of a shipped file, with or without ``.yaml``, or of a folder.  It may also
+    be a path below the root.
 
     Args:
         path: A path, perhaps with ``shipped:``.
@@ -135,7 +135,7 @@ def _by_name() -> dict[str, Path]:
 
 
 def _path_of(name: str) -> Path | None:
-    """Return the path of a name, or None for an unknown name."""
+    """Return the path that a name stands for, or None if the name is unknown."""
     if name in _by_name():
         return _by_name()[name]
     below = PurePath(name)
@@ -145,7 +145,7 @@ def _path_of(name: str) -> Path | None:
 
 
 def _unknown(name: str, place: Place | None) -> ScenarioError:
-    """Return the error for an unknown name, with the nearest names."""
+    """Return the error for an unknown name, with the names that resemble it."""
     names = (PREFIX + entry for entry in (*FOLDERS, *(file.name for file in shipped_files())))
     expected = "the name of something shipped"
     hint = near_miss(PREFIX + name, names, most=3, all_of_them="safety-harness list")
@@ -154,7 +154,7 @@ def _unknown(name: str, place: Place | None) -> ScenarioError:
 
 
 def shipped_name(path: Path) -> str:
-    """Return ``shipped:NAME`` of a shipped file or folder (an absolute path), else an empty text."""
+    """Return ``shipped:NAME`` for the absolute path of a shipped file or folder, else an empty text."""
     root = contents()
     if root not in path.parents:
         return ""

@@ -1,4 +1,4 @@
-"""The documents: the packaged site, its sections by name, and the section for a text."""
+"""The documents of the package: the packaged site, its sections by name, and the search for a section."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ COMMAND = "safety-harness docs"
 
 @dataclass(frozen=True)
 class Section:
-    """A page or a part of it; ``name`` is the argument of ``safety-harness docs``, as in claims#proposals."""
+    """A page or a part of a page; ``name`` is the argument of ``safety-harness docs``: claims#proposals."""
 
     name: str
     title: str
 
 
 def site() -> Path:
-    """Return the folder of the site; a checkout lacks it before a build."""
+    """Return the folder of the site, which a checkout lacks before a build."""
     return contents() / "site"
 
 
 def missing() -> ScenarioError:
-    """Return the error for a missing site."""
+    """Return the error for a site that was not built."""
     markdown = contents() / "docs"
     hint = f"make docs builds it; as Markdown it is in {markdown}"
     return ScenarioError(
@@ -38,7 +38,7 @@ def missing() -> ScenarioError:
 
 
 def sections() -> tuple[Section, ...]:
-    """Return every page and heading of the site; ScenarioError without a site."""
+    """Return every page and heading of the site; ScenarioError if there is no site."""
     index = site() / "search.json"
     if not index.is_file():
         raise missing()
@@ -47,14 +47,14 @@ def sections() -> tuple[Section, ...]:
 
 
 def section_named(text: str) -> Section:
-    """Return the section for a text.
+    """Return the first section that matches a text.
 
     Args:
-        text: A page, a section page#heading, or words of a heading or a name; the first match counts. A name
-            of an earlier version leads to the present place.
+        text: A page, a section page#heading, or words of a heading or a name.  A name of an earlier version
+            leads to the present place.
 
     Raises:
-        ScenarioError: No section matches; the hint has the nearest names.
+        ScenarioError: No section matches; the hint lists the nearest names.
 
     """
     known, name = sections(), _present(text.strip().lower())
@@ -70,7 +70,7 @@ def section_named(text: str) -> Section:
 
 
 def _present(name: str) -> str:
-    """Return the present name of a page or section; ``docs/moved.yaml`` has those of earlier versions."""
+    """Return the present name of a page or section; ``docs/moved.yaml`` maps earlier names to it."""
     file = site() / "moved.yaml"
     lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
     moved = dict(line.split(": ", 1) for line in lines if not line.startswith("#"))
@@ -79,6 +79,6 @@ def _present(name: str) -> str:
 
 
 def path_of(section: Section) -> tuple[Path, str]:
-    """Return the file of a section, and its anchor in the file."""
+    """Return the file that contains a section, and the section's anchor in the file."""
     page, _, anchor = section.name.partition("#")
     return site() / f"{page}.html", anchor

@@ -1,1 +1,1 @@
-"""A user's file in a process of its own, which may hang, end or run out of memory at no cost to ours."""
+"""A user's file in a process of its own: if the file hangs, ends or fills its memory, ours continues."""

@@ -14,7 +14,7 @@ AT_ONCE = 65_536  # bytes that are read in one go
 
 
 class GoneError(Exception):
-    """The process did not answer and counts as gone. ``hung`` is true if its time was over."""
+    """The process did not answer and is treated as gone. ``hung`` is true if it exceeded the time limit."""
 
     def __init__(self, why: str, *, hung: bool = False) -> None:
         self.hung = hung
@@ -22,17 +22,18 @@ class GoneError(Exception):
 
 
 class NonsenseError(GoneError):
-    """The process sent bytes that are no valid message, and has to be ended."""
+    """The process sent bytes that are no valid message, so that the harness has to end it."""
 
     def __init__(self, why: str = "its process answered nonsense") -> None:
         super().__init__(why)
 
 
 class Channel:
-    """Two file descriptors to write to and read from; ``hear`` receives the bytes of ``output`` meanwhile.
+    """Two file descriptors, one to write to and one to read from.
 
-    ``ended`` returns the error that describes how the other side ended. Close the channel after a GoneError
-    or any other exception from ``send``, ``frame`` or ``line``.
+    While the channel waits, it passes the bytes of ``output`` to ``hear``. ``ended`` returns the error that
+    describes how the process ended. Close the channel after a GoneError or any other exception from ``send``,
+    ``frame`` or ``line``.
     """
 
     def __init__(
@@ -45,13 +46,13 @@ class Channel:
     ) -> None:
         self._sending, self._receiving, self._output = sending, receiving, output
         self._hear, self._ended = hear, ended
-        self._come = b""  # and not yet asked for
+        self._come = b""  # bytes that were read but not yet requested
         self._polls: dict[int, select.poll] = {}
         for fd in {sending, receiving, output} - {NO_OUTPUT}:
             os.set_blocking(fd, False)
 
     def send(self, data: bytes, limit_s: float) -> None:
-        """Send ``data``; GoneError if the other side has not read all of it within the limit."""
+        """Send ``data``; GoneError if the process has not read all of it within ``limit_s``."""
         until_s = time.monotonic() + limit_s
         view = memoryview(data)
         while view:
@@ -63,10 +64,10 @@ class Channel:
                 raise self._ended() from None
 
     def frame(self, limit_s: float, most: int) -> bytes:
-        """Return the message of the next frame.
+        """Return the message in the next frame.
 
         Raises:
-            GoneError: No frame, or anything that is not a frame, comes within ``limit_s``.
+            GoneError: Within ``limit_s`` no bytes come, or bytes that are not a frame.
 
         """
         until_s = time.monotonic() + limit_s
@@ -77,7 +78,7 @@ class Channel:
         return self._next(length, until_s)
 
     def line(self, limit_s: float, most: int) -> bytes:
-        """Return the next line without its end.
+        """Return the next line without its line end.
 
         Raises:
             GoneError: No line comes within ``limit_s``, or it is longer than ``most`` bytes.
@@ -95,13 +96,13 @@ class Channel:
 
     @property
     def pending(self) -> bool:
-        """Is there unread input, or has the peer gone?"""
+        """Whether there is unread input, or the process is gone."""
         poll = select.poll()
         poll.register(self._receiving, select.POLLIN)
         return bool(self._come or poll.poll(0))
 
     def drain(self) -> bool:
-        """Pass the waiting output to ``hear``; return False at its end."""
+        """Pass the waiting output to ``hear``; return False if the output has ended."""
         try:
             heard = os.read(self._output, AT_ONCE) if self._output >= 0 else b""
         except BlockingIOError:
@@ -116,7 +117,7 @@ class Channel:
         return data
 
     def _read(self, until_s: float) -> None:
-        """Read at least one more byte, unless the poll was spurious."""
+        """Read at least one more byte, unless the poll reported readiness by mistake."""
         self._wait_for(self._receiving, select.POLLIN, until_s)
         try:
             part = os.read(self._receiving, AT_ONCE)
@@ -129,9 +130,9 @@ class Channel:
         self._come += part
 
     def _wait_for(self, fd: int, event: int, until_s: float) -> None:
-        """Wait until ``fd`` is ready.
+        """Wait until ``fd`` is ready, and pass output on meanwhile.
 
-        Meanwhile read the output, so that the other side never waits for a reader.
+        Otherwise the process might wait for ever for a reader of its output.
         """
         poll = self._polls.get(event)
         if poll is None:

@@ -1,6 +1,7 @@
-"""The process of a user's file: it makes objects of one kind, and answers calls to them in sequence.
+"""The process of a user's file: it makes objects of one kind, and answers calls to them, one after another.
 
-It sets its own limits and ends with the harness. It must start quickly: no import here waits for a compiler.
+The process sets its own limits, and ends when the harness ends. It must start quickly, so no import here
+waits for a compiler.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ from safety_harness.seams.isolation.messages import (
     packed,
 )
 
-MOST_TOLD = 1 << 30  # bytes of a message to it
+MOST_TOLD = 1 << 30  # the largest message to the process, in bytes
 
 
 class ServedKind(ABC):
-    """Objects of one kind that a user's file gives, by number, and the calls that they answer."""
+    """The objects of one kind that a user's file provides, by number, and the calls that they answer."""
 
     what: str  # "an avoider"
     told: msgspec.msgpack.Decoder[Any]  # Make, Drop and the calls
@@ -49,15 +50,15 @@ class ServedKind(ABC):
 
     @abstractmethod
     def make(self, message: Make, path: Path, wanted: dict[str, Any]) -> ProcessMessage:
-        """Make an object, and return its description of itself. Any exception refuses the file."""
+        """Make an object, and return its description of itself; any exception refuses the file."""
 
     @abstractmethod
     def answers(self, message: Any) -> Iterator[ProcessMessage]:
-        """Yield the answers to a call. Any exception is reported as a failed call."""
+        """Yield the answers to a call; any exception is reported as a failed call."""
 
 
 def serve(kind: ServedKind, question_fd: int, answer_fd: int) -> None:
-    """Answer calls until the other side is gone."""
+    """Answer calls until the harness is gone."""
     ends, file = _Ends(question_fd, answer_fd), ""
     while True:
         message = kind.told.decode(ends.read(MOST_TOLD))
@@ -71,7 +72,7 @@ def serve(kind: ServedKind, question_fd: int, answer_fd: int) -> None:
             else:
                 for answer in kind.answers(message):
                     ends.write(answer)
-        except BaseException as error:  # SystemExit, or the user's own: no reason to end
+        except BaseException as error:  # SystemExit, or the user's own exception: continue
             own = isinstance(error, ControllerError)
             text = str(error) if own else described(error, file)
             text = text if own and text.startswith(message.call) else f"{message.call} raised: {text}"
@@ -91,10 +92,10 @@ def _made(kind: ServedKind, message: Make, path: Path, wanted: dict[str, Any]) -
 
 
 class _Ends:
-    """The process's two ends: it reads our messages and writes its answers, in frames."""
+    """The process's two descriptors: it reads our messages and writes its answers, in frames."""
 
     def __init__(self, question_fd: int, answer_fd: int) -> None:
-        """Set the limits of this process from now on, and end it with the harness."""
+        """Limit this process from now on, and make it end when the harness ends."""
         limit()
         for fd in (question_fd, answer_fd):
             os.set_inheritable(fd, False)
@@ -105,16 +106,16 @@ class _Ends:
         self._process = os.getpid()
 
     def read(self, most: int) -> bytes:
-        """Return the next message; end the process when there will be no more."""
+        """Return the next message; end the process if no more messages can come."""
         header = self._questions.read(HEADER.size)
         if not header:
             os._exit(0)  # the other side is gone
         return self._questions.read(length_of(header, most))
 
     def write(self, message: ProcessMessage) -> None:
-        """Send a message, after all output that the user's file has printed."""
+        """Send a message after all output that the user's file has printed so far."""
         if os.getpid() != self._process:
-            os._exit(0)  # a fork of the user's that came back from it
+            os._exit(0)  # a fork by the user's file that returned to our code
         for stream in (sys.stdout, sys.stderr):  # it may have closed its output
             with suppress(Exception):
                 stream.flush()
@@ -123,7 +124,7 @@ class _Ends:
 
 
 def limit(process: int = 0) -> None:
-    """Bound a process's data to MEMORY_BYTES and forbid core files; 0 means this process."""
+    """Limit a process's data to MEMORY_BYTES and forbid core files; 0 means this process."""
     for kind, most in ((resource.RLIMIT_DATA, MEMORY_BYTES), (resource.RLIMIT_CORE, 0)):
         _, hard = resource.prlimit(process, kind)
         least = most if hard == resource.RLIM_INFINITY else min(most, hard)
@@ -131,14 +132,14 @@ def limit(process: int = 0) -> None:
 
 
 def _close(*fds: int) -> None:
-    """Close our descriptors in a process that the user's file forks: it has no messages for us."""
+    """Close our descriptors in a process that the user's file forks, because it must not send us messages."""
     for fd in fds:
-        os.closerange(fd, fd + 1)  # which minds no error
+        os.closerange(fd, fd + 1)  # closerange ignores errors
 
 
 def _end_with(question_fd: int) -> None:
-    """Kill this process and its forks when the other side is gone, even in the midst of an answer."""
+    """Kill this process and its forks when the harness is gone, even while they compute an answer."""
     gone = select.poll()
-    gone.register(question_fd, 0)  # a hang-up is told unasked
+    gone.register(question_fd, 0)  # poll always reports a hang-up
     gone.poll()
     os.killpg(0, signal.SIGKILL)

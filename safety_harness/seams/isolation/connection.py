@@ -1,7 +1,7 @@
-"""A connection to another process, by three ways: a user's file, a program or a socket.
+"""A connection to another process, of one of three kinds: a user's file, a program or a socket.
 
-This module begins, times, ends and refuses every kind of object. The questions to an object are the business
-of its kind.
+For every kind of object, this module begins and ends the process, limits its time and reports its refusals.
+Each kind of object defines its own questions.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ M = TypeVar("M", bound=ProcessMessage)
 
 
 class Socket:
-    """A connection to the listener at ``address``: (host, port), or the path of a Unix socket."""
+    """A connection to a process that listens at ``address``: (host, port), or the path of a Unix socket."""
 
     def __init__(self, address: tuple[str, int] | str, limit_s: float) -> None:
-        """Connect within ``limit_s``; GoneError without an answer."""
+        """Connect within ``limit_s``; GoneError if nothing answers."""
         family = socket.AF_UNIX if isinstance(address, str) else socket.AF_INET
         self.owner = os.getpid()
         line = socket.socket(family, socket.SOCK_STREAM)
@@ -57,7 +57,7 @@ Peer = Process | Socket  # the other end of a connection
 
 @dataclass(frozen=True)
 class Wire:
-    """The encoding of messages, and the way to read the next message within a time."""
+    """The encoding of messages, and the function that reads the next message within a time limit."""
 
     sent: Callable[[ProcessMessage], bytes]
     next: Callable[[Channel, float], Any]
@@ -71,7 +71,7 @@ def binary_wire(decode: Callable[[bytes], Any], most: int) -> Wire:
 
 
 def json_wire(decode: Callable[[bytes], Any], most: int) -> Wire:
-    """Return the wire to a program: a JSON object a line, of at most ``most`` bytes."""
+    """Return the wire to a program: one JSON object on each line of at most ``most`` bytes."""
     encode = msgspec.json.Encoder(enc_hook=plain).encode
     return Wire(
         lambda message: encode(message) + b"\n", lambda channel, limit_s: decode(channel.line(limit_s, most))
@@ -79,9 +79,9 @@ def json_wire(decode: Callable[[bytes], Any], most: int) -> Wire:
 
 
 class RefusedError(Exception):
-    """The other side has no such object.
+    """The other process has no such object.
 
-    It has the expected and the actual thing, a hint for further reading, and the field.
+    The error states the expectation, the actual thing, a hint for further reading, and the field.
     """
 
     def __init__(self, expected: str, got: str, hint: str = "", field: str = "") -> None:
@@ -90,11 +90,11 @@ class RefusedError(Exception):
 
 
 class Connection:
-    """A connection that ``start`` begins, and begins again when its other end is gone.
+    """A connection that ``start`` begins, and begins again if the process at its other end is gone.
 
-    ``generation`` counts the processes: an object of an earlier process is lost. Several users may share a
-    connection. Each takes a number from ``numbers`` for each object, and holds the ``lock`` during a
-    question.
+    ``generation`` counts the processes, since an object of an earlier process is lost. Several users may
+    share a connection. Each user takes a number from ``numbers`` for each object, and holds the ``lock``
+    during a question.
     """
 
     def __init__(self, start: Callable[[], Peer], wire: Wire) -> None:
@@ -105,18 +105,18 @@ class Connection:
 
     @property
     def alive(self) -> bool:
-        """Is there a peer, and does it belong to this process rather than to the parent of a fork?"""
+        """Whether there is a peer that belongs to this process, rather than to the process that forked it."""
         if self._peer is not None and self._peer.owner != os.getpid():
-            self._peer = None  # it talks to that one alone
+            self._peer = None  # the peer answers only the process that started it
         return self._peer is not None
 
     @property
     def quiet(self) -> bool:
-        """Is there a peer that has answered all questions and written no more?"""
+        """Whether there is a peer that has answered all questions, and has written nothing since."""
         return self.alive and not self._channel.pending
 
     def introduce(self, first: ProcessMessage, kind: type[M], limit_s: float) -> M:
-        """Return the answer, of type ``kind``, to a first message.
+        """Return the answer to a first message, which must be of type ``kind``.
 
         Without a peer, start one. If the peer of earlier objects is gone, start a new one and repeat the
         message once.
@@ -134,7 +134,7 @@ class Connection:
         try:
             self.say(first, limit_s)
             answer = self.hear(limit_s)
-        except BaseException as error:  # after Ctrl-C, who knows what it will say next
+        except BaseException as error:  # after Ctrl-C, its next message is unpredictable
             self.end()
             if new or not isinstance(error, GoneError):
                 raise
@@ -152,9 +152,9 @@ class Connection:
         self._channel.send(self._wire.sent(message), limit_s)
 
     def forget(self, number: int) -> None:
-        """Drop an object before the next message.
+        """Let the peer drop an object, just before the next message to it.
 
-        A caller may use this while another message is under way.
+        A caller may use this method while another message is on its way.
         """
         self._forgotten.append(number)
 
@@ -166,7 +166,7 @@ class Connection:
             raise NonsenseError(f"it sent no valid message: {printable(str(error))}") from None
 
     def end(self) -> None:
-        """End the process, and with it all objects in it."""
+        """End the process, which loses all its objects."""
         if self._peer is not None:
             self._peer.end()
             self._peer = None
@@ -176,7 +176,7 @@ class Connection:
 def refusing(
     error: type[InputError], expected: str, within_s: float, place: Place | None, file: Path | None = None
 ) -> Iterator[None]:
-    """Raise ``error`` where the block finds no object, or where the process ends before it can say so.
+    """Raise ``error`` if the code in the block gets no object, or if the process ends during it.
 
     Args:
         error: The class to raise.
@@ -204,7 +204,9 @@ def process_of(
     *,
     silent: bool = False,
 ) -> Callable[[], Process]:
-    """Return a function that starts the process of a user's file, and warns before the first execution.
+    """Return a function that starts the process of a user's file.
+
+    Before the first execution of the file, the function logs a warning.
 
     Args:
         path: The user's file.

@@ -1,8 +1,8 @@
 """Messages between the harness and the process of a user's file: MessagePack in frames, never a pickle.
 
-These messages serve every kind of object. A kind adds its own calls and answers (``child.ServedKind``), such
-as an avoider's ``Ask`` and a controller's ``Act``. Each side decodes only the messages that its peer may
-send.
+These messages serve every kind of object. Each kind adds its own calls and answers (``child.ServedKind``),
+such as ``Ask`` for an avoider and ``Act`` for a controller. Each side decodes only the messages that its peer
+may send.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from msgspec import Struct
 
 HEADER = struct.Struct("<4sI")  # MAGIC, bytes of the message
 MAGIC = b"AVO2"
-MOST_WORDS = 240  # of why a call failed: what a trace keeps
-MEMORY_BYTES = 4 << 30  # of the file's own data; libraries and reserved addresses do not count
+MOST_WORDS = 240  # characters of the reason for a failed call, as many as a trace keeps
+MEMORY_BYTES = 4 << 30  # for the file's own data, without libraries and reserved addresses
 
 
 def framed(message: bytes) -> bytes:
-    """Return the message behind a header with its length."""
+    """Return the message after a header that states its length."""
     return HEADER.pack(MAGIC, len(message)) + message
 
 
 def length_of(header: bytes, most: int) -> int:
-    """Return the length of the message after ``header``; ValueError above ``most`` bytes or without MAGIC."""
+    """Return the length that ``header`` states; ValueError if it is above ``most`` or MAGIC is missing."""
     magic, length = HEADER.unpack(header)
     if magic != MAGIC or length > most:
         raise ValueError("no frame of ours")
@@ -38,13 +38,13 @@ def length_of(header: bytes, most: int) -> int:
 
 
 class ProcessMessage(Struct, tag_field="say"):
-    """A message. ``call`` is the method of the user's object that it calls; texts of failures use it."""
+    """A message; ``call`` is the method of the user's object that it calls, for texts of failures."""
 
     call: ClassVar[str] = "make"
 
 
 class Make(ProcessMessage, tag="make"):
-    """Make an object with this number: ``wanted`` is its JSON description, ``source`` its file's bytes."""
+    """The request to make an object; ``wanted`` describes it in JSON, ``source`` is its file's bytes."""
 
     number: int
     wanted: bytes
@@ -61,7 +61,7 @@ class Make(ProcessMessage, tag="make"):
             source: The bytes of the file.
             name: An attribute of the file, or the layout of an ``onnx`` file.
             number: The number of the object in later calls.
-            onnx: True for an ONNX file. The suffix does not decide, since it may be the suffix of a link.
+            onnx: True for an ONNX file. The suffix cannot tell, because it may be that of a link.
             more: Further entries of the description, by name.
 
         """
@@ -71,15 +71,15 @@ class Make(ProcessMessage, tag="make"):
 
 
 class Drop(ProcessMessage, tag="drop"):
-    """Forget the object with this number."""
+    """The request to forget the object with this number."""
 
     number: int
 
 
 class Refused(ProcessMessage, tag="none"):
-    """The file gives no such object.
+    """The answer that the file provides no such object.
 
-    It has the expected and the actual thing, a hint for further reading, and the field.
+    It states the expectation, the actual thing, a hint for further reading, and the field.
     """
 
     expected: str
@@ -89,25 +89,25 @@ class Refused(ProcessMessage, tag="none"):
 
 
 class Failed(ProcessMessage, tag="failed", forbid_unknown_fields=True):
-    """The call failed, with the reason."""
+    """The answer that the call failed, with the reason."""
 
     why: str
 
 
 def decoder_of(messages: Any) -> msgspec.msgpack.Decoder[Any]:
-    """Return the decoder of a union of messages; arrays in them are float64 and read-only."""
+    """Return the decoder for a union of messages, which makes their arrays read-only and float64."""
     return msgspec.msgpack.Decoder(messages, dec_hook=array_of)
 
 
 def array_of(kind: type, value: object) -> Any:
-    """Return the numbers of a message as a read-only float64 array; TypeError or ValueError without."""
+    """Return a message's numbers as a read-only float64 array; TypeError or ValueError for other values."""
     array = np.array(value, dtype=np.float64)
     array.flags.writeable = False
     return array
 
 
 def plain(value: object) -> object:
-    """Return numbers for arrays, and bytes for pixels; TypeError for anything else."""
+    """Return an array as numbers, or pixels as bytes; TypeError for anything else."""
     if isinstance(value, np.ndarray):
         return value.tobytes() if value.dtype == np.uint8 else value.tolist()
     if isinstance(value, np.generic):

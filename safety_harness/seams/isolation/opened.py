@@ -1,7 +1,7 @@
-"""The files that a user's module reads: its process records each with the hash of its bytes.
+"""The files that a user's module reads: the module's process records each file with the hash of its bytes.
 
-A Python audit hook sees imports and files opened for reading, also by ``numpy.load`` and ``zipfile``. It does
-not see files that a library reads without Python. A module lists such files in ``HARNESS_FILES``.
+A Python audit hook observes imports and files opened for reading, also by ``numpy.load`` and ``zipfile``. It
+does not observe files that a library reads without Python. A module lists such files in ``HARNESS_FILES``.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _JOURNAL = "SAFETY_HARNESS_JOURNAL"  # the descriptor at which a process notes t
 _NOTED = re.compile(rb"([0-9a-f]{64}) ([0-9a-f]{64}|) (.+)$", re.MULTILINE)
 _MARKS = (".git", "pyproject.toml", "setup.py", "setup.cfg")
 _LIBRARIES = (str(Path(__file__).parents[2]), sys.prefix)
-_SEEN_AS = {"open": 0, "import": 1, "ctypes.dlopen": 0, "sqlite3.connect": 0}  # events, and where the file is
+_SEEN_AS = {"open": 0, "import": 1, "ctypes.dlopen": 0, "sqlite3.connect": 0}  # event: argument of the file
 
 _hooks: list[_Hook] = []  # one, in the process of a user's module
-_journals: dict[int, int] = {}  # of processes, which may have been forked from one that has another
+_journals: dict[int, int] = {}  # by process, since a fork needs a journal of its own
 
 
 def environment() -> tuple[Mapping[str, str], int]:
-    """Return the environment of a process that records files, and the descriptor to leave open for it."""
+    """Return the environment for a process that records files, and the descriptor that it must inherit."""
     own = os.getpid()
     if own not in _journals:
         _journals[own] = os.memfd_create("safety-harness-opened")
@@ -37,11 +37,11 @@ def environment() -> tuple[Mapping[str, str], int]:
 
 
 def noted(begin: int) -> tuple[list[tuple[str, str, str]], int]:
-    """Return the records of the journal from byte ``begin`` on, and the journal's present end.
+    """Return the records in the journal from byte ``begin`` on, and the journal's present end.
 
-    Each record is (SHA-256 of the module, path, SHA-256 of the file). The last is empty for a file that the
-    module writes itself: such a file is its memory, and not a part of it. Other text that the module writes
-    there is skipped.
+    Each record is (SHA-256 of the module, path, SHA-256 of the file). The last hash is empty for a file that
+    the module writes itself, because such a file is the module's memory and not a part of the module. Other
+    text that the module writes to the journal is skipped.
     """
     journal = _journals.get(os.getpid())
     data = b"" if journal is None else os.pread(journal, os.fstat(journal).st_size - begin, begin)
@@ -52,7 +52,7 @@ def noted(begin: int) -> tuple[list[tuple[str, str, str]], int]:
 
 
 def watch(module: Path, source: bytes) -> None:
-    """Record reads below the project of ``module`` from now on, if this process has a journal."""
+    """Record the files that are read below the project of ``module`` from now on, if there is a journal."""
     if _JOURNAL in os.environ:
         journal = int(os.environ.pop(_JOURNAL))
         os.set_inheritable(journal, False)
@@ -61,7 +61,7 @@ def watch(module: Path, source: bytes) -> None:
 
 
 def declare(file: Path) -> None:
-    """Record a file, wherever it is; OSError if it cannot be read."""
+    """Record a file wherever it is; OSError if it cannot be read."""
     file.open("rb").close()
     for hook in _hooks:
         hook.note(os.path.abspath(file))
@@ -75,10 +75,10 @@ def sha256_of(path: str | Path) -> str:
 
 
 class _Hook:
-    """The audit hook, for files below the project's folder.
+    """The audit hook, which records files below the project's folder.
 
-    That folder is the nearest parent of the module with one of ``_MARKS``, otherwise the working directory if
-    it holds the module, otherwise the module's own folder.
+    That folder is the nearest parent of the module that contains one of ``_MARKS``. Without such a parent, it
+    is the working directory if the module lies in it, or else the module's own folder.
     """
 
     def __init__(self, journal: int, module: Path, source: bytes) -> None:
@@ -94,7 +94,7 @@ class _Hook:
         place = _SEEN_AS.get(event)
         if place is not None and isinstance(args[place], str | bytes | os.PathLike):
             written = event == "open" and isinstance(args[2], int) and bool(args[2] & os.O_ACCMODE)
-            with suppress(OSError, ValueError):  # it is for who opens it to say what is wrong
+            with suppress(OSError, ValueError):  # whoever opens the file reports the error
                 self._record(os.path.abspath(os.fsdecode(args[place])), written)  # type: ignore[arg-type]
 
     def _record(self, path: str, written: bool) -> None:

@@ -1,4 +1,4 @@
-"""The process of a user's file, from the harness's side: start it, talk to it within a time limit, end it."""
+"""The process of a user's file as the harness handles it: start, messages within a time limit, end."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ BOOT = (
 class Process:
     """One process; ``hear`` receives the bytes of its output.
 
-    ``command`` starts it with two more arguments: the descriptors at which it reads our messages and writes
-    its answers. Its output is then standard output and standard error. With ``by_stdio`` a program uses
-    standard input and output for messages, and its output is standard error alone. The process may hold
-    MEMORY_BYTES of data.
+    ``command`` starts it, with two more arguments: the descriptors at which it reads our messages and writes
+    its answers. Its output is then standard output and standard error. If ``by_stdio``, a program receives
+    and sends messages on standard input and output, so that its output is standard error alone. The process
+    may hold MEMORY_BYTES of data.
     """
 
     def __init__(
         self, command: Sequence[str], hear: Callable[[bytes], None], *, by_stdio: bool = False
     ) -> None:
-        """Start the process; OSError if that fails."""
+        """Start the process; OSError if it cannot start."""
         self._hear = hear
         self.owner = os.getpid()
         variables, journal = environment()
@@ -48,7 +48,7 @@ class Process:
                 stderr=subprocess.PIPE if by_stdio else subprocess.STDOUT,
                 pass_fds=() if by_stdio else (question_in, answer_out, journal),
                 env=None if by_stdio else variables,
-                start_new_session=True,  # Ctrl-C is ours, and all that it forks is in its group
+                start_new_session=True,  # Ctrl-C reaches only us, and its forks are in its group
             )
         except OSError:
             os.close(question)
@@ -67,11 +67,11 @@ class Process:
 
     @classmethod
     def python(cls, module: str, hear: Callable[[bytes], None]) -> Process:
-        """Start a Python that runs ``main`` of our ``module`` with the two descriptors and limits itself."""
+        """Start a Python that runs ``main`` of our ``module`` with the two descriptors, and limits itself."""
         return cls([sys.executable, "-P", "-u", "-c", BOOT, module, json.dumps(sys.path)], hear)
 
     def end(self) -> None:
-        """Kill the process and its forks, after the rest of its output has been heard."""
+        """Kill the process and its forks, after passing on the rest of its output."""
         if self._finish.alive and self.channel.drain():
             self._hear(b"")
         self._finish()
@@ -79,7 +79,7 @@ class Process:
     def _ended(self) -> GoneError:
         """Return the error that states how the process ended.
 
-        It leaves the process unreaped, so that the group keeps its number until it is killed.
+        The method leaves the process unreaped, so that its group keeps its number until the group is killed.
         """
         until_s = time.monotonic() + 1.0
         while time.monotonic() < until_s:
@@ -94,7 +94,7 @@ class Process:
 
 
 def _finish(owner: int, child: subprocess.Popen[bytes], fds: tuple[int, ...]) -> None:
-    """Kill the process and its group once. A fork of ours that inherited it only closes its descriptors."""
+    """Kill the process and its group once; a fork of ours that inherited it only closes its descriptors."""
     if os.getpid() == owner:
         for kill in (os.killpg, os.kill):  # it may have left its group
             with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -102,7 +102,7 @@ def _finish(owner: int, child: subprocess.Popen[bytes], fds: tuple[int, ...]) ->
         with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(timeout=5.0)
     else:
-        child.returncode = 0  # not ours to wait for
+        child.returncode = 0  # this process need not wait for it
     for fd in fds:
         os.close(fd)
     for output in (child.stdout, child.stderr):

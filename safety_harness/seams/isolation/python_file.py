@@ -1,4 +1,4 @@
-"""A user's own Python file: the names that its text defines, and the object that its execution gives.
+"""A user's own Python file: the names that its text defines, and the object that its execution provides.
 
 ``refuse_undefined`` parses the text and executes no code. ``made_by`` executes the file with all its imports.
 """
@@ -21,7 +21,7 @@ from safety_harness.seams.isolation.opened import DECLARED, declare, watch
 
 MOST_SOURCE = 10_000_000
 MOST_PARSED = 1_000_000  # a tree is a hundred times its text
-# What may define names that no text shows.
+# Nodes that may define names that the text does not show.
 _HIDDEN = frozenset({"exec", "eval", "globals", "locals", "setattr", "vars", "__getattr__"})
 _INNER = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda)
 
@@ -40,8 +40,8 @@ def refuse_undefined(
 ) -> None:
     """Raise InadmissibleError at ``place`` unless the file is Python and seems to define ``name``.
 
-    A class without bases must have the ``methods``. The run itself meets any fault that only execution shows,
-    and any fault in a very long text. ``hint`` tells the user where to read on.
+    A class without bases must have the ``methods``. Faults that only execution shows, and faults in a very
+    long text, appear in the run itself. ``hint`` tells the user where to read more.
     """
     source = source_of(path, place)
     if len(source) > MOST_PARSED:
@@ -66,7 +66,7 @@ def refuse_undefined(
 
 
 def _misfit(node: ast.AST, method: str, keywords: set[str]) -> str:
-    """The parameters of a class's plain method that no call with these keywords, or "seen" too, fits."""
+    """Return a method's parameters if it cannot be called with ``keywords``, or also with "seen"; else ""."""
     if not isinstance(node, ast.ClassDef):
         return ""
     own = [item for item in node.body if isinstance(item, ast.FunctionDef) and item.name == method]
@@ -81,14 +81,14 @@ def _misfit(node: ast.AST, method: str, keywords: set[str]) -> str:
 
 
 def _lacks(node: ast.AST, method: str) -> bool:
-    """Return whether ``node`` is a class that lacks the method and cannot inherit or receive it."""
+    """Return whether ``node`` is a class that does not define the method, and cannot get it otherwise."""
     if not isinstance(node, ast.ClassDef) or node.bases or node.keywords or node.decorator_list:
         return False
     return not any(method in _defined(inner) or _hides(inner) for inner in _top(node))
 
 
 def _top(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield all nodes below a module or class, in order, without the insides of functions and classes."""
+    """Yield all nodes below a module or class in order, but none inside its functions and classes."""
     waiting = [*ast.iter_child_nodes(node)][::-1]  # no recursion: the text decides how deep it is
     while waiting:
         child = waiting.pop()
@@ -98,7 +98,7 @@ def _top(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def _defined(node: ast.AST) -> set[str]:
-    """Return the names that a statement, or a target in it, defines."""
+    """Return the names that a statement, or a target of an assignment, defines."""
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         return {node.name}
     if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
@@ -123,7 +123,7 @@ def made_by(path: Path, source: bytes, name: str, kind: str, place: Place, hint:
         name: The attribute: an object, or a class that is instantiated without arguments.
         kind: The kind of object with its article, such as "an avoider".
         place: The place of an error.
-        hint: Where the user can read on.
+        hint: Where the user can read more.
 
     Raises:
         InadmissibleError: The file fails, or has no such attribute.
@@ -163,9 +163,9 @@ def refuse_lacking(value: object, name: str, methods: Sequence[str], place: Plac
 
 
 def _module(path: Path, source: bytes, place: Place) -> ModuleType:
-    """Return the file as a module, freshly executed, under a name that clashes with no other module.
+    """Return the file as a module, freshly executed, under a name that no other module has.
 
-    It compiles the text itself: Python's own cache misses an edit within the same second.
+    The function compiles the text itself, because Python's own cache misses an edit within the same second.
     """
     digest = hashlib.sha256(str(path).encode()).hexdigest()[:12]
     spec = spec_from_file_location(f"user_{digest}_{path.stem}", path)
@@ -182,5 +182,5 @@ def _module(path: Path, source: bytes, place: Place) -> ModuleType:
 
 
 def raised(path: Path, place: Place, expected: str, error: BaseException) -> InadmissibleError:
-    """Return an InadmissibleError: the user's file raised ``error`` instead of the ``expected`` result."""
+    """Return an InadmissibleError: the user's file raised ``error``, not the ``expected`` result."""
     return InadmissibleError(place=place, expected=expected, got=described(error, str(path)))

@@ -9,13 +9,13 @@ from pathlib import Path
 
 from safety_harness.base.exceptions import printable
 
-MOST_LINES, MOST_CHARACTERS = 5, 200  # of a file's output that a command repeats
+MOST_LINES, MOST_CHARACTERS = 5, 200  # a command repeats at most so much of a file's output
 
-executed: dict[tuple[Path, str], str] = {}  # the files that this process had executed, in words
+executed: dict[tuple[Path, str], str] = {}  # executed files, each with its text for messages
 
 
 def say_it_is_executed(path: Path, source: bytes, logger: logging.Logger) -> None:
-    """Warn before the first execution of a file by this command; worker processes stay silent."""
+    """Warn before this command executes a file for the first time; worker processes print no warning."""
     key = path, hashlib.sha256(source).hexdigest()
     if key in executed:
         return
@@ -27,9 +27,9 @@ def say_it_is_executed(path: Path, source: bytes, logger: logging.Logger) -> Non
 
 
 class Heard:
-    """A logger of the first lines that a file called ``name`` writes, each once.
+    """A listener that logs the first lines of output of a file called ``name``.
 
-    A ``silent`` logger drops all of them.
+    A ``silent`` listener logs no line.
     """
 
     def __init__(self, name: str, logger: logging.Logger, *, silent: bool = False) -> None:
