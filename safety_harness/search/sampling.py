@@ -1,4 +1,4 @@
-"""Points that do not depend on scores: the baseline, quasi-random sequences, and exploration."""
+"""Searchers whose points do not depend on scores: uniform sampling, quasi-random sequences, exploration."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from safety_harness.search.cube import Cube, Points, Scores
 
 
 class UniformSampling:
-    """Independent points of the space's own distribution: the baseline of every search."""
+    """A searcher by independent points of the space's own distribution: the baseline of every search."""
 
     name = "uniform"
 
@@ -32,7 +32,7 @@ class UniformSampling:
 
 
 class QuasiRandom:
-    """A scrambled Sobol sequence: more even than chance in every few of many coordinates."""
+    """A searcher by a scrambled Sobol sequence, which fills any few coordinates more evenly than chance."""
 
     name = "quasi-random"
 
@@ -57,15 +57,15 @@ _AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # this share of the first 400 points; then 
 
 
 class Explorer:
-    """An endless sequence of points with few assumptions, for faults to which no margin leads.
+    """An endless sequence of points for faults to which no margin leads.
 
-    There are three kinds of points.  The first kind follows the space's distribution.  The second kind is
-    *even*: all alternatives and repetitions have the same chance, however improbable they are.  The third
-    kind is *at the ends*: even, with a random share of coordinates at an end of their interval, where ranges,
-    masks and comparisons go wrong.
+    There are three kinds of points. The first kind follows the space's own distribution. The second kind is
+    *even*: all alternatives and repetitions are equally likely, however improbable the space makes them. The
+    third kind is *at the ends*: even, but with a random share of coordinates at an end of their interval.
+    There, mistakes in ranges, masks and comparisons show.
 
-    The ends are few, so a search soon finds a fault at one.  A third of the first points are at the ends, and
-    ever fewer later.  The rest alternates between the first two kinds.
+    There are few ends, so a search soon finds a fault at one of them. At first a third of the points are at
+    the ends, and later ever fewer. The other points alternate between the first two kinds.
 
     Args:
         cube: The cube of the space.
@@ -91,7 +91,7 @@ class Explorer:
         return points
 
     def _evened(self, points: Points) -> Points:
-        """Give each interval of a coordinate the same share of the cube, for any chance."""
+        """Return ``points`` moved so that all intervals of a coordinate are equally likely."""
         for number, column in enumerate(self._cube.columns):
             edges = np.array(column.edges)
             count = len(edges) - 1
@@ -102,7 +102,7 @@ class Explorer:
         return np.clip(points, 0.0, 1.0)
 
     def _at_ends(self, points: Points) -> Points:
-        """Move a random share of each point's coordinates to an end of their interval."""
+        """Return ``points`` with a random share of each point's coordinates at an end of their interval."""
         share = self._rng.random(len(points))  # of the coordinates, drawn for each point
         for number, column in enumerate(self._cube.columns):
             if column.flat:
