@@ -261,8 +261,8 @@ def counterexample_of(
 ) -> Counterexample | None:
     """Confirm, shrink and explain the violation ``complaint`` of ``scenario``.
 
-    Every shrunk scenario must violate by at least a tenth of the first margin, so that rounding cannot undo
-    the violation. After Ctrl-C during shrinking, the result has the simplest scenario so far and
+    Every shrunk scenario must violate by at least a tenth of the first margin, so that its violation is not
+    marginal. After Ctrl-C during shrinking, the result has the simplest scenario so far and
     ``shrunk.interrupted``.
 
     Args:

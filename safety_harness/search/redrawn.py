@@ -139,7 +139,7 @@ def _lost(pairs: Iterable[tuple[Evaluation, Evaluation]]) -> _Pairs:
 
 
 def _alone(pairs: _Pairs, least: float = 0.0) -> tuple[int, int]:
-    """Return how often only the avoider violates by more than ``least`` in ``pairs``, and only the reference."""
+    """Return in how many ``pairs`` only the avoider, and only the reference, violates by over ``least``."""
     worse, better = (pairs > least).sum(axis=0).tolist()
     return worse, better
 
