@@ -14,7 +14,7 @@ from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.search import least
 
-_FLAT = 1e-9  # a population with smaller differences of scores has no direction
+_FLAT = 1e-9  # a population whose scores differ by less shows no direction
 _MARGIN = 0.05  # beyond a face
 _PATIENCE = 10  # generations without an improvement
 

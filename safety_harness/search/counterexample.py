@@ -33,7 +33,7 @@ from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided
 
-STARTS_S, PYBULLET_COSTS = 5.0, 5.0  # as measured: to start a run, and the factor of PyBullet
+STARTS_S, PYBULLET_COSTS = 5.0, 5.0  # measured: the cost of starting a run, and PyBullet's factor
 
 
 def cost_s(world: WorldEntry, runs: Sequence[Scenario]) -> float:
@@ -76,7 +76,7 @@ class Allowance:
     total_s: float = inf
     spent_s: float = 0.0
     until_s: float = inf
-    explained: bool = False  # whether any example was; the first is, at any cost
+    explained: bool = False  # whether an example was explained; the first is, at any cost
 
     def share(self, *, last: bool) -> None:
         """Give the next example half of the time that is left, or all of it if it is the ``last``."""
@@ -167,7 +167,7 @@ def contact_words(run: Trace | Exception) -> str:
     return CONTACT[nearest_hand(run).verdict if isinstance(run, Trace) else Verdict.INCONCLUSIVE]
 
 
-KEPT = 0.1  # of the first margin, at least, so that the result does not lie on the edge
+KEPT = 0.1  # least share of the first margin, so that the violation is not marginal
 DRAWS = 10  # of the avoider's own randomness
 _NUMBER = re.compile(r"(?<![\w.-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")  # no digits within names
 

@@ -23,7 +23,7 @@ from safety_harness.space.regions import SeenRegions
 from safety_harness.trace.records import DecisionOutcome, Mode, as_compiled
 from safety_harness.trace.trace import Trace
 
-# The direction from the TCP to the hand, along the base's axes: +x -x +y -y +z -z.
+# The directions from the TCP to the hand along the base's axes +x, -x, +y, -y, +z and -z.
 DIRECTIONS = ("front", "back", "left", "right", "above", "below")
 SPEEDS = ("at rest", "to 0.5 m/s", "to 1 m/s", "above 1 m/s")
 DISTANCES = ("touching", "to 50 mm", "to 200 mm", "farther")

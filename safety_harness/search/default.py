@@ -111,7 +111,7 @@ class Default:
         self._archives = [Archive(cube, _LEAST_APART) for _ in range(claims)]
         self._islands: list[_Island] = []
         self._begun = self._explored = self._proposed = self._next_claim = 0
-        self._in_vain = [0] * claims  # descents since the last with a violation or a lesser score
+        self._in_vain = [0] * claims  # descents since the last one that found a violation or a lesser score
         self._due = 0.0  # points of exploration still to propose
         self._parts: list[tuple[_Island | None, int]] = []
 

@@ -93,7 +93,7 @@ class Evaluate(Protocol):
 
 LEAST_APART = 0.25  # root mean square over the cube: nearer violations form one group (random points: 0.41)
 _MOST_OTHERS = 9  # if a run error occurs in a third of runs, one of ten shows it with 98 %
-_MOST_GROUPS = 200  # of one claim; a further violation joins its nearest group
+_MOST_GROUPS = 200  # of one claim; then a further violation joins the nearest group
 
 
 @dataclass(frozen=True, eq=False)

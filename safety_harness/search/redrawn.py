@@ -24,14 +24,14 @@ from safety_harness.search.findings import Findings, Group
 from safety_harness.search.trials import Trials
 from safety_harness.trace.trace import Trace
 
-CHANCE = 0.05  # for all claims together, of a finding on an avoider as good as the reference
-SELDOM = 0.01  # of the test on overruling: at 0.05 it found int8 weights, which are harmless
-OFTEN = 0.03  # of all runs: int8 weights or another training alone violate a claim in 2 % of them
+CHANCE = 0.05  # of any finding, over all claims, on an avoider that is as good as the reference
+SELDOM = 0.01  # significance of the test on overruling: at 0.05 it reported int8 weights, which are harmless
+OFTEN = 0.03  # of all runs: int8 weights, or another training, already violate a claim in 2 % of them
 PAIRS = 72  # of runs for each claim, shared evenly among its groups
 MOST_GROUPS = 6
 _FIRST = 1_000_000_000  # above the number of every point that is searched
 _OF_DECISIONS = (Unit.FRACTION, Unit.COUNT)  # a few decisions are a large part of a run: never "by much"
-_Pairs = NDArray[np.float64]  # (n, 2) by how much the avoider alone, and the reference alone, violates [SI]
+_Pairs = NDArray[np.float64]  # (n, 2) by how much only the avoider, and only the reference, violates [SI]
 
 
 def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Trials]) -> list[str]:
@@ -158,7 +158,7 @@ def _redrawn(trials: Trials, admitter: Admitter, group: Group, claim: int, draws
         try:
             scenario = trials.scenario(group.worst.point, _FIRST + group.worst.number * PAIRS + draw)
             both = [admitter.admit(pair) for pair in (scenario, trials.reference.in_place(scenario))]
-        except InputError:  # a run may not be able to begin with this seed
+        except InputError:  # with this seed, the run may not be able to begin
             continue
         admitted += [replace(pair, avoider=OtherDraws(pair.avoider, draw)) for pair in both]
     runs: Sequence[Trace | Exception] = trials.world(admitted)

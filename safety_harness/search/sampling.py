@@ -44,7 +44,7 @@ class QuasiRandom:
     def propose(self, count: int) -> Points:
         """Return the next ``count`` points of the sequence (count, d)."""
         with warnings.catch_warnings():
-            # The sequence is balanced only after powers of two, and a search may end at any time.
+            # The sequence is balanced only after a power of two of points; a search may end at any number.
             warnings.filterwarnings("ignore", message="The balance properties of Sobol", category=UserWarning)
             points: Points = self._sequence.random(count)
         return points
@@ -53,7 +53,7 @@ class QuasiRandom:
         """Ignore the scores."""
 
 
-_AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # this share of the first 400 points; then the share falls as 1 / number
+_AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # a third of the first 400 points; then the share falls as 1 / number
 
 
 class Explorer:
@@ -80,7 +80,7 @@ class Explorer:
 
     def points(self, count: int) -> Points:
         """Return the next ``count`` points (count, d)."""
-        # Random, because a Sobol sequence left a place in three coordinates out for more than 13,000 points.
+        # Random, because a Sobol sequence missed a region in three coordinates for more than 13,000 points.
         points = self._rng.random((count, self._cube.dimension))
         number = self._made + np.arange(count + 1)
         self._made += count

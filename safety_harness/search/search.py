@@ -113,7 +113,7 @@ def least(scores: Scores) -> NDArray[np.float64]:
     return lowest
 
 
-# A search ends if so many points give no run, or later if less than one point in so many does.
+# A search ends if so many points give no run, or later if fewer than one in so many points gives a run.
 MAX_REJECTION_RATIO = 200
 
 

@@ -60,15 +60,15 @@ NOT_CONFIRMED = f"not confirmed in {PYBULLET.label}"
 NO_REFERENCE = f"nothing is confirmed in {PYBULLET.label}, which is not installed: this is {KINEMATIC} alone"
 MOST_SHRUNK = 3  # counterexamples of each claim, and of run errors
 SHRINKING_RUNS = 200  # for each counterexample
-AN_EXAMPLE = 40  # runs of the space that an example costs, about
-MOST_RUN_TWICE = 8  # disagreements of the worlds with both runs, for the page
+AN_EXAMPLE = 40  # an example costs about as much as so many runs of the space
+MOST_RUN_TWICE = 8  # disagreements of the worlds that the page shows with both runs
 _MOST_AS_FOUND = 1_000  # files
-LEAST_DRAWN = 300  # pairs of runs anywhere in the space: with fewer, 3 % may be chance
+LEAST_DRAWN = 300  # pairs of runs anywhere in the space; with fewer, a share of 3 % may be chance
 _BATCH = 64  # runs that are simulated together
 
 
 def basis_of_search(findings: Findings, confirmed: int) -> str:
-    """Return a sentence that states how many runs in which worlds the findings of a search rest on.
+    """Return a sentence on the worlds and the runs on which the findings of a search rest.
 
     Args:
         findings: The findings.
@@ -196,7 +196,7 @@ class SearchSession:
         unknown = [written for written in self.written if not written.one.causes]
         tried = sum(len(written.groups) for written in unknown if written.one.attribution)
         count = sum(len(written.groups) for written in unknown)
-        if not self.explains_all or self.interrupted:  # otherwise the rest is attributed without shrinking
+        if not self.explains_all or self.interrupted:  # else the others are attributed without shrinking
             count += sum(len(example.left) for example in self.examples)
         return Causes(explained, count, 0 if self.explains_all else count - tried)
 
@@ -260,7 +260,7 @@ class SearchSession:
             )
 
     def conclude(self) -> None:
-        """Report the findings of the search; shrink and explain them first, unless it was interrupted."""
+        """Report the findings of the search and, unless it was interrupted, shrink and explain them."""
         findings, say = self.findings, self.output.say
         fallback = fallback_words(self.trials.unanswered, self.trials.decisions)
         self._draw_again()
@@ -666,7 +666,7 @@ def not_found_words(findings: Findings) -> str:
 
 
 def summary(findings: Findings, budget: int) -> str:
-    """Return the numbers of tried and refused points and of distinct violations.
+    """Return the numbers of tried and refused points, violations and kinds of run errors, in words.
 
     Args:
         findings: The findings.
@@ -701,7 +701,7 @@ def against_lines(against: Against, findings: Findings, touching: int, overruled
 
 
 def remarks(trials: Trials, findings: Findings, overruled: str = "") -> list[str]:
-    """Return lines that guard against misreading: on refused points, untested claims and touching hands.
+    """Return lines against misreading: on refused points, untested claims, untried parts and touching hands.
 
     Args:
         trials: The trials of the search.

@@ -36,7 +36,7 @@ _DEGREE = math.radians(1.0)
 _STEPS = {"_mps2": 1.0, "_mps": 0.1, "_rad": _DEGREE, "_s": 0.1, "_m": 0.01, "_factor": 0.1}
 _UNCHANGED = {"shift_in_base_m": _NOWHERE, "delay_s": 0.0}
 _SPEEDS = {"max_speed_mps": REACHING_MPS, "max_acceleration_mps2": REACHING_MPS2}
-# The optional parts of a scenario, and the value that stands for "absent".
+# The optional parts of a scenario, each with the value that means "absent".
 _PLAIN: Mapping[type[Any], Mapping[str, object]] = {
     MovingHand: {**_UNCHANGED, "tremor": None, **_SPEEDS},
     RecordedHand: {**_UNCHANGED, "turn_rad": 0.0, "speed_factor": 1.0, "max_speed_mps": None},
@@ -332,7 +332,7 @@ class _Shrinking:
         if candidate == self.scenario:
             return False
         text = write_scenario(candidate)
-        if text == write_scenario(self.scenario):  # a file does not contain the stop times of a user's arm
+        if text == write_scenario(self.scenario):  # a file omits the stop times of a user's arm
             return False
         read = _read_back(text, candidate) if self._known.get(text, True) else None
         if text not in self._known:

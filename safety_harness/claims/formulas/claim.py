@@ -140,7 +140,7 @@ def _columns_of(formula: Formula) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for signal in signals_of(formula) for name in signal.reads))
 
 
-WITHOUT_END = 1.0  # the margin, as a plain number, of what truths alone decide
+WITHOUT_END = 1.0  # the margin, as a plain number, if truths alone decide
 Values = NDArray[np.float64]
 
 
@@ -404,7 +404,7 @@ def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: b
     if missing:
         return not_measured(_Asked(part, trace, {}), missing, known=trace.known)
     seen = trace if whole else blanked(trace)
-    with np.errstate(invalid="ignore", over="ignore"):  # of values that no run has, which is found below
+    with np.errstate(invalid="ignore", over="ignore"):  # values that no run has are found below
         sampled = {
             signal: (signal.finer if finely and signal.finer else signal.sample)(seen)
             for signal in signals_of(part)

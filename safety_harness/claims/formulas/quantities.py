@@ -49,7 +49,7 @@ def _needs_parentheses(sign: str, quantity: Quantity) -> FormulaError:
 
 
 def quantity(number: float, unit: str, dimension: Dimension) -> Quantity:
-    """Return ``number`` (finite) in ``unit`` as a quantity, with the SI float that is nearest to its text."""
+    """Return ``number`` (finite) in a ``unit`` of ``dimension``, as the float in SI nearest to its text."""
     if isinstance(number, bool) or not isinstance(number, Real) or not math.isfinite(number):
         expected = f"a finite number of {unit}" if unit else "a finite number"
         raise FormulaError(place=Place(field=unit or "formula"), expected=expected, got=repr(number))

@@ -192,7 +192,7 @@ def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
 def least_in_window(x: NDArray[np.float64], begin: int, end: int, outside: float) -> NDArray[np.float64]:
     """Return out[k] = min of x[k + begin] to x[k + end], ends included, with ``outside`` outside of x.
 
-    0 <= begin <= end. A window of w samples spans at most two blocks of w samples. Its least value lies
+    Here 0 <= begin <= end. A window of w samples spans at most two blocks of w samples. Its least value lies
     between its beginning and the end of the first block, or between the beginning of the second block and its
     end (van Herk, 1992).
 
@@ -311,7 +311,7 @@ class Witness:
 
 
 def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witness:
-    """Return the witness of the margin's lower bound at ``tick``, or of the upper bound unless ``low``.
+    """Return the witness of the margin's lower bound at ``tick`` if ``low``, else of its upper bound.
 
     If several places have this margin, the first uncertain place is returned, or else the first.
     """

@@ -21,8 +21,8 @@ from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.records import Check
 from safety_harness.trace.trace import Trace
 
-# For each unit a difference of margins that matters and is common: what a search divides margins by, so that
-# those of several claims can be compared.  Searching one claim at a time does not depend on it.
+# For each unit, a common and relevant difference of margins.  A search divides margins by it, to compare
+# several claims; a search for one claim does not depend on it.
 SCALES = {
     Unit.LENGTH: 0.1,
     Unit.ANGLE: np.pi / 18.0,
@@ -34,7 +34,7 @@ SCALES = {
     Unit.FRACTION: 0.1,
     Unit.COUNT: 1.0,
 }
-TOLERANCE = 0.1  # of the scale, 10 mm of a length: what a margin may be less without being told
+TOLERANCE = 0.1  # of the scale (10 mm of a length): a smaller loss of margin is not reported
 TOLERANCES = {unit: TOLERANCE * scale for unit, scale in SCALES.items()} | {Unit.COUNT: 0.0}
 
 
@@ -133,7 +133,7 @@ class RunDifference:
         return any(claim.change in changes for claim in self.claims)
 
     def lines(self, reference: str) -> Iterator[str]:
-        """Yield a line on each claim, and on overruling, in which the avoider on trial is worse."""
+        """Yield a line on each claim, and on overruling, if the avoider is worse than ``reference``."""
         for claim in self.claims:
             if claim.change in _SHOWN_CHANGES:
                 yield f"{claim.change.value}: {self.run}: {claim.mine.sentence}: {claim.summary(reference)}"

@@ -28,7 +28,7 @@ from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import Check, DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
-SAME_M = 0.001  # a chosen position this near to another is the same
+SAME_M = 0.001  # two positions nearer to each other than this are the same
 READS = (
     "joint_position_rad",
     "joint_velocity_radps",
@@ -49,7 +49,7 @@ ALSO = (
     "decision.chosen_position_in_base_m",
 )
 BEYOND_DOUBT_M = 0.0002  # reach is known to 0.1 mm
-USED_CYCLES = 2  # within which a certain answer is acted on, as an uncertain one in the catalogue's sentence
+USED_CYCLES = 2  # within which the arm uses a certain answer, as for an uncertain one in the catalogue
 Findings = dict[str, list[Finding]]  # by the part that they judge
 
 
@@ -87,7 +87,10 @@ def _add(findings: Findings, added: Findings) -> None:
 def went(
     trace: Trace, number: int, target_in_base_m: NDArray[np.float64], cycles: int, where: str
 ) -> tuple[Findings, bool]:
-    """Return findings on a decision's choice and motion to a target, and whether there was time for any."""
+    """Return findings on a decision's choice and motion by a target, and whether there was time for any.
+
+    The target is ``target_in_base_m`` (3,), which ``where`` names.
+    """
     decision = trace.decisions[number]
     findings, tried = way_gone(trace, number, target_in_base_m, cycles, where)
     chosen, off_m = decision["chosen_position_in_base_m"], np.nan
@@ -285,7 +288,7 @@ class FallbackPoses:
         away = [finding for decision in trace.decisions for finding in _away(trace, decision)]
         parts = (self._part(trace, "reachable", reachable), self._part(trace, "away from every hand", away))
         tried = [part for part in parts if part.exercised]  # each decision has a pose to be reached
-        # A margin that is not finite is worse than one that holds, and hides none that is violated.
+        # A part without a finite margin is worse than a part that holds, but hides no part that is violated.
         worst = min(tried, key=lambda part: -math.ulp(0.0) if part.margin is None else part.margin)
         return replace(worst, sentence=self.sentence, exercised=len(trace.decisions), parts=parts)
 

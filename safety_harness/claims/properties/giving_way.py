@@ -30,9 +30,9 @@ from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace
 
-LEAST_WAY_M = 0.010  # a shorter way is no giving way, and less of one is no evidence of it
-ARRIVED_FRACTION = 0.1  # of the way may be left when the controller takes itself to have arrived
-DIP_M = 1e-4  # how far the executed way may come nearer beyond the unavoidable
+LEAST_WAY_M = 0.010  # a shorter way is not giving way, and a reference with a shorter way is no evidence
+ARRIVED_FRACTION = 0.1  # of the way may be left when the controller regards the arm as arrived
+DIP_M = 1e-4  # by which the executed way may lead nearer than is unavoidable
 SPEED_SHARE, ACCELERATION_SHARE = 0.9, 0.7
 LEAST_SPEED_MPS, LEAST_ACCELERATION_MPS2 = 0.020, 0.1
 SLACK_M = 0.002  # how far the TCP may stay behind the reference; one control period's way more, but
@@ -80,7 +80,7 @@ class _End:
 def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
     """Return the least and the largest margin over all decisions, as ``reads`` expects.
 
-    Both are infinite if a decision follows another one because of another hand.
+    Both are infinite if a decision continues a repulsion because of another hand.
     """
     if trace.known.uncertain(["demanded_joint_velocity_radps"]):
         return -np.inf, np.inf, False
@@ -196,9 +196,9 @@ class MovesAway:
     """The claim that giving way never brings the TCP nearer to a hand, and really takes place.
 
     The planned way is judged at its start: if a straight way leads away there, it does so everywhere. The
-    margin is (p - t) . (t - h)/|t - h| for the TCP t, the position p and the hand h, least over all true
-    hands: the part of the way that leads away. A way shorter than 10 mm violates the claim by what it lacks
-    of 10 mm.
+    margin is the part of the way that leads away, (p - t) . (t - h)/|t - h| for the TCP t, the position p and
+    the hand h, least over all true hands. A way shorter than 10 mm violates the claim by what it lacks of 10
+    mm.
 
     The executed way ends with the repulsion or at the next decision. Margins count if negative: (1) The TCP
     may come nearer to where the hand was only by the unavoidable v^2/(2 a) + 2 v dt. Here v is its speed
@@ -411,7 +411,7 @@ def progress(
 
 @dataclass(frozen=True, eq=False)
 class _Followed:
-    """A repulsion compared with its reference, with the lag ``behind_m`` (n,); ``excused`` if any tick is."""
+    """A repulsion with its lag ``behind_m`` (n,) behind its reference; ``excused`` if any tick is excused."""
 
     behind_m: NDArray[np.float64]
     due_m: float

@@ -55,9 +55,9 @@ class HandDistance(Worded):
 
     Distances are from surface to surface. Between two ticks, the margin uses a guaranteed lower bound of the
     distance. This bound is at most 0.1 mm below the distance for joints that move linearly and hands that
-    turn where their moves or samples turn. From it is subtracted how far joints (``joint_bend_m``) and hands
-    (``hand_bend_m``) may leave straight lines while their speeds change. The property is violated only if the
-    upper bound of the least distance is below ``minimum_m`` too.
+    turn where their moves or samples turn. The margin also subtracts how far joints (``joint_bend_m``) and
+    hands (``hand_bend_m``) may leave straight lines while their speeds change. The property is violated only
+    if the upper bound of the least distance is below ``minimum_m`` too.
 
     Rationale: contact with a moving robot is the hazard itself. The limit is a constant form of the
     protective separation distance of ISO/TS 15066. A run exercises the property if a hand comes within

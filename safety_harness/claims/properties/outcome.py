@@ -30,12 +30,12 @@ from safety_harness.scenario.model import Verdict
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 
-HELD_S = 1.0  # that long within the limit of one place, and an arm holds it
-HELD_AT = 32  # times in that at which it is looked where the arm is, at least
-HALF = 0.5  # of its speed: what an arm has to lose, or to gain away from the hand, to have reacted
-BEFORE_S = 0.5  # an arm that reacted so shortly before a hand came near has reacted to it
-STARTED_S = 0.1  # a run begins with an arm that stands, and gets up to speed
-HALVED_S = 0.25  # in which an arm that reacts has lost half of its speed
+HELD_S = 1.0  # an arm that stays within the limit of a place for so long holds that place
+HELD_AT = 32  # least number of times in HELD_S at which the arm's place is checked
+HALF = 0.5  # of its speed: an arm that loses it, or gains it away from the hand, has reacted
+BEFORE_S = 0.5  # an arm that reacted within this time before a hand came near has reacted to it
+STARTED_S = 0.1  # in which an arm that stands at the beginning of a run gets up to speed
+HALVED_S = 0.25  # in which a reacting arm loses half of its speed
 TINY_MPS = TINY_M = 1e-6  # nothing moves so slowly, or is so near
 
 
@@ -156,7 +156,7 @@ class ReactsWithin(Worded):
             if prior < was or first == last or speed[prior] <= MOVES or braking[prior]:
                 continue
             leads = product(velocity, from_hand_m[first] / max(apart_m[first], TINY_MPS))
-            # an arm that arrives slows as what is left of its way does
+            # an arriving arm slows down in proportion to the way that is left
             now, away, left = (speed[prior], leads[prior], errors_m / max(errors_m[prior], TINY_M))
             arrives = min(1.0 / max(left[was], TINY_M), 1.0)
             reacted = now <= HALF * arrives * speed[was]

@@ -34,7 +34,7 @@ WAY_STEP_M = 0.005
 STOP_SLACK_M = 0.002  # of way, and of time
 STOP_GRACE_TICKS = 3  # the drives lag behind their ramp
 START_COLUMNS = ("joint_position_rad", "transform_tcp_to_base")  # where the straight way to a position begins
-BEYOND_M = 0.100  # how far beyond the position reachability is looked for
+BEYOND_M = 0.100  # how far beyond the position the search for reachable points goes
 
 
 def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
@@ -222,7 +222,7 @@ def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], displacement: NDArr
         return gone_m - length_m
 
     found_m = beyond_m(length_m + BEYOND_M)
-    # It stops within the resolution of a boundary, perhaps before the end: then the end itself is tried.
+    # The search may stop just before a boundary at the end, by its resolution: then the end itself is tried.
     return max(found_m, beyond_m(length_m)) if -REACH_RESOLUTION_M <= found_m < 0.0 else found_m
 
 

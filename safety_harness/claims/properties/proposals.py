@@ -38,7 +38,7 @@ PROPOSAL = (
     *(f"{OF_DECISIONS}{name}" for name in QUESTION),
     "decision.tick",
     "decision.asked_tick",
-    "transform_tcp_to_base",  # as the next two of the tick at which the avoider was asked, if it was another
+    "transform_tcp_to_base",  # this and the next two are read at the tick of the question, if that is another
     "track_valid",
     "predicted_hand_in_base_m",
 )

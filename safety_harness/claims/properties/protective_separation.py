@@ -113,10 +113,10 @@ class ProtectiveSeparation(Worded):
     only the nearest one: a slow link may be nearer than a fast link that should be farther away.
 
     The settings give the reaction time T_r and the stop time T_s. T_s is for the TCP's speed at the tick or,
-    if it is larger, for the speed of the arm's fastest point. For all joints brake together, so that no link
-    stops sooner than the fastest. With ``tcp_alone``, or if joints are uncertain, T_s is for the TCP's speed.
-    During a protective stop only the rest of both times counts, so that a stop that begins in time does not
-    become a violation.
+    if it is larger, for the speed of the arm's fastest point. This is because all joints brake together, so
+    that no link stops sooner than the fastest. With ``tcp_alone``, or if joints are uncertain, T_s is for the
+    TCP's speed. During a protective stop only the rest of both times counts, so that a stop that begins in
+    time does not become a violation.
 
     A hand exercises the claim if it comes nearer to the moving arm than S_p of an arm at its speed limit.
     """
@@ -168,7 +168,7 @@ class ProtectiveSeparation(Worded):
     def worst(self, trace: Trace) -> Separation | None:
         """Return the pair and tick with the least margin; None if the arm never moved beside a hand."""
         settings, true, turns = trace.scenario.settings, true_motion(trace), moving(trace)
-        if trace.ended == UNMEASURED:  # speeds at its last tick are not those of the whole run
+        if trace.ended == UNMEASURED:  # speeds at the last tick differ from those of the whole run
             turns = turns & (np.arange(len(turns)) < len(turns) - 1)
         reaction_s, stop_s = _times_s(trace, self.stopped_from_mps(trace))
         indices, values = least_separation(
@@ -205,7 +205,7 @@ class ProtectiveSeparation(Worded):
         )
 
     def largest_m(self, settings: Settings) -> float:
-        """Return S_p [m] of an arm at its speed limit towards a human; nearer hands exercise the claim."""
+        """Return S_p [m] for an arm at its speed limit towards a human; a nearer hand is an occasion."""
         fastest_mps = max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
         braking = settings.braking
         stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps

@@ -1,6 +1,6 @@
 """Judge that the arm soon gives way or stops when a hand is near the TCP, be it predicted or true.
 
-Without a hand it must not give way, and it must not alternate between giving way and its task.
+Without a hand, the arm must not give way, and it must not alternate between giving way and its task.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def gives_way(trace: Trace) -> NDArray[np.bool_]:
 
 
 def predicted_near(trace: Trace, within_m: float = np.inf) -> tuple[NDArray[np.bool_], int]:
-    """Return (n,) whether a predicted hand is nearer to the true TCP than critical and ``within_m``.
+    """Return (n,) whether a predicted hand is within the critical distance and ``within_m`` of the true TCP.
 
     Also return the first tick with a prediction that is not finite, or -1.
     """
@@ -166,9 +166,9 @@ class GivesWay(Worded):
     """``within_s`` less the longest time for which a predicted hand was near and the arm did not give way.
 
     A hand is near if its centre is within the critical distance of the true TCP, as in the controller's own
-    rule. The time starts when a hand is first near while the arm does not give way, and ends when it does. It
-    continues if the hand leaves, because the arm must respond to every prediction. If the run ends first, the
-    time counts only if it is already too long.
+    rule. The time starts when a hand is first near while the arm does not give way, and ends when the arm
+    does. It continues if the hand leaves, because the arm must respond to every prediction. If the run ends
+    first, the time counts only if it is already too long.
 
     The controller's report of repulsion or protective stop counts as giving way, because other claims check
     the motion. Each predicted hand that comes near and within NEAR_M exercises the claim, so that a longer
@@ -249,7 +249,7 @@ def _judged(
         elif took > longest:
             longest, since = took, first
     margin_s = time_left_s(trace, prop.within_s, longest)
-    decided = times_begun(close[:open_from])  # one that gave way and is open again has been answered once
+    decided = times_begun(close[:open_from])  # an occasion that is open again was answered once
     if margin_s >= 0.0 and occasions == 0:
         true = isinstance(prop, GivesWayToTrueHand)
         return unexercised(prop, no_near_hand(trace) if true else no_predicted_hand(trace))
@@ -324,7 +324,7 @@ class GivesWayAtMost(Worded):
 
 
 def gives_way_at(trace: Trace) -> NDArray[np.int64]:
-    """Return the ticks at which the arm leaves its task, with which every run begins, to give way."""
+    """Return the ticks at which the arm leaves its task to give way; every run begins with the task."""
     return np.flatnonzero(begins_at(gives_way(trace)))
 
 
@@ -402,7 +402,7 @@ class NoFalseAlarms(Worded):
 
 @once_a_trace
 def beginnings(trace: Trace) -> NDArray[np.int64]:
-    """Return the ticks (k,) at which the arm begins to give way, except at a singularity, or decides."""
+    """Return the ticks (k,) of decisions, and of beginnings of giving way except at a singularity."""
     begins = begins_at(gives_way(trace))
     begins &= trace.ticks["limits"] & int(Limit.SINGULARITY) == 0
     begins[trace.decisions["tick"]] = True

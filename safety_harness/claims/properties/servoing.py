@@ -1,9 +1,9 @@
 """Judge that servoing reaches the gain switch, and then its goal, once the hands have left.
 
 Further claims judge that the task does not pause too long, and that the camera sees the object. The first two
-claims compare servoing with the closed form of eq. 1 with the right interaction matrix. There the error
-decays as exp(-lambda t) with the gain lambda, so it falls from d to a threshold c in ln(d/c)/lambda seconds.
-A run that ends before the allowed time is not evidence.
+claims compare servoing with the closed form of eq. 1 with the right interaction matrix. The closed form's
+error decays as exp(-lambda t) with the gain lambda, so it falls from d to a threshold c in ln(d/c)/lambda
+seconds. A run that ends before the allowed time is not evidence.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from safety_harness.trace.trace import Trace, history, once_a_trace
 ALLOWANCE = 1.25  # times the closed form, for the limits and the other five features
 GRACE_S = 1.0  # for getting up to speed
 ROUNDED_UP_S = 0.1
-LEAST_GAIN_M = 1e-3  # nearer by less is not getting on (metres and radians together, as in eq. 15)
-CAUSE_REACH = 1.5  # critical distances, within which a hand may be the cause: a retreat goes beyond one
+LEAST_GAIN_M = 1e-3  # a smaller approach is no progress (metres and radians together, as in eq. 15)
+CAUSE_REACH = 1.5  # critical distances within which a hand may cause a retreat, which leads beyond one
 STANDS_S = 5.0  # without getting on, and it does not converge
-LEAST_SHARE = 0.1  # of the closed form's rate, with which servoing gets on
+LEAST_SHARE = 0.1  # of the closed form's rate: servoing at less is no progress
 
 
 def retreat_s(trace: Trace) -> float:
@@ -57,9 +57,9 @@ def retreat_s(trace: Trace) -> float:
 def left_at(trace: Trace) -> int | None:
     """Return the tick from which the arm is free for its task, by its motion alone; None if there is none.
 
-    From then on, no true hand is within the critical distance of the TCP. Nor does the TCP leave the desired
-    pose while a hand is within CAUSE_REACH times that distance. For another ``retreat_s`` the arm may stand
-    or retreat; the result is the last tick of that time at which it is farthest off.
+    After it, no true hand is within the critical distance of the TCP. Nor does the TCP leave the desired pose
+    while a hand is within CAUSE_REACH times that distance. For another ``retreat_s`` the arm may stand or
+    retreat; the result is the last tick of that time at which it is farthest off.
     """
     settings, error = trace.scenario.settings, hypot(*pose_errors(trace))
     nearest_m, critical_m = nearest_hand_m(trace), settings.avoidance.critical_distance_m
@@ -78,7 +78,7 @@ def busy_to_the_end(trace: Trace) -> str:
     """Return words on the hand that kept the arm from servoing to the end of the run."""
     critical_m, left_m = trace.scenario.settings.avoidance.critical_distance_m, nearest_hand_m(trace)[-1]
     hand_near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
-    # From a hand outside the critical distance the arm still goes away.
+    # The arm may still retreat from a hand just outside the critical distance.
     beyond_m = critical_m if left_m < critical_m else CAUSE_REACH * critical_m
     return f"{hand_near}; beyond {beyond_m * 1e3:g} mm, or a longer duration, exercises it"
 
@@ -89,8 +89,8 @@ class GainSwitchReached(Worded):
 
     The margin is the allowed time that is left at that moment, or minus the excess at the end of the run. The
     allowed time is ``within_s``, or else 1.25 times the closed form ln(|e|/sqrt(c))/lambda, plus 1 s. Here e
-    is the error then, c the gain switch and lambda the far gain. While the camera does not see the object,
-    the error is not below the switch.
+    is the error when the hand leaves, c the gain switch and lambda the far gain. While the camera does not
+    see the object, the error is not below the switch.
 
     A run exercises the claim if the error is above the switch after the last hand has left. A smaller error
     results from the start, or from the time while the hand was near.
@@ -151,9 +151,9 @@ class Converged:
     """The claim that the TCP ends within 1 mm and 0.1 degree of the desired pose, whatever the features.
 
     The margin is 1 mm less the distance at the end. If the angle is too large, the margin is minus the
-    distance that the excess angle makes at the camera's desired depth. A run that is shorter than the closed
-    form needs with both gains is inconclusive. This does not apply if the TCP has already converged, or
-    hardly came nearer in the last 5 s. Only the motion counts, not the reported mode.
+    distance that the excess angle makes at the camera's desired depth. A run shorter than the closed form
+    needs with both gains is inconclusive. Exceptions are a TCP that has already converged, or that hardly
+    came nearer in the last 5 s. Only the motion counts, not the reported mode.
 
     A run exercises the claim if the TCP was farther off at any tick, so that servoing has brought it here. A
     run whose TCP began there and stayed is not evidence.
@@ -202,7 +202,7 @@ class Converged:
 
 
 def _stands(trace: Trace, first: int) -> bool:
-    """Return whether the TCP approached by less than at half the near gain's rate in the last STANDS_S."""
+    """Return whether the TCP, in the last STANDS_S since ``first``, neared at less than half its due rate."""
     begin = len(trace.ticks) - 1 - round(STANDS_S / trace.scenario.settings.clock.control_period_s)
     error = hypot(*pose_errors(trace))
     rate_per_s = 0.5 * trace.scenario.settings.servo.gain_near
@@ -272,7 +272,7 @@ class GainSwitchIterations(Worded):
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the first crossing after the hands have left."""
         period_s = trace.scenario.settings.clock.control_period_s
-        # half a period more, so that no rounding of times decides; the margin is cut to whole ticks
+        # half a period more, so that rounding does not decide; the margin is cut to whole ticks
         timed = GainSwitchReached(within_s=(self.within + 0.5) * period_s).evaluate(trace)
         evaluation = replace(timed, sentence=self.sentence, unit=self.unit)
         if timed.margin is None:
@@ -303,7 +303,7 @@ class NeverStarved(Worded):
 
     The error is that of eq. 15 for the true pose, (distance^2 + angle^2)^(1/2) in metres and radians. The
     task is done while the error is below the root of the gain switch. The task pauses at a tick if it is not
-    done and the controller does not servo. It also pauses if the error falls with less than a tenth of the
+    done and the controller does not servo. It also pauses if the error falls at less than a tenth of the
     closed form's rate lambda |e|. The pause ends when the error is 1 mm smaller than ever since the task was
     last done. So a system that servoes and gives way in turns without coming nearer pauses its task.
     """

@@ -23,7 +23,7 @@ from safety_harness.trace.trace import Trace, once_a_trace
 Floats = NDArray[np.float64]
 RELATIVE, TURNED_RAD = 1e-6, 1e-4  # rounding; and 0.1 mm at 1 m
 NOT_KNOWN = 10  # in place of an assumption's number
-# Of a run's ``theorem_bits``; bit n says that assumption n did not hold.
+# Masks of a run's ``theorem_bits``, in which bit n says that assumption n did not hold.
 SHIELDED, BROKEN, REFUTED = 1, 0b11111111110, 1 << 11
 
 
@@ -87,7 +87,7 @@ def _of_hands(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
     moved_mps = np.diff(at_m, axis=0) / period_s
     speed_mps = np.linalg.norm(moved_mps, axis=2)
     reach_m = np.maximum(size.radius_m, np.linalg.norm(elbow_m - at_m, axis=2) + size.forearm_radius_m)
-    # where each hand was when the frame that the shield went by was taken, and the box nearest to that
+    # each hand's place when the frame that the shield used was taken, and the nearest box
     frame = np.clip(np.rint(np.maximum(done["taken_s"], 0.0) / period_s).astype(int), 0, len(ticks) - 1)
     real = np.arange(done["hand_in_base_m"].shape[1]) < done["count"][:, None]
     away_m = np.linalg.norm(done["hand_in_base_m"][:, None] - at_m[frame][:, :, None], axis=3)

@@ -29,13 +29,13 @@ from safety_harness.trace.trace import Trace
 
 READ = (*PROPOSAL, "decision.seed", "decision.proposed_spread_m")
 LEAST_DECISIONS = 100
-AT_LEAST = 0.90  # what intervals of 95 % must cover: the difference is what some hundred runs can tell
+AT_LEAST = 0.90  # least coverage of 95 % intervals; some hundred runs can tell this difference
 
 
 class Target(Enum):
     """The target that intervals are to hold."""
 
-    LABEL = "eq. 13 with candidates drawn afresh"  # what most networks are trained and calibrated for
+    LABEL = "eq. 13 with candidates drawn afresh"  # the target of most networks' training and calibration
     OPTIMUM = "eq. 13 with the continuous optimum"  # exact: no label is nearer to the desired position
 
 

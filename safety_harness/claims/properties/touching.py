@@ -221,7 +221,7 @@ def _distal_part(arm: Arm, joint: int) -> Arm:
 def _moved(capsules: bytes, dtype: np.dtype[np.void], joint: int) -> NDArray[np.void]:
     moving = np.frombuffer(capsules, dtype)
     moving = moving[moving["link_index"] > joint].copy()
-    moving.setflags(write=False)  # as all of them are: the same type for compiled code
+    moving.setflags(write=False)  # like all others, so that compiled code gets the same type
     return moving
 
 

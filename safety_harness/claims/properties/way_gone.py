@@ -31,12 +31,12 @@ from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 
 OFF_RAD = radians(1.0)
-LEVER_M = 0.5  # about which an arm turns: the least that raises no alarm
+LEVER_M = 0.5  # radius about which an arm turns: the least that raises no alarm
 MOST_OFF_RAD = radians(5.0)
 SHORT_M = 0.001  # beyond the arrival tolerance
 PACE = Shares(speed=0.95, acceleration=0.9)
-BEGUN_SHARE = 0.25  # of the change of velocity that a tick allows; drives that lag begin with less
-ASIDE_MPS = 0.001  # a slower motion across the way need not be turned
+BEGUN_SHARE = 0.25  # of the velocity change allowed in a tick; drives that lag begin with less
+ASIDE_MPS = 0.001  # a TCP with a slower motion across the way need not turn
 Vector = NDArray[np.float64]  # (3,)
 
 
@@ -117,12 +117,12 @@ def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, wh
     length_m = np.linalg.norm(chord, axis=1)
     along_m = product(chord, bearing) / max(length(bearing), 1e-9)
     aside_m = np.sqrt(np.maximum(length_m * length_m - along_m * along_m, 0.0))
-    # A demand that is late moves an arm that has turned meanwhile.
+    # The arm has turned by the time that a late demand moves it.
     late_m = max(trace.scenario.settings.avoidance.repulsion_speed_mps, LEAST_SPEED_MPS) * sum(
         _delays_s(trace)
     )
     off_rad = min(OFF_RAD + late_m / LEVER_M, MOST_OFF_RAD)
-    # What lies behind the apex is off by its whole length.
+    # A point behind the apex is off by its whole distance from the apex.
     left_m = np.where(
         length_m >= LEAST_WAY_M, sin(off_rad) * length_m - aside_m + np.minimum(along_m, 0.0), inf
     )
@@ -135,7 +135,7 @@ def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, wh
 
 
 def _end(trace: Trace, number: int, last: int, target_in_base_m: Vector, where: str) -> list[Finding]:
-    """Return a finding on the TCP's distance from the target when its controller regards it as arrived."""
+    """Return a finding on the TCP's distance from ``where`` when its controller regards it as arrived."""
     if not arrival_claimed(trace, number, last):
         return []
     tcp_in_base = trace.ticks["transform_tcp_to_base"][last, :3, 3]

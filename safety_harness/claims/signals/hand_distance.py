@@ -33,10 +33,10 @@ from safety_harness.claims.signals.true_motion import (
 from safety_harness.trace.trace import Trace, history
 
 POINT = (0.0, 0.0)  # radii of a hand that is a point
-FASTEST_RADPS = 1e4  # no joint turns so fast: such a speed says nothing
-SATURATED_RADPS = 1e-3  # a mean speed this far from that of the tick's end is of motors that may saturate
-ROUNDING_RADPS = 1e-6  # by which a mean speed may be beyond what is recorded: a nanometre or two
-TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
+FASTEST_RADPS = 1e4  # no joint turns so fast, so that such a speed is meaningless
+SATURATED_RADPS = 1e-3  # motors may saturate if the mean speed is this far from that at the tick's end
+ROUNDING_RADPS = 1e-6  # by which a mean speed may exceed the recorded speeds: a nanometre or two
+TURNED_RAD = 8.0 * np.pi  # four times the limits: beyond it an engine or a file has taken the arm apart
 
 
 def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -71,7 +71,7 @@ class Nearest(NamedTuple):
 def known_to(
     limit_m: float, nearest: Callable[[Trace, HandPaths], Nearest], trace: Trace, paths: HandPaths
 ) -> Nearest:
-    """Return the approach by ``nearest``, with ``finer_paths`` if its bounds include ``limit_m``."""
+    """Return the result of ``nearest``, with ``finer_paths`` if ``limit_m`` lies between its bounds."""
     known = nearest(trace, paths)
     return nearest(trace, finer_paths(trace)) if known.low_m < limit_m <= known.high_m else known
 
@@ -228,7 +228,7 @@ def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.floa
     if not own.any():
         return ticks, joints_rad, hand_m, elbow_m, distance_m, slack_m
     corner_at = paths.corner_at[own]
-    # a sample that is a rounding before the last tick is at it
+    # a sample that lies before the last tick only by rounding counts as at that tick
     next_tick = np.minimum(np.searchsorted(ticks, corner_at, side="right"), len(ticks) - 1)
     at = np.insert(ticks, next_tick, corner_at)
     corners = paths.corners_in_base_m[own]
@@ -310,8 +310,9 @@ def _closest_in_trace(
 ) -> tuple[float, int, float, float]:
     """Return the least distance [m], the instant before it, the share of the way onwards, and an upper bound.
 
-    The function skips stretches that cannot be nearer than the least distance so far. For a joint moves no
-    point farther than its angle times its chain of links, and distances change by no more than points move.
+    The function skips stretches that cannot be nearer than the least distance so far. This is safe because
+    distances change by no more than points move, and no joint moves a point farther than its angle times its
+    chain of links.
     """
     best = np.inf
     index, fraction = 0, 0.0

@@ -14,8 +14,8 @@ from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import ENDLESS
 from safety_harness.trace.trace import Trace
 
-# A hand nearer than this puts a claim to the test: the claims' own number.  Were it a setting of the tested
-# system, whoever changes that setting would change how many runs count.
+# A hand nearer than this exercises a claim.  The number belongs to the claims: if it were a setting of the
+# tested system, a change of that setting would change how many runs count.
 NEAR_M = 0.4
 MOVES = 1e-3  # m/s and rad/s: what is slower stands
 SEEN = ("predicted_distance_m", "transform_tcp_to_base", "hand_position_in_base_m", PRESENCE)

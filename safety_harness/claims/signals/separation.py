@@ -141,9 +141,9 @@ def least_separation(
     pair. The second result (5,) is the distance [m], v_r, v_h, and the ways [m] of the hand's and the robot's
     nearest point in half a period.
 
-    The search skips ticks and pairs that cannot have a smaller margin than the least so far. For distances
-    change by no more than points move, and no point of a capsule or hand is faster than its ends. The search
-    does not trust the trace's own distances.
+    The search skips ticks and pairs that cannot have a smaller margin than the least so far. This is safe
+    because distances change by no more than points move, and no point of a body is faster than its ends. The
+    search does not trust the trace's own distances.
     """
     indices, values = np.full(4, -1), np.full(5, np.nan)
     joints, capsules = arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
@@ -152,13 +152,13 @@ def least_separation(
     direction, robot, human = np.empty(3), np.empty(3), np.empty(3)
     thickest_m = max(body_radius_m[0], body_radius_m[1])
     least, good_enough = np.inf, np.inf
-    looked, near_m, arm_mps = 0, -np.inf, np.inf  # when all pairs were looked at, and what was found
+    looked, near_m, arm_mps = 0, -np.inf, np.inf  # the last tick with all pairs computed, and its result
     for step in range(-1, judged.shape[0]):
         k = step if step >= 0 else first_look
         if step > 0:
             near_m -= arm_step_m[k - 1] + hand_step_m[k - 1]
         elif step == 0:
-            near_m, least = -np.inf, np.inf  # what was found at the first look counts in its turn
+            near_m, least = -np.inf, np.inf  # the first look counts again when its tick comes
         if not judged[k]:
             continue
         human_mps = hand_step_m[k] / period_s
@@ -253,7 +253,7 @@ def farthest_steps(
             if present[k, hand] != present[k + 1, hand]:
                 farthest = np.inf
             if not (present[k, hand] and present[k + 1, hand]):
-                continue  # what stands where no hand is need not be a number
+                continue  # values of an absent hand need not be numbers
             for body in range(2):
                 total = 0.0
                 for i in range(3):
@@ -268,7 +268,7 @@ def farthest_steps(
 
 @inlined
 def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, body: int, i: int) -> float:
-    """Return component ``i`` of a mean velocity [m/s] in the period after tick ``k``, or in the last period.
+    """Return component ``i`` of a mean velocity [m/s] over the period after tick ``k``, or the last period.
 
     ``hands_m`` (n, hands, 2, 3).
     """
@@ -290,11 +290,11 @@ def faster_mps(
     """Return how much faster [m/s] a point of the arm can be at tick b than the same point at tick a.
 
     It is the sum over joints j of |q'_j(b) - q'_j(a)| l_j + |q'_j(b)| sum over i of |q_i(b) - q_i(a)|
-    l_max(i, j). For the velocity of a point p is the sum over j of q'_j dp/dq_j. |dp/dq_j| is at most the
-    length l_j of the chain of links from joint j to p. |d^2 p/dq_i dq_j| is at most that from the outer joint
-    of i and j.
+    l_max(i, j). The bound holds because a point p has the velocity sum over j of q'_j dp/dq_j. |dp/dq_j| is
+    at most the length l_j of the chain of links from joint j to p. |d^2 p/dq_i dq_j| is at most the length
+    from the outer joint of i and j.
     """
-    faster, distal, proximal = 0.0, 0.0, 0.0  # the sums of turns times lengths beyond j, and of turns up to j
+    faster, distal, proximal = 0.0, 0.0, 0.0  # sums of turns times lengths beyond j, and of turns up to j
     joints, reach_m = arm.chain[0].joint_axes.shape[0], arm.reach_m
     for i in range(joints):
         distal += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[i]

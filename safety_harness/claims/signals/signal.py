@@ -37,8 +37,8 @@ class Sampled:
     """A signal's values over a trace of n ticks, in SI; a truth is 1.0 or 0.0, and NaN is unknown.
 
     ``value`` (n,) is the value at each tick, which may be inf; ``low`` and ``high`` (n,) bound it from that
-    tick to the next. ``surely`` (n,) is a value that the signal certainly falls to, or below, between a tick
-    and the next (None: not computed). ``absent`` is the reason why the run has no such signal, or empty.
+    tick to the next. Between a tick and the next, the signal certainly falls at some moment to ``surely``
+    (n,) or below (None: not computed). ``absent`` is the reason why the run has no such signal, or empty.
     ``tried`` are two bounds (n,) of a number that is above 0 at ticks that exercise a claim on the signal
     (None: every tick does). ``untried`` states what did not happen if no tick does. For a distance, ``comes``
     names who comes near to what. Then each approach counts as one, and the claim's limit determines how near
@@ -94,7 +94,7 @@ class Signal:
 
 
 def at_ticks(value: Values) -> Sampled:
-    """Return a signal ``value`` (n,) that keeps its value until the next tick, or of which ticks count."""
+    """Return a signal ``value`` (n,) that is held until the next tick, or of which only the ticks count."""
     return Sampled(value=value, low=value, high=value)
 
 
@@ -105,7 +105,7 @@ def absent(trace: Trace, why: str) -> Sampled:
 
 
 def bounded(value: Values, variation: Values) -> Sampled:
-    """Return a signal ``value`` (n,) with bounds, given its ``variation`` (n-1,) at most in each cell."""
+    """Return a signal ``value`` (n,) with bounds for changes of at most ``variation`` (n-1,) in the cells."""
     low, high = value.copy(), value.copy()
     low[:-1], high[:-1] = lipschitz_bounds(value[:-1], value[1:], variation, 0.0)
     return Sampled(value=value, low=low, high=high)

@@ -36,7 +36,7 @@ from safety_harness.trace.records import as_compiled, as_numbers, columns
 from safety_harness.trace.trace import Trace, once_a_trace
 
 RESOLUTION_M = 1e-4
-SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
+SAME_M = 1e-6  # a hand farther than this from where the scenario moves it is not the scenario's hand
 JOINTS = ("joint_position_rad", "joint_velocity_radps")
 BODIES = ("hand_position_in_base_m", "elbow_position_in_base_m")
 DERIVED = {  # from what
@@ -44,8 +44,8 @@ DERIVED = {  # from what
     "tcp_speed_mps": JOINTS,
     "hand_distance_m": (JOINTS[0], *BODIES, PRESENCE),
 }
-PARTS = 16  # of a tick: what 90 m/s2 bends within 8 ms is 3 um in one of them
-TOLERANCE = 1e-9  # metres, metres a second and entries of rotations: another machine's last digits
+PARTS = 16  # of a tick: in one part of 8 ms / 16, 90 m/s2 bends a path by 3 um
+TOLERANCE = 1e-9  # of metres, m/s and entries of rotations, for the last digits of another machine
 
 
 class TrueMotion:
@@ -360,7 +360,7 @@ def _follow(
             even[i] = _evenly(hands_before[guide], hands[guide], period_s)
             heads = not even[i] and _heads_for_tcp(hands_before[guide], hands[guide], moves)
             if not moves_on or heads or hands[guide].recorded:
-                parts[k, i] = 1  # it rests, or its way is not known but at the ticks
+                parts[k, i] = 1  # it rests, or its way is known only at the ticks
         for part in range(1, parts[k].max() if parts.shape[1] else 1):
             there, gone_s = hands_before.copy(), part * period_s / parts[k].max()
             advance_hands(there, moves, samples, tcp_in_base_m[k], k * period_s, gone_s)

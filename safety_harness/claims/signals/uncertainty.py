@@ -92,8 +92,8 @@ def as_known(signal: Signal, measured: Sampled, trace: Trace) -> Sampled:
     )
 
 
-# By how much a signal may be off, as its columns are uncertain: at the ticks, and its bounds between them,
-# (at, below, above) in SI.
+# The functions below return the errors (at, below, above) [SI] of a signal by its uncertain columns: at the
+# ticks, and below and above its bounds between them.
 
 
 def by_uncertainty_of(*columns: str) -> ErrorOf:

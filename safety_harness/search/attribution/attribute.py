@@ -318,7 +318,7 @@ class _ClaimTrials:
 
 
 def _rank(ingredients: Iterable[Ingredient]) -> list[int]:
-    """Return the place of each ingredient in the order of ``Ingredient``."""
+    """Return the place of each of ``ingredients`` in the order of ``Ingredient``."""
     order = list(Ingredient)
     return [order.index(ingredient) for ingredient in ingredients]
 

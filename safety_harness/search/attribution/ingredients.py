@@ -74,7 +74,7 @@ class Ingredient(Enum):
     HAND = "hand"
 
 
-# A user's controller replaces the servo, so that changes of these have no effect.
+# A user's controller replaces the servo, so changes of these ingredients have no effect.
 OF_THE_SERVO = frozenset({Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GATE, Ingredient.FALLBACK})
 
 
@@ -391,7 +391,7 @@ def _slower_move(move: HandMove) -> HandMove:
     return replace(move, **{k: factor * getattr(move, k) for k, factor in slower.items() if hasattr(move, k)})
 
 
-# Settings with ingredients of their own.  Groups that describe arm, cell, person and sensors are no choice.
+# Settings that belong to other ingredients.  Groups that describe arm, cell, person or sensors are no choice.
 ELSEWHERE = ("gate", "critical_distance_m", "decision_time", "decision_deadline_s")
 AT_DEFAULT = (
     *(

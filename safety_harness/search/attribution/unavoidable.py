@@ -36,7 +36,7 @@ from safety_harness.search.attribution.ingredients import fastest_tcp_mps
 
 SeeksTcp = ReachForTcp | FollowTcp
 STEPS = 200  # of the path of a hand that brakes
-LEAST = 1.05  # times the TCP's speed: a slower hand is not followed any further
+LEAST = 1.05  # times the TCP's speed: a slower hand is not followed any longer
 NOWHERE = np.zeros(3)  # a TCP for hands that do not depend on it
 
 
@@ -199,7 +199,7 @@ class HandPath:
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, number: int) -> HandPath:
-        """Return the path of hand ``number`` until its own or its leader's move that heads for the TCP."""
+        """Return hand ``number`` of ``scenario`` until its own or its leader's first move towards the TCP."""
         leader, settled = scenario.leader(scenario.hands[number]), scenario
         moves = leader.moves if isinstance(leader, MovingHand) else ()
         seeks = next((k for k, move in enumerate(moves) if isinstance(move, SeeksTcp)), None)
