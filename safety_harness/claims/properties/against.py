@@ -1,4 +1,4 @@
-"""Compare two avoiders on the same draws: the avoider on trial and the reference.
+"""Compare two avoiders on the same draws: the avoider under test and the reference.
 
 Scenario, seed and all else are the same for both, so the avoiders cause every difference.
 """
@@ -49,7 +49,7 @@ def tolerance(*both: Evaluation) -> float:
 
 
 class VerdictChange(Enum):
-    """The change of a claim's result from the reference to the avoider on trial."""
+    """The change of a claim's result from the reference to the avoider under test."""
 
     NEW = "new violation"
     DEEPER = "violated by more"
@@ -185,7 +185,7 @@ class Against:
 
     @property
     def sentence(self) -> str:
-        """Return a sentence on the violations in pairs with verdicts, with the exact test."""
+        """Return a sentence on the violations in all pairs with two verdicts, and on their exact test."""
         new = [self._certain(run, VerdictChange.NEW) for run in self.runs]
         gone = [self._certain(run, VerdictChange.GONE) for run in self.runs]
         both = sum(a and b for a, b in zip(new, gone, strict=True))
@@ -271,7 +271,9 @@ def _as_json(difference: ClaimDifference) -> dict[str, Any]:
 
 
 def paired_words(mine: str, reference: str, new: int, gone: int, runs: int, *, both: int = 0) -> str:
-    """Return a sentence on how many of ``runs`` only one avoider violates a claim in; ``p_words`` follows it.
+    """Return a sentence on the number of ``runs`` in which only one avoider violates a claim.
+
+    ``p_words`` follows the sentence.
 
     A run in which each violates a claim that the other keeps (``both``) counts for neither.
     """
@@ -285,7 +287,7 @@ def paired_words(mine: str, reference: str, new: int, gone: int, runs: int, *, b
 def overruling_words(
     mine: tuple[str, Overruling], reference: tuple[str, Overruling], more: int, less: int
 ) -> str:
-    """Return a sentence on two avoiders' overruled proposals, for ``p_words`` to follow, or ""."""
+    """Return a sentence on both avoiders' overruled proposals, before ``p_words``; empty without any."""
     if not (mine[1].proposals and reference[1].proposals):
         return ""
     shares = ", ".join(

@@ -127,7 +127,7 @@ def least_along(
     slack_m: Floats | float = 0.0,
     limit_m: float = 0.0,
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Return both bounds (c,) of the least clearance along linearly moving joints, and (c,) its sample.
+    """Return both bounds (c,) of the least clearance as joints move linearly, and (c,) the sample before.
 
     ``clearance_m`` returns clearances (n, c) at joints (n, joints). Between two samples, no point moves
     farther than the sum over joints of the turn times the chain of links. It leaves that way by at most

@@ -63,7 +63,7 @@ def proposals(trace: Trace) -> NDArray[np.void]:
 
 
 def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
-    """Return the margin's ends, as ``reads`` expects: equal, or infinite with an earlier question."""
+    """Return ends for ``reads``: ``margin`` twice, or infinite ends if a question precedes its decision."""
     decisions, known = trace.decisions, trace.known
     own = bool((decisions["asked_tick"] == decisions["tick"]).all())
     if not own or known.uncertain([name for name in (*PROPOSAL, *SURENESS) if name.startswith(OF_DECISIONS)]):

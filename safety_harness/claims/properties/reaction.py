@@ -410,7 +410,7 @@ def beginnings(trace: Trace) -> NDArray[np.int64]:
 
 
 def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
-    """Return the margin's least and largest possible value, and whether the claim was exercised.
+    """Return the margin's least and largest possible values, and whether the claim was exercised.
 
     The least margin has the nearest hand as far as possible at every possible beginning; the largest has it
     as near as possible. A beginning is uncertain by the tick before it, and a decision by a tick either way

@@ -310,8 +310,8 @@ def _closest_in_trace(
 ) -> tuple[float, int, float, float]:
     """Return the least distance [m], the instant before it, the share of the way onwards, and an upper bound.
 
-    The function skips stretches that cannot be nearer than the least distance so far. This is safe because
-    distances change by no more than points move, and no joint moves a point farther than its angle times its
+    The function skips stretches that cannot be nearer than the least distance so far. It can do so because
+    distances change by no more than points move. No joint moves a point farther than its angle times its
     chain of links.
     """
     best = np.inf

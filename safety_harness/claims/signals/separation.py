@@ -141,7 +141,7 @@ def least_separation(
     pair. The second result (5,) is the distance [m], v_r, v_h, and the ways [m] of the hand's and the robot's
     nearest point in half a period.
 
-    The search skips ticks and pairs that cannot have a smaller margin than the least so far. This is safe
+    The search skips ticks and pairs that cannot have a smaller margin than the least so far. It can do so
     because distances change by no more than points move, and no point of a body is faster than its ends. The
     search does not trust the trace's own distances.
     """
