@@ -51,7 +51,7 @@ class Complaint:
         return failure_of(run) == self.kind if self.claim is None else self.margin_in(run) is not None
 
     def margin_in(self, run: Trace | Exception) -> float | None:
-        """Return the margin of the violation [SI]; None if ``run`` does not violate the claim."""
+        """Return the margin [SI] of the violation in ``run``; None if ``run`` does not violate the claim."""
         if self.claim is None or isinstance(run, Exception):
             return None
         if self.kind and self.kind != without_numbers(fault_of(run)):

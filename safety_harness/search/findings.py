@@ -48,7 +48,7 @@ class Goal:
     of = from_property  # deprecated: the old name, for one release
 
     def margin_text(self, margin: float) -> str:
-        """Return a margin [SI] as text in its display unit; a dash for a difference that is no finding."""
+        """Return ``margin`` [SI] as text in its display unit; a dash for a difference that is no finding."""
         return "-" if self.against and margin >= 0.0 else self.unit.margin_text(margin)
 
 
@@ -129,7 +129,7 @@ class Group:
 
 @dataclass(eq=False)
 class Findings:
-    """The findings of one search, while it runs and afterwards.
+    """The findings of one search, which grow while it runs.
 
     ``tried`` counts the points that were run, and ``asked`` also those that admission refused. ``evidence``
     (k,) counts the runs with a verdict on each claim, and ``violated`` (k,) those that violate it.

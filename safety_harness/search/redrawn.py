@@ -128,7 +128,7 @@ def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
 
 
 def _refused(runs: Sequence[RunDifference]) -> tuple[int, int]:
-    """Return the number of runs with more failed checks per proposal, spread aside, and with fewer."""
+    """Return in how many runs more checks fail per proposal, spread aside, and in how many runs fewer."""
     shares = np.array([run.more_refused for run in runs])
     return int((shares > 0.0).sum()), int((shares < 0.0).sum())
 

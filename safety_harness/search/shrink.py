@@ -1,4 +1,4 @@
-"""Shrinking: from a scenario that violates a claim to a simple one that still violates it.
+"""Shrink a scenario that violates a claim to a simple one that still violates it.
 
 A simpler scenario lacks a part, or its numbers are slower, shorter, nearer to their defaults or rounder.
 Shrinking first halves the run as often as possible, because shorter runs are quicker. Then it removes parts
@@ -351,7 +351,7 @@ class _Shrinking:
 
 
 def _read_back(text: str, scenario: Scenario) -> Scenario | None:
-    """Return the scenario of a file with this text; None if it is no valid file.
+    """Return the scenario of a file with ``text``; None if that is no valid file.
 
     Recorded motions are read again from their own files.
     """

@@ -91,7 +91,7 @@ in_kinematic = InWorld(KINEMATIC)
 
 @dataclass(eq=False)
 class Trials:
-    """The points of ``space`` in ``world``: an ``Evaluate`` for a search.
+    """The trials of points of ``space`` in ``world``, as an ``Evaluate`` for a search.
 
     ``avoider`` replaces the space's avoider; a relative path starts at the working directory. ``sentences``
     replace the space's claims. The trials add the claim "the avoider answered", unless another claim covers

@@ -163,7 +163,7 @@ class Always(_Over):
 
 @dataclass(frozen=True)
 class Eventually(_Over):
-    """The formula that the body holds at a tick of the window, or at any later tick: the largest margin."""
+    """The formula that the body holds at a tick of the window, or at one from now on: the largest margin."""
 
     span: Span | None = None
 

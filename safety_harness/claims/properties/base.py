@@ -146,7 +146,7 @@ def close_to(prop: Said) -> float | None:
 
 
 def far_words(close: float | None, least_margin: float | None) -> str:
-    """Return the remark that no run came within half of its limit; empty if one did or ``close`` is None."""
+    """Return the remark that no run came within half of its limit; empty if one did, or without a limit."""
     far = close and least_margin is not None and least_margin > close
     return "no run came within half of its limit; is it in the unit that is meant?" if far else ""
 

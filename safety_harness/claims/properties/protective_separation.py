@@ -136,7 +136,7 @@ class ProtectiveSeparation(Worded):
 
     @property
     def assumed_mps(self) -> float:
-        """Return the v_h that replaces the hands' own speeds."""
+        """Return the speed v_h [m/s] that replaces the hands' own speeds."""
         return self.default_mps if self.hand_speed_mps is None else self.hand_speed_mps
 
     def stopped_from_mps(self, trace: Trace) -> NDArray[np.float64]:

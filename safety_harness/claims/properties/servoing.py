@@ -258,7 +258,7 @@ CONVERGED = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class GainSwitchIterations(Worded):
-    """``GainSwitchReached`` with its time counted in control ticks after the last hand has left."""
+    """The claim of ``GainSwitchReached`` with the time counted in control ticks."""
 
     within: int
     unit: Unit = Unit.COUNT

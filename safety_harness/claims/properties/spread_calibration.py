@@ -66,10 +66,10 @@ class SpreadCalibration:
     """The claim that the share ``at_least`` of decisions has the target within the interval on all axes.
 
     Only the first answered decision of each run counts, because later decisions of the run depend on it. The
-    verdict depends on the exact 95 % interval (Clopper and Pearson) of the share. It is holds if the whole
-    interval is at least ``at_least``, and violated if the whole interval is less. Otherwise, and with fewer
-    than 100 decisions, it is inconclusive. The margin is the distance from the nearer end of that interval to
-    ``at_least``.
+    verdict depends on the exact 95 % interval (Clopper and Pearson) of the share. It is *holds* if the whole
+    interval is at least ``at_least``, and *violated* if the whole interval is less. Otherwise, and with fewer
+    than 100 decisions, it is *inconclusive*. The margin is the distance from the nearer end of that interval
+    to ``at_least``.
 
     By default, ``intervals`` are those of the shipped network that the runs name.
     """

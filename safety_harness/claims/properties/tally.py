@@ -99,7 +99,7 @@ BASIS_OF_ANSWERS = basis([NO_WORLD], "no run was made", ("what a run does with t
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
-    """The outcome of a claim in a run.
+    """The outcome of one claim in one run.
 
     ``run`` is the name of the run's scenario; ``expected`` is the verdict that the author of the claim
     expects.
@@ -232,7 +232,7 @@ def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:
 
 
 def table_lines(tallies: Sequence[ClaimTally], most: int | None = None) -> list[str]:
-    """Return the tallies as a ``table``, with a mark for claims that were never exercised."""
+    """Return the lines of a ``table`` of ``tallies``, with a mark for claims that were never exercised."""
     return table(HEADINGS, map(_cells, tallies), most, named_by=1, right=range(1, 7))
 
 

@@ -1,6 +1,6 @@
 """Find the parts of scenarios that no run exercised: moves that never began, and faults that never acted.
 
-For a space, find also the values that only vary these parts. A verdict does not cover them. A fault of a hand
+For a space, find also the values that only vary these parts. A verdict covers neither. A fault of a hand
 sensor counts as exercised if it acts while a hand is within twice NEAR_M of the TCP.
 """
 

@@ -20,7 +20,7 @@ def lipschitz_bounds(first: Any, second: Any, variation: Any, slack: Any) -> tup
     """Return bounds of a signal that varies by at most ``variation`` on its way from ``first`` to ``second``.
 
     After a part x of that way, the signal differs by at most x from ``first``, and by at most variation - x
-    from ``second``. ``slack`` is a further error of the signal.
+    from ``second``. ``slack`` is an additional error of the signal, which widens the bounds.
     """
     low = np.minimum(0.5 * (first + second - variation), np.minimum(first, second)) - slack
     return low, np.maximum(0.5 * (first + second + variation), np.maximum(first, second)) + slack

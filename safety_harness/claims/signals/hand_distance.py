@@ -148,7 +148,7 @@ def closest_between(
 def ends_between(
     trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both ends of a hand's least distance [m] from tick to tick, and the ways of hand and elbow.
+    """Return both bounds of a hand's least distance [m] between ticks, and the ways of hand and elbow [m].
 
     Both results are (2, n-1); NaN stands for unknown. The distance is that from the arm, surface to surface,
     or with ``from_tcp`` that from the TCP to the hand's centre.
@@ -187,7 +187,7 @@ def between_ticks(
     radii_m: tuple[float, float],  # of hand and forearm
     tolerance_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both ends of a hand's least distance [m] from tick to tick, and the ways [m] of hand and elbow.
+    """Return both bounds of a hand's least distance [m] between ticks, and the ways [m] of hand and elbow.
 
     Both results are (2, n - 1). Arm and hand move straight from corner to corner.
     """

@@ -13,7 +13,7 @@ from safety_harness.trace.trace import Trace
 
 
 def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
-    """Return (k, tracks) the distance of each prediction from the nearest true hand at the predicted time.
+    """Return (k, tracks) the distance [m] of each prediction from the nearest true hand at its time.
 
     k is the number of ticks whose predictions are for times within the trace. The distance is NaN if a slot
     tracks no hand.

@@ -269,7 +269,7 @@ class _Trials:
 
 @dataclass(frozen=True, eq=False)
 class _ClaimTrials:
-    """The attribution of one claim of a system."""
+    """The replays of one claim, and its attribution."""
 
     trials: _Trials
     number: int

@@ -120,7 +120,7 @@ class Altered(Admitted):
 
 
 def setting(group: str, values: Callable[[Settings], Mapping[str, Any]]) -> Callable[[Altered], Altered]:
-    """Return a change of some values in one group of the settings.
+    """Return a change that sets new ``values`` in one ``group`` of the settings.
 
     Args:
         group: The name of the group in Settings.
@@ -365,7 +365,7 @@ def _separation_m(settings: Settings) -> float:
 
 
 def _half_as_fast(system: Altered) -> Altered:
-    """Move hands on the same paths at half their speed, in a run of twice the duration."""
+    """Let hands move on the same paths at half their speed, in a run of twice the duration."""
     scenario = system.scenario
     hands = tuple(map(_slower, scenario.hands))
     if hands == scenario.hands:

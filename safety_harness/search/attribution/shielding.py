@@ -18,7 +18,7 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True)
 class ShieldAttribution:
-    """The evaluations of *no moving part touches a hand* in three runs, and the unchanged run.
+    """The evaluations of the claim *no moving part touches a hand* in three runs, with the unchanged run.
 
     ``alone`` is None for a scenario with a user's own controller.
     """

@@ -317,8 +317,8 @@ def _pursued(free: FreeArm, path: HandPath, near_m: float, scenario: Scenario, h
 class Chase:
     """A hand that heads for a TCP from rest, with the motion that ``pursue`` computes.
 
-    ``speed_mps`` and ``acceleration_mps2`` limit the hand, ``fleeing_mps`` limits the TCP.  The hand stops at
-    the distance ``until_m``.
+    ``speed_mps`` and ``acceleration_mps2`` limit the hand, and ``fleeing_mps`` limits the TCP's speed. The
+    hand stops at the distance ``until_m``.
     """
 
     speed_mps: float
