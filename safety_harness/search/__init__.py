@@ -1,1 +1,1 @@
-"""Search: find scenarios that violate a claim, and return the simplest, without an estimate."""
+"""Search: find scenarios that violate a claim, and shrink them, without an estimate of their probability."""

@@ -1,6 +1,6 @@
-"""The search for the largest difference: a claim that an avoider violates and a reference keeps.
+"""Search for the largest difference between two avoiders: one violates a claim, and the reference keeps it.
 
-Both avoiders run on the same draw of the space.
+Both avoiders run in the same scenario, drawn from the space.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ def difference_of(mine: Evaluation, reference: Evaluation) -> float:
 def difference(
     mine: float | None, reference: float | None, scale: float, tolerance: float | None = None
 ) -> float:
-    """Return the value that leads a search for a difference, in the unit of both margins; less is better.
+    """Return the value that a search for differences minimises, in the unit of both margins.
 
-    The value is negative exactly where ``mine`` < 0 and the reference keeps the claim by the tolerance; it
-    then is ``mine`` - ``reference``.  Everywhere else it stays positive, because a difference between two
-    avoiders that both keep a claim is no finding.  There it falls as the difference falls, as ``mine`` falls
-    to 0, and as the reference rises to the tolerance.
+    The value is negative exactly if ``mine`` < 0 and the reference keeps the claim by the tolerance. It then
+    is ``mine`` - ``reference``. Otherwise it is positive, because a difference between two avoiders that both
+    keep a claim is no finding. A positive value falls as the difference falls, as ``mine`` falls to 0, and as
+    the reference rises to the tolerance.
 
     Args:
         mine: The margin of the avoider under test [unit of ``scale``]; None or NaN if it is unknown.
-        reference: The margin of the reference; without it, a violation counts whole.
-        scale: The scale of the unit.
-        tolerance: The tolerance; None: ``TOLERANCE`` times the scale.
+        reference: The margin of the reference; if it is None, a violation counts whole.
+        scale: The scale of the margins' unit.
+        tolerance: The least margin by which the reference keeps a claim; None: ``TOLERANCE`` times the scale.
 
     Returns:
         The difference; NaN if it is unknown.
@@ -65,9 +65,9 @@ def difference(
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """An avoider that replaces a run's own; everything else stays the same.
+    """The avoider that replaces a run's own avoider for a comparison, in an otherwise equal scenario.
 
-    ``avoider`` is a name, or a path from the working directory.
+    ``avoider`` is a name, or a path relative to the working directory.
     """
 
     avoider: str
@@ -79,13 +79,14 @@ class Reference:
         return told_avoider(self.avoider)
 
     def in_place(self, scenario: Scenario) -> Scenario:
-        """Return ``scenario`` with this avoider; an InadmissibleError names ``--against``."""
+        """Return ``scenario`` with this avoider; raise InadmissibleError, which names ``--against``."""
         return with_avoider(scenario, self.avoider, Place(field="--against"))
 
     def said_of(self, claim: Claim, run: Trace) -> Evaluation | None:
         """Return the evaluation of ``claim`` in the reference's run of the scenario of ``run``.
 
-        The result is None if that scenario could not be run.  Each run is repeated once, then remembered.
+        The result is None if the reference could not run there. The reference runs once for each run; the
+        result is remembered.
         """
         if run not in self._runs:
             self._runs[run] = self._run(run)
@@ -93,7 +94,7 @@ class Reference:
         return None if repeated is None else property_of(claim, run.scenario).evaluate(repeated)
 
     def _run(self, run: Trace) -> Trace | None:
-        """Return the run with the reference, in the same world; None if it is refused or fails."""
+        """Repeat ``run`` with the reference in the same world; return None if it is refused or fails."""
         try:
             admitted = admit(self.in_place(run.scenario))
         except InputError:
@@ -102,7 +103,7 @@ class Reference:
         return repeated if isinstance(repeated, Trace) else None
 
     def keeps(self, claim: Claim, run: Trace) -> bool:
-        """Return whether the reference ran and kept ``claim``, by the tolerance if there is a margin."""
+        """Return whether the reference ran and kept ``claim``, at least by the tolerance of its margin."""
         evaluation = self.said_of(claim, run)
         if evaluation is None or evaluation.verdict is Verdict.VIOLATED:
             return False

@@ -1,4 +1,4 @@
-"""CMA-ES (Hansen and Ostermeier, 2001) with restarts, as ask and tell, with bits of its own."""
+"""CMA-ES (Hansen and Ostermeier, 2001) with restarts, used by ask and tell, with its own random numbers."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.search import least
 
-_FLAT = 1e-9  # a population with smaller differences of scores has no direction
+_FLAT = 1e-9  # a population whose scores differ by less shows no direction
 _MARGIN = 0.05  # beyond a face
 _PATIENCE = 10  # generations without an improvement
 
 
 def _folded(points: Points) -> Points:
-    """Return ``points`` (m, n) in the unit cube: folded beyond a margin, and bent smoothly to the faces.
+    """Return ``points`` (m, n) in the unit cube: reflected beyond a margin, and bent smoothly to the faces.
 
-    More points lie at a face than after a reflection.  The package ``cma`` 4.5 does the same.
+    So more points lie at a face than after a plain reflection. The package ``cma`` 4.5 uses the same map.
     """
     width = 1.0 + 2.0 * _MARGIN
     folded = width - np.abs(width - np.mod(points + _MARGIN, 2.0 * width))  # from 0 to the width
@@ -33,7 +33,7 @@ def _folded(points: Points) -> Points:
 
 
 def _unfolded(point: Point) -> Point:
-    """Return what ``_within`` maps to ``point`` (n,)."""
+    """Return the point (n,) that ``_folded`` maps to ``point`` (n,)."""
     low = 2.0 * np.sqrt(_MARGIN * point) - _MARGIN
     high = 1.0 + _MARGIN - 2.0 * np.sqrt(_MARGIN * (1.0 - point))
     return np.where(point < _MARGIN, low, np.where(point > 1.0 - _MARGIN, high, point))
@@ -86,7 +86,7 @@ class _Evolution:
         return list(_folded(self._mean + self.sigma * self._steps))
 
     def learn(self, scores: NDArray[np.float64]) -> None:
-        """Learn the scores of the generation; less is better."""
+        """Update the distribution by the ``scores`` of the generation; less is better."""
         order, count = np.argsort(scores, kind="stable"), len(self._weights)
         chosen = self._steps[order[:count]]
         step = product(self._weights, chosen)
@@ -114,18 +114,18 @@ class _Evolution:
 
     @property
     def ended(self) -> bool:
-        """Whether the distribution is degenerate, or a descent never takes so many generations."""
+        """Whether the distribution is degenerate, or has had more generations than any descent takes."""
         return bool(self._generations > self._most or self._roots[-1] > 1e7 * self._roots[0])
 
 
 class Descent:
-    """One run of CMA-ES within bounds; it returns points until a population is complete.
+    """One run of CMA-ES within bounds, which proposes the points of a generation in parts.
 
     Args:
         low: (d,) the lower bounds.
         high: (d,) the upper bounds; equal bounds fix a coordinate.
         start: (d,) the first mean.
-        step: The first standard deviation, as a part of the bounds' distance.
+        step: The first standard deviation, as a share of the distance between the bounds.
         rng: The generator of all draws.
         population: Points per generation; None: 4 + 3 log n.
 
@@ -167,7 +167,7 @@ class Descent:
         return np.clip(proposed, 0.0, 1.0)
 
     def learn(self, scores: NDArray[np.float64]) -> None:
-        """Learn ``scores`` (m,) of the points proposed last; +inf for a point without a score."""
+        """Learn the ``scores`` (m,) of the points proposed last; +inf stands for a point without a score."""
         self._scores += scores.tolist()
         if len(self._scores) < len(self._population):
             return
@@ -183,15 +183,16 @@ class Descent:
 
     @property
     def ended(self) -> bool:
-        """Whether the descent has stagnated; only ever true between generations."""
+        """Whether the descent has stagnated; it can only be True between two generations."""
         stuck = self.flat or self.since_better >= _PATIENCE or self._evolution.sigma < 1e-3
         return not self._population and (stuck or self._evolution.ended)
 
 
 class CmaEs:
-    """CMA-ES on the least score; it restarts from a random point with twice the population on stagnation.
+    """A searcher by CMA-ES on each point's least score over all claims.
 
-    It goes where a claim is violated the most, and treats alternatives like all other coordinates.
+    It descends to where a claim is violated the most. When a descent stagnates, the next one starts at a
+    random point with twice the population. Alternatives are treated like all other coordinates.
     """
 
     name = "cma-es"
@@ -208,12 +209,12 @@ class CmaEs:
         return Descent(low, high, rng.random(self._dimension), 0.3, rng, max(population, 4))
 
     def propose(self, count: int) -> Points:
-        """Return the rest of a generation, or the start of the next."""
+        """Return at most ``count`` points: the rest of a generation, or the beginning of the next."""
         if self._descent.ended:
             self._restarts += 1
             self._descent = self._begin()
         return self._descent.propose(count)
 
     def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
-        """Give the least score of each point to the descent."""
+        """Let the descent learn the least score of each point."""
         self._descent.learn(least(scores))

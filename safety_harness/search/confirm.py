@@ -1,7 +1,7 @@
-"""Confirmation: whether one scenario shows a finding of a search, in a world, and in how many draws.
+"""Confirm a finding: whether its scenario shows it in a given world, and in how many draws.
 
-The draws are of the avoider's own randomness.  A finding that only one of two worlds shows becomes a
-``Disagreement``, with both runs.
+A draw repeats the run with other random numbers of the avoider. A finding that only one of two worlds shows
+becomes a ``Disagreement`` with the runs of both.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True)
 class Complaint:
-    """A violated claim, or, without a claim, a failed run.
+    """What is wrong with a run: a violated claim or, if ``claim`` is None, a failed run.
 
-    ``kind`` is the text of the failure, or the fault of an avoider that gave no answer.  If there is a
-    ``reference``, the complaint also requires that the reference keeps the claim in the same scenario.
+    ``kind`` is the text of the failure, or the fault of an avoider that gave no answer. With a ``reference``,
+    the complaint also requires that the reference keeps the claim in the same scenario.
     """
 
     claim: Claim | None
@@ -51,7 +51,7 @@ class Complaint:
         return failure_of(run) == self.kind if self.claim is None else self.margin_in(run) is not None
 
     def margin_in(self, run: Trace | Exception) -> float | None:
-        """Return the margin of the violation [SI]; None if ``run`` does not violate the claim."""
+        """Return the margin [SI] of the violation in ``run``; None if ``run`` does not violate the claim."""
         if self.claim is None or isinstance(run, Exception):
             return None
         if self.kind and self.kind != without_numbers(fault_of(run)):
@@ -63,22 +63,22 @@ class Complaint:
         return evaluation.margin if new else None
 
     def reference_words(self, run: Trace | Exception) -> str:
-        """Return the reference's verdict on the claim in words; empty without a reference."""
+        """Return the reference's verdict in the scenario of ``run`` in words; empty without a reference."""
         if self.claim is None or self.reference is None or isinstance(run, Exception):
             return ""
         return self.reference.verdict_text(self.claim, run)
 
 
 def failure_of(run: Trace | Exception) -> str:
-    """Return why a run failed, without its numbers; empty for a trace."""
+    """Return why ``run`` failed, without the numbers in the message; empty for a trace."""
     return f"{RUN_FAILED}{without_numbers(described(run))}" if isinstance(run, Exception) else ""
 
 
 @dataclass(frozen=True)
 class Confirm:
-    """Runs one scenario at a time, built anew; True if the complaint is in the run.
+    """A function that admits and runs a scenario, and returns whether the run shows the complaint.
 
-    A claim has to be violated by at least ``by`` [SI].
+    A claim counts only if it is violated by at least ``by`` [SI].
     """
 
     complaint: Complaint
@@ -95,9 +95,9 @@ class Confirm:
         return self.complaint.is_in(run) and (margin is None or -margin >= self.by)
 
     def share_of_draws(self, scenario: Scenario, draws: int) -> int:
-        """Return in how many of ``draws`` draws of the avoider's own randomness the complaint occurs.
+        """Return how many of ``draws`` draws of the avoider's own randomness show the complaint.
 
-        Everything else stays the same.
+        All else in the scenario stays the same.
         """
         admitted = admit(scenario)
         redrawn = (replace(admitted, avoider=OtherDraws(admitted.avoider, k)) for k in range(draws))
@@ -106,14 +106,14 @@ class Confirm:
 
 @dataclass(frozen=True, eq=False)
 class OtherDraws(AvoiderAround):
-    """An avoider with other seeds: stream number ``stream`` of its own randomness."""
+    """An avoider with other seeds, which are derived from each question's seed and ``stream``."""
 
     stream: int
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int, **seen: Any
     ) -> Proposal:
-        """Return the avoider's answer with another seed."""
+        """Return the avoider's answer for another seed."""
         return self.avoider.propose(
             hand_position_in_base_m=hand_position_in_base_m,
             tcp_position_in_base_m=tcp_position_in_base_m,
@@ -124,7 +124,7 @@ class OtherDraws(AvoiderAround):
 
 @dataclass(frozen=True, eq=False)
 class InOneWorld:
-    """A run and its evaluations by the scenario's claims; or the exception of a failed run."""
+    """A run with the evaluations of its scenario's claims, or the exception of a failed run."""
 
     run: Trace | Exception
     evaluations: tuple[Evaluation, ...] = ()
@@ -132,7 +132,7 @@ class InOneWorld:
 
 @dataclass(frozen=True, eq=False)
 class Disagreement:
-    """A finding that PyBullet does not show, in both worlds; None for a world without a run."""
+    """A finding that PyBullet does not show, with its runs in both worlds; None for a world without a run."""
 
     group: Group
     complaint: Complaint
@@ -143,7 +143,7 @@ class Disagreement:
 def disagreement_of(
     group: Group, complaint: Complaint, case: Scenario, searched: ScenarioRunner, confirming: ScenarioRunner
 ) -> Disagreement:
-    """Run a scenario in both worlds, and judge the complaint's claim alone, if there is one.
+    """Run ``case`` in both worlds, and return both runs, judged by the complaint's claim if there is one.
 
     Args:
         group: The violations that the scenario stands for.
@@ -171,10 +171,10 @@ def in_one_world(
     Args:
         world: The runner.
         admitted: The admitted scenario.
-        run: Its run, if it was run before.
+        run: Its run, if there is one already.
 
     Returns:
-        The run with its evaluations; without them for a failed run.
+        The run with its evaluations; a failed run has none.
 
     """
     run = run or world([admitted])[0]

@@ -1,7 +1,6 @@
-"""Counterexamples: shrunk, confirmed and explained, as a scenario file with its evidence in comments.
+"""Confirm, shrink and explain a violation, and write it as a scenario file with its evidence in comments.
 
-Two sources explain a violation: replays with changes, from the part for attribution, and the decisions of the
-run.
+An explanation has two sources: replays with changes (``search.attribution``), and the decisions of the run.
 """
 
 from __future__ import annotations
@@ -34,11 +33,11 @@ from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided
 
-STARTS_S, PYBULLET_COSTS = 5.0, 5.0  # as measured: to start a run, and the factor of PyBullet
+STARTS_S, PYBULLET_COSTS = 5.0, 5.0  # measured: the cost of starting a run, and PyBullet's factor
 
 
 def cost_s(world: WorldEntry, runs: Sequence[Scenario]) -> float:
-    """Return the cost of runs, in simulated seconds of the kinematic world."""
+    """Return what ``runs`` in ``world`` cost, as simulated seconds [s] of the kinematic world."""
     return (PYBULLET_COSTS if world == PYBULLET else 1.0) * sum(
         STARTS_S + scenario.duration_s for scenario in runs
     )
@@ -46,10 +45,10 @@ def cost_s(world: WorldEntry, runs: Sequence[Scenario]) -> float:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why a scenario violates a claim.
+    """The reasons why a scenario violates a claim.
 
-    ``lines`` are for people.  Two explanations with a common text in ``causes`` have the same cause.  The
-    replays behind them cost ``cost_s``.
+    ``lines`` are text for people. Two explanations have the same cause if they share a text in ``causes``.
+    The replays behind them cost ``cost_s``.
     """
 
     lines: tuple[str, ...] = ()
@@ -62,33 +61,33 @@ Explain = Callable[[Scenario, Claim], Explanation]
 
 
 def unexplained(scenario: Scenario, claim: Claim) -> Explanation:
-    """Return an empty explanation."""
+    """Return an empty explanation of any scenario and claim."""
     return Explanation()
 
 
 @dataclass(eq=False)
 class Allowance:
-    """The simulated time that explanations may cost.
+    """The simulated time [s] that all explanations together may cost.
 
-    Unlike a limit on the clock, it has the same effect on any machine.  ``until_s`` is the limit of the
-    present example.
+    Unlike a limit by the wall's clock, it has the same effect on any machine. The present example must end
+    before ``spent_s`` reaches ``until_s``.
     """
 
     total_s: float = inf
     spent_s: float = 0.0
     until_s: float = inf
-    explained: bool = False  # whether any example was; the first is, at any cost
+    explained: bool = False  # whether an example was explained; the first is, at any cost
 
     def share(self, *, last: bool) -> None:
-        """Give the next example half of the rest, and the ``last`` all of it."""
+        """Give the next example half of the time that is left, or all of it if it is the ``last``."""
         self.until_s = self.spent_s + (self.total_s - self.spent_s) * (1.0 if last else 0.5)
 
     def has(self, cost_s: float = 0.0) -> bool:
-        """Return whether the present example may cost so much more."""
+        """Return whether the present example may cost another ``cost_s``."""
         return self.spent_s + cost_s < self.until_s
 
     def metered(self, runner: ScenarioRunner) -> ScenarioRunner:
-        """Return a runner with its runs counted."""
+        """Return ``runner`` with the cost of its runs added to ``spent_s``."""
         world: WorldEntry = getattr(runner, "world", KINEMATIC)
 
         def run(admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
@@ -99,12 +98,12 @@ class Allowance:
 
 
 def seen_of(scenario: Scenario) -> SeenRegions:
-    """Return the regions of the training data of the scenario's avoider."""
+    """Return the regions that the training data of the scenario's avoider cover."""
     return seen_by(scenario.under_test, folder=folder_of(scenario), settings=scenario.settings)
 
 
 def circumstances(trace: Trace) -> list[str]:
-    """Return lines on the run's place relative to the seen space, and on its decisions."""
+    """Return lines on the run's cell in the coverage, and on each decision with its spread and checks."""
     seen = seen_of(trace.scenario)
     cell = cell_of(trace, seen)
     lines = [] if cell is None else [f"the run: {cell} (seen by {seen.source})"]
@@ -132,10 +131,10 @@ def circumstances(trace: Trace) -> list[str]:
 
 
 def sure_about_unseen(trace: Trace, seen: SeenRegions) -> list[str]:
-    """Return a line on the surest accepted answer about a hand outside the training data.
+    """Return a line on the accepted answer of least spread about a hand outside the training data.
 
-    The gate accepted it because its spread was below the threshold.  The list is empty without such an
-    answer.
+    Only answers count that the gate accepted and whose spread is above 0 and at most the threshold. The list
+    is empty without such an answer.
 
     Args:
         trace: The run.
@@ -164,11 +163,11 @@ CONTACT = {
 
 
 def contact_words(run: Trace | Exception) -> str:
-    """Return whether a hand touches the arm in a run; unknown if it did not end, or by its bounds."""
+    """Return whether a hand touches the arm, in words; unknown if ``run`` failed or its bounds allow both."""
     return CONTACT[nearest_hand(run).verdict if isinstance(run, Trace) else Verdict.INCONCLUSIVE]
 
 
-KEPT = 0.1  # of the first margin, at least, so that the result does not lie on the edge
+KEPT = 0.1  # least share of the first margin, so that the violation is not marginal
 DRAWS = 10  # of the avoider's own randomness
 _NUMBER = re.compile(r"(?<![\w.-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")  # no digits within names
 
@@ -177,12 +176,13 @@ _NUMBER = re.compile(r"(?<![\w.-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")  # no
 class Counterexample:
     """A shrunk scenario whose claims expect the verdicts of the confirming run.
 
-    ``run`` is that run, or an Exception if it could not be finished.  ``draws`` counts in how many of DRAWS
-    draws of the avoider's own randomness the violation occurs.  ``found_margin`` [SI] is the margin in the
-    confirming world before shrinking; None for a run error.  ``found_contact`` and ``contact`` have
-    ``contact_words`` before and after shrinking.  ``circumstances`` and ``attribution`` (the cause) are lines
-    for people; ``causes`` tells which counterexamples share a cause.  An interruption leaves attribution and
-    draws empty; a spent allowance (``is_cut``) may do so too.  A scenario without an avoider has no draws.
+    ``run`` is the confirming run, or an Exception if it could not be finished. ``draws`` counts the
+    violations among DRAWS draws of the avoider's own randomness. ``found_margin`` [SI] is the margin in the
+    confirming world before shrinking; None for a run error. ``found_contact`` and ``contact`` are the
+    ``contact_words`` before and after shrinking. ``circumstances`` and ``attribution`` (the cause) are lines
+    for people; counterexamples with a common text in ``causes`` share a cause. An interruption leaves
+    ``attribution`` and ``draws`` empty, and a spent allowance (``is_cut``) may do so. In a scenario without
+    an avoider, ``draws`` is None.
     """
 
     complaint: Complaint
@@ -199,7 +199,7 @@ class Counterexample:
 
     @cached_property
     def contact(self) -> str:
-        """Return whether a hand touches the arm in ``run``."""
+        """The ``contact_words`` of ``run``."""
         return contact_words(self.run)
 
     @property
@@ -209,7 +209,7 @@ class Counterexample:
 
     @property
     def further(self) -> list[str]:
-        """Lines beside whose fault it is: circumstances, decisions, and other draws of the avoider."""
+        """Lines that follow the attribution: circumstances, decisions, and other draws of the avoider."""
         often = f"the avoider's own randomness: it happens in {self.draws} of {DRAWS} draws of it"
         return [*self.circumstances, *[often] * (self.draws is not None)]
 
@@ -241,9 +241,9 @@ class Counterexample:
         return _NUMBER.sub("#", write_scenario(plain))
 
     def is_same_as(self, second: Counterexample) -> bool:
-        """Return whether both violate the same claim with the same structure.
+        """Return whether this and ``second`` violate the same claim with the same structure.
 
-        For missing answers, the text of the failure must agree too.
+        If the avoider gave no answer, the texts of the failures must agree too.
         """
         return self.complaint == second.complaint and self.structure == second.structure
 
@@ -259,10 +259,10 @@ def counterexample_of(
     allowance: Allowance | None = None,
     on_step: Callable[[str], None] = lambda step: None,
 ) -> Counterexample | None:
-    """Confirm, shrink and explain a violation.
+    """Confirm, shrink and explain the violation ``complaint`` of ``scenario``.
 
-    Every shrunk scenario must violate by at least a tenth of the first margin, so that the result does not
-    lie on the edge.  Ctrl-C during shrinking keeps the simplest scenario so far and sets
+    Every shrunk scenario must violate by at least a tenth of the first margin, so that its violation is not
+    marginal. After Ctrl-C during shrinking, the result has the simplest scenario so far and
     ``shrunk.interrupted``.
 
     Args:
@@ -270,11 +270,12 @@ def counterexample_of(
         complaint: The claim or failure.
         world: The world that confirms.
         budget: The greatest number of runs for shrinking.
-        sooner: A quicker world that tests each candidate first, if it shows the violation; it refuses most
-            candidates that do not violate.  None: ``world`` alone.
-        explain: Explains a violation; it is not called for missing answers.
-        allowance: Limits shrinking to half of its present share, and what follows to the rest.  A violation
-            is confirmed at any cost, and the first is explained.  None: no limit.
+        sooner: A quicker world that tests each candidate first, if it shows the violation of ``scenario``. It
+            rejects most candidates that do not violate. None: ``world`` alone.
+        explain: The function that explains a violation; it is not called for missing answers.
+        allowance: Limits shrinking to half of the allowance's present share, and attribution and draws to the
+            rest. Confirmation ignores the limit, and so does the explanation of the first violation. None: no
+            limit.
         on_step: Receives the description of each step.
 
     Returns:
@@ -331,7 +332,7 @@ def counterexample_of(
 
 
 def text_of(case: Counterexample, origin: Sequence[str], trace_file: Path | None) -> str:
-    """Return the text of the file: comments with the evidence, then the scenario.
+    """Return the text of a counterexample's file: comments with the evidence, then the scenario.
 
     Args:
         case: The counterexample.
@@ -355,7 +356,7 @@ def text_of(case: Counterexample, origin: Sequence[str], trace_file: Path | None
 
 
 def _margins(evaluation: Evaluation, indent: str) -> list[str]:
-    """Return the verdict and the margin, rounded and exact, with a line for each part."""
+    """Return a line with the verdict and the margin, rounded and exact, and such a line for each part."""
     exact = "" if evaluation.margin is None else f" ({evaluation.margin!r} in SI)"
     when = "" if evaluation.worst_time_s is None else f" at {evaluation.worst_time_s:.3f} s"
     verdict = "VIOLATED" if evaluation.verdict is Verdict.VIOLATED else evaluation.verdict.value
@@ -364,7 +365,7 @@ def _margins(evaluation: Evaluation, indent: str) -> list[str]:
 
 
 def _evidence(trace: Trace) -> list[str]:
-    """Return lines on versions, hashes and seeds of a run."""
+    """Return lines on the versions, hashes and seeds of a run."""
     made, scenario = trace.provenance, trace.scenario
     claims = "\n".join(claim.sentence for claim in scenario.claims)
     libraries = ", ".join(f"{name} {version}" for name, version in made.libraries)
@@ -381,7 +382,7 @@ def _evidence(trace: Trace) -> list[str]:
 
 
 def origin_of(trials: Trials, tried: TriedPoint, searcher: str) -> list[str]:
-    """Return lines on the search, and the exact value of every parameter of the space.
+    """Return lines on the search that found ``tried``, and the exact value there of every parameter.
 
     Args:
         trials: The trials of the search.

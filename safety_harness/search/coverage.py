@@ -1,10 +1,10 @@
 """Coverage: counts of runs by approach direction, speed, distance, seen or unseen, and outcome.
 
-Each run belongs to one cell.  Direction, speed and seen or unseen are taken at its worst decision: a
-protective stop before an opposite pose before a proposed position, and the first of equals.  Without a
-decision they are taken at the hand's nearest approach.  The distance is the least of the run.  A controller
-that reports no decisions counts by distances and motion, and by its first protective stop if it reports its
-mode.
+Each run belongs to one cell. Direction, speed, and seen or unseen are those at the run's worst decision. A
+protective stop is worse than an opposite pose, which is worse than a proposed position; of equal decisions,
+the first counts. Without a decision they are those at the hand's nearest approach. The distance is the least
+distance of the run. If a controller reports no decisions, distances and motion determine the cell, with its
+first protective stop if it reports its mode.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from safety_harness.space.regions import SeenRegions
 from safety_harness.trace.records import DecisionOutcome, Mode, as_compiled
 from safety_harness.trace.trace import Trace
 
-# The direction from the TCP to the hand, along the base's axes: +x -x +y -y +z -z.
+# The directions from the TCP to the hand along the base's axes +x, -x, +y, -y, +z and -z.
 DIRECTIONS = ("front", "back", "left", "right", "above", "below")
 SPEEDS = ("at rest", "to 0.5 m/s", "to 1 m/s", "above 1 m/s")
 DISTANCES = ("touching", "to 50 mm", "to 200 mm", "farther")
@@ -39,7 +39,7 @@ _RANKS = {DecisionOutcome.PROPOSED: 1, DecisionOutcome.OPPOSITE: 2, DecisionOutc
 
 @dataclass(frozen=True, order=True)
 class CoverageCell:
-    """One of 1,536 cells, with its word on every axis."""
+    """One of 1,536 cells, as one word for each axis."""
 
     direction: str
     speed: str
@@ -53,13 +53,13 @@ class CoverageCell:
 
 @dataclass
 class Coverage:
-    """The number of runs in each cell; ``without`` counts runs in which no hand was ever present."""
+    """The number of runs in each cell; ``without`` counts the runs that have no cell."""
 
     counts: Counter[CoverageCell] = field(default_factory=Counter)
     without: int = 0
 
     def add(self, cells: Iterable[CoverageCell | None]) -> None:
-        """Count the runs of ``cells``; None stands for a run without a cell."""
+        """Count one run for each of ``cells``; None stands for a run without a cell."""
         runs = list(cells)
         self.without += runs.count(None)
         self.counts.update(cell for cell in runs if cell is not None)
@@ -86,12 +86,12 @@ class Coverage:
 
     @property
     def touching(self) -> int:
-        """The number of runs in which a hand touched the arm's capsules, with or without such a claim."""
+        """The number of runs in which a hand touched the arm's capsules, whatever the claims."""
         return self.along("distance")[DISTANCES[0]]
 
     @property
     def holes(self) -> list[CoverageCell]:
-        """The cells without a run; a given space may be unable to reach many of them."""
+        """The cells without a run; many of them may be out of reach in a given space."""
         return [cell for names in product(*AXES.values()) if not self.counts[cell := CoverageCell(*names)]]
 
     def __str__(self) -> str:
@@ -113,7 +113,7 @@ def cell_of(trace: Trace, seen: SeenRegions) -> CoverageCell | None:
         seen: The regions of the avoider's training data.
 
     Returns:
-        The cell; None if no hand was present, or a required quantity was not measured or not finite.
+        The cell; None if no hand was ever present, or a needed quantity was not measured or not finite.
 
     """
     if not (_measured(trace, READ) and (trace.scenario.driven or _measured(trace, READ_OF_DECISIONS))):
@@ -140,9 +140,9 @@ def cell_of(trace: Trace, seen: SeenRegions) -> CoverageCell | None:
 
 @compiled
 def _nearest(ticks: NDArray[np.void]) -> tuple[float, int, int]:
-    """Return the least hand distance [m], and the first such tick and hand of ``ticks`` (n,).
+    """Return the least hand distance [m] in ``ticks`` (n,), and the first tick and hand with it.
 
-    The hand is -1 if no hand was at a finite distance; NaN is left out.
+    The hand is -1 if no hand was at a finite distance; NaN distances are left out.
     """
     least_m, at, nearest = np.inf, 0, -1
     for k in range(ticks.shape[0]):
@@ -153,7 +153,7 @@ def _nearest(ticks: NDArray[np.void]) -> tuple[float, int, int]:
 
 
 def _measured(trace: Trace, names: Iterable[str]) -> bool:
-    """Return whether the trace has the columns ``names`` without gaps."""
+    """Return whether all columns ``names`` of ``trace`` were measured without gaps."""
     if not trace.known.columns:
         return True
     return not any(trace.known.missing([name]) or trace.known.column(name).gaps for name in names)
@@ -173,7 +173,7 @@ def _worst_decision(trace: Trace) -> tuple[int, int | None]:
 
 
 def _speed(trace: Trace, hand_m: NDArray[np.float64], tick: int) -> str:
-    """Return the word for the hand's speed over the tick before ``tick``, or over the first tick."""
+    """Return the word for the hand's speed in the period before ``tick``, or in the first period."""
     first, last = max(tick - 1, 0), max(tick, 1)
     if last >= len(hand_m):
         return SPEEDS[0]
@@ -183,5 +183,5 @@ def _speed(trace: Trace, hand_m: NDArray[np.float64], tick: int) -> str:
 
 
 def _class_of(names: tuple[str, ...], bounds: tuple[float, ...], value: float) -> str:
-    """Return the word for a value; a bound belongs to the word before it, and NaN to the last word."""
+    """Return the word of ``names`` for ``value``; a bound belongs to the word before it, NaN to the last."""
     return names[sum(not value <= bound for bound in bounds)]

@@ -1,4 +1,4 @@
-"""The unit cube in which a searcher works: its dimension, its jumps, and points of the same scenario."""
+"""The unit cube of a searcher: its coordinates, their jumps, and which points give the same scenario."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ Scores = NDArray[np.float64]  # (n, k): one a claim, NaN where nothing was learn
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One coordinate of the cube; between two ``edges`` (from 0 to 1) the map to scenarios does not jump.
+    """One coordinate of the cube, divided by ``edges`` from 0 to 1, at which the scenario may jump.
 
-    A ``flat`` coordinate numbers alternatives: it gives the same scenario everywhere between two edges.
+    A ``flat`` coordinate chooses among alternatives: the scenario is the same everywhere between two edges.
     """
 
     edges: tuple[float, ...] = (0.0, 1.0)
     flat: bool = False
 
     def interval_of(self, u: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the number (n,) of the interval of each coordinate ``u`` (n,)."""
+        """Return the number (n,) of the interval that contains each coordinate ``u`` (n,)."""
         return np.searchsorted(np.array(self.edges[1:-1]), u, side="right")
 
     def middle_of(self, interval: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -38,7 +38,7 @@ class Column:
 
 
 def _all_used(points: Points) -> NDArray[np.bool_]:
-    """Return that every coordinate of ``points`` (n, d) matters."""
+    """Return (n, d) True: every coordinate of ``points`` (n, d) matters."""
     return np.ones(points.shape, bool)
 
 
@@ -46,8 +46,8 @@ def _all_used(points: Points) -> NDArray[np.bool_]:
 class Cube:
     """The unit cube of a space.
 
-    ``same`` maps points (n, d) to a canonical point of each scenario; None: the columns alone decide.
-    ``used`` tells which coordinates (n, d) matter.
+    ``same`` maps points (n, d) to the canonical point of their scenario; None: ``canonical`` uses the columns
+    alone. ``used`` tells which coordinates (n, d) of points change the scenario.
     """
 
     columns: tuple[Column, ...]
@@ -85,13 +85,14 @@ class Cube:
 
     @property
     def flat_columns(self) -> NDArray[np.int64]:
-        """The numbers of the coordinates that number alternatives."""
+        """The numbers of the coordinates that choose among alternatives."""
         return np.flatnonzero([column.flat for column in self.columns])
 
     def canonical(self, points: Points) -> Points:
-        """Return canonical ``points`` (n, d): the middle of each alternative, 0.5 for unused coordinates.
+        """Return canonical ``points`` (n, d), which are equal for the same alternatives.
 
-        All other coordinates stay the same.
+        A flat coordinate becomes the middle of its interval, and a coordinate that the scenario does not use
+        0.5. All other coordinates stay the same.
         """
         if self.same is not None:
             return self.same(points)
@@ -102,10 +103,10 @@ class Cube:
         return middles
 
     def distances(self, points: Points, to: Point) -> NDArray[np.float64]:
-        """Return the distances (n,) of points from a point, the root mean square over the coordinates.
+        """Return the distances (n,) of ``points`` from ``to``: root mean squares over the coordinates.
 
-        A different alternative counts as 1.  Two random points of a cube with many coordinates are about 0.41
-        apart.
+        In a flat coordinate, two different alternatives are 1 apart. In many coordinates, two random points
+        are about 0.41 apart.
 
         Args:
             points: (n, d) canonical points.

@@ -1,11 +1,11 @@
-"""The default search: explore, and descend from the worst known places that are far apart.
+"""The default searcher: explore the space, and descend from its worst known places, which lie far apart.
 
-A third of the points explore (``Explorer``).  The claims share the rest for descents (CMA-ES).  A descent
-begins at the worst known point of a claim, and keeps its alternatives.  It ends with a violation or without
-improvement, and the next descent begins far from it.
+A third of the points explore (``Explorer``). The other points are for descents (CMA-ES), in equal shares for
+the claims. A descent begins at the worst known point of a claim, and keeps that point's alternatives. It ends
+when it finds a violation or no longer improves, and the next descent begins far from it.
 
-The margin of a claim may be the same everywhere.  Then no direction leads down, and the share of that claim
-explores.  While there is such a claim, the share of every other claim shrinks with each descent in vain.
+All known margins of a claim may be equal. Then no direction leads down, and that claim's share of the points
+explores. While there is such a claim, each unsuccessful descent reduces the share of its own claim.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _KEPT = 256  # points for each claim
 
 
 class Archive:
-    """The points with the least scores of one claim, and whether each is far from every occupied place.
+    """The points with the least scores of one claim, each marked as far from all occupied places or not.
 
-    A descent occupies the places where it began and ended.  The archive keeps at most 256 points, in a search
-    of any length.
+    A descent occupies the places where it began and ended. The archive keeps at most 256 points, however long
+    the search is.
 
     Args:
         cube: The cube of the space.
@@ -46,7 +46,7 @@ class Archive:
         self._taken = np.empty((0, cube.dimension))
 
     def add(self, points: Points, scores: NDArray[np.float64]) -> None:
-        """Add canonical ``points`` (n, d) with finite ``scores`` (n,); leave all other points out."""
+        """Add the canonical ``points`` (n, d) whose ``scores`` (n,) are finite, and leave out the others."""
         known = np.isfinite(scores)
         if not known.any():
             return
@@ -67,7 +67,7 @@ class Archive:
 
     @property
     def worst_free(self) -> Point | None:
-        """The point (d,) with the least score far from every occupied place; None if no point is."""
+        """The point (d,) of least score that is far from every occupied place; None if there is none."""
         return self.points[int(np.argmax(self._free))].copy() if self._free.any() else None
 
     @property
@@ -84,7 +84,7 @@ _BETTER = 0.01  # the least improvement of a score that counts
 
 @dataclass(eq=False)
 class _Island:
-    """One descent, with its claim, its beginning and its best place."""
+    """One descent, with its claim, the claim's least score at its beginning, and its best place."""
 
     claim: int
     descent: Descent
@@ -94,7 +94,7 @@ class _Island:
 
 
 class Default:
-    """The default searcher; the module describes it.
+    """The default searcher, which the module's docstring describes.
 
     Args:
         cube: The cube of the space.
@@ -111,7 +111,7 @@ class Default:
         self._archives = [Archive(cube, _LEAST_APART) for _ in range(claims)]
         self._islands: list[_Island] = []
         self._begun = self._explored = self._proposed = self._next_claim = 0
-        self._in_vain = [0] * claims  # descents since the last with a violation or a lesser score
+        self._in_vain = [0] * claims  # descents since the last one that found a violation or a lesser score
         self._due = 0.0  # points of exploration still to propose
         self._parts: list[tuple[_Island | None, int]] = []
 
@@ -121,7 +121,7 @@ class Default:
         return max(32, 4 * self._cube.dimension)
 
     def propose(self, count: int) -> Points:
-        """Return ``count`` points (count, d): exploration, and as many descents as fit."""
+        """Return ``count`` points (count, d) of the exploration and of as many descents as fit."""
         self._parts = []
         exploring = min(max(self._first - self._explored, 0), count)
         if exploring < count and self._proposed >= self._first:
@@ -146,7 +146,7 @@ class Default:
         return 1.0 - (1.0 - _EXPLORING) * descending / self._claims
 
     def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
-        """Remember all points, and give each descent its own scores."""
+        """Add all points to the archives, and let each descent learn the scores of its own points."""
         canonical = self._cube.canonical(points)
         for claim, archive in enumerate(self._archives):
             archive.add(canonical, scores[:, claim])
@@ -158,7 +158,7 @@ class Default:
                 self._advance(island, canonical[part], scores[part, island.claim])
 
     def _advance(self, island: _Island, canonical: Points, scores: Scores) -> None:
-        """Give scores to a descent, and end it after a violation or without improvement."""
+        """Let the descent of ``island`` learn ``scores``; end it on a violation or without improvement."""
         known = np.where(np.isnan(scores), np.inf, scores)
         island.descent.learn(known)
         if known.min() < island.score:
@@ -170,7 +170,7 @@ class Default:
             self._islands.remove(island)
 
     def _descending(self, left: int) -> list[Point]:
-        """Return at most ``left`` points, of running descents first, then of new descents."""
+        """Return at most ``left`` points: first those of running descents, then those of new descents."""
         proposed: list[Point] = []
         if self._explored < self._first:
             return proposed
@@ -184,7 +184,7 @@ class Default:
         return proposed
 
     def _begin(self) -> _Island | None:
-        """Return a descent on the next claim that has a free place; None if no claim has one."""
+        """Begin and return a descent on the next claim with a free place; None if no claim has one."""
         for _ in range(self._claims):
             claim = self._next_claim
             self._next_claim = (claim + 1) % self._claims
@@ -203,7 +203,7 @@ class Default:
         return None
 
     def _bounds(self, start: Point) -> tuple[Point, Point]:
-        """Return the bounds of a descent from ``start``; alternatives and unused coordinates stay fixed."""
+        """Return the bounds of a descent from ``start``, which fix alternatives and unused coordinates."""
         low, high = np.zeros_like(start), np.ones_like(start)
         for number, column in enumerate(self._cube.columns):
             interval = int(column.interval_of(start[[number]])[0])

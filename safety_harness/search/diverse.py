@@ -1,7 +1,7 @@
-"""A searcher that fills holes: MAP-Elites (Mouret and Clune, 2015) over the cells of the coverage.
+"""A searcher that fills empty cells of the coverage: MAP-Elites (Mouret and Clune, 2015).
 
-Each cell keeps the run that came nearest to a violation.  New points vary such an elite along the line to
-another elite (Vassiliades and Mouret, 2018).  Elites of seldom visited cells have a higher chance.
+Each cell keeps the run that came nearest to a violation, its *elite*. New points vary an elite along the line
+to another elite (Vassiliades and Mouret, 2018). Elites of seldom visited cells are varied more often.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class _Elite:
 
 
 class Diverse:
-    """The searcher that fills holes; without cells, the alternatives and the nearest claim define a cell.
+    """The searcher that fills empty cells; without cells, alternatives and the nearest claim define them.
 
     Args:
         cube: The cube of the space.
@@ -49,7 +49,7 @@ class Diverse:
         self._proposed = 0
 
     def propose(self, count: int) -> Points:
-        """Return ``count`` points; on average a third explore, and the rest vary elites."""
+        """Return ``count`` points (count, d): on average a third explore, and the others vary elites."""
         exploring = count
         if self._proposed >= _FIRST and self._elites:
             exploring = int(self._rng.binomial(count, _EXPLORING))
@@ -72,7 +72,7 @@ class Diverse:
         return varied
 
     def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
-        """Keep each point that is nearer to a violation than its cell's elite."""
+        """Keep each point that comes nearer to a violation than the present elite of its cell."""
         lowest = least(scores)
         alternatives = self._cube.canonical(points)[:, self._cube.flat_columns]
         nearest = np.where(np.isnan(scores), np.inf, scores).argmin(axis=1)

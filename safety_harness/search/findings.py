@@ -1,7 +1,7 @@
 """The interface between a search and a world, and the findings of a search.
 
-Claims are goals, and a batch of points has outcomes.  The findings keep distinct violations, nearest misses
-and refused points.
+A searched claim is a ``Goal``, and running a batch of points gives ``Outcomes``. ``Findings`` keeps distinct
+violations, the run nearest to violating each claim, and the refused points.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ RUN_FAILED = "the run failed: "  # the beginning of a run error's text, if the w
 
 @dataclass(frozen=True)
 class Goal:
-    """A claim that a search tries to refute; a score is the margin divided by ``scale`` (SI).
+    """A claim that a search tries to refute; its score is the margin divided by ``scale`` (SI).
 
-    With a reference, named ``against``, margins are differences of ``search.against``.  Only negative
-    differences mean something to people.
+    With a reference, whose name is ``against``, the margins are the differences of ``search.against``. Only
+    negative differences are shown to people.
     """
 
     sentence: str
@@ -48,7 +48,7 @@ class Goal:
     of = from_property  # deprecated: the old name, for one release
 
     def margin_text(self, margin: float) -> str:
-        """Return a margin [SI] as text in its display unit; a dash for a difference that is no finding."""
+        """Return ``margin`` [SI] as text in its display unit; a dash for a difference that is no finding."""
         return "-" if self.against and margin >= 0.0 else self.unit.margin_text(margin)
 
 
@@ -56,11 +56,11 @@ class Goal:
 class Outcomes:
     """The outcomes of (n, d) points, row by row.
 
-    ``margins`` (n, k) [SI] are negative where a claim is violated, and NaN where unknown.  ``conclusive`` (n,
-    k) tells whether there is a verdict: a margin alone guides the search and is no evidence.  ``refused`` has
-    the reason why admission refused a point, else an empty text.  ``mishaps`` has run errors, else an empty
-    text: an avoider without an answer, or a failed run.  ``kinds`` distinguishes violations with different
-    causes.  ``cells`` are for the coverage.
+    ``margins`` (n, k) [SI] are negative where a claim is violated, and NaN where unknown. ``conclusive`` (n,
+    k) tells whether the claim has a verdict; a margin without a verdict only guides the search. ``refused``
+    gives the reason why admission refused each point, or an empty text. ``mishaps`` gives each point's run
+    error (an avoider without an answer, or a failed run), or an empty text. ``kinds`` distinguishes
+    violations with different causes. ``cells`` are the runs' cells in the coverage.
     """
 
     margins: Scores
@@ -72,32 +72,33 @@ class Outcomes:
 
     @classmethod
     def of_margins(cls, margins: Scores) -> Outcomes:
-        """Return outcomes of points that were all tried, and of which only ``margins`` are known."""
+        """Return the outcomes of points that were all run, if only their ``margins`` are known."""
         none = ("",) * len(margins)
         return cls(margins, np.isfinite(margins), none, none, none, (None,) * len(margins))
 
 
 class Evaluate(Protocol):
-    """A world as a function: points in, outcomes out."""
+    """A function that runs points in a world and returns their outcomes."""
 
     def __call__(self, points: Points, first: int) -> Outcomes:
         """Return the outcomes of points (n, d) of the cube.
 
         Args:
             points: The points.
-            first: The number of the first point in the whole search; numbers determine seeds.
+            first: The number of the first point within the whole search; the points' numbers determine the
+                seeds.
 
         """
 
 
 LEAST_APART = 0.25  # root mean square over the cube: nearer violations form one group (random points: 0.41)
 _MOST_OTHERS = 9  # if a run error occurs in a third of runs, one of ten shows it with 98 %
-_MOST_GROUPS = 200  # of one claim; a further violation joins its nearest group
+_MOST_GROUPS = 200  # of one claim; then a further violation joins the nearest group
 
 
 @dataclass(frozen=True, eq=False)
 class TriedPoint:
-    """One tried point (d,); ``number`` counts all points of the search, and ``margins`` (k,) are in SI."""
+    """A tried ``point`` (d,), its ``number`` among all points of the search, and ``margins`` (k,) in SI."""
 
     number: int
     point: Point
@@ -108,8 +109,9 @@ class TriedPoint:
 class Group:
     """Similar violations of one claim, or similar run errors (``claim`` is None).
 
-    Violations of a group share kind and alternatives, and lie near ``first`` in the cube.  Run errors may lie
-    anywhere.  ``others`` has a few more of them, in case that the confirming world does not show the first.
+    The violations of a group share their kind and the space's alternatives, and lie near ``first`` in the
+    cube. Run errors may lie anywhere. ``others`` holds a few further run errors, in case the confirming world
+    does not show the first.
     """
 
     claim: int | None
@@ -127,12 +129,13 @@ class Group:
 
 @dataclass(eq=False)
 class Findings:
-    """The findings of one search, while it runs and afterwards.
+    """The findings of one search, which grow while it runs.
 
-    ``tried`` counts runs, and ``asked`` counts points.  ``evidence`` and ``violated`` (k,) count the runs of
-    each claim. ``nearest`` has the run with each claim's least margin.  ``improvements`` lists each claim's
-    least margins [SI] so far, with the number of runs.  ``first_violation`` (k,) is the number of runs up to
-    the first violation, or 0.
+    ``tried`` counts the points that were run, and ``asked`` also those that admission refused. ``evidence``
+    (k,) counts the runs with a verdict on each claim, and ``violated`` (k,) those that violate it.
+    ``nearest`` holds for each claim the run with the least margin. ``improvements`` lists each claim's least
+    margins [SI] so far, with the number of runs. ``first_violation`` (k,) is the number of runs up to each
+    claim's first violation, or 0 without one.
     """
 
     goals: tuple[Goal, ...]
@@ -169,17 +172,17 @@ class Findings:
         return group.kind if group.claim is None else self.goals[group.claim].sentence
 
     def always_violated(self, claim: int, least: int = 20) -> bool:
-        """Return whether every run violated a claim, so that the claim or the space is at fault as a whole.
+        """Return whether every run violated ``claim``, so that the claim or the whole space is at fault.
 
         Args:
             claim: The claim's number.
-            least: The least number of runs for such a statement.
+            least: The least number of runs for which the result can be True.
 
         """
         return bool(self.tried >= least and self.violated[claim] == self.tried)
 
     def add(self, points: Points, outcomes: Outcomes) -> None:
-        """Take in points and their outcomes.
+        """Add the outcomes of points to the findings.
 
         Args:
             points: (n, d) points of the cube.
@@ -213,7 +216,7 @@ class Findings:
                 self._join(None, outcomes.mishaps[k], episode, canonical[k])
 
     def _keep_nearest(self, episode: TriedPoint) -> None:
-        """Keep a run that comes nearer to a violation than all runs before it."""
+        """Keep ``episode`` as the nearest of each claim for which no earlier run has a smaller margin."""
         for claim, margin in enumerate(episode.margins):
             best = self.nearest[claim]
             if np.isfinite(margin) and (best is None or margin < best.margins[claim]):
@@ -221,9 +224,9 @@ class Findings:
                 self.improvements[claim].append((self.tried, float(margin)))
 
     def _join(self, claim: int | None, kind: str, episode: TriedPoint, canonical: Point) -> None:
-        """Add a violation to the nearest group of its kind, or begin a group.
+        """Add the violation ``episode`` to the nearest group of its kind, or begin a new group.
 
-        For run errors the text alone decides.
+        Run errors with the same text join one group.
         """
         rivals = [group for group in self.groups if group.claim == claim and group.kind == kind]
         if rivals:

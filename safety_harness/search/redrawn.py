@@ -1,7 +1,7 @@
-"""Differences from a reference, drawn again: which are due to the avoider, and which flip near a limit.
+"""Draw differences from a reference again, to find which the avoider causes, and which flip near a limit.
 
-A search chooses its runs.  Of two equally good avoiders, it finds the runs in which chance was against the
-avoider under test.  So every difference is run again with seeds that no search chose.
+A search chooses its runs. Even if both avoiders are equally good, it finds the runs in which chance was
+against the avoider under test. So this module runs every difference again with seeds that no search chose.
 """
 
 from __future__ import annotations
@@ -24,35 +24,37 @@ from safety_harness.search.findings import Findings, Group
 from safety_harness.search.trials import Trials
 from safety_harness.trace.trace import Trace
 
-CHANCE = 0.05  # for all claims together, of a finding on an avoider as good as the reference
-SELDOM = 0.01  # of the test on overruling: at 0.05 it found int8 weights, which are harmless
-OFTEN = 0.03  # of all runs: int8 weights or another training alone violate a claim in 2 % of them
+CHANCE = 0.05  # of any finding, over all claims, on an avoider that is as good as the reference
+SELDOM = 0.01  # significance of the test on overruling: at 0.05 it reported int8 weights, which are harmless
+OFTEN = 0.03  # of all runs: int8 weights, or another training, already violate a claim in 2 % of them
 PAIRS = 72  # of runs for each claim, shared evenly among its groups
 MOST_GROUPS = 6
 _FIRST = 1_000_000_000  # above the number of every point that is searched
 _OF_DECISIONS = (Unit.FRACTION, Unit.COUNT)  # a few decisions are a large part of a run: never "by much"
-_Pairs = NDArray[np.float64]  # (n, 2) by how much the avoider alone, and the reference alone, violates [SI]
+_Pairs = NDArray[np.float64]  # (n, 2) by how much only the avoider, and only the reference, violates [SI]
 
 
 def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Trials]) -> list[str]:
-    """Remove groups that are no real differences from ``findings``, and return lines on them.
+    """Remove from ``findings`` the groups that show no real difference, and return lines on them.
 
-    Two merely different avoiders are each worse than the other somewhere, and a search finds where.  So a
-    claim counts only if, in pairs that no search chose, the avoider is significantly worse than the reference
-    (exact sign test).  There are two ways:
+    Of two equally good avoiders, each is worse than the other in some runs, and a search finds these. So the
+    groups of a claim stay only if the avoider is significantly worse in pairs that no search chose. A pair
+    has one run with the avoider and one with the reference; the test is an exact sign test. There are two
+    ways to be worse:
 
-    - By much: only pairs count that differ by more than the scale of the unit.  They come from the groups'
-      worst points, drawn again, and from ``draw``, anywhere in the space.  Shares and counts of decisions
-      have no such pairs.
-    - Often: only pairs from anywhere count.  The avoider must be worse in more than ``OFTEN`` of them, less
-      the share in which it is better.
+    - By much: the test counts only pairs that differ by more than the scale of the unit.  They come from new
+      draws of the groups' worst points, and from ``draw``, which draws anywhere in the space.  Shares and
+      counts of decisions cannot be worse by much.
+    - Often: the test counts only the pairs from ``draw``.  The share of them in which the avoider is worse
+      must exceed the share in which it is better by ``OFTEN``.
 
-    Of such a claim, the groups count whose own pairs are worse; if there is no such group, all groups count.
+    For such a claim, a group stays if the avoider is worse in its own pairs; without such a group, all groups
+    stay.
 
     Args:
-        trials: The trials of the search, with a reference; without it nothing happens.
+        trials: The trials of the search; without a reference, the function changes nothing.
         findings: The findings; the function removes groups from them.
-        draw: Runs trials anywhere in the space; called only if there is a group.
+        draw: The function that runs trials anywhere in the space; it is called only if there is a group.
 
     """
     if trials.reference is None:
@@ -101,15 +103,15 @@ def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Tria
 
 
 def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
-    """Return a sentence if the gate refuses the avoider's proposals in more runs than the reference's, or "".
+    """Return a sentence if the gate refuses more of the avoider's proposals than of the reference's, or "".
 
-    Proposals that the gate refuses for their spread alone do not count: a larger spread is the cautious side.
-    Runs anywhere in the space decide, by ``SELDOM`` and ``OFTEN``.  They are drawn only if the runs of the
-    search give a hint.
+    Proposals that the gate refuses for their spread alone do not count, because a larger spread is cautious.
+    The result depends on runs anywhere in the space, with the limits ``SELDOM`` and ``OFTEN``. They are drawn
+    only if the gate refuses more in the runs of the search.
 
     Args:
         trials: The trials of the search.
-        draw: Runs trials anywhere in the space.
+        draw: The function that runs trials anywhere in the space.
 
     """
     if trials.reference is None or not np.greater(*_refused(trials.differences)):
@@ -126,37 +128,37 @@ def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
 
 
 def _refused(runs: Sequence[RunDifference]) -> tuple[int, int]:
-    """Return the number of runs with more failed checks per proposal, spread aside, and with fewer."""
+    """Return in how many runs more checks fail per proposal, spread aside, and in how many runs fewer."""
     shares = np.array([run.more_refused for run in runs])
     return int((shares > 0.0).sum()), int((shares < 0.0).sum())
 
 
 def _lost(pairs: Iterable[tuple[Evaluation, Evaluation]]) -> _Pairs:
-    """Return by how much the avoider alone, and the reference alone, violates in each pair."""
+    """Return (n, 2) by how much only the avoider, and only the reference, violates the claim in each pair."""
     return -np.array([(difference_of(*pair), difference_of(*pair[::-1])) for pair in pairs]).reshape(-1, 2)
 
 
 def _alone(pairs: _Pairs, least: float = 0.0) -> tuple[int, int]:
-    """Return in how many pairs the avoider alone violates by more than ``least``, and the reference alone."""
+    """Return in how many ``pairs`` only the avoider, and only the reference, violates by over ``least``."""
     worse, better = (pairs > least).sum(axis=0).tolist()
     return worse, better
 
 
 def _is_near(claim: ClaimDifference) -> bool:
-    """Return whether the avoider alone violates, and the reference keeps by less than the tolerance."""
+    """Return whether only the avoider violates ``claim``, and the reference keeps it within the tolerance."""
     differs = difference_of(claim.mine, claim.reference) < 0.0
     return claim.change is VerdictChange.NEW and claim.reference.verdict is Verdict.HOLDS and not differs
 
 
 def _redrawn(trials: Trials, admitter: Admitter, group: Group, claim: int, draws: int) -> _Pairs:
-    """Run ``draws`` pairs at the group's worst point, with other seeds of the scenario and both avoiders."""
+    """Return ``_lost`` of ``draws`` pairs of runs at the group's worst point, each with a new seed."""
     assert trials.reference is not None
     admitted: list[Admitted] = []
     for draw in range(draws):
         try:
             scenario = trials.scenario(group.worst.point, _FIRST + group.worst.number * PAIRS + draw)
             both = [admitter.admit(pair) for pair in (scenario, trials.reference.in_place(scenario))]
-        except InputError:  # a run may not be able to begin with this seed
+        except InputError:  # with this seed, the run may not be able to begin
             continue
         admitted += [replace(pair, avoider=OtherDraws(pair.avoider, draw)) for pair in both]
     runs: Sequence[Trace | Exception] = trials.world(admitted)

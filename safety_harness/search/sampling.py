@@ -1,4 +1,4 @@
-"""Points that do not depend on scores: the baseline, quasi-random sequences, and exploration."""
+"""Searchers whose points do not depend on scores: uniform sampling, quasi-random sequences, exploration."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from safety_harness.search.cube import Cube, Points, Scores
 
 
 class UniformSampling:
-    """Independent points of the space's own distribution: the baseline of every search."""
+    """A searcher by independent points of the space's own distribution: the baseline of every search."""
 
     name = "uniform"
 
@@ -32,7 +32,7 @@ class UniformSampling:
 
 
 class QuasiRandom:
-    """A scrambled Sobol sequence: more even than chance in every few of many coordinates."""
+    """A searcher by a scrambled Sobol sequence, which fills any few coordinates more evenly than chance."""
 
     name = "quasi-random"
 
@@ -44,7 +44,7 @@ class QuasiRandom:
     def propose(self, count: int) -> Points:
         """Return the next ``count`` points of the sequence (count, d)."""
         with warnings.catch_warnings():
-            # The sequence is balanced only after powers of two, and a search may end at any time.
+            # The sequence is balanced only after a power of two of points; a search may end at any number.
             warnings.filterwarnings("ignore", message="The balance properties of Sobol", category=UserWarning)
             points: Points = self._sequence.random(count)
         return points
@@ -53,19 +53,19 @@ class QuasiRandom:
         """Ignore the scores."""
 
 
-_AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # this share of the first 400 points; then the share falls as 1 / number
+_AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # a third of the first 400 points; then the share falls as 1 / number
 
 
 class Explorer:
-    """An endless sequence of points with few assumptions, for faults to which no margin leads.
+    """An endless sequence of points for faults to which no margin leads.
 
-    There are three kinds of points.  The first kind follows the space's distribution.  The second kind is
-    *even*: all alternatives and repetitions have the same chance, however improbable they are.  The third
-    kind is *at the ends*: even, with a random share of coordinates at an end of their interval, where ranges,
-    masks and comparisons go wrong.
+    There are three kinds of points. The first kind follows the space's own distribution. The second kind is
+    *even*: all alternatives and repetitions are equally likely, however improbable the space makes them. The
+    third kind is *at the ends*: even, but with a random share of coordinates at an end of their interval.
+    There, mistakes in ranges, masks and comparisons show.
 
-    The ends are few, so a search soon finds a fault at one.  A third of the first points are at the ends, and
-    ever fewer later.  The rest alternates between the first two kinds.
+    There are few ends, so a search soon finds a fault at one of them. At first a third of the points are at
+    the ends, and later ever fewer. The other points alternate between the first two kinds.
 
     Args:
         cube: The cube of the space.
@@ -80,7 +80,7 @@ class Explorer:
 
     def points(self, count: int) -> Points:
         """Return the next ``count`` points (count, d)."""
-        # Random, because a Sobol sequence left a place in three coordinates out for more than 13,000 points.
+        # Random, because a Sobol sequence missed a region in three coordinates for more than 13,000 points.
         points = self._rng.random((count, self._cube.dimension))
         number = self._made + np.arange(count + 1)
         self._made += count
@@ -91,7 +91,7 @@ class Explorer:
         return points
 
     def _evened(self, points: Points) -> Points:
-        """Give each interval of a coordinate the same share of the cube, for any chance."""
+        """Return ``points`` moved so that all intervals of a coordinate are equally likely."""
         for number, column in enumerate(self._cube.columns):
             edges = np.array(column.edges)
             count = len(edges) - 1
@@ -102,7 +102,7 @@ class Explorer:
         return np.clip(points, 0.0, 1.0)
 
     def _at_ends(self, points: Points) -> Points:
-        """Move a random share of each point's coordinates to an end of their interval."""
+        """Return ``points`` with a random share of each point's coordinates at an end of their interval."""
         share = self._rng.random(len(points))  # of the coordinates, drawn for each point
         for number, column in enumerate(self._cube.columns):
             if column.flat:

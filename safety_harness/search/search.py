@@ -1,6 +1,6 @@
-"""The loop of a search: ask, evaluate, tell, keep.
+"""The loop of a search: ask for points, run them, tell the searcher their scores, and keep the findings.
 
-Every searcher is used by ask and tell, in an enforced order.
+The loop uses every searcher through ``AskTell``, which enforces the order of ``ask`` and ``tell``.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from safety_harness.search.findings import Evaluate, Findings, Goal
 
 
 class Searcher(Protocol):
-    """Proposes points of the unit cube and learns from their scores.
+    """A source of points of the unit cube that learns from their scores.
 
-    A score is a margin over a scale: negative where a claim is violated, NaN where unknown.  ``learn``
-    receives all points of the last proposal.  The same seed and the same scores give the same points.
+    A score is a margin divided by its scale: negative if the claim is violated, NaN if unknown. ``learn``
+    receives all points of the last proposal. With the same seed and the same scores, a searcher proposes the
+    same points.
     """
 
     @property
@@ -42,7 +43,7 @@ class Searcher(Protocol):
 
 
 class AskTell:
-    """A searcher in use: ``ask`` and ``tell`` in turns.
+    """A searcher in use, whose ``ask`` and ``tell_scores`` must be called in turns.
 
     Args:
         searcher: The searcher.
@@ -50,8 +51,8 @@ class AskTell:
         claims: The number of claims k.
 
     Raises:
-        SearchOrderError: The calls do not alternate, scores have another shape, or a proposal is no point of
-            the cube.
+        SearchOrderError: The calls do not alternate, the scores have a wrong shape, or a proposed point lies
+            outside the cube.
 
     """
 
@@ -64,7 +65,7 @@ class AskTell:
         """Return points (m, d) to try, 1 <= m <= ``count``; the array is read-only.
 
         Raises:
-            SearchOrderError: It is not the turn of ``ask``, or the proposal is wrong.
+            SearchOrderError: It is not the turn of ``ask``, or the searcher proposes no valid points.
 
         """
         if self._asked is not None:
@@ -89,7 +90,7 @@ class AskTell:
             cells: The cells of the coverage; None: no cells.
 
         Raises:
-            SearchOrderError: It is not the turn of ``tell``, or a shape is wrong.
+            SearchOrderError: It is not the turn of ``tell_scores``, or an array has a wrong shape.
 
         """
         if self._asked is None:
@@ -112,7 +113,7 @@ def least(scores: Scores) -> NDArray[np.float64]:
     return lowest
 
 
-# A search ends if so many points give no run, or later if less than one point in so many does.
+# A search ends if so many points give no run, or later if fewer than one in so many points gives a run.
 MAX_REJECTION_RATIO = 200
 
 
@@ -127,19 +128,19 @@ def find_violations(
     on_progress: Callable[[Findings], None] | None = None,
     enough: Callable[[Findings], bool] | None = None,
 ) -> Findings:
-    """Search a cube for violations of the goals.
+    """Search ``cube`` for violations of ``goals``.
 
-    Ctrl-C ends the search early, and keeps all findings.
+    Ctrl-C ends the search early, and the findings so far are returned.
 
     Args:
         cube: The unit cube of the space.
         goals: The claims to refute.
-        evaluate: Runs points and returns their outcomes.
-        searcher: Proposes the points.
+        evaluate: The function that runs points and returns their outcomes.
+        searcher: The searcher that proposes the points.
         budget: The number of points to try; points that admission refuses do not count.
         batch: The greatest number of points that run together.
         on_progress: Receives the findings after each batch.
-        enough: Ends the search early when it returns True.
+        enough: A function of the findings that ends the search early by returning True.
 
     Returns:
         The findings.
@@ -169,7 +170,7 @@ def find_violations(
 
 
 def _refuse_hopeless(findings: Findings) -> None:
-    """Raise an InadmissibleError if admission refuses almost every point."""
+    """Raise InadmissibleError if admission has refused almost every point."""
     if findings.asked < MAX_REJECTION_RATIO * (findings.tried + 1):
         return
     reason, count = findings.refused.most_common(1)[0]

@@ -39,7 +39,7 @@ SEARCHERS: tuple[MakesSearcher, ...] = (
 
 
 def searcher_named(name: str) -> MakesSearcher:
-    """Return the searcher's factory with ``name``; ScenarioError with all names for an unknown name."""
+    """Return the factory of searcher ``name``; raise ScenarioError with all names if it is unknown."""
     for make in SEARCHERS:
         if make.name == name:
             return make

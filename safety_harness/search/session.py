@@ -1,7 +1,7 @@
-"""A whole search of a space: find violations, shrink, confirm and explain them, and write each one.
+"""Search a space for violations, and shrink, confirm, explain and write each one.
 
-The session writes each finding as it comes, unshrunk.  At the end it shrinks the worst of each kind, until
-there are three structures or six groups were shrunk.  A later failure loses no finding.
+The session writes each finding at once, unshrunk, so that no later failure loses it. After the search it
+shrinks the worst groups of each claim: at most six groups, or three structures.
 """
 
 from __future__ import annotations
@@ -60,15 +60,15 @@ NOT_CONFIRMED = f"not confirmed in {PYBULLET.label}"
 NO_REFERENCE = f"nothing is confirmed in {PYBULLET.label}, which is not installed: this is {KINEMATIC} alone"
 MOST_SHRUNK = 3  # counterexamples of each claim, and of run errors
 SHRINKING_RUNS = 200  # for each counterexample
-AN_EXAMPLE = 40  # runs of the space that an example costs, about
-MOST_RUN_TWICE = 8  # disagreements of the worlds with both runs, for the page
+AN_EXAMPLE = 40  # an example costs about as much as so many runs of the space
+MOST_RUN_TWICE = 8  # disagreements of the worlds that the page shows with both runs
 _MOST_AS_FOUND = 1_000  # files
-LEAST_DRAWN = 300  # pairs of runs anywhere in the space: with fewer, 3 % may be chance
+LEAST_DRAWN = 300  # pairs of runs anywhere in the space; with fewer, a share of 3 % may be chance
 _BATCH = 64  # runs that are simulated together
 
 
 def basis_of_search(findings: Findings, confirmed: int) -> str:
-    """Return a sentence on the basis of a search's findings.
+    """Return a sentence on the worlds and the runs on which the findings of a search rest.
 
     Args:
         findings: The findings.
@@ -80,7 +80,7 @@ def basis_of_search(findings: Findings, confirmed: int) -> str:
 
 
 def _counted(count: int, noun: str = "violation") -> str:
-    """Return a number with its noun; a violation is of one claim in one run."""
+    """Return ``count`` with ``noun`` in the singular or plural; a violation is of one claim in one run."""
     return f"{count:,} {noun}{'s' * (count != 1)}"
 
 
@@ -90,10 +90,10 @@ def _report_at(report: Callable[[str], None], where: str, message: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class WrittenCounterexample:
-    """A counterexample with its groups of runs, its searcher and its files.
+    """A written counterexample: the case, the groups of runs that led to it, its searcher and its files.
 
-    The groups shrank to the same structure, and ``searcher`` found the first.  ``expected`` marks a claim
-    that the space expects to be violated.
+    All ``groups`` shrank to the same structure, and ``searcher`` found the first of them. ``expected`` marks
+    a claim that the space expects to be violated.
     """
 
     one: Counterexample
@@ -106,7 +106,7 @@ class WrittenCounterexample:
 
     @property
     def lines(self) -> list[str]:
-        """The counterexample, whose fault it is, and the command that runs it."""
+        """Lines on the violated claim and its margin, on the cause, and the command that runs the file."""
         example = self.one
         margin = "-" if example.evaluation is None else example.evaluation.margin_text()
         return [
@@ -119,7 +119,7 @@ class WrittenCounterexample:
 
     @property
     def found_words(self) -> str:
-        """How many violations led to it, and the confirmed margin and contact before it was shrunk."""
+        """The number of violations that led to it, and the confirmed margin and contact before shrinking."""
         example, count = self.one, sum(group.count for group in self.groups)
         parts = [f"{_counted(count)} led to it"]
         if example.evaluation is not None and example.found_margin is not None:
@@ -131,8 +131,8 @@ class WrittenCounterexample:
 class Causes:
     """The causes of a search's violations, each with the files of its examples.
 
-    Each group of violations is an example; ``not_explained`` of them have no known cause.  The search can
-    still explain the ``unasked`` among these.
+    Each group of violations is one example.  ``not_explained`` counts the examples without a known cause, and
+    ``unasked`` the part of them that the search did not try to explain.
     """
 
     explained: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -141,7 +141,7 @@ class Causes:
 
     @property
     def summary(self) -> str:
-        """The number of causes and of examples without one: the only way of counting."""
+        """The number of causes, and the number of examples without a cause, in words."""
         explained = f"{_counted(len(self.explained), 'cause')} explained"
         rest = f"{_counted(self.not_explained, 'example')} not explained{' yet' * bool(self.unasked)}"
         return f"{explained}, {rest}" if self.not_explained else explained
@@ -149,17 +149,17 @@ class Causes:
 
 @dataclass(eq=False)
 class SearchSession:
-    """One search and its findings; a finding that cannot be written is printed instead.
+    """One search of a space with its findings; it prints a finding that it cannot write.
 
-    ``baseline`` has the findings of uniform sampling with the same budget.  ``confirmed`` counts the findings
-    that the world ``confirming`` shows too.  Without a ``reference`` world that is the searched world, and
-    ``confirmed`` stays 0.  ``unwritable`` is the reason why the session stopped writing.  ``explain``
-    explains each violation.  ``repeated`` compares answers with a second instance of the avoider; None if it
-    was not run.  ``flips`` lists differences from a reference that a redraw did not show.  ``overruled``
-    reports that the gate overrules the avoider more often than the reference.  Unless it ``explains_all``,
-    explanations have an ``allowance``: they simulate as much as the search did.  ``examples`` has the
-    violations of each claim.  It calls ``concluding`` after the search.  ``keeps`` tells whether findings are
-    written to ``out`` as they come.
+    ``baseline`` holds the findings of uniform sampling with the same budget. ``confirmed`` counts the
+    findings that the world ``confirming`` shows too. If ``reference`` is False, ``confirming`` is the
+    searched world, and ``confirmed`` stays 0. ``unwritable`` is the reason why the session stopped writing.
+    ``explain`` is called to explain each violation. ``repeated`` compares the avoider's answers with those of
+    a second instance; None without this comparison. ``flips`` lists differences from the reference avoider
+    that a redraw did not show. ``overruled`` states that the gate overrules the avoider more often than the
+    reference avoider. Unless ``explains_all``, an ``allowance`` limits explanations to the search's simulated
+    time. ``examples`` holds the violations of each claim. The session calls ``concluding`` after the search.
+    ``keeps`` tells whether the session writes findings to ``out``.
     """
 
     trials: Trials
@@ -186,7 +186,7 @@ class SearchSession:
 
     @property
     def causes(self) -> Causes:
-        """The causes; each file counts once, under the cause that it shares with most."""
+        """The causes of the examples; each file counts once, under the cause that most files share."""
         left = [(cause, written.path.name) for written in self.written for cause in written.one.causes]
         explained: dict[str, list[str]] = {}
         while left:
@@ -196,7 +196,7 @@ class SearchSession:
         unknown = [written for written in self.written if not written.one.causes]
         tried = sum(len(written.groups) for written in unknown if written.one.attribution)
         count = sum(len(written.groups) for written in unknown)
-        if not self.explains_all or self.interrupted:  # otherwise the rest is attributed without shrinking
+        if not self.explains_all or self.interrupted:  # else the others are attributed without shrinking
             count += sum(len(example.left) for example in self.examples)
         return Causes(explained, count, 0 if self.explains_all else count - tried)
 
@@ -213,14 +213,14 @@ class SearchSession:
 
     @property
     def not_found(self) -> list[str]:
-        """The claims that the space expects to be violated, and that no confirmed counterexample violates."""
+        """The claims that no confirmed counterexample violates, although the space expects a violation."""
         missing = self.trials.to_be_found - {written.one.complaint.sentence for written in self.written}
         goals = zip(self.trials.goals, self.trials.of_others, strict=True)
         return [goal.sentence for goal, of_others in goals if goal.sentence in missing and not of_others]
 
     @property
     def differs(self) -> bool:
-        """Whether the result differs from the space's expectations, or is unknown."""
+        """Whether the result differs from what the space expects, or no run could decide it."""
         applicable = ~self.trials.of_others  # all other claims cannot be judged
         unknown = bool(self.findings.tried) and not applicable.any()
         unknown |= not self.findings.evidence[applicable].all()  # a claim that no run exercised
@@ -228,7 +228,7 @@ class SearchSession:
         return unknown or not all(written.expected for written in self.written)
 
     def search(self, make: MakesSearcher, trials: Trials, folder: str | None = "") -> Findings:
-        """Search until the budget is spent, Ctrl-C comes, or the disk refuses a file.
+        """Search until the budget is spent, the user presses Ctrl-C, or a file cannot be written.
 
         Args:
             make: The searcher's factory.
@@ -260,7 +260,7 @@ class SearchSession:
             )
 
     def conclude(self) -> None:
-        """Shrink the findings, unless the search was interrupted, and report them."""
+        """Report the findings of the search and, unless it was interrupted, shrink and explain them."""
         findings, say = self.findings, self.output.say
         fallback = fallback_words(self.trials.unanswered, self.trials.decisions)
         self._draw_again()
@@ -297,7 +297,7 @@ class SearchSession:
             say(f"{len(self.unconfirmed)} findings were {NOT_CONFIRMED}; they are in {FINDINGS}")
 
     def last_lines(self, unwritable: OutputError | None) -> list[str]:
-        """Return lines on how to run the counterexamples again, and on a failed write."""
+        """Return lines: the command that runs the counterexamples again, and the error of a failed write."""
         lines = []
         if self.written:
             again = ["safety-harness", "run", *(str(written.path) for written in self.written)]
@@ -308,7 +308,7 @@ class SearchSession:
         return lines + ([] if unwritable is None else [f"error: {explanation(unwritable)}"])
 
     def moved_to(self, folder: Path) -> SearchSession:
-        """Return the session with its findings in ``folder``, and write those that are not there yet."""
+        """Return the session with its findings in ``folder``, after writing those that ``folder`` lacks."""
         if self.keeps and folder == self.out:
             return self
         moved = replace(self, out=folder, keeps=True, written=[], unwritable=None)
@@ -330,7 +330,7 @@ class SearchSession:
 
     @cached_property
     def _drawn(self) -> Trials:
-        """Trials anywhere in the space that no search chose, at least as many pairs as the search has."""
+        """Trials at uniformly drawn points: as many as the budget allows, and at least ``LEAST_DRAWN``."""
         self.output.say("runs anywhere in the space with both, to hold what was found against")
         own = leaf(self.trials.seed, Branch.SEARCH, 6)
         drawn = replace(self.trials, seed=own, coverage=Coverage(), violations=Coverage())
@@ -339,7 +339,7 @@ class SearchSession:
         return drawn
 
     def _draw_again(self) -> None:
-        """Draw the differences from a reference again; skipped after an interruption."""
+        """Draw the differences from the reference avoider again, unless the search was interrupted."""
         try:
             for findings in filter(None, [self.findings, self.baseline] if not self.interrupted else []):
                 self.flips += keep_differences(self.trials, findings, lambda: self._drawn)
@@ -353,24 +353,24 @@ class SearchSession:
             self.output.result(f"OVERRULED  {self.overruled}")
 
     def _ask_again(self) -> None:
-        """Compare the avoider's answers with those of a second instance; skipped after an interruption."""
+        """Compare the avoider's answers with those of a second instance, except after an interruption."""
         if not self.interrupted:
             self.repeated = self.trials.repeatability.reported(self.output)
             self.findings.interrupted = self.repeated is None
 
     def _origin(self, group: Group, searcher: str) -> list[str]:
-        """Return lines on the origin of a group's counterexample, with doubts about its avoider."""
+        """Return lines on where ``group`` was found, after doubts about its avoider or confirmation."""
         doubt = [self.repeated.line] if self.repeated is not None and self.repeated.words else []
         doubt += [] if self.reference else [NO_REFERENCE]
         return [*doubt, *origin_of(self.trials, group.worst, searcher)]
 
     @property
     def _searches(self) -> list[Findings]:
-        """The findings of the search and of the baseline."""
+        """The findings of the search, and those of the baseline if it was run."""
         return [self.findings] if self.baseline is None else [self.findings, self.baseline]
 
     def _examples_of_claims(self) -> list[_Examples]:
-        """Return the violations of each claim; a claim that only the baseline violates is worth as much."""
+        """Return the violations of each claim, or the baseline's if the search found none of the claim."""
         examples = []
         for claim in (*range(len(self.findings.goals)), None):
             findings = next((search for search in self._searches if search.of_claim(claim)), self.findings)
@@ -379,9 +379,9 @@ class SearchSession:
         return examples
 
     def _explain_groups(self) -> None:
-        """Shrink and explain a violation of each claim, then others in turn while the allowance lasts.
+        """Shrink and explain one violation of each claim, then further ones while the allowance lasts.
 
-        The others get an example only for a new cause, unless all are explained.
+        Unless ``explains_all``, a further violation becomes an example only if its cause is new.
         """
         examples = self.examples
         each_s = cost_s(KINEMATIC, [self.trials.space.simplest])
@@ -448,7 +448,7 @@ class SearchSession:
         return case
 
     def _file(self, folder: Path, complaint: Complaint, number: int) -> Path:
-        """Return the path of a counterexample."""
+        """Return the path of counterexample ``number`` of ``complaint`` in ``folder``."""
         stem = re.sub(r"[^a-z0-9]+", "-", complaint.sentence.lower()).strip("-")[:60].rstrip("-")
         return folder / f"{self.trials.space.name}-{stem}-{number}.yaml"
 
@@ -487,7 +487,7 @@ class SearchSession:
         self._write(self._file(folder, complaint, number + 1), text)
 
     def _write(self, path: Path, text: str) -> bool:
-        """Write a file, or print it if that fails; return whether the session keeps it."""
+        """Write ``text`` to ``path``, or print it if that fails; return False if it was printed."""
         if not self.keeps:
             return True
         try:
@@ -502,7 +502,7 @@ class SearchSession:
 
 @dataclass(eq=False)
 class _Examples:
-    """The groups of a claim (None: of mishaps) that are ``left`` to explain, and what others shrank to."""
+    """The groups of ``claim`` (None: of run errors) ``left`` to explain, and those ``written`` before."""
 
     session: SearchSession
     claim: int | None
@@ -512,7 +512,7 @@ class _Examples:
     shrunk: int = 0
 
     def _has_an_example(self, group: Group) -> bool:
-        """Return whether the worst run of a group, as found, has the cause of an example."""
+        """Return whether the worst run of ``group``, before shrinking, has the cause of a written example."""
         session, causes = self.session, {cause for written in self.written for cause in written.one.causes}
         if session.explains_all or not causes:
             return False
@@ -524,7 +524,7 @@ class _Examples:
         return not causes.isdisjoint(explanation.causes)
 
     def explain_next(self, report: Callable[[str], None]) -> bool:
-        """Explain the next violation that the confirming world shows; return whether there was any."""
+        """Explain the next violation that the confirming world shows; return False if there was none."""
         session = self.session
         while self.left and len(self.written) < MOST_SHRUNK and self.shrunk < 2 * MOST_SHRUNK:
             if session.findings.interrupted:
@@ -569,18 +569,18 @@ def search_space(
 ) -> SearchSession:
     """Search a space, then shrink, confirm, explain and write the findings.
 
-    Without PyBullet, findings are shrunk in the kinematic world, and all output states that they are
-    unconfirmed.
+    Without PyBullet, findings shrink in the kinematic world, and the output states that nothing is confirmed.
 
     Args:
         trials: The trials of the space.
         make: The searcher's factory.
-        out: The folder for findings, as they come; None writes no file.
+        out: The folder to which each finding is written at once; None writes no file.
         budget: The number of runs.
         output: Receives lines and progress.
         baseline: Also sample the space uniformly, with the same budget, for comparison.
-        explain: Explains a violation.
-        explains_all: Explain all violations; otherwise explanations simulate as much as the search did.
+        explain: The function that explains a violation.
+        explains_all: Explain all violations; otherwise explanations take at most as much simulated time as
+            the search.
         concluding: Receives the session after the search, before the first explanation.
 
     Returns:
@@ -614,7 +614,7 @@ def search_space(
 
 @contextmanager
 def watching_search(budget: int, output: Output) -> Iterator[Callable[[Findings], None]]:
-    """Yield a function that shows the progress, from the findings after each batch.
+    """Yield a function that takes the findings after each batch and shows the progress.
 
     Args:
         budget: The number of runs.
@@ -630,7 +630,7 @@ def watching_search(budget: int, output: Output) -> Iterator[Callable[[Findings]
 
 
 def complaint_of(trials: Trials, group: Group) -> Complaint:
-    """Return the complaint of a group: a claim, the avoider's fault, or the reason of a failed run."""
+    """Return the complaint of ``group``: the violated claim, the avoider's fault, or why the run failed."""
     if group.claim is not None:
         return Complaint(trials.claims[group.claim], reference=trials.reference)
     claim = None if group.kind.startswith(RUN_FAILED) else trials.answered
@@ -638,7 +638,7 @@ def complaint_of(trials: Trials, group: Group) -> Complaint:
 
 
 def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:
-    """Return the groups with the worst of each kind first."""
+    """Return ``groups`` reordered: first the worst group of each kind, then all others."""
     firsts: dict[str, Group] = {}
     for group in groups:
         firsts.setdefault(group.kind, group)
@@ -646,7 +646,7 @@ def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:
 
 
 def nearest_lines(findings: Findings) -> list[str]:
-    """Return a line for each claim: its nearest margin, and how often it was exercised and violated."""
+    """Return a line for each claim: its least margin, and how many runs judged and violated it."""
     lines = []
     for claim, goal in enumerate(findings.goals):
         nearest = findings.nearest[claim]
@@ -658,7 +658,7 @@ def nearest_lines(findings: Findings) -> list[str]:
 
 
 def not_found_words(findings: Findings) -> str:
-    """Return why an expected violation may be missing."""
+    """Return a sentence on why the search may have missed an expected violation."""
     return (
         f"the space expects it to be violated, and of {findings.tried} runs none is known to do so; the "
         "system does better than the space says, or the budget is too small"
@@ -666,7 +666,7 @@ def not_found_words(findings: Findings) -> str:
 
 
 def summary(findings: Findings, budget: int) -> str:
-    """Return the numbers of tried and refused points and of distinct violations.
+    """Return the numbers of tried and refused points, violations and kinds of run errors, in words.
 
     Args:
         findings: The findings.
@@ -681,7 +681,7 @@ def summary(findings: Findings, budget: int) -> str:
 
 
 def against_lines(against: Against, findings: Findings, touching: int, overruled: str) -> list[str]:
-    """Return lines on the differences from the reference, and on a search without a finding.
+    """Return lines on the differences from the reference; without any finding, also what that means.
 
     Args:
         against: The differences.
@@ -701,7 +701,7 @@ def against_lines(against: Against, findings: Findings, touching: int, overruled
 
 
 def remarks(trials: Trials, findings: Findings, overruled: str = "") -> list[str]:
-    """Return lines against misreading, on refused points, untested claims, touching hands and coverage.
+    """Return lines against misreading: on refused points, untested claims, untried parts and touching hands.
 
     Args:
         trials: The trials of the search.

@@ -1,9 +1,9 @@
-"""Shrinking: from a scenario that violates a claim to a simple one that still violates it.
+"""Shrink a scenario that violates a claim to a simple one that still violates it.
 
-A simpler scenario lacks a part, or has slower, shorter, nearer or rounder numbers.  Shrinking first halves
-the run as often as possible, because shorter runs are quicker.  Then it removes parts and simplifies numbers.
-It repeats this until a whole round changes nothing, so that a second shrinking returns the same scenario. It
-is not random, and ``budget`` limits its runs.
+A simpler scenario lacks a part, or its numbers are slower, shorter, nearer to their defaults or rounder.
+Shrinking first halves the run as often as possible, because shorter runs are quicker. Then it removes parts
+and simplifies numbers. It repeats these steps until a whole round changes nothing, so shrinking the result
+again returns the same scenario. Shrinking uses no random numbers, and ``budget`` limits its runs.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _DEGREE = math.radians(1.0)
 _STEPS = {"_mps2": 1.0, "_mps": 0.1, "_rad": _DEGREE, "_s": 0.1, "_m": 0.01, "_factor": 0.1}
 _UNCHANGED = {"shift_in_base_m": _NOWHERE, "delay_s": 0.0}
 _SPEEDS = {"max_speed_mps": REACHING_MPS, "max_acceleration_mps2": REACHING_MPS2}
-# The optional parts of a scenario, and the value that stands for "absent".
+# The optional parts of a scenario, each with the value that means "absent".
 _PLAIN: Mapping[type[Any], Mapping[str, object]] = {
     MovingHand: {**_UNCHANGED, "tremor": None, **_SPEEDS},
     RecordedHand: {**_UNCHANGED, "turn_rad": 0.0, "speed_factor": 1.0, "max_speed_mps": None},
@@ -49,7 +49,7 @@ T = TypeVar("T")
 
 
 def simpler(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
-    """Yield simpler scenarios with a description of the removed part, greatest simplification first."""
+    """Yield a description of each removable part with ``scenario`` without it, the largest part first."""
     for k in range(len(scenario.faults)):
         yield f"without fault {k + 1}", replace(scenario, faults=_without(scenario.faults, k))
     if len(scenario.hands) > 0:
@@ -84,7 +84,7 @@ def _fewer_moves(scenario: Scenario, k: int, hand: MovingHand) -> Iterator[tuple
 
 
 def _of_settings(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
-    """Yield the scenario with all settings, one group, or one setting at its default."""
+    """Yield the scenario with all settings at their defaults, then with one group, then with one setting."""
     if scenario.settings == DEFAULTS:
         return
     yield "with default settings", replace(scenario, settings=DEFAULTS)
@@ -110,7 +110,7 @@ def _hands_and_moves(scenario: Scenario) -> Iterator[Path]:
 
 
 def _part_name(scenario: Scenario, path: Path) -> str:
-    """Return the part at ``path`` in words."""
+    """Return the name in words of the scenario's part at ``path``."""
     part = str(path[-1]).rsplit("_in_", 1)[0]
     for suffix in ("_mps2", "_mps", "_rad", "_s", "_m"):
         part = part.removesuffix(suffix)
@@ -126,9 +126,9 @@ def _without(members: tuple[T, ...], k: int) -> tuple[T, ...]:
 
 @dataclass(frozen=True)
 class ShrinkTarget:
-    """One number of a scenario: its path, its simplest value, and the distance of round numbers.
+    """One number of a scenario: its path, its simplest value ``target``, and the step between round numbers.
 
-    Without a ``target`` the number is only rounded.
+    If ``target`` is None, the number is only rounded.
     """
 
     path: Path
@@ -136,7 +136,7 @@ class ShrinkTarget:
     step: float
 
     def on(self, level: int) -> Callable[[int], float]:
-        """Return the round numbers of a level as a function of k; its step is a tenth per level."""
+        """Return a function from k to round number k of ``level``; each level divides the step by ten."""
         parts = 10**level
         if self.step == _DEGREE:
             return lambda k: math.radians(k / parts)
@@ -144,7 +144,7 @@ class ShrinkTarget:
         return lambda k: k / whole
 
     def place_of(self, value: float, level: int) -> float:
-        """Return the place of ``value`` among the round numbers of ``level``, as a fractional k."""
+        """Return the fractional k at which ``value`` lies among the round numbers of ``level``."""
         return value / self.step * int(10**level)
 
     def level_of(self, value: float) -> int:
@@ -189,7 +189,7 @@ def shrink_targets(scenario: Scenario) -> Iterator[ShrinkTarget]:
 
 
 def _below(scenario: Scenario, at: Path, targets: Mapping[str, Any]) -> Iterator[ShrinkTarget]:
-    """Yield the numbers below the path ``at``, by name, with their targets."""
+    """Yield every number of ``targets`` below the path ``at`` as a ``ShrinkTarget``."""
     for name, target in targets.items():
         for path, value in leaves(getattr(value_at(scenario, at), name, None), (*at, name)):
             if isinstance(value, float):
@@ -206,8 +206,8 @@ Violates = Callable[[Scenario], bool]
 class Shrunk:
     """A shrunk scenario that violates the claim.
 
-    ``steps`` describes the simplifications, and ``used`` is the number of runs.  ``settled`` tells that no
-    simpler candidate violates; it is False if the budget or Ctrl-C came first.
+    ``steps`` describes the accepted simplifications, and ``used`` is the number of runs. ``settled`` tells
+    that no simpler candidate violates; it is False if the budget or Ctrl-C ended the shrinking.
     """
 
     scenario: Scenario
@@ -223,23 +223,23 @@ class Shrunk:
 
     @property
     def summary(self) -> str:
-        """Whether and in how many runs it was shrunk."""
+        """Words that tell whether the scenario was shrunk, and in how many runs."""
         shrunk = f"shrunk in {self.used} runs" + ("" if self.settled else ", not to the end")
         return shrunk if self.done else "not shrunk"
 
 
 class SpentError(Exception):
-    """The budget is spent; ``violates`` may raise it too."""
+    """The error that ends shrinking when the budget is spent; ``violates`` may raise it too."""
 
 
 def shrink(scenario: Scenario, violates: Violates, *, budget: int) -> Shrunk:
-    """Shrink a violating scenario; Ctrl-C ends it early.
+    """Shrink a violating scenario until nothing simpler violates, or the budget or Ctrl-C ends it.
 
-    A candidate that cannot be written and read back is never run.
+    A candidate that cannot be written to a file and read back is never run.
 
     Args:
         scenario: A scenario that violates the claim.
-        violates: Runs a candidate and returns whether it violates.
+        violates: The function that runs a candidate and returns whether it violates the claim.
         budget: The greatest number of runs.
 
     Returns:
@@ -261,7 +261,7 @@ def shrink(scenario: Scenario, violates: Violates, *, budget: int) -> Shrunk:
 
 @dataclass(eq=False)
 class _Shrinking:
-    """The state of one shrinking: the simplest scenario so far, and all known verdicts by file text."""
+    """The state of one shrinking: the simplest scenario so far, and the verdict of each tried file text."""
 
     scenario: Scenario
     violates: Violates
@@ -282,7 +282,7 @@ class _Shrinking:
         return len(self.steps) > count_before
 
     def _halve(self) -> None:
-        """Halve the duration as often as possible, in whole steps."""
+        """Halve the run's duration, in whole steps, as long as the scenario violates the claim."""
         (knob,) = _below(self.scenario, (), {"duration_s": LEAST_S})
         while True:
             half = knob.on(0)(math.ceil(knob.place_of(self.scenario.duration_s, 0) / 2.0))
@@ -290,7 +290,7 @@ class _Shrinking:
                 return
 
     def _turn(self, knob: ShrinkTarget) -> None:
-        """Set a number to its target; else to a round number as near to the target as violates."""
+        """Set the number ``knob`` to its target, or to the round number nearest to it that still violates."""
         value = float(value_at(self.scenario, knob.path))
         if knob.target is not None and (value == knob.target or self._set(knob, knob.target)):
             return
@@ -299,7 +299,7 @@ class _Shrinking:
             self._approach(knob, level)
 
     def _round(self, knob: ShrinkTarget, value: float) -> int:
-        """Round a number on the coarsest level that violates, and return its level."""
+        """Round the number ``knob`` to the coarsest level that still violates, and return that level."""
         own = knob.level_of(value)
         falls = knob.target is not None and knob.target < value
         for level in range(own):
@@ -310,7 +310,7 @@ class _Shrinking:
         return own
 
     def _approach(self, knob: ShrinkTarget, level: int) -> None:
-        """Bisect between the target, which does not violate, and the number, which does."""
+        """Bisect between the target, which does not violate, and the present number, which does."""
         assert knob.target is not None
         number = knob.on(level)
         safe = round(knob.place_of(knob.target, level))
@@ -323,7 +323,7 @@ class _Shrinking:
                 safe = middle
 
     def _set(self, knob: ShrinkTarget, value: float) -> bool:
-        """Try one value of a number."""
+        """Try ``value`` for the number ``knob``, and return whether the scenario still violates."""
         step = f"{path_text(knob.path)} = {value:.6g}"
         return self._accept(step, with_value(self.scenario, knob.path, value))
 
@@ -332,7 +332,7 @@ class _Shrinking:
         if candidate == self.scenario:
             return False
         text = write_scenario(candidate)
-        if text == write_scenario(self.scenario):  # a file does not contain the stop times of a user's arm
+        if text == write_scenario(self.scenario):  # a file omits the stop times of a user's arm
             return False
         read = _read_back(text, candidate) if self._known.get(text, True) else None
         if text not in self._known:
@@ -343,7 +343,7 @@ class _Shrinking:
         return self._known[text]
 
     def _run(self, candidate: Scenario) -> bool:
-        """Run a candidate; SpentError if the budget is spent."""
+        """Run a candidate and return whether it violates; raise SpentError if the budget is spent."""
         if self.used >= self.budget:
             raise SpentError
         self.used += 1
@@ -351,9 +351,9 @@ class _Shrinking:
 
 
 def _read_back(text: str, scenario: Scenario) -> Scenario | None:
-    """Return the scenario of a file with this text; None if it is no valid file.
+    """Return the scenario of a file with ``text``; None if that is no valid file.
 
-    A recorded motion is read again from its own file.
+    Recorded motions are read again from their own files.
     """
     try:
         read = parse_scenario(text, scenario.file, name=scenario.name)

@@ -1,7 +1,6 @@
-"""Trials: a space's points in a world, from scenario and admission to run and margins.
+"""Trials: turn points of a space into scenarios, admit and run them in a world, and judge the runs.
 
-The world is a function from admitted scenarios to traces, so that search and confirmation share the same
-code.
+The world is a function from admitted scenarios to traces, so search and confirmation share this code.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ from safety_harness.trace.unmeasured import as_measured
 
 
 class ScenarioRunner(Protocol):
-    """Runs admitted scenarios; an Exception stands for a run that could not be finished."""
+    """A function that runs admitted scenarios; an Exception stands for a run that could not be finished."""
 
     def __call__(self, admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
         """Return one run for each scenario, in their order."""
@@ -65,7 +64,7 @@ class ScenarioRunner(Protocol):
 
 @dataclass(frozen=True)
 class InWorld:
-    """A ScenarioRunner in ``world``; a run with images that it cannot render uses the confirming world.
+    """A ScenarioRunner in ``world``; if ``world`` cannot render a run's images, the confirming world runs it.
 
     Ctrl-C raises KeyboardInterrupt.
     """
@@ -73,7 +72,7 @@ class InWorld:
     world: WorldEntry
 
     def __call__(self, admitted: Sequence[Admitted]) -> list[Trace | Exception]:
-        """Run all scenarios, together if the world supports it."""
+        """Run all scenarios, in one batch if the world supports it."""
         runs: list[Trace | Exception] = []
         for scenario, run in zip(admitted, run_all(admitted, self.world), strict=True):
             if isinstance(run, InadmissibleError) and self.world.confirmed_by is not None:
@@ -92,22 +91,23 @@ in_kinematic = InWorld(KINEMATIC)
 
 @dataclass(eq=False)
 class Trials:
-    """The points of ``space`` in ``world``: an ``Evaluate`` for a search.
+    """The trials of points of ``space`` in ``world``, as an ``Evaluate`` for a search.
 
-    ``avoider`` replaces the space's avoider; a relative file starts at the working directory.  ``sentences``
-    replace the space's claims.  "the avoider answered" is claimed too, unless a claim covers it.  The search
-    treats claims that the space expects to be violated like all others; ``to_be_found`` names them.
+    ``avoider`` replaces the space's avoider; a relative path starts at the working directory. ``sentences``
+    replace the space's claims. The trials add the claim "the avoider answered", unless another claim covers
+    it. The search treats claims that the space expects to be violated like all others; ``to_be_found`` names
+    them.
 
-    With a ``reference``, every point also runs with that avoider.  A claim that the avoider violates and the
-    reference keeps then leads the search, and ``differences`` has all pairs.
+    With a ``reference``, every point also runs with that avoider. The search then looks for claims that the
+    avoider violates and the reference keeps, and ``differences`` holds all pairs.
 
-    The other fields are totals over all runs.  ``nearest_hand_m`` is the least distance between hand and arm,
-    ``decisions`` counts decisions, and ``unanswered`` counts decisions without an answer.  ``overruling``
-    counts proposals that the gate overruled, ``repeatability`` keeps questions, ``tried`` records the
-    exercised parts of the space, and ``times`` has the answer times.
+    The other fields sum over all runs. ``nearest_hand_m`` is the least distance between hand and arm;
+    ``decisions`` counts all decisions, and ``unanswered`` those without an answer. ``overruling`` counts
+    proposals that the gate overruled, and ``repeatability`` keeps the avoider's questions. ``tried`` records
+    which parts of the space were exercised, and ``times`` holds the answer times.
 
-    Each scenario has its own seed, from ``seed`` and the point's number, unless the file fixes it.  An
-    avoider with a memory keeps it from run to run, as ``Admitter`` describes.
+    Each scenario derives its seed from ``seed`` and the point's number, unless the file fixes the seed. An
+    avoider with a memory keeps that memory from run to run, as ``Admitter`` describes.
     """
 
     space: ScenarioSpace
@@ -155,7 +155,7 @@ class Trials:
 
     @property
     def against(self) -> Against | None:
-        """The differences from the reference; None without one."""
+        """The differences from the reference; None without a reference."""
         if self.reference is None:
             return None
         mine = told_avoider(self.avoider or self.space.simplest.under_test)
@@ -253,7 +253,7 @@ class Trials:
         margins: NDArray[np.float64],  # (k,)
         conclusive: NDArray[np.bool_],  # (k,)
     ) -> None:
-        """Replace ``margins`` by differences, and keep ``conclusive`` only where both verdicts are.
+        """Replace ``margins`` by differences; set ``conclusive`` False unless both verdicts are conclusive.
 
         A difference below zero is always conclusive.
         """

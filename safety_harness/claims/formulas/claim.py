@@ -1,4 +1,4 @@
-"""A formula as a property: judged on a trace, three-valued, each part with its own margin and unit."""
+"""Judge a formula on a trace: with one of three verdicts, and with a margin and unit for each part."""
 
 from __future__ import annotations
 
@@ -62,12 +62,13 @@ WORST_FIRST = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
 
 @dataclass(frozen=True)
 class FormulaClaim:
-    """The property of ``formula``; FormulaError if it mixes margins that cannot be compared.
+    """The property that ``formula`` states; raises FormulaError if the formula mixes dimensions of margins.
 
-    It is violated if that is certain at the ticks, whatever is unknown.  It holds if that is certain at the
-    ticks and between them, in a run that was complete and exercised it.  Else it is inconclusive, with the
-    reason.  The worst verdict of several parts counts.  Where measurements are missing or inexact, both cover
-    every possible value. ``edition`` is the meaning of the sentence when it was stored.
+    The verdict is *violated* if the values at the ticks are certain to violate the formula, whatever is
+    unknown. It is *holds* if the formula is certain to hold at the ticks and between them, in a complete run
+    that exercised it. Otherwise it is *inconclusive*, with the reason. Of several parts, the worst verdict
+    counts. If measurements are missing or inexact, a verdict must be right for every possible value.
+    ``edition`` is the edition of the language in which the sentence was stored.
     """
 
     formula: Formula
@@ -78,12 +79,12 @@ class FormulaClaim:
 
     @property
     def sentence(self) -> str:
-        """Return the sentence of a scenario file."""
+        """Return the formula's sentence, as in a scenario file."""
         return str(self.formula)
 
     @property
     def close(self) -> float | None:
-        """Return the margin of a close run, as ``close_to``, for a claim of one comparison at every tick."""
+        """Return the margin of ``close_to`` if the claim is one comparison at every tick, else None."""
         match parts_of(self.formula):
             case (Always(body=Comparison() as one),):
                 least = one.relation in (Relation.ABOVE, Relation.AT_LEAST)
@@ -97,15 +98,15 @@ class FormulaClaim:
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Return the columns of a trace that its signals read."""
+        """Return the columns of a trace that the formula's signals read."""
         return _columns_of(self.formula)
 
     def check(self, scenario: Scenario, place: Place | None = None) -> None:
-        """Raise FormulaError at ``place`` for windows that exceed a run of ``scenario``."""
+        """Raise FormulaError at ``place`` if windows exceed a run of ``scenario``."""
         check_windows(self.formula, scenario, place or Place(field="formula"))
 
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge a trace; FormulaError as from ``check``."""
+        """Judge ``trace``; raise FormulaError like ``check``."""
         self.check(trace.scenario)
         problem = unreadable(trace, ())
         if problem is not None:
@@ -122,9 +123,9 @@ class FormulaClaim:
 
 
 def _deciding(parts: tuple[Evaluation, ...]) -> Evaluation:
-    """Return the first part with the worst verdict; of those in its unit, the part with the least margin.
+    """Return the part with the worst verdict; of several in the first one's unit, that with the least margin.
 
-    The reason has the verdict of each part.
+    The reason states the verdict of each part.
     """
     verdict = next(v for v in WORST_FIRST if any(part.verdict is v for part in parts))
     grave = [part for part in parts if part.verdict is verdict]
@@ -139,13 +140,13 @@ def _columns_of(formula: Formula) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for signal in signals_of(formula) for name in signal.reads))
 
 
-WITHOUT_END = 1.0  # the margin, as a plain number, of what truths alone decide
+WITHOUT_END = 1.0  # the margin, as a plain number, if truths alone decide
 Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """A part of a claim on a run, and its signals there."""
+    """A part of a claim, asked of one run, with its signals sampled there."""
 
     part: Formula
     trace: Trace
@@ -175,7 +176,7 @@ class _Asked:
         return comparison_bounds(atom, low, high)
 
     def bounds_between_ticks(self, atom: Comparison | Truth) -> MarginBounds:
-        """Return margins from each tick to the next; a signal unknown at a tick is unknown after it too."""
+        """Return margins from each tick to the next, unknown if the signal is unknown at the tick."""
         sampled = self.sampled[atom.signal]
         if isinstance(atom, Truth) or sampled.low is sampled.high:
             return self.at_ticks(atom)
@@ -186,7 +187,7 @@ class _Asked:
         return comparison_bounds(atom, low, high)
 
     def reached(self, atom: Comparison | Truth) -> MarginBounds:
-        """Return margins with the signal at its least, from each tick to the next, if it has a ``surely``."""
+        """Return margins with the value that the signal certainly reaches between ticks, if it is known."""
         sampled = self.sampled[atom.signal]
         if sampled.surely is None or isinstance(atom, Truth):
             return self.bounds_between_ticks(atom)
@@ -194,9 +195,10 @@ class _Asked:
         return comparison_bounds(atom, low, high)
 
     def surely(self, at_ticks: Margins) -> float:
-        """Return a bound that the part's margin certainly does not exceed, by ticks and moments between.
+        """Return an upper bound of the part's margin, from the ticks and the moments between them.
 
-        Any moment violates a part that asks the same of every moment.  The last moment is a tick alone.
+        Moments between ticks count only if the part asks the same of every moment. The last moment is the
+        last tick.
         """
         part, most = self.part, float(at_ticks.bounds.high[0])
         always = isinstance(part, Globally) or (isinstance(part, Always) and part.span is None)
@@ -207,7 +209,7 @@ class _Asked:
         return min(most, float(margins(part, self.reached, self.period_s).bounds.high[0]))
 
     def cases(self, atoms: Atoms) -> list[Case]:
-        """Return the possible modes, where several were possible and the part asks for more than one mode."""
+        """Return a case for each mode that was possible in a gap, if the part asks for several modes."""
         gaps = self.trace.known.column("mode").gaps
         several = len(MODES.keys() & self.sampled.keys()) > 1
         either = {mode for gap in gaps for mode in gap.either} if several else set()
@@ -225,13 +227,13 @@ class _Asked:
         return margin_cases
 
     def exercised(self, at_ticks: Margins, *, perhaps: bool = False) -> tuple[int, str]:
-        """Return how often the part was certainly exercised, and the missing event if that is 0.
+        """Return how often the run certainly exercised the part, and what was missing if never.
 
-        A trigger counts each time that it begins to hold.  For "until" and "eventually" the ticks before
-        their goal count (before edition 3 for "until" alone).  Else every tick counts that is known and
-        asked.  A signal with its own occasions bounds the number by these at such ticks, unless it is in the
-        trigger.  A way that certainly moves counts for a speed that is certain at no tick.  With ``perhaps``
-        every unknown tick counts.
+        A part with a trigger is exercised each time that the trigger begins to hold. For "until" and
+        "eventually", the ticks before their goal count (before edition 3, only for "until"). Otherwise every
+        known tick counts at which the part asks. If a signal has occasions of its own, their number at such
+        ticks is an upper bound, unless the signal is in the trigger. If a speed is certain at no tick, a
+        certain motion of its place counts. With ``perhaps``, every unknown tick counts.
         """
         part, tried = self.part, set(self.sampled)
         ticks = ticks_asked(at_ticks, self.period_s)
@@ -267,7 +269,7 @@ class _Asked:
         return count, untried
 
     def untried(self, sampled: Sampled, when: NDArray[np.bool_], near_m: float) -> str:
-        """Return the event that did not happen at the ticks ``when`` (n,) at which the part asks."""
+        """Return words on what did not happen at the ticks ``when`` (n,) at which the part asks."""
         where = "" if when.all() else " at any tick that the formula asks of"
         if sampled.comes is None:
             return f"{sampled.untried}{where}"
@@ -276,23 +278,23 @@ class _Asked:
         return (nearest or f"there was no {body}") + where
 
     def begun(self, surely: NDArray[np.bool_], never: NDArray[np.bool_]) -> int:
-        """Return how often a state begins, at least: between two unknown ticks it may have continued."""
+        """Return how often a state begins at least, as it may have continued over unknown ticks."""
         return times_begun(surely[surely | never] if self.lacking else surely)
 
     def unexercised(self, at_ticks: Margins, untried: str) -> Evaluation:
-        """Return inconclusive: never exercised, or only by values that were not measured."""
+        """Return inconclusive: the part was never exercised, or only by values that were not measured."""
         if self.lacking and self.exercised(at_ticks, perhaps=True)[0]:
             return self.lacks(self.lacking, "nothing else tells whether it was exercised")
         return inconclusive(self, f"never exercised: {untried}")
 
     @cached_property
     def lacking(self) -> tuple[str, ...]:
-        """Return the columns that it reads and that are not wholly known."""
+        """Return the columns that the part reads and the trace does not wholly know."""
         known = self.trace.known
         return () if known.whole else tuple(n for n in _columns_of(self.part) if known.column(n).limited)
 
     def lacks(self, columns: tuple[str, ...], reason: str = "", exercised: int = 0) -> Evaluation:
-        """Return inconclusive, since ``columns`` are not known well enough."""
+        """Return inconclusive, since ``columns`` are not known well enough; ``reason`` tells more."""
         gaps = gaps_of(self.trace, columns)
         text = f"not measured: {', '.join(gaps)}" if gaps else ""
         rest = [name for name in columns if name not in gaps]
@@ -302,7 +304,7 @@ class _Asked:
         return replace(inconclusive(self, text, exercised=exercised), unmeasured=columns)
 
     def nearest(self, trigger: Formula, at_ticks: Margins) -> str:
-        """Return the smallest gap by which a trigger failed, and when; empty if it has several quantities."""
+        """Return words on the least that ``trigger`` lacked; empty if it compares several quantities."""
         low = at_ticks.bounds.low[: len(self.trace.ticks)]
         try:
             unit = unit_of(trigger)
@@ -337,7 +339,7 @@ class _Asked:
         )
 
     def unknown(self, decisive: Witness, exercised: int) -> Evaluation:
-        """Return the unknown value: at the tick that would decide, else the first."""
+        """Return inconclusive for the unknown value at the ``decisive`` tick, or else for the first one."""
         trace, columns = self.trace, self.lacking
         why = "a window runs beyond the end of the run, which does not decide it"
         if not trace.complete:
@@ -361,7 +363,7 @@ class _Asked:
     def evaluation_of(
         self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True
     ) -> Evaluation:
-        """Return a verdict by the lower (or upper) bound of ``seen``, with the moment that decided it."""
+        """Return ``verdict`` with the lower (or upper) bound of ``seen`` and the moment that decided it."""
         decisive = witness(seen, 0, self.period_s, low=low)
         margin, unit = float((seen.bounds.low if low else seen.bounds.high)[0]), self.unit
         margin = 0.0 if margin == LEAST else margin
@@ -387,22 +389,22 @@ class _Asked:
 
 
 def near_of(part: Formula, signal: Signal) -> float:
-    """Return how near the distance ``signal`` has to come to exercise a part."""
+    """Return how small the distance ``signal`` has to become to exercise ``part``."""
     comparisons = (node for node in part.nodes() if isinstance(node, Comparison) and node.signal is signal)
     return occasion_m(max((comparison.limit.value for comparison in comparisons), default=0.0))
 
 
 def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: bool = False) -> Evaluation:
-    """Return the verdict on a part; ``trace`` is not empty and does not contradict itself.
+    """Return the evaluation of ``part``; ``trace`` must not be empty or contradict itself.
 
-    ``finely`` takes the closer bounds of signals, which are computed where they may decide.
+    ``finely`` uses the closer bounds of signals; the function calls itself so if they may decide.
     """
     whole = trace.known.whole
     missing = () if whole else trace.known.missing(_columns_of(part))
     if missing:
         return not_measured(_Asked(part, trace, {}), missing, known=trace.known)
     seen = trace if whole else blanked(trace)
-    with np.errstate(invalid="ignore", over="ignore"):  # of values that no run has, which is found below
+    with np.errstate(invalid="ignore", over="ignore"):  # values that no run has are found below
         sampled = {
             signal: (signal.finer if finely and signal.finer else signal.sample)(seen)
             for signal in signals_of(part)
@@ -446,12 +448,12 @@ def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: b
 
 
 def _holes(sampled: Sampled) -> NDArray[np.bool_]:
-    """Return (n,) the ticks at which a signal is not known, or not wholly."""
+    """Return (n,) whether a signal is not known, or not wholly known, at each tick."""
     return np.isnan(sampled.value) if sampled.lost is None else np.isnan(sampled.value) | sampled.lost
 
 
 def _impossible(signal: Signal, sampled: Sampled, trace: Trace) -> str:
-    """Return why a signal's values are not evidence; empty if a run can have them."""
+    """Return why no run can have the signal's values; empty if a run can."""
     impossible = signal.impossible(sampled) if isinstance(signal, Measure) else None
     if impossible is None:
         return ""

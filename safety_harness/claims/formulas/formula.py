@@ -1,17 +1,18 @@
-"""The parts of a formula, and its form in Python.
+"""The kinds of formula, and how to write a formula in Python.
 
     always(hand_distance() > mm(50))
     whenever(hand_distance() < mm(300)).then(eventually(tcp_speed() < mm_per_s(100), window=ms(200)))
     repulsing().until(hand_distance() > mm(300), window=s(4))
 
-Formulas are frozen trees, equal if they have the same meaning; ``str`` returns their sentence in a scenario
-file. ``&``, ``|`` and ``~`` join them, each comparison in parentheses.  Python's own ``and``, ``or``, ``not``
-and ``a < x < b`` ask whether a formula is true.  Only a run can answer that, so they raise FormulaError.
+Formulas are frozen trees that compare by value; ``str`` returns a formula's sentence in a scenario file.
+``&``, ``|`` and ``~`` join them, each comparison in parentheses. Python's own ``and``, ``or``, ``not`` and
+``a < x < b`` need to know whether a formula is true. Only a run can tell that, so they raise FormulaError.
 
-A claim splits its formula at each "and" at its top into parts about the whole run.  A part without a temporal
-operator applies to every tick, as if "always" stood before it.  A part that begins with such operators
-applies to the first tick and its future.  A part that joins both kinds is ambiguous, and refused.  "always (a
-and b)" and "whenever t then (a and b)" equal their two halves, so that each half has its own margin.
+A claim splits its formula at each "and" at its top into parts about the whole run. A part without a temporal
+operator applies to every tick, as if it began with "always". A part that begins with a temporal operator
+applies to the first tick and the ticks after it. A part that joins both kinds is refused as ambiguous.
+"always (a and b)" and "whenever t then (a and b)" are split into two halves, so that each half has its own
+margin.
 """
 
 from __future__ import annotations
@@ -48,18 +49,18 @@ class Relation(Enum):
 
 
 class Formula:
-    """Any formula; the classes below are the only kinds."""
+    """The base of all formulas, whose only kinds are the classes below."""
 
     def __post_init__(self) -> None:
         _refuse_what_stands_at_the_top(self)
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """Return the formulas of which it directly consists."""
+        """Return the formulas that this formula directly joins."""
         return ()
 
     def nodes(self) -> Iterator[Formula]:
-        """Yield the formula and everything in it, depth first."""
+        """Yield this formula and all formulas in it, depth first."""
         yield self
         for part in self.parts:
             yield from part.nodes()
@@ -75,7 +76,7 @@ class Formula:
 
     @renamed_parameters(within="window")  # deprecated: the old name, for one release
     def until(self, right: Formula, *, window: Window = None) -> Formula:
-        """Return the formula that this holds from now until a tick of the window at which ``right`` holds."""
+        """Return the formula that this holds until ``right`` does, at a tick of ``window`` if it is given."""
         return Until(self, formula_of(right, "until"), span_of(window))
 
     def __bool__(self) -> bool:
@@ -88,7 +89,7 @@ class Formula:
 
 @dataclass(frozen=True)
 class Comparison(Formula):
-    """A signal's value beside a limit.  Its margin is the distance on the right side of the limit."""
+    """The comparison of a signal with a limit; its margin is the distance on the right side of the limit."""
 
     signal: Signal
     relation: Relation
@@ -113,7 +114,7 @@ class Comparison(Formula):
 
 @dataclass(frozen=True)
 class Truth(Formula):
-    """A signal that is true or false; its margin is infinite either way."""
+    """A formula that is a true or false signal; its margin is inf or -inf."""
 
     signal: Signal
 
@@ -129,13 +130,13 @@ class _Over(Formula):
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """Return its body."""
+        """Return the one formula under the operator."""
         return (self.body,)
 
 
 @dataclass(frozen=True)
 class Not(_Over):
-    """The formula does not hold: the same margin with the opposite sign."""
+    """The formula that the body does not hold; its margin is the body's with the opposite sign."""
 
     def __str__(self) -> str:
         return f"not {operand(self.body)}"
@@ -143,7 +144,7 @@ class Not(_Over):
 
 @dataclass(frozen=True)
 class Initially(_Over):
-    """The formula holds at the first tick."""
+    """The formula that the body holds at the first tick."""
 
     def __str__(self) -> str:
         return f"initially {operand(self.body)}"
@@ -151,7 +152,7 @@ class Initially(_Over):
 
 @dataclass(frozen=True)
 class Always(_Over):
-    """The formula holds at every tick of the window, or to the end of the run: the least margin."""
+    """The formula that the body holds at every tick of the window, or from now on: the least margin."""
 
     span: Span | None = None
 
@@ -162,7 +163,7 @@ class Always(_Over):
 
 @dataclass(frozen=True)
 class Eventually(_Over):
-    """The formula holds at one tick at least of the window, or of the rest of the run: the largest margin."""
+    """The formula that the body holds at a tick of the window, or at one from now on: the largest margin."""
 
     span: Span | None = None
 
@@ -186,10 +187,10 @@ class _Several(Formula):
 
 @dataclass(frozen=True)
 class And(_Several):
-    """All formulas hold: the least margin."""
+    """The formula that all members hold; its margin is the least of theirs."""
 
     def __post_init__(self) -> None:
-        """Accept every part, since it joins parts at the top."""
+        """Accept every kind of member, since "and" may join the parts of a whole claim."""
 
     def __str__(self) -> str:
         return " and ".join(joined(part) for part in self.members)
@@ -197,7 +198,7 @@ class And(_Several):
 
 @dataclass(frozen=True)
 class Or(_Several):
-    """One of the formulas holds: the largest margin."""
+    """The formula that at least one member holds; its margin is the largest of theirs."""
 
     def __str__(self) -> str:
         return " or ".join(joined(part) for part in self.members)
@@ -205,7 +206,7 @@ class Or(_Several):
 
 @dataclass(frozen=True)
 class Until(Formula):
-    """``first`` holds at every tick before one, in the window, at which ``second`` does."""
+    """The formula that ``second`` holds at a tick of the window, and ``first`` at every tick before it."""
 
     first: Formula
     second: Formula
@@ -223,7 +224,7 @@ class Until(Formula):
 
 @dataclass(frozen=True)
 class Globally(Formula):
-    """At every tick at which ``trigger`` holds, ``response`` does.  The trigger has no margin of its own."""
+    """The formula that ``response`` holds whenever ``trigger`` does; the trigger has no margin of its own."""
 
     trigger: Formula
     response: Formula
@@ -239,7 +240,7 @@ class Globally(Formula):
 
 
 def goal_of(part: Formula) -> Formula | None:
-    """Return the formula that has to hold at some tick from the first on; None without such a goal."""
+    """Return the formula that must hold at some tick for ``part`` to hold; None without such a goal."""
     match part:
         case Until():
             return part.second
@@ -255,12 +256,12 @@ _JOINS = (And, Or, Until)
 
 
 def operand(formula: Formula) -> str:
-    """Return the text after an operator: in parentheses if it joins several."""
+    """Return the text of ``formula`` after an operator, in parentheses if it joins several formulas."""
     return f"({formula})" if isinstance(formula, _JOINS) else str(formula)
 
 
 def joined(formula: Formula) -> str:
-    """Return the text beside "and", "or", "until": in parentheses if it could seem to reach further."""
+    """Return the text of ``formula`` beside "and", "or", "until", in parentheses if it is ambiguous there."""
     inner = formula
     while isinstance(inner, Not):
         inner = inner.body
@@ -269,26 +270,26 @@ def joined(formula: Formula) -> str:
 
 
 def conjunction(*formulas: Formula) -> Formula:
-    """Return all of ``formulas`` joined; their own members join the rest."""
+    """Return ``formulas`` joined by "and"; the members of an "and" among them are joined directly."""
     return And(tuple(p for part in formulas for p in (part.members if isinstance(part, And) else (part,))))
 
 
 def disjunction(*formulas: Formula) -> Formula:
-    """Return the alternative of ``formulas``; their own members join the rest."""
+    """Return ``formulas`` joined by "or"; the members of an "or" among them are joined directly."""
     return Or(
         tuple(p for formula in formulas for p in (formula.members if isinstance(formula, Or) else (formula,)))
     )
 
 
 def formula_of(value: object, operator: str) -> Formula:
-    """Return ``value`` if it is a formula; else raise FormulaError with the operator beside it."""
+    """Return ``value`` if it is a formula; else raise FormulaError, which names ``operator``."""
     if isinstance(value, Formula):
         return value
     raise formula_error(f'a formula such as hand_distance() > mm(50) beside "{operator}"', str(value))
 
 
 def _refuse_what_stands_at_the_top(formula: Formula) -> None:
-    """Raise FormulaError for a part that is not a formula, or that only a whole claim can be."""
+    """Raise FormulaError if a part is no formula, or is of a kind that only a whole claim can be."""
     operator = type(formula).__name__.lower()
     for part in formula.parts:
         for node in formula_of(part, operator).nodes():
@@ -312,7 +313,7 @@ _UNITS = (
 
 
 def parts_of(formula: Formula) -> tuple[Formula, ...]:
-    """Return the parts of a claim, each with a time; FormulaError if one has no margin."""
+    """Return the parts of a claim, each with a temporal operator; raise FormulaError if one has no margin."""
     parts = tuple(_with_time(part) for part in _split(formula))
     for part in parts:
         dimension_of(part)
@@ -320,7 +321,7 @@ def parts_of(formula: Formula) -> tuple[Formula, ...]:
 
 
 def _split(formula: Formula) -> list[Formula]:
-    """Split at every "and" at the top, or directly below "always" or "whenever" there."""
+    """Return the parts of ``formula``, split at each "and" at its top or directly below its top operator."""
     match formula:
         case And():
             return [part for member in formula.members for part in _split(member)]
@@ -334,7 +335,7 @@ def _split(formula: Formula) -> list[Formula]:
 
 
 def _with_time(part: Formula) -> Formula:
-    """Add "always" if no operator gives a time; FormulaError if one does for a part alone."""
+    """Return ``part``, after "always" if it has no time; raise FormulaError if only a part of it has one."""
     if not any(isinstance(node, TEMPORAL) for node in part.nodes()):
         return Always(part)
     if (bare := next(_of_no_time(part), None)) is not None:
@@ -356,19 +357,19 @@ def _of_no_time(formula: Formula) -> Iterator[Formula]:
 
 
 def unit_of(part: Formula) -> Unit:
-    """Return the unit of a part's margin; a number for truths alone."""
+    """Return the unit of a part's margin; a count if the part has only truths."""
     return shown_in(dimension_of(part))
 
 
 def shown_in(dimension: Dimension | None) -> Unit:
-    """Return the unit for values of a dimension."""
+    """Return the unit in which values of ``dimension`` are shown."""
     return next((unit for own, unit in _UNITS if own is dimension), Unit.COUNT)
 
 
 def dimension_of(formula: Formula) -> Dimension | None:
-    """Return the dimension of a formula's margin, None for truths alone; FormulaError for a mixture.
+    """Return the dimension of a formula's margin, None for truths alone; raise FormulaError for a mixture.
 
-    A trigger has no margin, and may mix dimensions.
+    A trigger has no margin, so it may mix dimensions.
     """
     if isinstance(formula, Comparison):
         return formula.signal.dimension
@@ -395,7 +396,7 @@ def signals_of(formula: Formula) -> tuple[Signal, ...]:
 
 
 def check_windows(formula: Formula, scenario: Scenario, place: Place) -> None:
-    """Raise FormulaError at ``place`` for windows longer than any run of ``scenario``, or without a tick."""
+    """Raise FormulaError at ``place`` if a window has no tick, or windows exceed a run of ``scenario``."""
     period_s = scenario.settings.clock.control_period_s
     for node in formula.nodes():
         span = getattr(node, "span", None)
@@ -416,7 +417,7 @@ def check_windows(formula: Formula, scenario: Scenario, place: Place) -> None:
 
 
 def reach_ticks(formula: Formula, period_s: float) -> int:
-    """Return how many ticks after the tick in question its windows end."""
+    """Return how many ticks after a tick the last window of ``formula`` ends, if it begins at that tick."""
     span = formula.span if isinstance(formula, Always | Eventually | Until) else None
     own = span.ticks(period_s)[1] if span is not None else 0
     return own + max((reach_ticks(part, period_s) for part in formula.parts), default=0)

@@ -154,17 +154,17 @@ def rad_per_s(number: float) -> Quantity:
 
 @renamed_parameters(within="window")  # deprecated: the old name, for one release
 def always(formula: Formula, *, window: Window = None) -> Formula:
-    """Return the formula that ``formula`` holds at every tick from now on, or of the window.
+    """Return the formula that ``formula`` holds at every tick from now on, or at every tick of ``window``.
 
-    ``window=s(2)`` is the window from now to 2 s; ``window=(s(0.1), s(0.5))`` that from 0.1 s to 0.5 s, ends
-    included.
+    ``window=s(2)`` is the window from now to 2 s, and ``window=(s(0.1), s(0.5))`` the window from 0.1 s to
+    0.5 s. Windows include their ends.
     """
     return Always(formula_of(formula, "always"), span_of(window))
 
 
 @renamed_parameters(within="window")  # deprecated: the old name, for one release
 def eventually(formula: Formula, *, window: Window = None) -> Formula:
-    """Return the formula that ``formula`` holds at one tick at least, from now on or in the window."""
+    """Return the formula that ``formula`` holds at one tick or more, from now on or in ``window``."""
     return Eventually(formula_of(formula, "eventually"), span_of(window))
 
 
@@ -185,8 +185,8 @@ class Antecedent:
 
 
 def whenever(trigger: Formula) -> Antecedent:
-    """Begin ``whenever(p).then(q)``: q holds at every tick at which p does.
+    """Begin ``whenever(p).then(q)``, the formula that q holds at every tick at which ``trigger`` p does.
 
-    A p that never holds is no evidence.
+    A run in which p never holds is not evidence.
     """
     return Antecedent(formula_of(trigger, "whenever"))

@@ -1,4 +1,4 @@
-"""The two kinds of signal: a measure, which a formula compares with a limit, and a flag, true or false."""
+"""The two kinds of signal: a measure, which formulas compare with a limit, and a flag, true or false."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from safety_harness.trace.records import ENDLESS
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Flag(Signal):
-    """A signal that is true or false at each tick.  ``stopped()`` is the formula that it is true."""
+    """A signal that is true or false at each tick; calling it, as ``stopped()``, gives a formula."""
 
     dimension: None = None
     between: Interpolation = Interpolation.HELD
@@ -27,10 +27,10 @@ class Flag(Signal):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measure(Signal):
-    """A signal with a value of ``dimension`` at each tick, to be compared with a limit of that dimension.
+    """A signal with a value of ``dimension`` at each tick, for comparison with a limit of that dimension.
 
-    Values of runs are at least ``least``, and infinite only if it is ``endless``.  Runs do not come near to a
-    limit below ``lowest``, or above the largest limit of its dimension.
+    In a run, its values are at least ``least``, and only an ``endless`` measure has infinite values. A limit
+    below ``lowest``, or above the largest limit of its dimension, is refused because no run comes near it.
     """
 
     dimension: Dimension
@@ -44,9 +44,10 @@ class Measure(Signal):
         return self.lowest, self.dimension.most_of_limits
 
     def impossible(self, sampled: Sampled) -> tuple[int, float] | None:
-        """Return the first tick with a value, or a bound, that no run has, and that value; NaN is unknown.
+        """Return the first tick with a value or bound that no run can have, and that value; else None.
 
-        A missing lower bound is unknown too: motors that may saturate leave it open between two ticks.
+        NaN is unknown and so possible. So is a missing lower bound, which motors that may saturate leave open
+        between two ticks.
         """
         least, unbounded = self.least, np.isneginf(sampled.low)
         for side, unknown in ((sampled.value, np.nan), (sampled.low, -np.inf), (sampled.high, np.inf)):
@@ -60,7 +61,7 @@ class Measure(Signal):
         return None
 
     def __call__(self) -> Measure:
-        """Return itself: ``tcp_speed() < mm_per_s(250)`` equals ``tcp_speed < mm_per_s(250)``."""
+        """Return the measure itself: ``tcp_speed() < mm_per_s(250)`` equals ``tcp_speed < mm_per_s(250)``."""
         return self
 
     def __lt__(self, limit: Quantity | float) -> Comparison:

@@ -1,4 +1,4 @@
-"""A parser from a sentence to its formula.
+"""Parse a sentence to its formula.
 
     claim    := operand ("and" operand)* | operand ("or" operand)* | operand "until" operand [window] | far
     far      := ("always" [lasting] | "eventually" ["from" t "to" t] | "within" t | "initially" | "not") reach
@@ -8,8 +8,8 @@
     lasting  := "for" t | "from" t "to" t
     window   := "within" t | "from" t "to" t
 
-Ambiguous sentences are refused.  "and" beside "or" needs parentheses, and so does a ``far`` with a
-continuation.  Words count in either case.
+Ambiguous sentences are refused. A mixture of "and" and "or" needs parentheses, and so does a ``far`` that is
+joined to anything. The case of words does not matter.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ MAX_DEPTH = 30  # parentheses and operators within one another
 
 
 def parse_formula(sentence: str, place: Place | None = None) -> Formula:
-    """Return the formula of a sentence; FormulaError at ``place`` with the column of the wrong word."""
+    """Return the formula of ``sentence``; raise FormulaError at ``place``, with the wrong word's column."""
     refuse_other_type("parse_formula(sentence)", sentence, str, expected="a sentence")
     place = place or Place(field="formula")
     parser = _Parser(sentence, place, tokens_of(sentence, place))
@@ -61,7 +61,7 @@ def parse_formula(sentence: str, place: Place | None = None) -> Formula:
 
 
 def looks_like_formula(sentence: str) -> bool:
-    """Return whether a sentence that is not in the catalogue seems to be a formula."""
+    """Return whether a ``sentence`` that is not in the catalogue is likely to be a formula."""
     if any(sign in sentence for sign in "<>≤≥=()"):
         return True
     tokens = sentence.lower().split()
@@ -84,7 +84,7 @@ class _Parser:
         return self.tokens[self.at]
 
     def take(self, *texts: str) -> Token | None:
-        """Return the current token if it is one of ``texts``, and advance."""
+        """Return the current token and advance if it is one of ``texts``; else return None."""
         token = self.now
         if token.text not in texts or token.kind == "end":
             return None
@@ -104,7 +104,7 @@ class _Parser:
         return FormulaError(place=self.place, expected=expected, got=got_text, hint=hint)
 
     def made(self, token: Token, make: type[Formula], *parts: object) -> Formula:
-        """Return a node; if it refuses its parts, report that at ``token``."""
+        """Return the node that ``make`` makes of ``parts``; report an error of it at ``token``."""
         try:
             return make(*parts)
         except FormulaError as error:
@@ -136,7 +136,7 @@ class _Parser:
             raise self.error(f"at most {MAX_DEPTH} parentheses and operators within one another")
 
     def refuse_more(self, begins: Token) -> None:
-        """Refuse an operator that could seem to reach further, or another joint."""
+        """Raise FormulaError if another "and", "or" or "until" follows, which would be ambiguous."""
         if self.now.text in ("and", "or", "until") and self.now.kind == "word":
             text = begins.text
             hint = f'"{text} (...)" with what belongs to it, or "({text} ...)" around it'
@@ -150,9 +150,9 @@ class _Parser:
         return formula
 
     def far_begins(self) -> bool:
-        """Return whether an operator stands here that reaches over the rest.
+        """Return whether the next operator applies to all that follows it.
 
-        "not" reaches over the rest if the next operator does.
+        "not" does so if the operator after it does.
         """
         ahead = self.at
         while self.tokens[ahead].text == "not":
@@ -176,7 +176,7 @@ class _Parser:
         return self.made(token, make, self.reach(depth), lasts)
 
     def reach(self, depth: int, *, until: bool = False) -> Formula:
-        """Return what an operator applies to: one operand, or another operator with its own."""
+        """Return what an operator applies to: one operand, or another such operator with its own."""
         self.refuse_deeper(depth)
         if self.far_begins():
             return self.far(depth + 1)
@@ -216,7 +216,7 @@ class _Parser:
         return self.made(name, Truth, signal)
 
     def signal(self) -> Signal:
-        """Return the signal with the most words among those that match here."""
+        """Return the longest signal whose words stand here, and advance."""
         ahead = [token.text for token in self.tokens[self.at :]]
         matches = [signal for signal in SIGNALS if ahead[: len(_words_of(signal))] == _words_of(signal)]
         if matches:
@@ -250,7 +250,7 @@ class _Parser:
             raise self.error(error.expected, token, error.hint, text) from error
 
     def window(self, from_now: str) -> Span | None:
-        """Return ``for 2 s`` or ``within 2 s`` (as ``from_now`` says), or ``from 0.1 s to 0.5 s``."""
+        """Return the window that stands here, if any: ``from 0.1 s to 0.5 s``, or ``from_now`` and a time."""
         token = self.take(from_now, "from")
         if token is None:
             return None
@@ -263,7 +263,7 @@ class _Parser:
         return Span(begin, self.later(begin))
 
     def later(self, begin: Quantity) -> Quantity:
-        """Return a time after ``begin``."""
+        """Return the time that stands here, which must be after ``begin``."""
         token = self.now
         end = self.quantity(TIME)
         if not end.value > begin.value:
@@ -285,7 +285,7 @@ SAME = {"≤": "<=", "≥": ">="}
 
 @dataclass(frozen=True)
 class Token:
-    """A word (in lower case as ``text``, as written in ``written``), number or sign; or the end."""
+    """A word, number, sign or the end of a sentence, in the usual form ``text`` and as ``written``."""
 
     kind: str  # "number", "sign", "word" or "end"
     written: str
@@ -293,12 +293,12 @@ class Token:
 
     @property
     def text(self) -> str:
-        """Return the text in its usual form, however it was written."""
+        """Return the token in its usual form: in lower case, with <= and >= for their symbols."""
         return SAME.get(self.written, self.written.lower())
 
 
 def tokens_of(sentence: str, place: Place) -> list[Token]:
-    """Return the tokens of a sentence, with a last token for its end; FormulaError for other characters."""
+    """Return the tokens of ``sentence``, with one for its end; raise FormulaError for other characters."""
     tokens, at = [], 0
     while at < len(sentence):
         if sentence[at].isspace():

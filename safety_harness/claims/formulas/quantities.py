@@ -12,7 +12,7 @@ from safety_harness.scenario.units import NUMBER, TIME, Dimension, normal_unit, 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A ``value`` in SI, its ``dimension``, and its text ``written`` (which comparisons ignore)."""
+    """A ``value`` in SI with its ``dimension``, and with the text ``written``, which comparisons ignore."""
 
     value: float
     dimension: Dimension = field(compare=False)
@@ -37,7 +37,7 @@ class Quantity:
 
 
 def formula_error(expected: str, got: str, hint: str = "") -> FormulaError:
-    """Return the error for a mistake in a formula that is not in a file, or not yet."""
+    """Return a FormulaError for a mistake in a formula that is not, or not yet, in a file."""
     return FormulaError(place=Place(field="formula"), expected=expected, got=got, hint=hint)
 
 
@@ -49,7 +49,7 @@ def _needs_parentheses(sign: str, quantity: Quantity) -> FormulaError:
 
 
 def quantity(number: float, unit: str, dimension: Dimension) -> Quantity:
-    """Return ``number`` (finite) in a ``unit`` of ``dimension``: the float nearest to the text, in SI."""
+    """Return ``number`` (finite) in a ``unit`` of ``dimension``, as the float in SI nearest to its text."""
     if isinstance(number, bool) or not isinstance(number, Real) or not math.isfinite(number):
         expected = f"a finite number of {unit}" if unit else "a finite number"
         raise FormulaError(place=Place(field=unit or "formula"), expected=expected, got=repr(number))
@@ -57,7 +57,7 @@ def quantity(number: float, unit: str, dimension: Dimension) -> Quantity:
 
 
 def read_quantity(text: str, dimension: Dimension, place: Place) -> Quantity:
-    """Return a quantity from a sentence; ScenarioError at ``place`` if it is not of ``dimension``."""
+    """Return the quantity in ``text``; raise ScenarioError at ``place`` if it is not of ``dimension``."""
     value = parse_quantity(text, dimension, place)
     number, _, unit = text.strip().partition(" ")
     if "e" not in number.lower():
@@ -69,7 +69,7 @@ def read_quantity(text: str, dimension: Dimension, place: Place) -> Quantity:
 
 
 def plain(number: float) -> Quantity:
-    """Return a number without a unit."""
+    """Return ``number`` as a quantity without a unit."""
     return quantity(number, "", NUMBER)
 
 
@@ -94,19 +94,19 @@ class Span:
             raise formula_error("a window from a time of at least 0 s to a later one", got)
 
     def ticks(self, period_s: float) -> tuple[int, int]:
-        """Return the first and the last tick, counted from now; the last is earlier if it has no tick."""
+        """Return the first and last tick, counted from now; the last is earlier if the window has no tick."""
         first, last = self.begin.value / period_s - TIME_EPS, self.end.value / period_s + TIME_EPS
         return math.ceil(first), math.floor(last)
 
     def phrase(self, from_now: str) -> str:
-        """Return ``from_now`` with its end if it begins now, else both times."""
+        """Return ``from_now`` followed by the end if the window begins now, else both of its times."""
         if self.begin.value == 0.0:
             return f"{from_now} {self.end}"
         return f"from {self.begin} to {self.end}"
 
 
 def span_of(window: Window) -> Span | None:
-    """Return ``s(2)`` as the window from now to 2 s, or ``(s(0.1), s(0.5))`` as that between both."""
+    """Return the window from now to 2 s for ``s(2)``, or the window between both for ``(s(0.1), s(0.5))``."""
     if window is None:
         return None
     begin, end = window if isinstance(window, tuple) else (NOW, window)

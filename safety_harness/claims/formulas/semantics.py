@@ -1,16 +1,17 @@
-"""The margin of a formula at every tick, as an interval, so that an unknown value is not guessed.
+"""Compute the margin of a formula at every tick, as an interval, so that no unknown value is guessed.
 
-``witness`` finds the tick, and the comparison or truth, that a margin comes from.
+``witness`` finds the tick and the comparison or truth from which a margin results.
 
-The margin of a comparison is the distance to its limit, that of a truth +-inf.  "not" turns the sign, "and"
-and "always" take the least, "or" and "eventually" the largest.  "until" takes the largest, over the ticks j
-of its window, of the least of second(j) and of first before j.  Windows are in control ticks, ends included.
-A value at its very limit is ``LEAST``, the smallest normal number, on the right side of <= and >=, and on the
-wrong side of < and >.  So no margin is 0, and a formula and its negation never both hold.
+The margin of a comparison is the signal's distance from the limit, and the margin of a truth is +-inf. "not"
+changes the sign. "and" and "always" take the least margin, "or" and "eventually" the largest. "until" takes,
+for each tick j of its window, the least margin of its second part at j and of its first part before j. The
+largest of these counts. Windows are counted in control ticks and include both ends. A value exactly at its
+limit has the margin ``LEAST``, the smallest normal number, for <= and >=, and -``LEAST`` for < and >. So no
+margin is 0, and a formula and its negation never both hold.
 
-Each margin is an interval from ``low`` to ``high``.  NaN, ticks that were not reached and windows that exceed
-the last tick make it [-inf, inf], and every operator combines the bounds of its parts.  (Compare Deshmukh et
-al., Robust online monitoring of signal temporal logic, 2017.)  Operators without a window end with the run.
+Each margin is an interval from ``low`` to ``high``. A NaN, a tick that the run did not reach, and a window
+beyond the last tick make it [-inf, inf]. Every operator combines the bounds of its parts. (See Deshmukh et
+al., Robust online monitoring of signal temporal logic, 2017.) Operators without a window end with the run.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ Atoms = Callable[[Comparison | Truth], "MarginBounds"]
 
 @dataclass(frozen=True, eq=False)
 class MarginBounds:
-    """Margins (n,) that lie between ``low`` and ``high``, never NaN; the same array where they are known."""
+    """Bounds ``low`` and ``high`` (n,) of margins, never NaN; they are one array if all margins are known."""
 
     low: Values
     high: Values
@@ -62,7 +63,7 @@ class MarginBounds:
 
 @dataclass(frozen=True, eq=False)
 class Margins:
-    """A formula with its margins at every tick, and those of its parts."""
+    """A formula with the bounds of its margins at every tick, and with the margins of its parts."""
 
     formula: Formula
     bounds: MarginBounds
@@ -71,17 +72,17 @@ class Margins:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A possibility at the ticks ``where`` (n,), with the ``atoms`` in that case."""
+    """A case that is possible at the ticks ``where`` (n,), with the margins ``atoms`` in that case."""
 
     where: NDArray[np.bool_]
     atoms: Atoms
 
 
 def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Case] = ()) -> Margins:
-    """Return the margins of ``formula`` at every tick, by those of its comparisons and truths from ``atoms``.
+    """Return the margins of ``formula`` at every tick, from those of its comparisons and truths (``atoms``).
 
-    At a tick with ``cases``, one of these was true.  There, an "and" or "or" of comparisons and truths, each
-    unknown by itself, lies between the least and the largest that any case gives.
+    At a tick to which ``cases`` apply, one of them was true. There, an "and" or "or" of comparisons and
+    truths has a margin between the least and the largest of all cases, even if each part alone is unknown.
     """
     if isinstance(formula, Comparison | Truth):
         return Margins(formula, atoms(formula))
@@ -101,9 +102,10 @@ def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Cas
 def ticks_asked(
     margins: Margins, period_s: float, begin: NDArray[np.bool_] | None = None
 ) -> list[tuple[Comparison | Truth, NDArray[np.bool_]]]:
-    """Return each comparison and truth with the ticks (n,) that count for the formula at the first tick.
+    """Return each comparison and truth with the ticks (n,) that matter for the formula at the first tick.
 
-    At the ticks ``begin`` (n,), an operator asks its parts at the ticks of its window, to its end.
+    An operator that matters at the ticks ``begin`` (n,) makes its parts matter at the ticks of its windows
+    from there.
     """
     formula, n = margins.formula, len(margins.bounds.low)
     begins = np.arange(n) == 0 if begin is None else begin
@@ -121,7 +123,7 @@ def ticks_asked(
 
 
 def _windows(begin: NDArray[np.bool_], first: int, last: int) -> NDArray[np.bool_]:
-    """Return (n,) the ticks from ``first`` to ``last`` ticks after any of ``begin`` (n,)."""
+    """Return (n,) whether each tick is ``first`` to ``last`` ticks after any tick of ``begin`` (n,)."""
     counts = np.append(0, np.cumsum(begin))
     ticks = np.arange(len(begin))
     any_in_window: NDArray[np.bool_] = (
@@ -149,12 +151,12 @@ def _joined(formula: Formula, parts: list[MarginBounds], period_s: float) -> Mar
 
 
 def where_triggered(trigger: MarginBounds, response: MarginBounds) -> MarginBounds:
-    """Return the response's margin where the trigger holds, inf where it does not, both where unknown."""
+    """Return the response's margin if the trigger holds, inf if not, and bounds of both if it is unknown."""
     return MarginBounds(*_bounds_where_triggered(trigger.low, trigger.high, response.low, response.high))
 
 
 def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> MarginBounds:
-    """Return margins of a comparison with a signal between ``low`` and ``high`` (n,), NaN where unknown."""
+    """Return the margins of a comparison of a signal between ``low`` and ``high`` (n,), NaN if unknown."""
     limit, relation = comparison.limit.value, comparison.relation
     above = relation in (Relation.ABOVE, Relation.AT_LEAST)
     least = low - limit if above else limit - high
@@ -169,7 +171,7 @@ def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> Marg
 
 
 def truth_bounds(value: Values) -> MarginBounds:
-    """Return the margins of a truth ``value`` (n,): 1.0, 0.0, or NaN where it is unknown."""
+    """Return the margins of a truth with the ``value`` (n,) 1.0, 0.0, or NaN if it is unknown."""
     margin = np.where(value > 0.5, np.inf, -np.inf)
     unknown = np.isnan(value)
     return MarginBounds(margin, np.where(unknown, np.inf, margin) if unknown.any() else margin)
@@ -190,8 +192,9 @@ def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
 def least_in_window(x: NDArray[np.float64], begin: int, end: int, outside: float) -> NDArray[np.float64]:
     """Return out[k] = min of x[k + begin] to x[k + end], ends included, with ``outside`` outside of x.
 
-    0 <= begin <= end.  A window of w samples spans at most two blocks of w: its least value is that from its
-    begin to the end of one block, or that from the begin of the next block to its end (van Herk, 1992).
+    Here 0 <= begin <= end. A window of w samples spans at most two blocks of w samples. Its least value lies
+    between its beginning and the end of the first block, or between the beginning of the second block and its
+    end (van Herk, 1992).
 
     ``x`` (n,).
     """
@@ -223,7 +226,7 @@ def until_from_here(
 ) -> NDArray[np.float64]:
     """Return out[k] = max over j >= k of min(ends[j], min of lasts[k:j]).
 
-    ``outside`` follows the last sample, ``lasts`` and ``ends`` (n,).
+    ``lasts`` and ``ends`` are (n,); ``outside`` is the result after the last sample.
     """
     n = lasts.shape[0]
     out = np.empty(n)
@@ -238,7 +241,7 @@ def until_from_here(
 def _bounds_where_triggered(
     trigger_low: Values, trigger_high: Values, low: Values, high: Values
 ) -> tuple[Values, Values]:
-    """Return both ends (n,) of ``where_triggered``.
+    """Return both bounds (n,) of ``where_triggered``.
 
     ``trigger_low``, ``trigger_high``, ``low`` and ``high`` are of shape (n,).
     """
@@ -247,10 +250,10 @@ def _bounds_where_triggered(
 
 @compiled
 def _until(lasts: Values, ends: Values, begin: int, end: int, outside: float) -> Values:
-    """Return one end (n,) of an "until": with a window, second comes within it, and first lasts until then.
+    """Return one bound (n,) of an "until": the second part holds in the window, and the first until then.
 
-    ``lasts`` and ``ends`` (n,), ``outside`` follows the last sample.  Source: Donze, Ferrere and Maler,
-    Efficient robust monitoring for STL, 2013.
+    ``lasts`` and ``ends`` (n,) are the bounds of the first and the second part. ``outside`` is the bound
+    after the last sample. Source: Donze, Ferrere and Maler, Efficient robust monitoring for STL, 2013.
     """
     if begin < 0:
         return until_from_here(lasts, ends, -np.inf)
@@ -266,12 +269,12 @@ def _until(lasts: Values, ends: Values, begin: int, end: int, outside: float) ->
 def operate(
     operator: int, begin: int, end: int, low: Values, high: Values, other_low: Values, other_high: Values
 ) -> tuple[Values, Values]:
-    """Return the margins (n,) of an operator by those of its first part and of its second, if it has one.
+    """Return the margins (n,) of an operator from those of its first part and, if it has one, its second.
 
     ``low``, ``high``, ``other_low`` and ``other_high`` are of shape (n,).
 
     Args:
-        operator: Its place in ``OPERATORS``.
+        operator: The operator's place in ``OPERATORS``.
         begin: The first tick of its window, counted from now; negative without a window.
         end: The last tick of its window.
         low: The least margins of the first part.
@@ -301,16 +304,16 @@ def operate(
 
 @dataclass(frozen=True)
 class Witness:
-    """A tick, from 0, and the comparison or truth that decides; ``atom`` is None after the last tick."""
+    """The tick, from 0, and the comparison or truth that decide a margin; ``atom`` is None after the run."""
 
     tick: int
     atom: Comparison | Truth | None
 
 
 def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witness:
-    """Return the source of the lower (or upper) bound of the margin at ``tick``.
+    """Return the witness of the margin's lower bound at ``tick`` if ``low``, else of its upper bound.
 
-    Among several places with the same margin, the first that is not certain decides, else the first.
+    If several places have this margin, the first uncertain place is returned, or else the first.
     """
     formula, parts = margins.formula, margins.parts
     match formula:
@@ -343,7 +346,7 @@ def _side(bounds: MarginBounds, *, low: bool) -> NDArray[np.float64]:
 
 
 def _extreme(values: NDArray[np.float64], doubtful: NDArray[np.bool_], *, least: bool) -> int:
-    """Return the place of the least or largest value; a doubtful place comes before others."""
+    """Return the place of the least or largest value; of equal values, first a ``doubtful`` one."""
     at = np.flatnonzero(values == (values.min() if least else values.max()))
     unsure = at[doubtful[at]]
     return int(unsure[0] if len(unsure) else at[0])
@@ -358,7 +361,7 @@ def _first(parts: list[MarginBounds], tick: int, *, low: bool, least: bool) -> i
 def _in_window(
     body: MarginBounds, tick: int, span: Span | None, period_s: float, *, low: bool, least: bool
 ) -> int | None:
-    """Return the tick that decides, or None where that is after the last tick."""
+    """Return the tick that decides, or None if what comes after the last tick decides."""
     values, n = _side(body, low=low), len(body.low)
     begin, end = (tick, n - 1) if span is None else (tick + t for t in span.ticks(period_s))
     window = slice(begin, min(end, n - 1) + 1)
@@ -371,7 +374,7 @@ def _in_window(
 
 
 def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *, low: bool) -> Witness:
-    """Return the best of the ticks at which the second part may end it, and there the worst of the parts."""
+    """Return the witness of an "until": the best tick for its second part, and the worst part up to there."""
     first, second = margins.parts
     n = len(margins.bounds.low) - tick
     begin, end = (0, n - 1) if span is None else span.ticks(period_s)
@@ -390,7 +393,7 @@ def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *
 
 
 def _bounds_from(bounds: MarginBounds, tick: int, later: int) -> MarginBounds:
-    """Return bounds from ``tick`` on, with ``later`` unknown ticks after the last."""
+    """Return ``bounds`` from ``tick`` on, followed by ``later`` unknown ticks."""
     return MarginBounds(
         np.append(bounds.low[tick:], np.full(later, -np.inf)),
         np.append(bounds.high[tick:], np.full(later, np.inf)),

@@ -1,4 +1,4 @@
-"""Signals of a trace: their values at the ticks, and what is known of them between the ticks."""
+"""Define the signals of a trace: their values at the ticks, and what is known between the ticks."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ def measure(
     reads: Sequence[str],
     **more: Any,
 ) -> Callable[[Sample], Measure]:
-    """Return a decorator that makes a measure of a function from a trace, and adds it to ``SIGNALS``."""
+    """Return a decorator that makes a function of a trace a measure, and adds the measure to ``SIGNALS``."""
     make = partial(Measure, words=phrase, dimension=dimension, meaning=meaning, between=interpolation, **more)
     make = partial(make, reads=tuple(reads))
     return lambda sample: _listed(make(sample=sample))
 
 
 def flag(phrase: str, meaning: str, *, reads: Sequence[str]) -> Callable[[Sample], Flag]:
-    """Return such a decorator for a signal that is true or false."""
+    """Return a decorator like ``measure`` for a signal that is true or false."""
     return lambda sample: _listed(Flag(words=phrase, meaning=meaning, sample=sample, reads=tuple(reads)))
 
 
@@ -84,12 +84,12 @@ def _listed(signal: Listed) -> Listed:
 
 
 def in_force(trace: Trace) -> NDArray[np.int64]:
-    """Return (n,) the number of the latest decision at each tick, -1 before the first decision."""
+    """Return (n,) the number of the latest decision at each tick, or -1 before the first decision."""
     return np.maximum.accumulate(trace.ticks["decision"])
 
 
 def out_of_knowledge(trace: Trace, signal: Signal) -> NDArray[np.bool_]:
-    """Return (n,) where ``signal``, of the latest decision, is not known: from a gap to the next decision."""
+    """Return (n,) whether a ``signal`` of the latest decision is unknown, from a gap to the next decision."""
     gone = lost(trace, signal.reads)
     if gone.any():
         ticks, made = np.arange(len(gone)), trace.ticks["decision"] >= 0
@@ -101,7 +101,7 @@ def out_of_knowledge(trace: Trace, signal: Signal) -> NDArray[np.bool_]:
 def in_mode(mode: Mode) -> Sample:
     """Return a function that samples whether the controller is in ``mode``.
 
-    In a gap with several possible modes, it is not, unless ``mode`` is one of them.
+    In a gap with several possible modes, it certainly is not in ``mode`` if that is none of them.
     """
 
     def sample(trace: Trace) -> Sampled:
@@ -118,7 +118,7 @@ def in_mode(mode: Mode) -> Sample:
 
 
 def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
-    """Return a signal ``true`` (n,) that is true or false until the next tick."""
+    """Return a sampled signal whose truth ``true`` (n,) is kept until the next tick."""
     return at_ticks(np.asarray(true, np.float64))
 
 
@@ -144,7 +144,8 @@ def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
 def hand_distance(trace: Trace) -> Sampled:
     """Sample the distance of any hand or forearm from any link, surface to surface.
 
-    It has the bounds of the catalogue's claim.  Occasions: a hand comes near to the arm's surface.
+    Its bounds are those of the catalogue's claim. A run exercises it when a hand comes near the arm's
+    surface.
     """
     return _from_hands(trace)
 
@@ -159,15 +160,15 @@ def hand_distance(trace: Trace) -> Sampled:
 )
 @lru_cache(maxsize=4)
 def nearest_hand_to_tcp(trace: Trace) -> Sampled:
-    """Sample the distance from the TCP to the nearest hand's centre, bounded as the hand distance."""
+    """Sample the distance from the TCP to the nearest hand's centre, with bounds like the hand distance."""
     return _from_hands(trace, from_tcp=True)
 
 
 def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -> Sampled:
-    """Sample the distance of the nearest hand; ``finely``: with the hands followed in parts of a tick.
+    """Sample the distance of the nearest hand, with ``finely`` by hands that are followed in parts of a tick.
 
-    Between two ticks its least value lies between both ends of ``ends_between``.  It is at most as large as
-    both ticks and the ways of arm and hand allow.
+    Between two ticks, its least value lies between the two bounds of ``ends_between``. Its upper bound
+    follows from both ticks and the ways of arm and hand.
     """
     paths, why = followed_hands(trace)
     if paths is None:
@@ -214,7 +215,7 @@ tcp_speed = measure(
     off=of_place,
 )
 def tcp_height(trace: Trace) -> Sampled:
-    """Sample the height above the base frame's origin."""
+    """Sample the TCP's height above the base frame's origin."""
     return bounded(trace.ticks["transform_tcp_to_base"][:, 2, 3], tcp_way_m(trace))
 
 
@@ -237,7 +238,7 @@ def distance_to_desired_pose(trace: Trace) -> Sampled:
     reads=[TCP, "joint_position_rad", "joint_velocity_radps"],
 )
 def angle_to_desired_pose(trace: Trace) -> Sampled:
-    """Sample the angle by which the TCP would have to turn; infinite for a transform that is not a pose."""
+    """Sample the TCP's angle from the desired pose; infinite for a transform that is not a pose."""
     none = np.abs(trace.ticks["transform_tcp_to_base"][:, :3, :3]).max(axis=(1, 2)) > 1.0 + TOLERANCE
     return bounded(np.where(none, np.inf, pose_errors(trace)[1]), turned_rad(trace))
 
@@ -261,7 +262,7 @@ joint_speed = measure(
     off=by_uncertainty_of("sse"),
 )
 def image_error(trace: Trace) -> Sampled:
-    """Sample eq. 15 as the controller has it; unknown while the object is not seen."""
+    """Sample eq. 15 as the controller computes it; unknown while the camera does not see the object."""
     sse = trace.ticks["sse"]
     if not np.any(np.isfinite(sse)):
         return absent(trace, "the object is never seen")
@@ -277,7 +278,7 @@ def image_error(trace: Trace) -> Sampled:
     off=by_uncertainty_of("decision.proposed_spread_m"),
 )
 def spread(trace: Trace) -> Sampled:
-    """Sample the largest of the three axes, as the gate does."""
+    """Sample the largest spread of the three axes, which the gate compares."""
     if len(trace.decisions) == 0:
         return _untried(trace, no_decision, "nothing was decided")
     spread_m = trace.decisions["proposed_spread_m"].max(axis=1)
@@ -297,9 +298,9 @@ def spread(trace: Trace) -> Sampled:
     off=by_uncertainty_of("predicted_distance_m"),
 )
 def predicted_hand_distance(trace: Trace) -> Sampled:
-    """Sample the distance from the TCP to the nearest predicted hand, inf without one.
+    """Sample the distance from the TCP to the nearest predicted hand; inf without a predicted hand.
 
-    Occasions: a predicted hand comes near.
+    A run exercises it when a predicted hand comes near.
     """
     distance_m = trace.ticks["predicted_distance_m"]
     if not np.any(np.isfinite(distance_m)):
@@ -319,7 +320,7 @@ def predicted_hand_distance(trace: Trace) -> Sampled:
 def prediction_error(trace: Trace) -> Sampled:
     """Sample the error that ``HandPredictions`` judges, at the tick of the prediction.
 
-    It is unknown for a prediction of a time after the run.
+    It is unknown if the predicted time lies after the run.
     """
     valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
     if hands == 0 or not valid.any():
@@ -339,7 +340,7 @@ def prediction_error(trace: Trace) -> Sampled:
 def elapsed_time(trace: Trace) -> Sampled:
     """Sample the time since the run began.
 
-    Its values are the floats nearest to whole control periods, so that a limit is met exactly.
+    Its values are the floats nearest to whole control periods, so that limits are met exactly.
     """
     period = Fraction(repr(trace.scenario.settings.clock.control_period_s))  # as it is written, in decimals
     ticks: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64)
@@ -374,7 +375,7 @@ deciding = flag("deciding", "a decision is made at this tick", reads=["decision"
     reads=["mode", "decision", "decision.outcome"],
 )
 def falling_back(trace: Trace) -> Sampled:
-    """Sample whether the arm retreats to the opposite pose, or stops, because of its latest decision."""
+    """Sample whether the arm retreats to the opposite pose or stops by its latest decision."""
     if len(trace.decisions) == 0:
         return _untried(trace, no_decision, "nothing was decided")
     number, gone = in_force(trace), out_of_knowledge(trace, falling_back)
@@ -390,14 +391,14 @@ hand_tracked = flag("hand tracked", "the controller predicts a hand at least", r
 
 @flag("fault acting", "one of the scenario's faults acts", reads=["faults"])
 def fault_acting(trace: Trace) -> Sampled:
-    """Sample whether at least one of the scenario's faults acts."""
+    """Sample whether at least one fault of the scenario acts."""
     if not trace.scenario.faults:
         return absent(trace, "there is no fault in this scenario")
     return truth(trace.ticks["faults"] != 0)
 
 
 def _untried(trace: Trace, lacked: Callable[[Trace], str], reason: str) -> Sampled:
-    """Return an absent signal: the reason is ``lacked`` if the trace is wholly known, else ``reason``."""
+    """Return an absent signal, because of ``lacked`` if the trace is wholly known, else of ``reason``."""
     return absent(trace, f"never exercised: {lacked(trace) if trace.known.whole else reason}")
 
 
@@ -409,7 +410,7 @@ def _nearest(
     high: NDArray[np.float64],
     target: str,
 ) -> Sampled:
-    """Return the nearest of the hands that were measured, by (n, hands) distances and their bounds."""
+    """Return the signal of the nearest measured hand, from (n, hands) distances and their bounds."""
     gone = None
     if gaps_of(trace, signal.reads):
         gone = lost(trace, signal.reads)
@@ -424,6 +425,6 @@ def _nearest(
 
 
 def _coming_near(distance: Sampled, body: str, target: str) -> Sampled:
-    """Return the distance of ``body`` from ``target``, exercised each time that it falls below NEAR_M."""
+    """Return the signal of ``body``'s distance from ``target``, exercised each time it falls below NEAR_M."""
     margin_m = NEAR_M - distance.value
     return replace(distance, tried=(margin_m, margin_m), comes=(body, target))

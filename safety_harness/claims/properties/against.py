@@ -1,6 +1,6 @@
-"""Two avoiders on the same draws: the differences of the avoider on trial from the reference.
+"""Compare two avoiders on the same draws: the avoider under test and the reference.
 
-Scenario, seed and everything else are the same for both, so that the avoiders cause every difference.
+Scenario, seed and all else are the same for both, so the avoiders cause every difference.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.records import Check
 from safety_harness.trace.trace import Trace
 
-# For each unit a difference of margins that matters and is common: what a search divides margins by, so that
-# those of several claims can be compared.  Searching one claim at a time does not depend on it.
+# For each unit, a common and relevant difference of margins.  A search divides margins by it, to compare
+# several claims; a search for one claim does not depend on it.
 SCALES = {
     Unit.LENGTH: 0.1,
     Unit.ANGLE: np.pi / 18.0,
@@ -34,14 +34,14 @@ SCALES = {
     Unit.FRACTION: 0.1,
     Unit.COUNT: 1.0,
 }
-TOLERANCE = 0.1  # of the scale, 10 mm of a length: what a margin may be less without being told
+TOLERANCE = 0.1  # of the scale (10 mm of a length): a smaller loss of margin is not reported
 TOLERANCES = {unit: TOLERANCE * scale for unit, scale in SCALES.items()} | {Unit.COUNT: 0.0}
 
 
 def tolerance(*both: Evaluation) -> float:
-    """Return the margin [SI] whose loss is not reported; for a share, at least one occasion.
+    """Return the largest loss of margin [SI] that is not reported; for a share, at least one occasion.
 
-    A count is exact, and its best margin may be 0, for example that of questions without an answer.
+    It is 0 for a count, which is exact, and whose best margin may be 0, as for questions without an answer.
     """
     unit, exercised = both[0].unit, min(evaluation.exercised for evaluation in both)
     whole = 1.0 / max(exercised, 1) if unit is Unit.FRACTION else 0.0
@@ -49,7 +49,7 @@ def tolerance(*both: Evaluation) -> float:
 
 
 class VerdictChange(Enum):
-    """The change of a claim with the avoider on trial in the reference's place."""
+    """The change of a claim's result from the reference to the avoider under test."""
 
     NEW = "new violation"
     DEEPER = "violated by more"
@@ -64,20 +64,20 @@ _SHOWN_CHANGES = (VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT,
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimDifference:
-    """A claim in a run with either avoider."""
+    """The evaluations of a claim in a run with each of the two avoiders."""
 
     mine: Evaluation
     reference: Evaluation
 
     @property
     def lost(self) -> float:
-        """Return the reference's margin less the other [SI]; NaN if either is missing."""
+        """Return by how much the reference's margin exceeds the other's [SI]; NaN if either is missing."""
         a, b = self.reference.margin, self.mine.margin
         return a - b if a is not None and b is not None else float("nan")
 
     @property
     def change(self) -> VerdictChange:
-        """Return the change; a violation is new as well where the reference has no verdict."""
+        """Return the change; a violation is also new if the reference has no verdict."""
         mine, reference = self.mine.verdict, self.reference.verdict
         less = self.lost > tolerance(self.mine, self.reference)
         if mine is Verdict.VIOLATED:
@@ -92,7 +92,7 @@ class ClaimDifference:
         return VerdictChange.LOST if less and reference is Verdict.HOLDS else VerdictChange.NONE
 
     def summary(self, reference: str) -> str:
-        """Return the margins of both, or the verdict where there is no margin."""
+        """Return the margins of both in words, or the verdict if there is no margin."""
         mine, theirs = (
             evaluation.verdict.value if evaluation.margin is None else evaluation.margin_text()
             for evaluation in (self.mine, self.reference)
@@ -102,7 +102,7 @@ class ClaimDifference:
 
 @dataclass(frozen=True, kw_only=True)
 class RunDifference:
-    """A scenario with a seed, run with either avoider."""
+    """The results of a scenario with one seed, run with each of the two avoiders."""
 
     run: str
     claims: tuple[ClaimDifference, ...]
@@ -113,9 +113,9 @@ class RunDifference:
     def from_traces(
         cls, mine: Trace, reference: Trace, judged: Iterable[tuple[Evaluation, Evaluation]]
     ) -> RunDifference:
-        """Return the difference of two traces and of their evaluations.
+        """Return the difference of two traces, with the pairs of evaluations in ``judged``.
 
-        Every run is also judged on whether the avoider answered.
+        Unless the scenario claims it, the claim "the avoider answered" is judged too.
         """
         pairs = list(judged)
         if not is_claimed(mine.scenario.claims):
@@ -129,11 +129,11 @@ class RunDifference:
         )
 
     def has(self, *changes: VerdictChange) -> bool:
-        """Return whether a claim has any of these changes."""
+        """Return whether any claim of the run has one of ``changes``."""
         return any(claim.change in changes for claim in self.claims)
 
     def lines(self, reference: str) -> Iterator[str]:
-        """Yield what the reference does not do, overruling included."""
+        """Yield a line on each claim, and on overruling, if the avoider is worse than ``reference``."""
         for claim in self.claims:
             if claim.change in _SHOWN_CHANGES:
                 yield f"{claim.change.value}: {self.run}: {claim.mine.sentence}: {claim.summary(reference)}"
@@ -145,7 +145,7 @@ class RunDifference:
 
     @property
     def more_refused(self) -> float:
-        """Return the increase of failed checks per proposal, without the check of the spread."""
+        """Return how many more checks fail per proposal than with the reference, spread aside."""
         mine, reference = (
             sum(count for check, count in side.reasons.items() if check is not Check.UNCERTAIN)
             / max(side.proposals, 1)
@@ -155,16 +155,16 @@ class RunDifference:
 
     @property
     def more_overruled(self) -> float:
-        """Return the increase of the share of overruled proposals; 0 where one avoider proposed nothing."""
+        """Return by how much the share of overruled proposals rises; 0 if an avoider proposed nothing."""
         more = self.mine.share - self.reference.share
         return more if isfinite(more) else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Against:
-    """``mine`` (its name) beside ``reference`` in ``runs`` of the same draws.
+    """The comparison of the avoider named ``mine`` with ``reference`` in ``runs`` on the same draws.
 
-    Runs that a search chose are not ``drawn``: no test is computed from them.
+    Runs that a search chose are not ``drawn``, so no test is computed from them.
     """
 
     mine: str
@@ -174,18 +174,18 @@ class Against:
 
     @property
     def worse(self) -> bool:
-        """Return whether there is a new or deeper violation, or a lost verdict."""
+        """Return whether any run has a new or deeper violation, or has lost its verdict."""
         return any(
             run.has(VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT) for run in self.runs
         )
 
     def count(self, change: VerdictChange) -> int:
-        """Return the number of runs in which any claim changes so."""
+        """Return the number of runs in which any claim has ``change``."""
         return sum(run.has(change) for run in self.runs)
 
     @property
     def sentence(self) -> str:
-        """Return the violations in pairs, with the exact test; a pair without a verdict does not count."""
+        """Return a sentence on the violations in all pairs with two verdicts, and on their exact test."""
         new = [self._certain(run, VerdictChange.NEW) for run in self.runs]
         gone = [self._certain(run, VerdictChange.GONE) for run in self.runs]
         both = sum(a and b for a, b in zip(new, gone, strict=True))
@@ -205,9 +205,9 @@ class Against:
 
     @property
     def overruling(self) -> str:
-        """Return the overruled proposals of both, and how many runs have more or less.
+        """Return a sentence on the overruled proposals of both, and on the runs that have more or fewer.
 
-        The text is empty without proposals.
+        It is empty without proposals.
         """
         mine, reference = (
             sum((getattr(run, name) for run in self.runs), Overruling()) for name in ("mine", "reference")
@@ -218,7 +218,7 @@ class Against:
         return text and text + (p_words(more, less) if self.drawn else "")
 
     def lines(self) -> Iterator[str]:
-        """Yield the changes of each claim with their numbers, then the two sentences."""
+        """Yield a line on the number of changes of each claim, then ``sentence`` and ``overruling``."""
         sentences = dict.fromkeys(claim.mine.sentence for run in self.runs for claim in run.claims)
         for sentence in sentences:
             differences = [
@@ -242,7 +242,7 @@ class Against:
         yield from filter(None, (self.sentence, self.overruling))
 
     def as_json(self) -> dict[str, Any]:
-        """Return the comparison for programs; margins are SI."""
+        """Return the comparison as JSON for programs; margins are in SI."""
         return {
             "mine": self.mine,
             "reference": self.reference,
@@ -271,9 +271,11 @@ def _as_json(difference: ClaimDifference) -> dict[str, Any]:
 
 
 def paired_words(mine: str, reference: str, new: int, gone: int, runs: int, *, both: int = 0) -> str:
-    """Return in how many of ``runs`` only one of them violates a claim; ``p_words`` follows.
+    """Return a sentence on the number of ``runs`` in which only one avoider violates a claim.
 
-    If each violates a claim that the other keeps (``both``), the run does not count for either.
+    ``p_words`` follows the sentence.
+
+    A run in which each violates a claim that the other keeps (``both``) counts for neither.
     """
     as_well = f"; in {both} each violates one that the other keeps" if both else ""
     return (
@@ -285,7 +287,7 @@ def paired_words(mine: str, reference: str, new: int, gone: int, runs: int, *, b
 def overruling_words(
     mine: tuple[str, Overruling], reference: tuple[str, Overruling], more: int, less: int
 ) -> str:
-    """Return a sentence on two names with their tallies, before ``p_words``; empty without proposals."""
+    """Return a sentence on both avoiders' overruled proposals, before ``p_words``; empty without any."""
     if not (mine[1].proposals and reference[1].proposals):
         return ""
     shares = ", ".join(
@@ -296,6 +298,6 @@ def overruling_words(
 
 
 def p_words(more: int, fewer: int) -> str:
-    """Return McNemar's exact test of "either is equally likely", in which ties do not count."""
+    """Return words on McNemar's exact test of "either is equally likely", in which ties do not count."""
     p = sign_test(more, fewer)
     return " (p < 0.001)" if p < 0.001 else f" (p = {p:.2g})"

@@ -1,6 +1,6 @@
-"""The avoider itself answers, and in time; else the fallback acts in its place.
+"""Judge that the avoider itself answers, and in time; otherwise the fallback acts in its place.
 
-That it answers is the only claim that is judged of every run, whether its scenario makes it or not.
+"the avoider answered" is the only claim that is judged in every run, even if its scenario does not make it.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ NOT_MODELLED = "computing time not modelled"
 class AvoiderAnswered:
     """Minus the number of questions without a usable answer.
 
-    An exception, an invalid proposal, a NaN, a late answer and a process that ended count as no answer.  An
-    answer that the gate refuses is an answer.  Questions do not count if a fault of the scenario kept the
-    avoider from answering.
+    An exception, an invalid proposal, a NaN, a late answer or an ended process counts as no answer. An answer
+    that the gate refuses still counts as an answer. A question does not count if a fault of the scenario kept
+    the avoider from answering.
     """
 
     unit: Unit = Unit.COUNT
@@ -52,7 +52,7 @@ class AvoiderAnswered:
         ]
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every decision."""
+        """Judge whether each question got a usable answer."""
         own, silent = _own(trace), unanswered(trace)
         questions, missing = int(np.count_nonzero(own)), int(np.count_nonzero(silent))
         if questions == 0:
@@ -80,9 +80,9 @@ def unanswered(trace: Trace) -> NDArray[np.bool_]:
 
 
 def fault_of(trace: Trace) -> str:
-    """Return what the avoider did first instead of answering; empty if it always answered.
+    """Return words on the avoider's first failure to answer; empty if it always answered.
 
-    The text has no numbers, so that equal faults are equal.
+    The text has no numbers, so that equal faults give equal texts.
     """
     if len(trace.decisions) == 0 or not (silent := unanswered(trace)).any():
         return ""
@@ -90,12 +90,12 @@ def fault_of(trace: Trace) -> str:
 
 
 def without_numbers(text: str) -> str:
-    """Return the text by which mistakes differ: numbers of names, lines of files and exit codes stay."""
+    """Return ``text`` without numbers, except those in names, line numbers of files and exit codes."""
     return _NUMBER.sub("...", text)
 
 
 def fallback_words(unanswered: int, decisions: int) -> str:
-    """Return a headline for an avoider without some usable answers; empty if it always answered."""
+    """Return a headline on how often the avoider gave no usable answer; empty if it always answered."""
     if not unanswered:
         return ""
     never = "did not answer" if unanswered == decisions else "did not always answer"
@@ -106,8 +106,8 @@ def fallback_words(unanswered: int, decisions: int) -> str:
 def _own(trace: Trace) -> NDArray[np.bool_]:
     """Return (m,) the questions whose answer no fault of the scenario suppresses.
 
-    Such a fault is marked at the tick.  An answer that takes longer than the deadline by itself is late
-    whatever fault acts.
+    The trace marks such a fault at the decision's tick. An answer that by itself takes longer than the
+    deadline is late, whatever fault acts.
     """
     if not trace.scenario.faults:
         return np.ones(len(trace.decisions), np.bool_)
@@ -146,19 +146,19 @@ DEFAULT_CLAIM = Claim(sentence=ANSWERED.example, expected=Verdict.HOLDS)
 
 
 def is_claimed(claims: Iterable[Claim]) -> bool:
-    """Return whether ``claims`` include it."""
+    """Return whether ``claims`` include "the avoider answered"."""
     return any(ANSWERED.understands(claim.sentence) for claim in claims)
 
 
 def with_expectation(claims: tuple[Claim, ...], scenario: Scenario) -> tuple[Claim, ...]:
-    """Return ``claims``, and the scenario's own expectation of answers unless they have one."""
+    """Return ``claims`` and, unless they include it, the scenario's own claim on answers."""
     if is_claimed(claims):
         return claims
     return claims + tuple(claim for claim in scenario.claims if is_claimed([claim]))
 
 
 def by_default(trace: Trace) -> Evaluation | None:
-    """Return the evaluation of a run without some answers that was expected to have them; else None."""
+    """Return the evaluation of a run that lacks answers although the scenario expects them; else None."""
     expected = (c.expected for c in trace.scenario.claims if ANSWERED.understands(c.sentence))
     if next(expected, Verdict.HOLDS) is not Verdict.HOLDS:
         return None
@@ -168,12 +168,12 @@ def by_default(trace: Trace) -> Evaluation | None:
 
 @dataclass(frozen=True, kw_only=True)
 class DecisionTime(Worded):
-    """min over decisions of ``within_s`` less the time that the arm went on without the answer.
+    """The least over decisions of ``within_s`` less the time for which the arm moved without the answer.
 
-    The time is the decision time of the settings, or of the avoider's declaration, and the delay by a fault
-    of the scenario, until the tick at which the answer counts.  An answer that missed the deadline never
-    came: it counts as at least one control period more than the limit.  A decision that costs no simulated
-    time is not evidence, and the claim cannot hold with it.
+    That time lasts until the tick at which the answer counts. It is the decision time of the settings or of
+    the avoider's declaration, plus a delay by a fault of the scenario. An answer that missed the deadline
+    counts as at least one control period later than the limit. If a decision takes no simulated time, it is
+    not evidence, and the claim cannot hold.
     """
 
     within_s: float
@@ -190,7 +190,7 @@ class DecisionTime(Worded):
         ]
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge each decision."""
+        """Judge the time of each decision."""
         decisions, period_s = trace.decisions, trace.scenario.settings.clock.control_period_s
         if len(decisions) == 0:
             return unexercised(self, f"{no_decision(trace)} if the settings have a decision time")

@@ -1,9 +1,10 @@
-"""A property: a function of a Trace with a signed margin and a verdict.
+"""The interface of a property: a function that gives a Trace a signed margin and a verdict.
 
-A margin is positive where the property holds and negative where it is violated.  It has a physical unit, and
-is never rounded before a comparison.  *Inconclusive* is the verdict on a trace that is not evidence either
-way.  Such a trace is empty, truncated, contradicts itself, has a NaN or an infinity in the columns that the
-property reads, or never exercised the property.  A violation before a truncation is still a violation.
+A margin is positive if the property holds, and negative if it is violated. It has a physical unit, and the
+package compares it unrounded. *Inconclusive* is the verdict on a trace that is not evidence either way. Such
+a trace is empty or truncated, contradicts itself, or never exercised the property. Or it has a NaN or an
+infinity in a column that the property reads. A violation before the end of a truncated trace is still a
+violation.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distanc
 
 
 class Unit(Enum):
-    """The unit of a shown margin: (symbol, factor from SI)."""
+    """The unit in which a margin is shown: (symbol, factor from SI)."""
 
     LENGTH = ("mm", 1e3)
     ANGLE = ("deg", 180.0 / np.pi)
@@ -57,7 +58,7 @@ class Unit(Enum):
         return self.value[1]
 
     def margin_text(self, margin: float | None) -> str:
-        """Return a margin (SI) with its sign, in this unit; a dash for None, or for a NaN."""
+        """Return ``margin`` (SI) with its sign in this unit; a dash for None or NaN."""
         if margin is None or np.isnan(margin):
             return "-"
         return shown_margin(margin * self.per_si, self.symbol)
@@ -77,7 +78,7 @@ SI_UNITS = {
 
 
 def shown_margin(margin: float, symbol: str) -> str:
-    """Return a margin that is in the unit ``symbol`` already; without a symbol it is a count, and whole."""
+    """Return ``margin``, given in the unit ``symbol``, as text; without a symbol it is a whole count."""
     number = f"{margin:+.1f}" if abs(margin) >= 1.0 and symbol else f"{margin:+.{3 if symbol else 9}g}"
     return f"{number} {symbol}".rstrip()
 
@@ -86,11 +87,11 @@ def shown_margin(margin: float, symbol: str) -> str:
 class Evaluation:
     """The result of evaluating a property on a trace.
 
-    ``margin`` is in SI units.  ``margin`` and ``worst_time_s`` are None if they do not exist.  ``reason`` is
-    a sentence about the decisive moment.  ``exercised`` counts the situations in which the run could have
-    violated the property; 0 means never exercised.  ``parts`` are the evaluations of the conjuncts, if the
-    property has several.  ``close`` is the result of ``close_to``.  ``applicable`` is false if the property
-    concerns something that the controller under test does not have or report, such as an avoider's answers.
+    ``margin`` is in SI units. ``margin`` and ``worst_time_s`` are None if the evaluation has none. ``reason``
+    is a sentence about the decisive moment. ``exercised`` counts the situations in which the run could have
+    violated the property; 0 means never exercised. ``parts`` are the evaluations of the property's parts, if
+    it joins several. ``close`` is the result of ``close_to`` for the property. ``applicable`` is False if the
+    controller under test does not have or report what the property is about, such as an avoider's answers.
     """
 
     sentence: str
@@ -114,14 +115,14 @@ class Evaluation:
 
 
 class Evaluations(tuple[Evaluation, ...]):
-    """The evaluations of a run's claims, in their order; their truth value is refused."""
+    """The evaluations of a run's claims, in the order of the claims; ``bool()`` of them raises an error."""
 
     def __bool__(self) -> bool:
         raise no_truth_value(f"whether {len(self)} evaluations are true")
 
 
 class Said(Protocol):
-    """The subject of an evaluation."""
+    """Anything that is evaluated, with its sentence and its unit."""
 
     @property
     def sentence(self) -> str:
@@ -129,13 +130,13 @@ class Said(Protocol):
 
     @property
     def unit(self) -> Unit:
-        """Return the unit of its margins."""
+        """Return the unit of the margins."""
 
 
 def close_to(prop: Said) -> float | None:
-    """Return the margin (SI) of a run that comes within half of a property's limit; None without one limit.
+    """Return the margin (SI) below which a run comes near the limit of ``prop``; None without one limit.
 
-    That is half of an upper limit, and twice a lower limit.
+    A run comes near an upper limit at half of the limit, and near a lower limit at twice the limit.
     """
     if hasattr(prop, "close"):
         return prop.close  # type: ignore[no-any-return]
@@ -145,7 +146,7 @@ def close_to(prop: Said) -> float | None:
 
 
 def far_words(close: float | None, least_margin: float | None) -> str:
-    """Return that no run came within half of a limit; empty if a run did, or without a limit."""
+    """Return the remark that no run came within half of its limit; empty if one did, or without a limit."""
     far = close and least_margin is not None and least_margin > close
     return "no run came within half of its limit; is it in the unit that is meant?" if far else ""
 
@@ -156,10 +157,10 @@ PER_SI = {"mm": 1e3, "mm/s": 1e3, "m/s": 1.0, "m/s2": 1.0, "deg/s2": 180.0 / np.
 
 
 class Worded(ABC):
-    """A property whose sentence is ``wording``, with fields of its own as "within {within_m:mm}".
+    """A property whose sentence is ``wording`` with the values of its fields, as in "within {within_m:mm}".
 
     The text after the colon is a unit of ``PER_SI``, "%" for a share, "1" for a number, or empty for a count.
-    After a number or a count, "time(s)" stands for "time" where it is 1, and else for "times".
+    After a number or a count, "time(s)" becomes "time" if the value is 1, and else "times".
     """
 
     def __init_subclass__(cls) -> None:
@@ -170,17 +171,17 @@ class Worded(ABC):
     @property
     @abstractmethod
     def wording(self) -> str:
-        """Return the sentence with the names of its fields."""
+        """Return the sentence with the names of the fields in braces."""
 
     @cached_property
     def sentence(self) -> str:
-        """Return the words with the values of the fields, as the catalogue writes it."""
+        """Return the sentence with the values of the fields, as the catalogue writes it."""
         text = PLURAL.sub(lambda match: match[1] + "s" * (getattr(self, match[2]) != 1), self.wording)
         return FIELD.sub(lambda match: shown_limit(getattr(self, match[1]), match[2]), text)
 
 
 def shown_limit(value: float, unit: str) -> str:
-    """Return a limit (SI) as a sentence has it, in ``unit``."""
+    """Return the limit ``value`` (SI) in ``unit``, as a sentence writes it."""
     if unit == "1":
         return f"{value:g}"
     if unit in PER_SI:
@@ -189,14 +190,14 @@ def shown_limit(value: float, unit: str) -> str:
 
 
 class Property(Said, Protocol):
-    """A safety property."""
+    """A safety property of a run."""
 
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge a trace."""
+        """Return the evaluation of ``trace``."""
 
 
 def inconclusive(prop: Said, reason: str, *, exercised: int = 0) -> Evaluation:
-    """Return an evaluation without evidence either way, and why."""
+    """Return an inconclusive evaluation of ``prop`` for ``reason``."""
     return Evaluation(
         sentence=prop.sentence,
         verdict=Verdict.INCONCLUSIVE,
@@ -208,10 +209,10 @@ def inconclusive(prop: Said, reason: str, *, exercised: int = 0) -> Evaluation:
 
 
 def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
-    """Return why a trace cannot be judged on ``fields`` at all, else None.
+    """Return why ``trace`` cannot be judged by its ``fields``; None if it can.
 
-    The trace is empty, it contradicts itself, or a value in ``fields`` is not finite.  Values of a hand count
-    only while that hand is there, since its distance is infinite while it is not.
+    Possible reasons: the trace is empty, it contradicts itself, or a value in ``fields`` is not finite.
+    Values of a hand count only while that hand is there, since its distance is infinite while it is not.
     """
     if len(trace.ticks) == 0:
         return "the trace is empty"
@@ -227,15 +228,15 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
 
 @once_a_trace
 def first_unreal(trace: Trace) -> dict[str, int]:
-    """Return the first tick at which a field is not finite, of a hand that is there; others are left out."""
+    """Return the first tick at which each field is not finite, without fields that are always finite."""
     unreal_columns = unreal(trace, dict.fromkeys(OF_HANDS, trace.ticks["hand_present"]))
     return {name: int(np.argmax(invalid)) for name, invalid in unreal_columns if invalid.any()}
 
 
 def unreal(trace: Trace, there: Mapping[str, NDArray[np.bool_]]) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Yield each field of a tick that has values not below ENDLESS in size, and the ticks (n,) of these.
+    """Yield each field with a value that is NaN or not below ENDLESS in size, and the ticks (n,) with one.
 
-    ``there`` says by field what has to be a number, (n, k) for the k parts of its rows; of other fields all.
+    For a field in ``there``, only the k parts of its rows that are True in ``there`` (n, k) count.
     """
     rows, nonfinite = as_numbers(trace.ticks), nonfinite_count(trace)
     for name, column in columns(trace.ticks.dtype).items():
@@ -248,13 +249,13 @@ def unreal(trace: Trace, there: Mapping[str, NDArray[np.bool_]]) -> Iterator[tup
 
 @once_a_trace
 def nonfinite_count(trace: Trace) -> NDArray[np.int64]:
-    """Return (c,) how many values of each column of ``as_numbers`` are not below ENDLESS, or NaN."""
+    """Return (c,) the number of values of each column of ``as_numbers`` that are NaN or not below ENDLESS."""
     return _endless(as_numbers(trace.ticks))
 
 
 @compiled
 def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return (c,) how many values of each column of ``rows`` (n, c) are not below ENDLESS in size."""
+    """Return (c,) the number of values in each column of ``rows`` (n, c) that are not below ENDLESS."""
     columns = np.zeros(rows.shape[1], np.int64)
     for k in range(rows.shape[0]):
         for column in range(rows.shape[1]):
@@ -263,19 +264,19 @@ def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def is_somewhere(position_in_base_m: Array3) -> bool:
-    """Return whether a decision's position is finite, and on this side of the horizon."""
+    """Return whether a decision's position is finite and nearer than the horizon."""
     return bool(np.all(np.abs(position_in_base_m) < HORIZON_M))  # of a NaN it is false
 
 
 def begins_at(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return (n,) whether a state (n,) begins; a state at the first tick begins there."""
+    """Return (n,) the ticks at which ``state`` (n,) begins; if True at the first tick, it begins there."""
     begins = state.copy()
     begins[1:] &= ~state[:-1]
     return begins
 
 
 def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (k,) the begin of each stretch of a state (n,), and (k,) the first tick after its end."""
+    """Return (k,) the first tick of each stretch of ``state`` (n,), and (k,) the first tick after it."""
     padded = np.zeros(len(state) + 2, np.int8)
     padded[1:-1] = state
     change = padded[1:] - padded[:-1]
@@ -283,15 +284,15 @@ def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def times_begun(state: NDArray[np.bool_]) -> int:
-    """Return how often a state (n,) begins."""
+    """Return how often ``state`` (n,) begins."""
     return int(np.count_nonzero(begins_at(state)))
 
 
 def time_left_s(trace: Trace, limit_s: float, ticks: int) -> float:
-    """Return ``limit_s`` less a number of control periods; 0.0 if only rounding differs.
+    """Return ``limit_s`` less the time of ``ticks`` control periods; 0.0 if they differ only by rounding.
 
-    A limit of 24 ms is three periods of 8 ms, though the floats differ.  4 units in the last place exceed the
-    rounding of limit, period and product.
+    For example, a limit of 24 ms equals three periods of 8 ms, although the floats differ. The allowed
+    difference of 4 units in the last place exceeds the rounding of limit, period and product.
     """
     took_s = ticks * trace.scenario.settings.clock.control_period_s
     return 0.0 if isclose(limit_s, took_s, rel_tol=2.0**-51) else limit_s - took_s
@@ -310,23 +311,24 @@ def judged(
     most: float | None = None,
     unsure: str = "it holds at the ticks, perhaps not between them",
 ) -> Evaluation:
-    """Return the verdict of a finite margin, unless the run is not evidence.
+    """Return the evaluation of ``prop`` with ``margin``, inconclusive if the run is not evidence.
 
-    A negative margin violates.  Else the verdict is inconclusive if the property was never exercised, or if
-    the run did not last as long as its scenario.  A margin that is not finite cannot come from a real run,
-    and is not evidence.
+    A negative margin is a violation. Otherwise the verdict is inconclusive if the property was never
+    exercised, or the run was cut short. A margin that is not finite cannot come from a real run, so it is not
+    evidence.
 
     Args:
         prop: The property.
         trace: The run.
-        margin: The margin (SI); with ``most`` its lower end.
-        worst_time_s: The time of the margin.
-        reason: What decided.
-        exercised: The number of occasions.
-        lacked: What would have exercised it, in place of ``reason``.
-        revocable: Whether later ticks could undo a violation: then a run that was cut short has no violation.
-        most: The upper end of the margin; only a violation by both ends counts.
-        unsure: Why both ends differ.
+        margin: The margin (SI), or its lower end if ``most`` is given.
+        worst_time_s: The time at which the margin occurs.
+        reason: Words on what decided the verdict.
+        exercised: The number of occasions that exercised the property.
+        lacked: Returns words on what would have exercised the property; None: ``reason`` is used.
+        revocable: Whether later ticks could undo a violation; if so, a run that was cut short has no
+            violation.
+        most: The upper end of the margin; the property is violated only if both ends are negative.
+        unsure: Words on why both ends differ.
 
     """
     if most is not None and margin < 0.0:

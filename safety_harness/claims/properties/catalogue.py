@@ -104,10 +104,10 @@ CATALOGUE = Registry(_OWN, ExtensionPoint.CLAIMS, CatalogueEntry)
 
 @lru_cache(maxsize=256)  # the scenarios of a space claim the same
 def entry_claimed(sentence: str) -> tuple[CatalogueEntry, re.Match[str]] | None:
-    """Return the entry of the catalogue for a sentence, with the match of its values; else None."""
+    """Return the catalogue's entry for ``sentence``, with the match of its values; None without an entry."""
     return next(((entry, match) for entry in CATALOGUE if (match := entry.understands(sentence))), None)
 
 
 def in_words_of_today(sentence: str) -> str:
-    """Return a sentence with the words of an earlier release in today's words, and any other as it is."""
+    """Return ``sentence`` in today's words if it has an earlier release's words, else as it is."""
     return next(filter(None, (entry.in_words_of_today(sentence) for entry in CATALOGUE)), sentence)

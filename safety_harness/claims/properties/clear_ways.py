@@ -1,6 +1,6 @@
-"""A repulsion does not lead into the table, the object or the robot itself.
+"""Judge that a repulsion does not lead into the table, the object or the robot itself.
 
-The module also computes the clearances along any sequence of joint positions.
+The module also computes the clearances along a sequence of joint positions.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ OBSTACLES = ("table", "object", "robot itself")
 
 @dataclass(frozen=True)
 class Way:
-    """Both ends of the least clearance from each obstacle (3,) [m] along one way, and its time [s] (3,)."""
+    """Both bounds (3,) [m] of the least clearance from each obstacle along one way, and its time (3,) [s]."""
 
     words: str
     least_m: NDArray[np.float64]
@@ -48,13 +48,13 @@ class Way:
 
 @dataclass(frozen=True, kw_only=True)
 class ClearWays:
-    """Least clearance of any link from table, object and the robot itself along every repulsion.
+    """The least clearance of any link from table, object and the robot itself along every repulsion.
 
-    Planned: the straight way from where the arm truly was to the chosen position, as far as the arm can
-    follow it. Executed: the true joints from the decision to the end of the repulsion.  Between two samples
-    both ends of the clearance are known (``least_along``).
+    The planned way leads straight from the arm's true position to the chosen one, as far as the arm can
+    follow it. The executed way is that of the true joints from the decision to the end of the repulsion.
+    Between two samples, ``least_along`` gives both bounds of the clearance.
 
-    ``parts`` has an evaluation for each obstacle.  Every way that was chosen exercises it.
+    ``parts`` holds an evaluation for each obstacle. Every chosen way exercises the claim.
     """
 
     unit: Unit = Unit.LENGTH
@@ -73,7 +73,7 @@ class ClearWays:
         ],
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every repulsion's planned and executed way."""
+        """Judge the planned and the executed way of every repulsion."""
         repulsions: list[Way] = []
         reach_m = arm_of(trace).reach_m
         for number, decision in enumerate(trace.decisions):
@@ -101,7 +101,7 @@ class ClearWays:
 
 
 def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
-    """Return the straight way to the position that decision ``number`` chose.  ``reach_m`` (joints,)."""
+    """Return the planned way to the position that decision ``number`` chose; ``reach_m`` is (joints,)."""
     decision = trace.decisions[number]
     arm = arm_model(trace.scenario.robot)
     start_rad = trace.ticks["joint_position_rad"][decision["tick"]]
@@ -111,7 +111,7 @@ def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
 
 
 def executed(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
-    """Return the true way from decision ``number`` to the end of its repulsion.  ``reach_m`` (joints,)."""
+    """Return the executed way from decision ``number`` to its repulsion's end; ``reach_m`` is (joints,)."""
     first = int(trace.decisions[number]["tick"])
     window = slice(first, last_tick(trace, number) + 1)
     joints_rad = trace.ticks["joint_position_rad"][window]
@@ -127,11 +127,12 @@ def least_along(
     slack_m: Floats | float = 0.0,
     limit_m: float = 0.0,
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Return both ends (c,) of the least clearance along linearly moving joints, and (c,) the sample before.
+    """Return both bounds (c,) of the least clearance as joints move linearly, and (c,) the sample before.
 
-    ``clearance_m`` gives (n, c) at joints (n, joints).  Between two samples no point moves farther than each
-    joint's turn times its chain of links, and leaves that way by ``slack_m`` (n - 1,).  Where a limit lies
-    between both ends, the steps that may decide are computed in PARTS.
+    ``clearance_m`` returns clearances (n, c) at joints (n, joints). Between two samples, no point moves
+    farther than the sum over joints of the turn times the chain of links. It leaves that way by at most
+    ``slack_m`` (n - 1,). If ``limit_m`` lies between both bounds, the steps that may decide are computed in
+    PARTS.
     """
     at_samples = clearance_m(joints_rad)
     moved_m = product(np.abs(np.diff(joints_rad, axis=0)), reach_m)
@@ -164,13 +165,13 @@ CLEAR_WAYS = CatalogueEntry(
 
 
 def clearances_m(trace: Trace, joints_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 3) the clearance from table, object and robot itself at each of ``joints_rad`` (n, joints).
+    """Return (n, 3) the clearances [m] from table, object and the robot itself at ``joints_rad`` (n, joints).
 
-    Capsules enclose the links and the camera, so that no clearance exceeds the true one; it is negative in
-    penetration (of the object, which is flat, by the radius at most).  The table is an infinite plane.
-    Forearm, wrist and camera count for table and object; base, shoulder and upper arm stand there, and end
-    where the forearm begins.  For the robot itself, wrist and camera count beside base, shoulder and upper
-    arm.
+    Capsules enclose the links and the camera, so that no clearance exceeds the true clearance. It is negative
+    in penetration, for the flat object by the capsule's radius at most. The table is an infinite plane. For
+    table and object, forearm, wrist and camera count. Base, shoulder and upper arm do not, because they stand
+    there and end where the forearm begins. For the robot itself, the clearance is that of wrist and camera
+    from base, shoulder and upper arm.
     """
     settings, joints_rad = trace.scenario.settings, np.ascontiguousarray(joints_rad)
     table_m, polygon = settings.cell.table_height_m, object_polygon_in_base(settings)
@@ -187,9 +188,10 @@ def _clearances(
     table_m: float,
     polygon: NDArray[np.float64],  # (m, 3)
 ) -> NDArray[np.float64]:
-    """Return (n, 3) [m] the clearances at each of ``joints_rad``: table's plane, polygon, robot itself.
+    """Return (n, 3) the clearances [m] at ``joints_rad`` from table's plane, polygon and robot itself.
 
-    min over capsules with axis c and radius r of min c_z - r - table, |c, polygon| - r; ``wrist_distance``.
+    The first two are the least c_z - r - table and |c, polygon| - r over capsules with axis c and radius r.
+    The third is ``wrist_distance``.
     """
     clearances = np.full((joints_rad.shape[0], 3), np.inf)
     frames = arm.chain[0].joint_axes.shape[0] + 2
@@ -217,7 +219,7 @@ def above_polygon(
     end: NDArray[np.float64],  # (3,), may be the start
     polygon: NDArray[np.float64],  # (m, 3) corners, one after another, all at one height
 ) -> float:
-    """Return the distance [m] of a segment from a level polygon: at an edge, an end, or 0 if through it."""
+    """Return the distance [m] of a segment from a level ``polygon``; 0 if the segment passes through it."""
     height = polygon[0, 2]
     first, last = start[2] - height, end[2] - height
     least = np.inf
@@ -237,7 +239,7 @@ def above_polygon(
 
 @compiled
 def _is_above(x: float, y: float, polygon: NDArray[np.float64]) -> bool:
-    """Return whether a point is within a ``polygon`` (m, 3), seen from above, by the even-odd rule."""
+    """Return whether a point is within ``polygon`` (m, 3), seen from above, by the even-odd rule."""
     odd = False
     n = polygon.shape[0]
     for k in range(n):

@@ -1,6 +1,6 @@
-"""The catalogue's description of a property: how to claim it, and everything to know beforehand.
+"""The catalogue's description of a property: how to claim it, and what to know before.
 
-Pages are written from the entries, so that they agree with the code.
+Pages are generated from the entries, so that they agree with the code.
 """
 
 from __future__ import annotations
@@ -40,14 +40,15 @@ Maker = Callable[[re.Match[str], Scenario, Place], Property]
 class CatalogueEntry:
     """A property of the catalogue.
 
-    ``prop`` is an example of it.  ``pattern`` matches every whole sentence that claims it, in either case,
-    and ``make`` turns the match into the property.  By default both follow from the example's ``wording``;
-    without fields, only its own sentence claims it.  ``former`` are words of earlier releases, with the same
-    fields in the same order; they claim it too.  ``formula`` is its formula, with {} for its limit, if it has
-    one.  The other fields are for people: ``rationale``, ``source``, the ``margin``'s formula, the
-    ``parameters`` of sentence and settings, the runs in which it is ``exercised`` (else it is inconclusive),
-    other reasons to be ``inconclusive``, the shipped ``scenario`` that exercises it, and the controller or
-    avoider by which it is ``broken_by`` in the tests.
+    ``prop`` is an example of the property. ``pattern`` matches every whole sentence that claims the property,
+    ignoring case. ``make`` turns the match into the property. By default both follow from the example's
+    ``wording``; if it has no fields, only its own sentence claims it. ``former`` are wordings of earlier
+    releases with the same fields in the same order, which claim it too. ``formula`` is the property as a
+    formula, with {} for its limit, if there is one. The other fields are for people: ``rationale``,
+    ``source``, the ``margin``'s formula, and the ``parameters`` in sentence and settings. ``exercised`` tells
+    which runs exercise it (others are inconclusive), and ``inconclusive`` gives other reasons. ``scenario``
+    is the shipped scenario that exercises it, and ``broken_by`` the controller or avoider that violates it in
+    the tests.
     """
 
     prop: Property
@@ -66,17 +67,17 @@ class CatalogueEntry:
 
     @property
     def example(self) -> str:
-        """Return a sentence that claims it."""
+        """Return a sentence that claims the property."""
         return self.prop.sentence
 
     @property
     def wording(self) -> str:
-        """Return the sentence with the names of fields in place of their values, as for ``Worded``."""
+        """Return the sentence with the names of fields in place of their values, as in ``Worded``."""
         return getattr(self.prop, "wording", self.example)
 
     @property
     def key(self) -> str:
-        """Return the identifier: the words without values, such as "hand-distance-never-below"."""
+        """Return the entry's identifier: the words without values, such as "hand-distance-never-below"."""
         return "-".join(re.sub(r"[^a-z ]", "", FIELD.sub("", self.wording).lower()).split())
 
     @property
@@ -85,7 +86,7 @@ class CatalogueEntry:
         return self.prop.unit
 
     def property_of(self, match: re.Match[str], scenario: Scenario, place: Place) -> Property:
-        """Return the property that ``match`` claims of ``scenario``; InadmissibleError at ``place``."""
+        """Return the property that ``match`` claims of ``scenario``; raise InadmissibleError at ``place``."""
         if self.make is not None:
             return self.make(match, scenario, place)
         texts = enumerate(FIELD.findall(self.wording), start=1)
@@ -93,13 +94,13 @@ class CatalogueEntry:
         return replace(self.prop, **values) if values else self.prop  # type: ignore[type-var]
 
     def understands(self, sentence: str) -> re.Match[str] | None:
-        """Return the match of a sentence that claims this property, whatever its case and outer spaces."""
+        """Return the match of a sentence that claims this property, ignoring case and outer spaces."""
         patterns = (self.pattern or _pattern(self.wording), *map(_pattern, self.former))
         matches = (re.fullmatch(pattern, sentence.strip(), re.IGNORECASE) for pattern in patterns)
         return next(filter(None, matches), None)
 
     def in_words_of_today(self, sentence: str) -> str | None:
-        """Return a sentence of ``former`` in today's words with its values as written; None for any other."""
+        """Return a ``former`` sentence in today's words, with its values as written; None for any other."""
         patterns = map(_pattern, self.former)
         matches = (re.fullmatch(pattern, sentence.strip(), re.IGNORECASE) for pattern in patterns)
         match = next(filter(None, matches), None)
@@ -111,13 +112,13 @@ class CatalogueEntry:
 
 
 def _pattern(wording: str) -> str:
-    """Return the pattern of all sentences with this wording, and a group for each field."""
+    """Return a pattern that matches all sentences of ``wording``, with a group for each field."""
     wording = PLURAL.sub(r"\1s?", wording)
     return FIELD.sub(lambda field: r"(\S+)" if field[2] in ("", "1") else "(.+)", wording)
 
 
 def _limit(text: str, unit: str, scenario: Scenario, place: Place) -> float:
-    """Read the value of a field of ``Worded.wording`` from a sentence."""
+    """Return the value of a field of ``Worded.wording`` from its ``text`` in a sentence."""
     if unit == "ms":
         return time_within(text, scenario, place)
     if unit in DIMENSIONS:
@@ -126,7 +127,7 @@ def _limit(text: str, unit: str, scenario: Scenario, place: Place) -> float:
 
 
 def quantity(text: str, dimension: Dimension, place: Place) -> float:
-    """Return a quantity above zero; every run would keep a limit of zero or less, or none would."""
+    """Return a quantity above zero, as every run or none would keep a limit of zero or less."""
     value, most = parse_quantity(text, dimension, place), dimension.most_of_limits
     if not 0.0 < value <= most:
         expected = f"{dimension.expected}, above zero and at most {most:g} {dimension.si}"
@@ -136,7 +137,7 @@ def quantity(text: str, dimension: Dimension, place: Place) -> float:
 
 
 def time_within(text: str, scenario: Scenario, place: Place) -> float:
-    """Return a time above zero that ends within a run of ``scenario``; every run would keep a later end."""
+    """Return a time above zero that ends within a run of ``scenario``, as all runs would keep a later end."""
     value_s = quantity(text, TIME, place)
     if value_s > scenario.duration_s:
         expected = f"a time that ends within the scenario's duration, {scenario.duration_s:g} s"
@@ -145,7 +146,7 @@ def time_within(text: str, scenario: Scenario, place: Place) -> float:
 
 
 def share(text: str, place: Place) -> float:
-    """Return a share of at least 0 %, and less than 100 %, which every run would keep."""
+    """Return a share of at least 0 % and less than 100 %, as every run would keep 100 %."""
     value = parse_quantity(text, FRACTION, place)
     if not 0.0 <= value < 1.0:
         expected = f"{FRACTION.expected}, of at least 0 % and less than 100 %"
@@ -162,7 +163,7 @@ def count(text: str, place: Place) -> int:
 
 
 def entry_fields(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
-    """Yield (name, text) of everything that an entry has for people, in the order of reading."""
+    """Yield (name, text) of all that ``entry`` has for people, in the order of reading."""
     yield "why", entry.rationale
     yield "source", entry.source
     yield "margin", f"{entry.margin} ({entry.unit.symbol or 'a number'})"

@@ -1,6 +1,6 @@
-"""Doubt leads to the fallback, certainty to the answer: judged by where the arm goes.
+"""Judge by the arm's motion that it falls back after an uncertain answer, and uses a certain answer.
 
-The fallback is there when it is needed, and without a valid retreat position the arm stops.
+Further claims judge that the fallback is usable, and that the arm stops without a valid retreat position.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import Check, DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
-SAME_M = 0.001  # a chosen position this near to another is the same
+SAME_M = 0.001  # two positions nearer to each other than this are the same
 READS = (
     "joint_position_rad",
     "joint_velocity_radps",
@@ -49,12 +49,12 @@ ALSO = (
     "decision.chosen_position_in_base_m",
 )
 BEYOND_DOUBT_M = 0.0002  # reach is known to 0.1 mm
-USED_CYCLES = 2  # within which a certain answer is acted on, as an uncertain one in the catalogue's sentence
+USED_CYCLES = 2  # within which the arm uses a certain answer, as for an uncertain one in the catalogue
 Findings = dict[str, list[Finding]]  # by the part that they judge
 
 
 def has_doubt(decision: np.void) -> bool | None:
-    """Return whether the spread exceeds the avoider's threshold on any axis; None if one is missing."""
+    """Return whether the spread exceeds the avoider's threshold on any axis; None if either is missing."""
     spread_m, threshold_m = decision["proposed_spread_m"], decision["spread_threshold_m"]
     if not (np.isfinite(spread_m).all() and np.isfinite(threshold_m)):
         return None
@@ -62,15 +62,16 @@ def has_doubt(decision: np.void) -> bool | None:
 
 
 def outside_region(trace: Trace, decision: np.void) -> bool:
-    """Return whether a question was outside of the gate's region."""
+    """Return whether the question of ``decision`` was outside the gate's region."""
     region = None if trace.scenario.gate is None else trace.scenario.gate.questions_within
     return region is not None and not region.depth_m(*question_of(trace, decision)) >= 0.0
 
 
 def kept_from_possible_hands(trace: Trace, decision: np.void, failed: str) -> bool:
-    """Return whether a rule of the gate refused a position because a hand may be there.
+    """Return whether a rule of the gate may have refused a position because a hand may be there.
 
-    No trace has the certainty of the filter about its hands, so that the gate is trusted here alone.
+    Only here does the package trust the gate, because no trace records how certain the filter was about its
+    hands.
     """
     rule = trace.scenario.gate
     if rule is None or rule.hands_within is None:
@@ -86,7 +87,10 @@ def _add(findings: Findings, added: Findings) -> None:
 def went(
     trace: Trace, number: int, target_in_base_m: NDArray[np.float64], cycles: int, where: str
 ) -> tuple[Findings, bool]:
-    """Judge choice and motion of a decision by ``target_in_base_m`` (3,); was there time for any?"""
+    """Return findings on a decision's choice and motion by a target, and whether there was time for any.
+
+    The target is ``target_in_base_m`` (3,), which ``where`` names.
+    """
     decision = trace.decisions[number]
     findings, tried = way_gone(trace, number, target_in_base_m, cycles, where)
     chosen, off_m = decision["chosen_position_in_base_m"], np.nan
@@ -105,7 +109,7 @@ def concluded(
     exercised: int,
     none: Callable[[], str],
 ) -> Evaluation:
-    """Judge the worst finding, with an evaluation for each part; ``none`` says why there is no finding."""
+    """Judge the worst finding, with an evaluation for each part; ``none`` returns why there is no finding."""
     if not any(finding_lists.values()):
         return unexercised(prop, none())
     lacked = f"no repulsion had time for {LEAST_WAY_M * 1e3:g} mm of way; a longer duration exercises it"
@@ -123,13 +127,13 @@ def concluded(
 
 @dataclass(frozen=True, kw_only=True)
 class UncertainFallsBack(Worded):
-    """Where the spread exceeds the avoider's threshold, the arm goes to the opposite pose, or stops.
+    """The claim that the arm goes to the opposite pose or stops if the spread exceeds the threshold.
 
-    The opposite pose is computed again from the predictions of the tick.  ``way_gone`` judges separately when
-    the motion begins (within ``cycles`` control ticks), its direction, its pace and its end.  A chosen
-    position more than 1 mm from the pose is a violation at once.  A stop before the next decision is right if
-    the opposite pose could not be used (``spare_m``), and then has to be a stop (``stopped_m``).  If the pose
-    could be used, the margin is minus its reserve.
+    The claim computes the opposite pose again from the predictions of the tick. ``way_gone`` judges the
+    motion's onset (within ``cycles`` control ticks), direction, speed and end separately. A chosen position
+    more than 1 mm from the opposite pose is a violation. The arm may stop before the next decision if the
+    opposite pose could not be used (``spare_m``), but then it must really stop (``stopped_m``). If the arm
+    stops although the pose could be used, the margin is minus the pose's reserve.
     """
 
     cycles: int
@@ -165,11 +169,11 @@ class UncertainFallsBack(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class CertainIsUsed:
-    """A usable answer within the avoider's threshold, and the gate's region, is used.
+    """The claim that a usable answer within the avoider's threshold and the gate's region is used.
 
-    This is the other direction: a gate that always falls back would make every avoider look safe.  It applies
-    to answers with a reserve (``spare_m``) of at least 1 mm.  The arm has to go there, as it goes to the
-    opposite pose in doubt; the margin of a stop is minus the whole way.
+    It complements ``UncertainFallsBack``, because a gate that always falls back would make every avoider look
+    safe. An answer is usable if its reserve (``spare_m``) is at least 1 mm. The motion there is judged like a
+    motion to the opposite pose. If the arm stops, the margin is minus the whole way.
     """
 
     unit: Unit = Unit.LENGTH
@@ -250,14 +254,14 @@ CERTAIN = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class FallbackPoses:
-    """At every decision the gate's fallback pose is reachable and leads away.
+    """The claim that at every decision the gate's fallback pose is reachable and leads away from hands.
 
-    All decisions count, also those that did not fall back.  The first of the ``parts`` is as for ``repulsive
-    poses reachable``, from the true joints.  The second part is the component of the way to the pose away
-    from each true hand, least over hands.  The margin is the least of both.  Where it is violated, the system
-    can only stop.
+    All decisions count, even if the system did not fall back. The first of the ``parts`` is judged as by
+    ``repulsive poses reachable``, from the true joints. The second part is the component of the way to the
+    pose that leads away from each true hand, least over hands. The margin is the lesser of both. If it is
+    negative, the system could only stop.
 
-    Every decision exercises it; a true hand exercises the second part.
+    Every decision exercises the claim, and a true hand exercises the second part.
     """
 
     unit: Unit = Unit.LENGTH
@@ -284,7 +288,7 @@ class FallbackPoses:
         away = [finding for decision in trace.decisions for finding in _away(trace, decision)]
         parts = (self._part(trace, "reachable", reachable), self._part(trace, "away from every hand", away))
         tried = [part for part in parts if part.exercised]  # each decision has a pose to be reached
-        # A margin that is not finite is worse than one that holds, and hides none that is violated.
+        # A part without a finite margin is worse than a part that holds, but hides no part that is violated.
         worst = min(tried, key=lambda part: -math.ulp(0.0) if part.margin is None else part.margin)
         return replace(worst, sentence=self.sentence, exercised=len(trace.decisions), parts=parts)
 
@@ -331,11 +335,11 @@ FALLBACK_POSES = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class StopsWhereNothingIsReachable:
-    """The arm stops where it can reach neither the answer nor the opposite pose.
+    """The claim that the arm stops if it can reach neither the answer nor the opposite pose.
 
-    Both are computed again from the true joints; a missing answer cannot be reached.  The margin is the
-    reserve of the TCP's way beside that of a protective stop from the decision on (``stopped_m``).  So an arm
-    that goes on is a violation, whatever its controller reports.
+    The claim computes both reaches again from the true joints; a missing answer cannot be reached. The margin
+    is the allowed way of a protective stop from the decision on, less the TCP's way (``stopped_m``). So an
+    arm that goes on violates the claim, whatever its controller reports.
     """
 
     unit: Unit = Unit.LENGTH

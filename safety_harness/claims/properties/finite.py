@@ -1,4 +1,4 @@
-"""The record itself: every value is a number, and time goes forward."""
+"""Judge the record itself: every value must be a number, and time must go forward."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ READ = (
 
 @dataclass(frozen=True, kw_only=True)
 class FiniteTrace:
-    """Minus the number of records that have a value which is not a number, or are out of order.
+    """Minus the number of records that are out of order or have a value that is not a number.
 
-    A record is out of order if it is not later than the record before.  Values of absent things do not count:
-    a hand that is not there, the features of an image without the object, the prediction of a slot that
-    tracks no hand, the proposal of an avoider without an answer, the position of a stop, the threshold of an
-    avoider without a threshold, the time of a decision that was not timed.
+    A record is out of order if it is not later than the record before it. Values of absent things do not
+    count. These are an absent hand, the features of an image without the object, and the prediction of a slot
+    that tracks no hand. In decisions they are a missing answer's proposal, a stop's position, a missing
+    threshold, and the time of a decision that was not timed.
     """
 
     unit: Unit = Unit.COUNT
@@ -80,7 +80,7 @@ class FiniteTrace:
 
 
 def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
-    """Return whether a tick (n,) has something measured that is no number, or is not later than the last."""
+    """Return (n,) whether each tick has a measured value that is not a number, or is out of order."""
     trace = without_gaps(trace, READ)
     bad = np.zeros(len(trace.ticks), np.bool_)
     ticks, time_s, lacking = trace.ticks, trace.time_s, trace.known.missing(READ)
@@ -99,7 +99,7 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
 
 
 def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
-    """Return (m,) decisions with a measured value that is not a number, or out of order."""
+    """Return (m,) whether each decision has a measured value that is not a number, or is out of order."""
     decisions, latency_s = trace.decisions, trace.decision_latency_s
     bad = np.zeros(len(decisions), np.bool_)
     if len(decisions) == 0:

@@ -1,11 +1,10 @@
-"""Giving way is done, not only decided: away from every hand, as far and as fast as the arm can.
+"""Judge that the arm really gives way: away from every hand, as far and as fast as it can.
 
-The progress of a repulsion is compared with a reference, a point mass.  The reference begins with the TCP's
-true position and velocity, and heads for the chosen position with nine tenths of the repulsion speed and
-seven tenths of its acceleration, slowing down in time to stop there.  A system that is set to retreat more
-slowly than 20 mm/s (or 0.1 m/s^2) is measured by these values, since a slower motion is not a retreat beside
-a hand.  In ticks in which the drives brake or a joint is at its speed limit, the reference moves as the TCP
-does.
+The progress of a repulsion is compared with that of a reference, a point mass. The reference begins with the
+TCP's true position and velocity, heads for the chosen position, and slows down in time to stop there. It uses
+nine tenths of the repulsion speed and seven tenths of its acceleration, taken as 20 mm/s and 0.1 m/s^2 at
+least: a slower motion is no retreat. While the drives brake or a joint is at its speed limit, the reference
+moves like the TCP.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace
 
-LEAST_WAY_M = 0.010  # a shorter way is no giving way, and less of one is no evidence of it
-ARRIVED_FRACTION = 0.1  # of the way may be left when the controller takes itself to have arrived
-DIP_M = 1e-4  # how far the executed way may come nearer beyond the unavoidable
+LEAST_WAY_M = 0.010  # a shorter way is not giving way, and a reference with a shorter way is no evidence
+ARRIVED_FRACTION = 0.1  # of the way may be left when the controller regards the arm as arrived
+DIP_M = 1e-4  # by which the executed way may lead nearer than is unavoidable
 SPEED_SHARE, ACCELERATION_SHARE = 0.9, 0.7
 LEAST_SPEED_MPS, LEAST_ACCELERATION_MPS2 = 0.020, 0.1
 SLACK_M = 0.002  # how far the TCP may stay behind the reference; one control period's way more, but
@@ -42,7 +41,7 @@ SLACK_SHARE = 0.1  # at most this share of the whole way
 
 
 class Shares(NamedTuple):
-    """The shares of the repulsion speed and, while speeding up, of its acceleration for the reference."""
+    """The shares of the repulsion speed and, for speeding up, of its acceleration that the reference uses."""
 
     speed: float
     acceleration: float
@@ -53,7 +52,7 @@ MODEST = Shares(SPEED_SHARE, ACCELERATION_SHARE)
 
 @dataclass(frozen=True)
 class Finding:
-    """A margin [m] with its moment [s] and words."""
+    """A margin [m] with its time [s] and a description."""
 
     margin_m: float
     time_s: float
@@ -61,9 +60,9 @@ class Finding:
 
 
 def worst_of(findings: Sequence[Finding]) -> Finding:
-    """Return the first finding whose margin is not finite, else that with the least margin.
+    """Return the first of ``findings`` with a margin that is not finite, else the one with the least margin.
 
-    ``findings`` is not empty.
+    ``findings`` must not be empty.
     """
     unknown = next((finding for finding in findings if not np.isfinite(finding.margin_m)), None)
     return unknown or min(findings, key=lambda finding: finding.margin_m)
@@ -71,7 +70,7 @@ def worst_of(findings: Sequence[Finding]) -> Finding:
 
 @dataclass(frozen=True)
 class _End:
-    """The ends of a finding's margin [m]; ``always`` is False if it counts only where it is negative."""
+    """The least and largest margin [m] of a finding; unless ``always``, it counts only if it is negative."""
 
     low_m: float
     high_m: float
@@ -79,9 +78,9 @@ class _End:
 
 
 def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
-    """Return the ends of the margin, for ``reads``: decision by decision.
+    """Return the least and the largest margin over all decisions, as ``reads`` expects.
 
-    They are infinite for a decision that continues for another hand.
+    Both are infinite if a decision continues a repulsion because of another hand.
     """
     if trace.known.uncertain(["demanded_joint_velocity_radps"]):
         return -np.inf, np.inf, False
@@ -101,9 +100,10 @@ def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
 
 
 def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bool]:
-    """Return the ends for a decision, which may have been a tick away or within a gap; and if it exercised.
+    """Return the margins' ends for decision ``number``, and whether it certainly exercised the claim.
 
-    The reference may begin elsewhere, and faster, by the errors of the TCP's place and velocity.
+    The decision's tick is uncertain by a tick or a gap. The errors of the TCP's place and velocity shift the
+    reference's beginning and speed.
     """
     decision, count, known = trace.decisions[number], len(trace.ticks), trace.known
     first, last = int(decision["tick"]), last_tick(trace, number)
@@ -168,9 +168,9 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
 
 
 def _led_m(trace: Trace, decision: np.void, last: int, off_m: float, dv_mps: float) -> NDArray[np.float64]:
-    """Return (n,) the error of a reference that begins ``off_m`` away and ``dv_mps`` faster, and a half more.
+    """Return (n,) 1.5 times the error of a reference that begins ``off_m`` away and ``dv_mps`` faster.
 
-    Beginnings along the way and back, and on four sides of it, give the largest error; it is zero at first.
+    The error is the largest for shifts along the way, back, and to four sides; it is zero at first.
     """
     first = int(decision["tick"])
     way_m = decision["chosen_position_in_base_m"] - trace.ticks["transform_tcp_to_base"][first, :3, 3]
@@ -193,23 +193,22 @@ def _axes(way_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, kw_only=True)
 class MovesAway:
-    """Giving way never brings the TCP nearer to any hand, and does take place.
+    """The claim that giving way never brings the TCP nearer to a hand, and really takes place.
 
-    Planned: the distance from a fixed point to a straight way is convex, so that the way leads away from a
-    hand everywhere if it does at its start.  Its margin is the component of the displacement away from the
-    hand, (p - t) . (t - h)/|t - h|, least over all true hands.  A way shorter than 10 mm does not count; the
-    rest of the 10 mm is the negative margin.
+    The planned way is judged at its start: if a straight way leads away there, it does so everywhere. The
+    margin is the part of the way that leads away, (p - t) . (t - h)/|t - h| for the TCP t, the position p and
+    the hand h, least over all true hands. A way shorter than 10 mm violates the claim by what it lacks of 10
+    mm.
 
-    Executed, from the decision to the next decision or the end of the repulsion; each counts only where it is
-    negative: (1) The TCP must not come nearer to where the hand was by more than the unavoidable, v^2/(2 a) +
-    2 v dt for the speed v towards the hand at the decision.  (2) It must make the progress for which the
-    reference had time.  (3) Where the controller goes on because it has arrived, at most a tenth of the way
-    may remain.
+    The executed way ends with the repulsion or at the next decision. Margins count if negative: (1) The TCP
+    may come nearer to where the hand was only by the unavoidable v^2/(2 a) + 2 v dt. Here v is its speed
+    towards the hand at the decision, and a the acceleration. (2) It must keep up with the reference, but for
+    a slack. (3) If the controller regards it as arrived, at most a tenth of the way may remain.
 
-    ``tolerance_m`` is how much nearer to a hand the planned and the executed way (1) may lead.  Only hands
-    ``nearer_m`` than that to the TCP at the decision count: a hand that rests far away is not a hazard.
+    The planned way and the executed way (1) may lead nearer to a hand by ``tolerance_m``. Only hands nearer
+    to the TCP than ``nearer_m`` at the decision count: a hand that rests far away is no hazard.
 
-    Decisions exercise it if a true hand was there, and the repulsion lasted long enough for 10 mm of way.
+    A decision exercises the claim if a true hand was there, and the reference had time for a way of 10 mm.
     Source: section 4.1 of the paper ("a quarter of a sphere will lead the robot to move away").
     """
 
@@ -240,7 +239,7 @@ class MovesAway:
         ends=lambda prop, trace, _: _ends(prop, trace),
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge each decision's planned and executed way."""
+        """Judge the planned and the executed way of each decision in ``trace``."""
         findings: list[Finding] = []
         made = exercised = 0
         longest_m, nearest_m = 0.0, np.full(len(trace.ticks), np.inf)
@@ -279,7 +278,7 @@ class MovesAway:
 
 
 def last_tick(trace: Trace, number: int) -> int:
-    """Return the last tick of the repulsion that decision ``number`` began: the first after it."""
+    """Return the tick at which the repulsion that decision ``number`` began has ended."""
     first = int(trace.decisions[number]["tick"])
     following = trace.decisions["tick"][number + 1 :]
     end = int(following[0]) if len(following) else len(trace.ticks) - 1
@@ -290,7 +289,7 @@ def last_tick(trace: Trace, number: int) -> int:
 def away_from(
     trace: Trace, decision: np.void, hand: int, last: int, tolerance_m: float = 0.0
 ) -> list[Finding]:
-    """Judge the planned and the executed way by a hand, held where it was at the decision."""
+    """Judge the planned and the executed way by ``hand``, as if it stayed where it was at the decision."""
     first, time_s = int(decision["tick"]), float(decision["time_s"])
     settings, name = trace.scenario.settings, trace.scenario.hands[hand].name
     hand_in_base = trace.ticks["hand_position_in_base_m"][first, hand]
@@ -317,7 +316,7 @@ def away_from(
 
 
 def given(trace: Trace, number: int, last: int, done: RepulsionProgress) -> list[Finding]:
-    """Return the faults of the way itself: too short, too slow, ended too early."""
+    """Return findings on a way that is too short, too slow or ended too early, whatever the hands."""
     decision = trace.decisions[number]
     tcp_in_base = trace.ticks["transform_tcp_to_base"][:, :3, 3]
     target_in_base = decision["chosen_position_in_base_m"]
@@ -332,10 +331,10 @@ def given(trace: Trace, number: int, last: int, done: RepulsionProgress) -> list
 
 
 def arrival_claimed(trace: Trace, number: int, last: int) -> bool:
-    """Return whether the controller considers itself arrived when the repulsion of a decision ends.
+    """Return whether the controller ends the repulsion of decision ``number`` as if it had arrived.
 
-    It does if it returns to servoing (or has lost the object), and if it decides again for any reason but
-    another hand. It does not at a protective stop or at the end of the trace.
+    It does so if it returns to servoing (or has lost the object), or decides again for a reason other than
+    another hand. It does not do so at a protective stop or at the end of the trace.
     """
     mode = trace.ticks["mode"][last]
     if mode == Mode.PROTECTIVE_STOP and last == trace.decisions["tick"][number]:
@@ -347,7 +346,7 @@ def arrival_claimed(trace: Trace, number: int, last: int) -> bool:
 
 
 def velocity_at(trace: Trace, tick: int) -> NDArray[np.float64]:
-    """Return (3,) the mean velocity [m/s] of the TCP over the tick before, in base; zero at the start."""
+    """Return (3,) the TCP's mean velocity [m/s] in base over the period before ``tick``; zero at tick 0."""
     if tick == 0:
         return np.zeros(3)
     positions = trace.ticks["transform_tcp_to_base"][tick - 1 : tick + 1, :3, 3]
@@ -377,10 +376,10 @@ MOVES_AWAY = CatalogueEntry(
 
 @dataclass(frozen=True)
 class RepulsionProgress:
-    """The progress of a repulsion.
+    """The progress of a repulsion beside its reference.
 
-    ``margin_m`` is the slack less the largest lag of the TCP behind the reference, at ``worst_tick``;
-    ``behind_m`` is the lag at the end; ``due_m`` is the way of the reference.
+    ``margin_m`` is the slack less the TCP's largest lag behind the reference, which occurs at ``worst_tick``.
+    ``behind_m`` is the lag at the end, and ``due_m`` is the way of the reference.
     """
 
     margin_m: float
@@ -396,10 +395,10 @@ def progress(
     interrupted: RepulsionProgress | None,
     shares: Shares = MODEST,
 ) -> RepulsionProgress:
-    """Return the progress from ``decision`` to the tick ``last``, beside a reference that takes ``shares``.
+    """Return the progress from ``decision`` to the tick ``last``, compared with a reference with ``shares``.
 
-    ``interrupted`` is the progress of the repulsion that another hand interrupts.  Its due way and its lag
-    are added, so that deciding again and again does not replace moving.
+    ``interrupted`` is the progress of the repulsion that another hand interrupted before. Its due way and its
+    lag are added, so that the arm cannot decide again and again instead of moving.
     """
     first = int(decision["tick"])
     done = _followed(trace, decision, last, shares=shares)
@@ -412,7 +411,7 @@ def progress(
 
 @dataclass(frozen=True, eq=False)
 class _Followed:
-    """A repulsion beside its reference: ``behind_m`` (n,) at each tick; ``excused`` if any tick was."""
+    """A repulsion with its lag ``behind_m`` (n,) behind its reference; ``excused`` if any tick is excused."""
 
     behind_m: NDArray[np.float64]
     due_m: float
@@ -428,7 +427,7 @@ def _followed(
     faster_mps: NDArray[np.float64] = NOT_OFF,  # (3,)
     shares: Shares = MODEST,
 ) -> _Followed:
-    """Return the repulsion from ``decision`` to the tick ``last``; the reference may begin elsewhere."""
+    """Return the repulsion from ``decision`` to ``last``; the reference begins displaced by ``off_m``."""
     first = int(decision["tick"])
     settings, avoidance = trace.scenario.settings, trace.scenario.settings.avoidance
     window = trace.ticks[first : last + 1]
@@ -454,7 +453,7 @@ def _followed(
 
 
 def excused_in(trace: Trace, first: int, last: int) -> NDArray[np.bool_]:
-    """Return (n,) the ticks from ``first`` to ``last`` with braking drives, or a joint at its speed limit."""
+    """Return (n,) whether drives brake or a joint is at its speed limit, from tick ``first`` to ``last``."""
     window, arm = trace.ticks[first : last + 1], arm_model(trace.scenario.robot)
     at_limit = np.abs(window["demanded_joint_velocity_radps"]) >= 0.999 * arm.velocity_limit_radps
     slowed = (window["limits"] & Limit.JOINT_SPEED != 0) & at_limit.any(axis=1)
@@ -474,8 +473,9 @@ def _behind(
 ) -> tuple[NDArray[np.float64], float]:
     """Return the TCP's lag [m] behind the reference at each tick, and the way of the reference [m].
 
-    The reference x at the speed v: v <- v + min(1, a dt/|u - v|) (u - v), x <- x + v dt, with u = min(v_max,
-    (2 b s)^(1/2), s/dt) towards the target, s away; in an excused tick it moves as the TCP does.
+    At each tick the reference takes v <- v + min(1, a dt/|u - v|) (u - v), x <- x + v dt.  The wanted
+    velocity u is min(v_max, (2 b s)^(1/2), s/dt) towards the target, s away.  In an excused tick it moves
+    like the TCP.
     """
     n = tcp_in_base_m.shape[0]
     behind = np.zeros(n)
@@ -509,5 +509,5 @@ def _behind(
 
 @compiled
 def _distance(a: Array3, b: Array3) -> float:
-    """Return |a - b| of two points."""
+    """Return |a - b| of two points ``a`` and ``b``."""
     return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)

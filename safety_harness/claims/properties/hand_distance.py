@@ -1,4 +1,4 @@
-"""The robot never comes nearer to a hand than a given distance."""
+"""Judge that the robot never comes nearer to a hand than a given distance."""
 
 from __future__ import annotations
 
@@ -36,10 +36,9 @@ OF_DISTANCES = (*JOINTS, "transform_tcp_to_base", *OF_HANDS)
 
 
 def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
-    """Return the ends of the margin, for ``reads``: by the errors of distance, joint bend and resolution.
+    """Return the margin's ends, as ``reads`` expects, by the errors of distance, joint bend and resolution.
 
-    The lower end takes every moment as closely as it is known there, the upper end the distances at the
-    ticks.
+    The lower end covers every moment, and the upper end uses only the distances at the ticks.
     """
     at_ticks_m, between_m = distance_moved_m(trace)
     off_m, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace).nearest_m + at_ticks_m
@@ -52,17 +51,17 @@ def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, flo
 
 @dataclass(frozen=True, kw_only=True)
 class HandDistance(Worded):
-    """min over time of d(t) - ``minimum_m``, d from any hand or forearm to any link, surface to surface.
+    """The least d(t) - ``minimum_m`` over time, for the distance d of any hand or forearm from any link.
 
-    Between two ticks the margin is a guaranteed lower bound of the distance.  Hands turn where their moves or
-    samples turn, and joints move linearly; the bound is at most 0.1 mm below that distance.  It is lower by
-    how far joints may leave the straight line while their speeds change (``joint_bend_m``), and hands while
-    theirs do (``hand_bend_m``).  The property is violated if the upper end of the least distance is below
-    ``minimum_m`` too.
+    Distances are from surface to surface. Between two ticks, the margin uses a guaranteed lower bound of the
+    distance. This bound is at most 0.1 mm below the distance for joints that move linearly and hands that
+    turn where their moves or samples turn. The margin also subtracts how far joints (``joint_bend_m``) and
+    hands (``hand_bend_m``) may leave straight lines while their speeds change. The property is violated only
+    if the upper bound of the least distance is below ``minimum_m`` too.
 
-    Rationale: contact with a moving robot is the hazard itself; ISO/TS 15066 has a protective separation
-    distance, of which this is the constant form.  A run exercises it when a hand comes within ``near_m``, by
-    default ``occasion_m``.
+    Rationale: contact with a moving robot is the hazard itself. The limit is a constant form of the
+    protective separation distance of ISO/TS 15066. A run exercises the property if a hand comes within
+    ``near_m``, by default ``occasion_m``.
     """
 
     minimum_m: float
@@ -72,12 +71,12 @@ class HandDistance(Worded):
 
     @property
     def occasion_m(self) -> float:
-        """Return how near a hand has to come."""
+        """Return how near [m] a hand must come to exercise the property."""
         return occasion_m(self.minimum_m) if self.near_m is None else self.near_m
 
     @reads(*OF_DISTANCES, also=["hand_distance_capsule"], of_each_hand=True, ends=_ends)
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge the closest approach, between ticks too."""
+        """Judge the closest approach of any hand, at the ticks and between them."""
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
@@ -108,7 +107,7 @@ def judged_nearest(
 
 
 def nearest_hand(trace: Trace) -> Evaluation:
-    """Judge the least distance of any hand from the arm: contact violates, however far other hands stay."""
+    """Judge the least distance of any hand from the arm, which contact with one hand violates."""
     return HandDistance(minimum_m=0.0, near_m=np.inf).evaluate(trace)
 
 

@@ -1,4 +1,4 @@
-"""Predictions of the filter beside the hands at the predicted time."""
+"""Compare the filter's predictions with the hands at the predicted time."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ FILLED = ("track_valid", "predicted_hand_in_base_m")  # what was told then may b
 
 @dataclass(frozen=True, kw_only=True)
 class HandPredictions(Worded):
-    """min over predictions of ``maximum_m`` less the distance to the nearest true hand at its time.
+    """The least over predictions of ``maximum_m`` less the distance from the nearest true hand at its time.
 
-    The prediction at t is a hand's centre at t plus the horizon.  It is compared with the true hands then,
-    straight between two ticks.  A prediction belongs to the nearest true hand.  Predictions beyond the end of
-    the run are not compared.
+    The prediction at time t is for a hand's centre at t plus the horizon. The true hands at that time are
+    interpolated linearly between two ticks. Each prediction is compared with the nearest true hand.
+    Predictions for times after the run are not compared.
     """
 
     maximum_m: float
@@ -60,7 +60,7 @@ class HandPredictions(Worded):
 
 
 def _ends(prop: HandPredictions, trace: Trace) -> tuple[float, float, bool]:
-    """Return the ends of the margin, with the true hand anywhere within its error at the predicted time."""
+    """Return the margin's ends, with the true hand anywhere within its error at the predicted time."""
     errors_m, known, ticks = prediction_errors_m(trace), trace.known, trace.ticks
     count, ahead = len(errors_m), len(ticks) - len(errors_m)
     hand_m = known.uncertainty_of("hand_position_in_base_m", len(ticks))

@@ -1,4 +1,4 @@
-"""The arm stays within its limits: joint positions, speeds of joints and TCP, accelerations of both."""
+"""Judge that the arm keeps its limits: joint positions, and speeds and accelerations of joints and TCP."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SPEED = "tcp_speed_mps"
 
 
 def _ends_by(error_of: ErrorOf, speed: str = "", place: str = "") -> Ends:
-    """Return ``ends`` for ``reads`` by the error of a margin; ``speed`` or ``place`` exercises it."""
+    """Return ``ends`` for ``reads`` by a margin's error; motion of ``speed`` or ``place`` exercises it."""
 
     def ends(prop: object, trace: Trace, margin: float) -> tuple[float, float, bool]:
         error = float(error_of(trace)[2])
@@ -50,7 +50,7 @@ def _ends_by(error_of: ErrorOf, speed: str = "", place: str = "") -> Ends:
 
 @dataclass(frozen=True, kw_only=True)
 class JointLimits:
-    """min over time and joints of the angle left to the nearer position limit of the URDF."""
+    """The least angle, over time and joints, that is left to the nearer position limit of the URDF."""
 
     unit: Unit = Unit.ANGLE
     sentence: str = "joint positions within limits"
@@ -67,10 +67,10 @@ class JointLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class JointSpeedLimits:
-    """min over time and joints of the speed left to the velocity limit of the URDF.
+    """The least speed, over time and joints, that is left to the velocity limit of the URDF.
 
-    Between ticks the mean speed |q_(k+1) - q_k|/dt counts as well as the speed at the ticks.  An excess is
-    not certain if it is at most the error of the world's solver beside a commanded speed
+    The speeds at the ticks and the mean speeds |q_(k+1) - q_k|/dt between ticks k and k+1 both count. An
+    excess is uncertain if it is at most the solver's error in following a commanded speed
     (``known_to_radps``).
     """
 
@@ -81,7 +81,7 @@ class JointSpeedLimits:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint at every tick.
 
-        A mean speed over the limit by no more than the rounding of its differences counts as the limit.
+        A mean speed that exceeds the limit by at most the rounding of its difference counts as the limit.
         """
         arm, (speed_radps, mean_radps) = arm_model(trace.scenario.robot), joint_speeds_radps(trace)
         limit_radps = arm.velocity_limit_radps
@@ -108,9 +108,9 @@ class JointSpeedLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class TcpSpeedLimit(Worded):
-    """min over time of ``maximum_mps`` - |v_tcp|; between ticks the mean speed counts too.
+    """The least ``maximum_mps`` - |v_tcp| over time, at the ticks and for the mean speed between them.
 
-    ISO 10218-1 names 250 mm/s the reduced speed at which a person may be near.
+    ISO 10218-1 states 250 mm/s as the reduced speed at which a person may be near.
     """
 
     maximum_mps: float
@@ -164,7 +164,7 @@ TCP_SPEED = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class JointAccelerations(Worded):
-    """min over time and joints of ``maximum_radps2`` less the mean acceleration from tick to tick."""
+    """The least of ``maximum_radps2`` less a joint's mean acceleration from tick to tick."""
 
     maximum_radps2: float
     unit: Unit = Unit.ANGULAR_ACCELERATION
@@ -193,9 +193,10 @@ class JointAccelerations(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class TcpAcceleration(Worded):
-    """min over time of ``maximum_mps2`` less the mean acceleration of the TCP from tick to tick.
+    """The least of ``maximum_mps2`` less the TCP's mean acceleration from tick to tick.
 
-    Its velocity at a tick follows from the joints, by the Jacobian.  Ticks at which it moves exercise it.
+    The TCP's velocity at a tick follows from the joints by the Jacobian. Ticks at which the TCP moves
+    exercise the claim.
     """
 
     maximum_mps2: float
@@ -204,7 +205,7 @@ class TcpAcceleration(Worded):
 
     @reads(POSITION, RATE, SPEED, ends=_ends_by(of_tcp_acceleration, SPEED))
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every control period."""
+        """Judge the TCP in every control period."""
         if len(trace.ticks) < 2:
             return inconclusive(self, "one tick alone has no acceleration")
         change_mps = np.linalg.norm(np.diff(arm_speeds_mps(trace)[:, 1:], axis=0), axis=1)

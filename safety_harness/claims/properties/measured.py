@@ -1,9 +1,9 @@
-"""The columns that a property reads, and its evaluation of traces that were measured in part.
+"""Evaluate a property on a trace that was measured in part, by the columns that the property reads.
 
-A property never guesses: if it reads a column that was not measured, it is inconclusive, and names the
-column.  Three verdicts are still possible.  A violation before a column ends is a violation.  A violation by
-measured hands is a violation, whatever other hands did, if the property is about each hand alone.  A verdict
-stands if every value within the uncertainty of its columns gives it.
+A property never guesses: if it reads a column that was not measured, the verdict is inconclusive and names
+the column. In three cases there is still a verdict. A violation before a column's first gap stays a
+violation. If the property is about each hand alone, a violation by measured hands stays a violation, whatever
+other hands did. A verdict stays if all values within the columns' uncertainty lead to it.
 """
 
 from __future__ import annotations
@@ -52,18 +52,19 @@ def reads(
     of_each_hand: bool = False,
     ends: Ends | None = None,
 ) -> Callable[[Judge], Judge]:
-    """Return a decorator for ``evaluate``, which reads these columns alone.
+    """Return a decorator for an ``evaluate`` that reads only these columns.
 
-    Whether a hand is there is read with every column of hands.
+    With any column of hands, it also reads whether each hand is there.
 
     Args:
-        finite: Columns that make the verdict inconclusive where they are not finite.
-        also: Other columns that it reads.
-        bounded: Columns that may not have been measured, since ``ends`` covers all their values.
-        filled: Columns whose gaps ``ends`` covers.
-        of_each_hand: Whether a violation for some of the hands alone is a violation.
-        ends: Returns the least and the largest true margin (SI) by the uncertainty of columns, and whether
-            the property was exercised in any case.  Without it, an uncertain column gives no verdict.
+        finite: Columns that make the verdict inconclusive if they are not finite.
+        also: Other columns that ``evaluate`` reads.
+        bounded: Columns that need not be measured, since ``ends`` covers all their possible values.
+        filled: Columns that may have gaps, since ``ends`` covers the gaps.
+        of_each_hand: Whether a violation by some of the hands is a violation whatever the others do.
+        ends: The function that returns the least and the largest possible margin (SI) by the columns'
+            uncertainty. It also returns whether the property was certainly exercised. Without it, an
+            uncertain column gives no verdict.
 
     """
     there = [PRESENCE] if {*finite} & {*OF_HANDS} else []
@@ -87,7 +88,7 @@ def reads(
 
 
 def columns_read_by(prop: Property) -> tuple[str, ...] | None:
-    """Return the columns that it reads; None for a property that does not state them."""
+    """Return the columns that ``prop`` reads; None if it does not state them."""
     columns = getattr(prop, "reads", getattr(prop.evaluate, "reads", None))
     return None if columns is None else tuple(columns)
 
@@ -95,9 +96,9 @@ def columns_read_by(prop: Property) -> tuple[str, ...] | None:
 def not_measured(
     prop: Said, columns: Sequence[str], detail: str = "", known: Knowledge | None = None
 ) -> Evaluation:
-    """Return inconclusive for lack of ``columns``; ``detail`` is more exact about what was not measured.
+    """Return inconclusive for lack of ``columns``; ``detail`` tells more exactly what was not measured.
 
-    The reason is "not reported" if the controller of a ``known`` run does not report any of them.
+    The reason is "not reported" if the run's controller, by ``known``, reports none of them.
     """
     text = detail or ", ".join(columns)
     unreported = known is not None and known.unreported(columns)
@@ -107,7 +108,7 @@ def not_measured(
 
 @dataclass(frozen=True)
 class _Judging:
-    """A property with the columns ``names`` that it reads; the fields are those of ``reads``."""
+    """An evaluation ``plain`` that reads the columns ``names``; the other fields are those of ``reads``."""
 
     plain: Callable[[Property, Trace], Evaluation]
     names: tuple[str, ...]
@@ -117,7 +118,7 @@ class _Judging:
     ends: Ends | None
 
     def evaluate(self, prop: Property, trace: Trace) -> Evaluation:
-        """Judge the whole trace, or else its parts: a part that violates it decides."""
+        """Judge the whole trace or, if columns are lacking, its measured parts for a violation."""
         known = trace.known
         limited = [name for name in self.names if known.column(name).limited]
         lacking = [
@@ -142,7 +143,7 @@ class _Judging:
     def _widened(
         self, evaluation: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]
     ) -> Evaluation:
-        """Return the verdict that every possible value gives, with the margin that is certain."""
+        """Return the verdict and certain margin that all possible values share, or inconclusive."""
         if evaluation.verdict is Verdict.INCONCLUSIVE and self.ends is not None and not self.filled:
             return evaluation
         low, high, exercised = -inf, inf, False
@@ -166,7 +167,7 @@ class _Judging:
 
 
 def _lack(trace: Trace, name: str) -> str:
-    """Return in words which part of a column is missing."""
+    """Return words on which part of the column ``name`` is missing."""
     first = trace.known.first_gap([name])
     if trace.known.missing([name]) or first is None:
         return name
@@ -182,7 +183,7 @@ def _time_s(trace: Trace, tick: int) -> float:
 
 
 def _pieces(trace: Trace, lacking: Sequence[str], of_each_hand: bool) -> Iterator[tuple[str, Trace]]:
-    """Yield wholly measured parts: until the first gap, hands without a gap, hands without forearms."""
+    """Yield named, wholly measured parts: until the first gap, hands without gaps, hands without forearms."""
     known, hands = trace.known, trace.scenario.hands
     gap = known.first_gap(lacking)
     if gap is not None and gap.first > 0:
@@ -209,7 +210,7 @@ def _pieces(trace: Trace, lacking: Sequence[str], of_each_hand: bool) -> Iterato
 
 
 def _without(trace: Trace, lost: set[int]) -> Trace:
-    """Return the trace with the hands ``lost`` at rest far away, and no other hand."""
+    """Return the trace with the hands ``lost`` at rest far away, and without hands beyond the scenario's."""
     hands, ticks = list(trace.scenario.hands), trace.ticks.copy()
     ticks["hand_present"] = np.arange(ticks["hand_present"].shape[1]) < len(hands)
     for k in lost:
@@ -230,7 +231,7 @@ def _without(trace: Trace, lost: set[int]) -> Trace:
 
 
 def _without_arms(trace: Trace) -> Trace:
-    """Return the trace with spheres alone for hands, and their distances from the arm."""
+    """Return the trace with hands that are spheres without forearms, and with these hands' distances."""
     scenario, ticks = trace.scenario, trace.ticks.copy()
     sphere = replace(
         scenario.settings.hand,
@@ -260,10 +261,10 @@ def _without_arms(trace: Trace) -> Trace:
 
 
 def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
-    """Return a decorator for an ``evaluate`` that needs the whole run, as later ticks may undo a verdict.
+    """Return a decorator for an ``evaluate`` that needs the whole run, as later ticks may change the verdict.
 
-    It is inconclusive where any of ``columns``, or of its own ``reads``, was not measured throughout.  If the
-    claim is ``of_any`` system, a controller need not report all of them.
+    The result is inconclusive if any of ``columns``, or of its own ``reads``, was not measured throughout. If
+    the claim is ``of_any`` system, a simulated run's controller need not report all of them.
     """
 
     def decorate(evaluate: Judge) -> Judge:
@@ -283,5 +284,5 @@ def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
 
 
 def unexercised(prop: Said, lacked: str) -> Evaluation:
-    """Return inconclusive, as the claim was never exercised; ``lacked`` is what was missing."""
+    """Return inconclusive, as the claim was never exercised; ``lacked`` tells what was missing."""
     return inconclusive(prop, f"never exercised: {lacked}")

@@ -1,4 +1,4 @@
-"""The arm keeps away from the boxes that stand in its cell."""
+"""Judge that the arm keeps away from the boxes in its cell."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True, kw_only=True)
 class ObstacleDistance(Worded):
-    """Least distance of any moving link from any obstacle, less ``minimum_m``; a lower bound between ticks.
+    """The least distance of any moving link from any obstacle, less ``minimum_m``.
 
-    Between ticks by ``least_along``, and it is violated if the upper end of the least distance is below too.
-    Exercised by every tick of a scenario with an obstacle.
+    Between ticks, ``least_along`` gives bounds of the distance. The claim is violated only if the upper bound
+    of the least distance is below ``minimum_m`` too. Every tick of a scenario with an obstacle exercises the
+    claim.
     """
 
     minimum_m: float
@@ -31,7 +32,7 @@ class ObstacleDistance(Worded):
 
     @reads("joint_position_rad", "joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every tick and the time between ticks."""
+        """Judge the distance at every tick and between the ticks."""
         obstacles = trace.scenario.obstacles
         if not obstacles:
             return unexercised(self, "obstacles = 0; a box in the cell exercises it")

@@ -1,4 +1,4 @@
-"""The outcome of a whole controller, by the motion of arm and hands alone: it stays, and reacts in time."""
+"""Judge any controller by the motion of arm and hands alone: whether the arm stays, and reacts in time."""
 
 from __future__ import annotations
 
@@ -30,26 +30,27 @@ from safety_harness.scenario.model import Verdict
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 
-HELD_S = 1.0  # that long within the limit of one place, and an arm holds it
-HELD_AT = 32  # times in that at which it is looked where the arm is, at least
-HALF = 0.5  # of its speed: what an arm has to lose, or to gain away from the hand, to have reacted
-BEFORE_S = 0.5  # an arm that reacted so shortly before a hand came near has reacted to it
-STARTED_S = 0.1  # a run begins with an arm that stands, and gets up to speed
-HALVED_S = 0.25  # in which an arm that reacts has lost half of its speed
+HELD_S = 1.0  # an arm that stays within the limit of a place for so long holds that place
+HELD_AT = 32  # least number of times in HELD_S at which the arm's place is checked
+HALF = 0.5  # of its speed: an arm that loses it, or gains it away from the hand, has reacted
+BEFORE_S = 0.5  # an arm that reacted within this time before a hand came near has reacted to it
+STARTED_S = 0.1  # in which an arm that stands at the beginning of a run gets up to speed
+HALVED_S = 0.25  # in which a reacting arm loses half of its speed
 TINY_MPS = TINY_M = 1e-6  # nothing moves so slowly, or is so near
 
 
 @dataclass(frozen=True, kw_only=True)
 class KeepsItsPlace(Worded):
-    """``within_m`` less how far the TCP goes from its place, or the desired position, without a hand.
+    """``within_m`` less how far the TCP goes from its place or from the desired position without a hand.
 
-    An arm holds its place once it has stayed within the limit of it for a second.  In that second no true
-    hand is so near that a right prediction of it is within the critical distance (``NoFalseAlarms``), nor
-    before it for as long as a retreat takes.  Until a hand is as near again, two ways count.  The first is
-    the farthest distance from the desired position less the nearest before.  The second is the way from where
-    it was when it came to be as near, less its part towards the desired position.  A place nearer by the
-    limit is another place.  So an arm that goes on towards the desired position keeps its place, and an arm
-    that circles about it does not.  Positions alone count, not angles.
+    An arm holds its place once it has stayed within the limit of that place for a second. In that second, and
+    before it for as long as a retreat takes, no true hand may be *near*. A hand is near if a correct
+    prediction of it can be within the critical distance (``NoFalseAlarms``). Until a hand is near again, two
+    ways count. The first is the farthest distance from the desired position less the nearest distance before
+    it. The second is the way from where the TCP reached its present place, less the part of that way towards
+    the desired position. When the TCP has come nearer to the desired position by the limit, it has reached
+    another place. So an arm that moves towards the desired position keeps its place, and an arm that circles
+    about it does not. Only positions count, not angles.
     """
 
     within_m: float
@@ -58,7 +59,7 @@ class KeepsItsPlace(Worded):
 
     @reads("transform_tcp_to_base", "hand_position_in_base_m", ends=lambda prop, trace, _: prop.ends(trace))
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every stretch without a hand."""
+        """Judge every stretch of the run without a near hand."""
         worst_m, tick, held = self._worst(trace)
         reason = f"{1e3 * worst_m:.2f} mm from its place or from the desired position, with no hand near"
         free = (nearest_hand_m(trace) > NoFalseAlarms().limit_m(trace.scenario.settings)).any()
@@ -68,7 +69,7 @@ class KeepsItsPlace(Worded):
         return judged(self, trace, left_m, trace.time_s[tick], reason, held, lambda: lacked)
 
     def _worst(self, trace: Trace, farther_m: float = 0.0) -> tuple[float, int, int]:
-        """Return how far it went, when, and how often it held, for hands farther by their errors."""
+        """Return how far it went, when, and how often it held, with hands farther by ``farther_m`` errors."""
         period_s = trace.scenario.settings.clock.control_period_s
         left, held = (round(time_s / period_s) for time_s in (retreat_s(trace), HELD_S))
         errors_m, tcp_m = position_errors_m(trace), true_motion(trace).tcp_m
@@ -94,23 +95,24 @@ class KeepsItsPlace(Worded):
         return worst_m + slack_m, worst, len(margins)
 
     def ends(self, trace: Trace) -> tuple[float, float, bool]:
-        """Return the ends of the margin, for ``reads``: hands as far as possible, and as near."""
+        """Return the margin's ends, as ``reads`` expects: with hands as far as possible, and as near."""
         (most_m, _, _), (least_m, _, held) = self._worst(trace, 1.0), self._worst(trace, -1.0)
         return self.within_m - most_m, self.within_m - least_m, held > 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReactsWithin(Worded):
-    """``within_s`` less the longest time from a hand's coming near to the arm's reaction.
+    """``within_s`` less the longest time from a hand's approach to the arm's reaction.
 
-    Each true hand counts separately, each time that it comes within the critical distance of a TCP that
-    moves.  The arm reacts when its drives brake, or when its motion begins to change so that it soon has half
-    of the speed that it would have had, or moves away from that hand by half of its speed faster.  Without a
-    hand it would have slowed as before, and slowed as it came nearer to the desired position: an arrival is
-    not a reaction.  A hand does not count if the arm has reacted to it in the half second before.  It does
-    not count either if the arm leaves it at half of the speed of a retreat, or more slowly while not on its
-    way to the desired position.  A hand that leaves, or a run that ends, too early is not evidence; a stop or
-    a retreat counts from its beginning.
+    The claim judges each true hand separately, each time that it comes within the critical distance of a
+    moving TCP. The arm reacts when its drives brake, or when its motion begins a sufficient change. The
+    change suffices if the arm soon has half the speed that it would have had without the hand. It also
+    suffices if the arm moves away from the hand faster by half of its speed. Without a hand, the arm would
+    have slowed down as before, and on arrival at the desired position, so an arrival is not a reaction. An
+    approach does not count if the arm reacted to that hand in the half second before. Nor does it count if
+    the arm leaves the hand at half the speed of a retreat, or more slowly while it is not on its way to the
+    desired position. A hand that leaves too early, or a run that ends too early, is not evidence. A stop or a
+    retreat counts from its beginning.
     """
 
     within_s: float
@@ -119,7 +121,7 @@ class ReactsWithin(Worded):
 
     @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["limits"], of_each_hand=True)
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every hand that comes near."""
+        """Judge each time that a hand comes near."""
         hands = range(len(trace.scenario.hands))
         encounters = [encounter for hand in hands for encounter in self._encounters(trace, hand)]
         if not encounters:
@@ -140,7 +142,7 @@ class ReactsWithin(Worded):
         return inconclusive(self, why, exercised=len(decided))
 
     def _encounters(self, trace: Trace, hand: int) -> Iterator[tuple[int, int, bool]]:
-        """Yield (ticks until the reaction, tick at which the hand came, is it known?) of each encounter."""
+        """Yield (ticks until the reaction, tick of the hand's approach, whether it is known) by encounter."""
         settings, ticks = trace.scenario.settings, trace.ticks
         period_s, tcp_m = settings.clock.control_period_s, true_motion(trace).tcp_m
         last, halved = len(ticks) - 1, round(HALVED_S / period_s)
@@ -154,7 +156,7 @@ class ReactsWithin(Worded):
             if prior < was or first == last or speed[prior] <= MOVES or braking[prior]:
                 continue
             leads = product(velocity, from_hand_m[first] / max(apart_m[first], TINY_MPS))
-            # an arm that arrives slows as what is left of its way does
+            # an arriving arm slows down in proportion to the way that is left
             now, away, left = (speed[prior], leads[prior], errors_m / max(errors_m[prior], TINY_M))
             arrives = min(1.0 / max(left[was], TINY_M), 1.0)
             reacted = now <= HALF * arrives * speed[was]
@@ -178,9 +180,9 @@ class ReactsWithin(Worded):
 
 
 def _began(change: NDArray[np.float64], soon: int) -> int | None:
-    """Return the tick at which a ``change`` (n,) to HALF begins, the knee below its chord; else None.
+    """Return the tick at which ``change`` (n,) begins to rise to HALF, the knee below its chord; else None.
 
-    The tick is at most ``soon`` before HALF is reached: a slower change, such as a wide curve, is not a
+    It is at most ``soon`` ticks before HALF, because a slower change, such as a wide curve, is not a
     reaction.
     """
     end = int(np.argmax(change >= HALF))

@@ -1,7 +1,7 @@
-"""Positions to retreat to: whether the arm can reach them, and whether it went there or stopped.
+"""Judge positions to retreat to: whether the arm can reach them, and whether it went there or stopped.
 
-The gate's own notes are not trusted.  The opposite pose is computed again, and so is whether a position was
-usable. Reachability is a claim of its own.
+The functions do not trust the gate's own notes. They compute again the opposite pose, and whether a position
+was usable. A claim of its own judges whether positions are reachable.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ WAY_STEP_M = 0.005
 STOP_SLACK_M = 0.002  # of way, and of time
 STOP_GRACE_TICKS = 3  # the drives lag behind their ramp
 START_COLUMNS = ("joint_position_rad", "transform_tcp_to_base")  # where the straight way to a position begins
-BEYOND_M = 0.100  # how far beyond the position reachability is looked for
+BEYOND_M = 0.100  # how far beyond the position the search for reachable points goes
 
 
 def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
-    """Return (3,) the position a radius from the TCP, away from the nearest predicted hand; NaN without.
+    """Return (3,) the position a radius from the TCP, away from the nearest predicted hand; NaN if undefined.
 
-    The radius is that of the settings.
+    The settings give the radius.
     """
     tick = trace.ticks[decision["tick"]]
     tcp_in_base = tick["transform_tcp_to_base"][:3, 3]
@@ -58,14 +58,13 @@ def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
 
 
 def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
-    """Return the least reserve of a retreat position; negative if the position cannot be used.
+    """Return the least reserve [m] of ``position_in_base_m`` (3,); negative if the arm cannot use it.
 
-    It is the least of four reserves.  The reach counts beyond the gate's 10 mm, the height above the least of
-    a TCP.  The way counts by its component away from each predicted hand.  The clearance along the way, of
-    the wrist from the body and of the arm from the cell's boxes, counts beyond the gate's 20 mm, or beyond
-    that of its start.  NaN if a prediction is not finite.
-
-    ``position_in_base_m`` (3,).
+    It is the least of four reserves. The reach counts beyond the gate's 10 mm, and the height above the least
+    height of a TCP. The way counts by its component that leads away from each predicted hand. The fourth
+    reserve is the least clearance along the way, of the wrist from the body and of the arm from the cell's
+    boxes. It counts beyond the gate's 20 mm or, if that is less, beyond its value at the start. The result is
+    NaN if a prediction is not finite.
     """
     settings, tick = trace.scenario.settings, trace.ticks[decision["tick"]]
     spare = reach_m(trace, decision, position_in_base_m) - REACH_MARGIN_M
@@ -97,12 +96,10 @@ def gone_towards(
     after_ticks: int,
     shares: Shares = MODEST,
 ) -> RepulsionProgress | None:
-    """Return the progress of the repulsion of decision ``number`` beside a reference that heads for a target.
+    """Return the progress of the repulsion of decision ``number`` beside a reference towards a target.
 
-    The reference begins ``after_ticks`` after the decision, with the TCP's place and speed at that time; None
-    if the repulsion was over by then.
-
-    ``target_in_base_m`` (3,).
+    The reference heads for ``target_in_base_m`` (3,).  It begins ``after_ticks`` after the decision, with the
+    TCP's place and velocity then.  The result is None if the repulsion was over by then.
     """
     last = last_tick(trace, number)
     decision = trace.decisions[number : number + 1].copy()
@@ -114,10 +111,10 @@ def gone_towards(
 
 
 def stopped_m(trace: Trace, tick: int) -> float:
-    """Return the reserve of the TCP's way from ``tick`` on, beside that of a protective stop from there.
+    """Return how much longer [m] the way of a protective stop from ``tick`` may be than the TCP's way.
 
-    The allowance is v T_r + v T_s/2 at the speed v of that tick, a control period's way and 2 mm.  The way
-    counts in T_r + T_s, and as long as the controller reports a stop.
+    The allowed way is v T_r + v T_s/2 at the speed v of that tick, plus a control period's way and 2 mm. The
+    TCP's way counts during T_r + T_s, and as long as the controller reports a stop.
     """
     braking, period_s = trace.scenario.settings.braking, trace.scenario.settings.clock.control_period_s
     speed_mps = float(trace.ticks["tcp_speed_mps"][tick])
@@ -133,12 +130,13 @@ def stopped_m(trace: Trace, tick: int) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class RepulsivePosesReachable:
-    """Inverse kinematics can reach every repulsive position along the straight way there.
+    """The claim that inverse kinematics can reach every repulsive position along the straight way there.
 
-    The margin of a decision is how much farther along the line from the TCP through the position the arm
-    could go, continuously, within its joint limits and away from singularities (the search ends at 100 mm).
-    It is negative by the distance missing to the position.  ``proposed`` judges the avoider's proposal,
-    otherwise the choice of the system after its checks.  The way begins where the arm truly was.
+    The margin of a decision is how far the arm could go beyond the position, straight on along the line from
+    the TCP. It must move continuously, within its joint limits and away from singularities; the search ends
+    at 100 mm. If the arm cannot reach the position, the margin is minus the missing distance. With
+    ``proposed``, the claim judges the avoider's proposal, and otherwise the system's choice after its checks.
+    The way begins at the arm's true position.
 
     Source: table 4 of the paper, which counts positions "out of the reach range of the robot".
     """
@@ -153,7 +151,7 @@ class RepulsivePosesReachable:
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Return the columns: the choice is not read where proposals are judged, nor the other way round."""
+        """Return the columns that the claim reads, with either the proposed or the chosen position."""
         positions = (
             ("proposed_position_in_base_m",) if self.proposed else ("chosen_position_in_base_m", "outcome")
         )
@@ -186,11 +184,10 @@ def _judging(names: tuple[str, ...]) -> Callable[[RepulsivePosesReachable, Trace
 
 
 def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
-    """Return how much farther than a position the straight way goes; minus the radius without a position.
+    """Return how far [m] the arm can go straight on beyond a position; minus the radius without a position.
 
-    The way begins where the arm truly was at the decision.  Results are shared by several claims.
-
-    ``position_in_base_m`` (3,).
+    The way begins at the arm's true position at the decision, and leads through ``position_in_base_m`` (3,).
+    Several claims share the results.
     """
     if not is_somewhere(position_in_base_m):
         return -trace.scenario.settings.avoidance.radius_m
@@ -204,15 +201,15 @@ def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
 
 @once_a_trace
 def _reaches_m(_: Trace) -> dict[tuple[int, bytes], float]:
-    """Return the known results, by tick and position."""
+    """Return the trace's results of ``reach_m`` that are known so far, by tick and position."""
     return {}
 
 
 def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], displacement: NDArray[np.float64]) -> float:
-    """Return how far beyond (negative: short of) its end a ``displacement`` (3,) can be gone.
+    """Return how far [m] the arm can go beyond the end of ``displacement`` (3,), negative if it stops short.
 
-    It begins at ``joints_rad`` (6,).
-    The result is at most 0.1 mm too small, but never below zero for a way that can be gone to its end.
+    The arm begins at ``joints_rad`` (6,). The result is at most 0.1 mm too small, but never below zero if the
+    arm can reach the end.
     """
     length_m = length(displacement)
     if length_m == 0.0:
@@ -225,7 +222,7 @@ def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], displacement: NDArr
         return gone_m - length_m
 
     found_m = beyond_m(length_m + BEYOND_M)
-    # It stops within the resolution of a boundary, perhaps before the end: then the end itself is tried.
+    # The search may stop just before a boundary at the end, by its resolution: then the end itself is tried.
     return max(found_m, beyond_m(length_m)) if -REACH_RESOLUTION_M <= found_m < 0.0 else found_m
 
 

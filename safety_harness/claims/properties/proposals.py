@@ -1,8 +1,8 @@
-"""The avoider's own proposals, judged before the gate: a good gate makes a bad avoider look safe.
+"""Judge the avoider's own proposals before the gate, because a good gate makes a bad avoider look safe.
 
-Each answer is judged against its question.  If the answer counts later (a decision time, or a fault of the
-scenario that delays it), that is the hand and the TCP of the tick of the question.  A missing answer is not a
-proposal: "the avoider answered" is a separate claim.
+Each answer is judged against its question. A decision time or a fault may let the answer count later. Then
+the hand and the TCP are still those at the tick of the question. A missing answer is not a proposal; the
+claim "the avoider answered" judges it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PROPOSAL = (
     *(f"{OF_DECISIONS}{name}" for name in QUESTION),
     "decision.tick",
     "decision.asked_tick",
-    "transform_tcp_to_base",  # as the next two of the tick at which the avoider was asked, if it was another
+    "transform_tcp_to_base",  # this and the next two are read at the tick of the question, if that is another
     "track_valid",
     "predicted_hand_in_base_m",
 )
@@ -47,9 +47,9 @@ SURENESS = ("decision.proposed_spread_m", "decision.spread_threshold_m")
 
 @once_a_trace
 def proposals(trace: Trace) -> NDArray[np.void]:
-    """Return (m,) DECISION: usable answers, with hand and TCP at the time of the question.
+    """Return (m,) DECISION: the usable answers, with hand and TCP at the time of the question.
 
-    An answer to an earlier question is omitted if the trace does not have the hand of that time.
+    An answer to an earlier question is omitted if the trace has no tracked hand at that time.
     """
     answers: NDArray[np.void] = trace.decisions[answered(trace)]  # a copy
     seen = (answers["asked_tick"] == answers["tick"]) | trace.ticks["track_valid"][answers["asked_tick"]].any(
@@ -63,7 +63,7 @@ def proposals(trace: Trace) -> NDArray[np.void]:
 
 
 def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
-    """Return the ends of the margin, for ``reads``: decisions are exact, but not earlier questions."""
+    """Return ends for ``reads``: ``margin`` twice, or infinite ends if a question precedes its decision."""
     decisions, known = trace.decisions, trace.known
     own = bool((decisions["asked_tick"] == decisions["tick"]).all())
     if not own or known.uncertain([name for name in (*PROPOSAL, *SURENESS) if name.startswith(OF_DECISIONS)]):
@@ -72,7 +72,7 @@ def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
 
 
 def optima_in_base_m(trace: Trace, proposals: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return (m, 3) the closed-form optimum of the questions of ``proposals`` (m,)."""
+    """Return (m, 3) the closed-form optimum for the question of each of ``proposals`` (m,)."""
     hands, tcps = proposals["hand_position_in_base_m"], proposals["tcp_position_in_base_m"]
     return np.asarray(optimum_in_base_m(trace.scenario.settings, hands, tcps))
 
@@ -85,9 +85,9 @@ def worst(
     shown_m: NDArray[np.float64],  # (m,)
     meaning: str,
 ) -> Evaluation:
-    """Judge the proposal with the least margin, or the first without a margin.
+    """Judge the proposal with the least margin, or the first one whose margin is NaN.
 
-    The reason is its ``shown_m``, in mm, and ``meaning``, the meaning of that number.
+    The reason shows the proposal's ``shown_m`` in mm, followed by its ``meaning``.
     """
     if len(proposals) == 0:
         return unexercised(prop, no_answer(trace))
@@ -100,11 +100,11 @@ def worst(
 
 @dataclass(frozen=True, kw_only=True)
 class ProposalsLeadAway(Worded):
-    """The straight way from the TCP to a proposal leads away from the hand of the question.
+    """The claim that the straight way from the TCP to a proposal leads away from the hand of the question.
 
-    The margin of a proposal is the component of the way away from the hand, (p - t) . (t - h)/|t - h|, and
-    the tolerance. An avoider is asked about the nearest hand alone.  The gate, and "repulsion moves away from
-    every hand", judge the way beside other hands.
+    The margin of a proposal p is (p - t) . (t - h)/|t - h|, the part of the way from the TCP t that leads
+    away from the hand h, plus the tolerance. The question is only about the nearest hand. The gate and the
+    claim "repulsion moves away from every hand" consider all hands.
     """
 
     tolerance_m: float
@@ -125,7 +125,7 @@ class ProposalsLeadAway(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class NearOptimum(Worded):
-    """No proposal is farther than ``within_m`` from the closed-form optimum of its question."""
+    """The claim that each proposal lies within ``within_m`` of the closed-form optimum of its question."""
 
     within_m: float
     unit: Unit = Unit.LENGTH
@@ -141,11 +141,11 @@ class NearOptimum(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class WithinSpread(Worded):
-    """A proposal is within ``spreads`` of its own spreads, and an allowance, of the optimum, axis by axis.
+    """The claim that each proposal lies within ``spreads`` times its spread and an allowance of the optimum.
 
-    The margin of a proposal is the least over axes of k s_i + allowance - |p_i - o_i|.  The allowance is for
-    an error that a spread of passes or members does not include: the noise of the labels from which the
-    network learnt.
+    The margin of a proposal p is the least of k s_i + allowance - |p_i - o_i| over the axes i. Here k is
+    ``spreads``, s the spread and o the optimum. The allowance covers the noise of the labels from which the
+    network learnt, which no spread of passes or members includes.
     """
 
     spreads: float
@@ -155,7 +155,7 @@ class WithinSpread(Worded):
 
     @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every proposal, axis by axis, unless the avoider gives no spread."""
+        """Judge every proposal on each axis; inconclusive if the avoider gives no spread."""
         answers = proposals(trace)
         spread_m = np.minimum(answers["proposed_spread_m"], ENDLESS)
         if len(answers) and np.isnan(answers["spread_threshold_m"]).all() and not (spread_m > 0.0).any():
@@ -169,10 +169,10 @@ class WithinSpread(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class NeverSureAndOff(Worded):
-    """No proposal that is sure is farther than ``within_m`` from the closed-form optimum of its question.
+    """The claim that no sure proposal is farther than ``within_m`` from the optimum of its question.
 
-    A proposal is sure if its largest spread is at most the avoider's own threshold; without a threshold,
-    every proposal is sure.
+    The optimum is the closed form. A proposal is *sure* if its largest spread is at most the avoider's own
+    threshold; without a threshold, every proposal is sure.
     """
 
     within_m: float
@@ -181,7 +181,7 @@ class NeverSureAndOff(Worded):
 
     @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every proposal that is sure."""
+        """Judge every sure proposal."""
         answers = proposals(trace)
         sure = answers[is_sure(answers["proposed_spread_m"], answers["spread_threshold_m"])]
         if len(answers) and not len(sure):
@@ -192,9 +192,9 @@ class NeverSureAndOff(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class FewOverruled(Worded):
-    """At most a share of a run's proposals is overruled: replaced by the opposite pose or a stop.
+    """The claim that the gate replaces at most a share of a run's proposals by the opposite pose or a stop.
 
-    All answers in time count, also answers to a question that a fault of the scenario made old.
+    All timely answers count, even if a fault of the scenario has made their questions old.
     """
 
     most: float

@@ -1,4 +1,4 @@
-"""The claim that the arm maintains the protective separation distance of ``separation``, with its entries."""
+"""The claim that the arm keeps the protective separation distance of ``separation``, with its entries."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ GRACE_TICKS = 2  # by which the drives may come to rest after the end of their r
 
 
 def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
-    """Return the ends of the margin, for ``reads``: true distances at the ticks, and any speed of points.
+    """Return the margin's ends, as ``reads`` expects, from the true distances at the ticks and any speeds.
 
-    The nearest points may change at once, and their speeds with them.  Where braking is unknown, or its end,
-    a stop excuses at most as many ticks in a row as it may take.
+    Any speed is possible, because the nearest points, and with them their speeds, may change at once. If
+    braking or its end is unknown, a stop may excuse as many ticks in a row as it may take.
     """
     known, true, settings = trace.known, true_motion(trace), trace.scenario.settings
     braking, period_s, reach_m = settings.braking, settings.clock.control_period_s, arm_of(trace).reach_m
@@ -89,34 +89,36 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
 
 
 def _may_be_stopping(trace: Trace) -> NDArray[np.bool_]:
-    """Return (n,) the ticks of a protective stop, or of a possible one."""
+    """Return (n,) whether a protective stop is or may be under way at each tick."""
     braking: NDArray[np.bool_] = trace.ticks["limits"] & int(Limit.BRAKING) != 0
     return braking | ~trace.known.measured("limits", trace.ticks)
 
 
 def _fastest_mps(trace: Trace) -> float:
-    """Return the largest possible speed of a hand or elbow, by what is known of them."""
+    """Return the largest speed [m/s] that hands and elbows can have, by what the trace knows; else inf."""
     rates = [trace.known.column(name).at_most_per_s for name in OF_HANDS[:2]]
     return max(np.inf if rate is None else rate for rate in rates)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProtectiveSeparation(Worded):
-    """min over time, hands and links of d - S_p while the arm moves (any joint above 1 mrad/s).
+    """The least d - S_p over time, hands and links while the arm moves (any joint above 1 mrad/s).
 
-    ``hand_speed_mps`` is the v_h of every human, towards the arm; None is ``default_mps``.  With
-    ``own_speeds`` v_h is that of each hand's and forearm's own nearest point at that tick.  The robot's v_r
-    is that of the link's nearest point towards the human, never below zero.  Both belong to the nearest pair
-    of each link, not only of the nearest link: a slow link may be nearer than a fast link that should be
-    farther away.
+    Here d is the distance from hand to link.  S_p is the protective separation for the human's speed v_h and
+    the robot's speed v_r.
 
-    T_r and T_s are the settings'.  T_s belongs to the TCP's speed of that tick or, if it is larger, to the
-    speed of the arm's fastest point.  All joints brake together, so that a link stops no sooner than the
-    fastest.  With ``tcp_alone``, or where joints are uncertain, T_s belongs to the TCP's speed.  During a
-    protective stop only the rest of both times counts, so that a stop that begins in time is not a violation
-    later.
+    ``hand_speed_mps`` is v_h for every human, towards the arm; None stands for ``default_mps``. With
+    ``own_speeds``, v_h is the speed of each hand's or forearm's own nearest point at the tick. v_r is the
+    speed of the link's nearest point towards the human, never below zero. The claim judges every link, not
+    only the nearest one: a slow link may be nearer than a fast link that should be farther away.
 
-    A hand exercises it that comes as near to the moving arm as S_p can be for an arm at its speed limit.
+    The settings give the reaction time T_r and the stop time T_s. T_s is for the TCP's speed at the tick or,
+    if it is larger, for the speed of the arm's fastest point. This is because all joints brake together, so
+    that no link stops sooner than the fastest. With ``tcp_alone``, or if joints are uncertain, T_s is for the
+    TCP's speed. During a protective stop only the rest of both times counts, so that a stop that begins in
+    time does not become a violation.
+
+    A hand exercises the claim if it comes nearer to the moving arm than S_p of an arm at its speed limit.
     """
 
     hand_speed_mps: float | None = None
@@ -127,25 +129,25 @@ class ProtectiveSeparation(Worded):
 
     @property
     def wording(self) -> str:
-        """Return the sentence, with the speed of hands where it is not the usual speed."""
+        """Return the sentence, with the speed of hands if it is not the default."""
         if self.own_speeds:
             return "protective separation kept from hands at their own speeds"
         return "protective separation kept" + " at {hand_speed_mps:m/s}" * (self.hand_speed_mps is not None)
 
     @property
     def assumed_mps(self) -> float:
-        """Return the v_h that replaces the hands' own speeds."""
+        """Return the speed v_h [m/s] that replaces the hands' own speeds."""
         return self.default_mps if self.hand_speed_mps is None else self.hand_speed_mps
 
     def stopped_from_mps(self, trace: Trace) -> NDArray[np.float64]:
-        """Return the speed (n,) [m/s] for T_s."""
+        """Return the speed (n,) [m/s] from which the arm stops in T_s."""
         tcp_mps: NDArray[np.float64] = trace.ticks["tcp_speed_mps"]
         alone = self.tcp_alone or trace.known.uncertain(JOINTS)
         return tcp_mps if alone else np.maximum(tcp_mps, arm_speeds_mps(trace)[:, 0])
 
     @reads(*JOINTS, "tcp_speed_mps", *OF_HANDS, bounded=["limits"], of_each_hand=True, ends=_ends)
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge the pair with the least margin."""
+        """Judge the pair of hand and link with the least margin."""
         if not trace.scenario.hands:
             return unexercised(self, no_hand(trace))
         worst = self.worst(trace)
@@ -166,7 +168,7 @@ class ProtectiveSeparation(Worded):
     def worst(self, trace: Trace) -> Separation | None:
         """Return the pair and tick with the least margin; None if the arm never moved beside a hand."""
         settings, true, turns = trace.scenario.settings, true_motion(trace), moving(trace)
-        if trace.ended == UNMEASURED:  # speeds at its last tick are not those of the whole run
+        if trace.ended == UNMEASURED:  # speeds at the last tick differ from those of the whole run
             turns = turns & (np.arange(len(turns)) < len(turns) - 1)
         reaction_s, stop_s = _times_s(trace, self.stopped_from_mps(trace))
         indices, values = least_separation(
@@ -203,7 +205,7 @@ class ProtectiveSeparation(Worded):
         )
 
     def largest_m(self, settings: Settings) -> float:
-        """Return S_p for an arm that heads for a human at its speed limit: how near is near."""
+        """Return S_p [m] for an arm at its speed limit towards a human; a nearer hand is an occasion."""
         fastest_mps = max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
         braking = settings.braking
         stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps
@@ -212,31 +214,31 @@ class ProtectiveSeparation(Worded):
 
 @once_a_trace
 def _steps_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n,) and (n,) as ``farthest_steps`` does."""
+    """Return the result (n,) and (n,) of ``farthest_steps`` for the trace."""
     true = true_motion(trace)
     return farthest_steps(arm_of(trace), true.joints_rad, true.hands_m, true.present)
 
 
 @once_a_trace
 def moving(trace: Trace) -> NDArray[np.bool_]:
-    """Return (n,) whether any joint turns, by the controller's own bound for a standstill."""
+    """Return (n,) whether any joint turns faster than the controller's own bound for a standstill."""
     turns: NDArray[np.bool_] = (np.abs(history(trace, JOINTS[1])) >= STANDSTILL_RADPS).any(axis=1)
     return turns
 
 
 @once_a_trace
 def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n,) reaction time and (n,) stop time that an arm needs to stop from now on, or has left.
+    """Return (n,) the reaction time and (n,) the stop time that the arm still needs to stop at each tick.
 
-    Both are whole, except while a protective stop is under way (the BRAKING flag of the drives).  They are
-    whole again for an arm that still moves when its ramp has been over for two ticks, and in a trace that
-    does not know all its flags.
+    Both are the whole times, except during a protective stop (the BRAKING flag of the drives). They are the
+    whole times again if the arm still moves two ticks after the end of its ramp. They are always whole if the
+    trace does not know all flags.
     """
     return _times_s(trace, trace.ticks["tcp_speed_mps"])
 
 
 def _times_s(trace: Trace, speed_mps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the times of stops from a speed (n,) that is at least the TCP's, as ``times_left_s``."""
+    """Return the times of ``times_left_s`` for stops from ``speed_mps`` (n,), at least the TCP's speed."""
     known = not trace.known.column("limits").limited
     return (_times_left_s if known else _full_times_s)(trace, speed_mps, 0.0)
 
@@ -244,7 +246,7 @@ def _times_s(trace: Trace, speed_mps: NDArray[np.float64]) -> tuple[NDArray[np.f
 def _full_times_s(
     trace: Trace, speed_mps: NDArray[np.float64], off_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n,) and (n,) the whole times; ``speed_mps`` (n,)."""
+    """Return (n,) the full reaction time and (n,) full stop time from ``speed_mps`` (n,), plus ``off_s``."""
     braking = trace.scenario.settings.braking
     stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps + off_s
     return np.full(len(speed_mps), braking.reaction_time_s), stop_s
@@ -253,10 +255,10 @@ def _full_times_s(
 def _times_left_s(
     trace: Trace, speed_mps: NDArray[np.float64], off_s: float, longest_s: float = 0.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n,) and (n,) upper bounds, where the stop time of a speed may be ``off_s`` more or less.
+    """Return upper bounds (n,) of both times if the stop time of a speed is uncertain by ``off_s``.
 
-    The times are less than whole only for a stop with a known beginning, whose ramp is not certainly over.
-    ``longest_s`` is the stop time where stops are not known.
+    They are less than the whole times only if the stop's beginning is known and its ramp may not be over.
+    ``longest_s`` is the stop time while stops are unknown.
     """
     period_s, time_s = trace.scenario.settings.clock.control_period_s, trace.time_s
     reaction_s, stop_s = _full_times_s(trace, speed_mps, off_s)
@@ -280,7 +282,7 @@ def _times_left_s(
 
 
 def described(trace: Trace, separation: Separation) -> str:
-    """Return a sentence on the pair and its terms."""
+    """Return a sentence on the pair of ``separation`` and its terms."""
     part = capsules_of(trace).names[separation.capsule].replace("_", " ")
     body = trace.scenario.hands[separation.hand].name + ("'s forearm" if separation.forearm else "")
     terms = " + ".join(f"{term.symbol} {term.length_m * 1e3:.1f}" for term in separation.terms)

@@ -1,6 +1,6 @@
-"""A hand near the TCP makes the arm give way or stop, and soon: a predicted hand, and a true one.
+"""Judge that the arm soon gives way or stops when a hand is near the TCP, be it predicted or true.
 
-Without a hand the arm does not, nor does it alternate between giving way and its task.
+Without a hand, the arm must not give way, and it must not alternate between giving way and its task.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ from safety_harness.trace.trace import Trace, once_a_trace
 
 @once_a_trace
 def gives_way(trace: Trace) -> NDArray[np.bool_]:
-    """Return (n,) whether the controller repulses, or is in a protective stop."""
+    """Return (n,) whether the controller repulses or is in a protective stop."""
     mode = trace.ticks["mode"]
     given: NDArray[np.bool_] = (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP)
     return given
 
 
 def predicted_near(trace: Trace, within_m: float = np.inf) -> tuple[NDArray[np.bool_], int]:
-    """Return (n,) whether a predicted hand is within the critical distance of the true TCP, and ``within_m``.
+    """Return (n,) whether a predicted hand is within the critical distance and ``within_m`` of the true TCP.
 
-    Return also the first tick with a prediction that is nowhere, or -1.
+    Also return the first tick with a prediction that is not finite, or -1.
     """
     near_m = min(trace.scenario.settings.avoidance.critical_distance_m, within_m)
     apart_m, nowhere = predicted_apart_m(trace)
@@ -63,9 +63,9 @@ def predicted_near(trace: Trace, within_m: float = np.inf) -> tuple[NDArray[np.b
 
 @once_a_trace
 def predicted_apart_m(trace: Trace) -> tuple[NDArray[np.float64], int]:
-    """Return (n,) the distance of the nearest prediction from the true TCP, infinite without a track.
+    """Return (n,) the distance of the nearest predicted hand from the true TCP, infinite without one.
 
-    Return also the first tick with a prediction that is nowhere, or -1.
+    Also return the first tick with a prediction that is not finite, or -1.
     """
     ticks = trace.ticks
     return _predicted_apart(true_motion(trace).tcp_m, ticks["track_valid"], ticks["predicted_hand_in_base_m"])
@@ -77,7 +77,7 @@ def _predicted_apart(
     tracked: NDArray[np.bool_],  # (n, tracks)
     predicted_m: NDArray[np.float64],  # (n, tracks, 3)
 ) -> tuple[NDArray[np.float64], int]:
-    """Return (n,) least over tracks of |predicted - tcp|, and the first tick whose prediction is nowhere."""
+    """Return (n,) the least |predicted - tcp| over tracks, and the first tick without a finite prediction."""
     nearest_m, nowhere = np.full(tcp_m.shape[0], np.inf), -1
     for k in range(nearest_m.shape[0]):
         for track in range(tracked.shape[1]):
@@ -95,7 +95,7 @@ def _predicted_apart(
 
 
 def may_give_way(trace: Trace) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return (n,) the ticks at which the arm certainly gives way, and (n,) those at which it may."""
+    """Return (n,) whether the arm certainly gives way at each tick, and (n,) whether it may give way."""
     known = trace.known.measured("mode", trace.ticks)
     return gives_way(trace) & known, gives_way(trace) | ~known
 
@@ -107,11 +107,12 @@ def _answer_ends(
     maybe: NDArray[np.bool_],
     whole_stretch: bool,
 ) -> tuple[float, float, bool]:
-    """Return the ends of the margin, for ``reads``, by the ticks at which a hand is near, or may be.
+    """Return the margin's ends, as ``reads`` expects, and whether the claim was exercised.
 
-    They follow from the longest time for which it may have been near unanswered, and for which it certainly
-    was.  Mode and hand may have changed anywhere between two ticks, so that the first time is a period
-    longer, and the second shorter. ``sure`` and ``maybe`` (n,).
+    A hand is certainly near at the ticks ``sure`` (n,), and may be near at the ticks ``maybe`` (n,). The
+    lower end uses the longest time for which a hand may have been near unanswered, and the upper end the
+    longest certain time. Mode and hand may have changed anywhere between two ticks, so the first time is a
+    period longer, and the second a period shorter.
     """
     gives, may = may_give_way(trace)
     last, longest, open_from, too_long = len(sure) - 1, [0, 0], len(sure), False
@@ -164,14 +165,14 @@ def nearest_off_m(trace: Trace) -> NDArray[np.float64]:
 class GivesWay(Worded):
     """``within_s`` less the longest time for which a predicted hand was near and the arm did not give way.
 
-    Near means within the critical distance of the true TCP, centre to TCP, as in the controller's own rule.
-    The time runs from the first such tick in a stretch without giving way to that stretch's end, also if the
-    hand leaves meanwhile: a prediction has to be answered.  A stretch that the end of the run cuts short
-    counts only if it was too long already.
+    A hand is near if its centre is within the critical distance of the true TCP, as in the controller's own
+    rule. The time starts when a hand is first near while the arm does not give way, and ends when the arm
+    does. It continues if the hand leaves, because the arm must respond to every prediction. If the run ends
+    first, the time counts only if it is already too long.
 
-    The controller's report of repulsion or protective stop counts as giving way; claims about ways and stops
-    check its motion.  Each predicted hand that comes near, and within NEAR_M, exercises it: a longer critical
-    distance makes no more occasions.
+    The controller's report of repulsion or protective stop counts as giving way, because other claims check
+    the motion. Each predicted hand that comes near and within NEAR_M exercises the claim, so that a longer
+    critical distance gives no more occasions.
     """
 
     within_s: float
@@ -184,7 +185,7 @@ class GivesWay(Worded):
         ends=lambda prop, trace, _: _predicted_ends(prop, trace),
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every stretch without giving way."""
+        """Judge every stretch of the run in which the arm does not give way."""
         close, unknown = predicted_near(trace)
         if unknown >= 0:
             return inconclusive(self, f"the prediction is not finite from {trace.time_s[unknown]:.3f} s")
@@ -200,14 +201,14 @@ class GivesWay(Worded):
 class GivesWayToTrueHand(Worded):
     """``within_s`` less the longest time for which a true hand was near and the arm did not give way.
 
-    Near means that its centre is within the critical distance of the TCP, whatever the controller sees,
-    tracks or predicts.  The time is that of consecutive ticks at which a hand is near and the controller
-    neither repulses nor is stopped.  A hand that left sooner, and to which it never gave way, makes the claim
-    inconclusive: its answer is unknown. A hand that is near when the run ends counts only if the time was too
-    long already.
+    A hand is near if its centre is within the critical distance of the TCP, whatever the controller sees,
+    tracks or predicts. The time is a stretch of ticks at which a hand is near and the controller neither
+    repulses nor is in a protective stop. If a hand leaves within ``within_s`` and the arm never gave way to
+    it, the claim is inconclusive. If a hand is near when the run ends, it counts only if the time is already
+    too long.
 
-    The controller's report counts as giving way.  Each true hand that comes near, and within NEAR_M,
-    exercises it.
+    The controller's report counts as giving way. Each true hand that comes near and within NEAR_M exercises
+    the claim.
     """
 
     within_s: float
@@ -222,7 +223,7 @@ class GivesWayToTrueHand(Worded):
         ends=lambda prop, trace, _: _true_ends(prop, trace),
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every stretch with a hand and without giving way."""
+        """Judge every stretch in which a hand is near and the arm does not give way."""
         nearest_m, gives = nearest_hand_m(trace), gives_way(trace)
         close = nearest_m < trace.scenario.settings.avoidance.critical_distance_m
         ignored = [slice(*run) for run in zip(*runs_of(close), strict=True) if not gives[slice(*run)].any()]
@@ -238,7 +239,7 @@ def _judged(
     body: str,
     ignored: Sequence[slice] = (),  # encounters in which the arm never gave way
 ) -> Evaluation:
-    """Judge the longest stretch in which a near hand was not answered."""
+    """Judge the longest stretch in which the arm did not respond to a near hand."""
     occasions = times_begun(close)
     longest, since, open_from = 0, int(np.argmax(close)), len(close)  # in ticks
     for first, end in unanswered:
@@ -248,7 +249,7 @@ def _judged(
         elif took > longest:
             longest, since = took, first
     margin_s = time_left_s(trace, prop.within_s, longest)
-    decided = times_begun(close[:open_from])  # one that gave way and is open again has been answered once
+    decided = times_begun(close[:open_from])  # an occasion that is open again was answered once
     if margin_s >= 0.0 and occasions == 0:
         true = isinstance(prop, GivesWayToTrueHand)
         return unexercised(prop, no_near_hand(trace) if true else no_predicted_hand(trace))
@@ -300,10 +301,10 @@ GIVES_WAY_TO_TRUE_HAND = replace(
 
 @dataclass(frozen=True, kw_only=True)
 class GivesWayAtMost(Worded):
-    """``most`` less how often the arm left its task to give way.
+    """``most`` less the number of times that the arm left its task to give way.
 
-    It leaves its task from servoing, or from standing without the object, to repulsing or to a protective
-    stop.  A decision while it gives way does not count again.
+    The arm leaves its task when it changes from servoing, or from standing without the object, to repulsing
+    or to a protective stop. A further decision while the arm gives way does not count.
     """
 
     most: int
@@ -312,7 +313,7 @@ class GivesWayAtMost(Worded):
 
     @reads(also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Count the transitions."""
+        """Count how often the arm leaves its task."""
         entered = gives_way_at(trace)
         times = len(entered)
         if times == 0:
@@ -323,7 +324,7 @@ class GivesWayAtMost(Worded):
 
 
 def gives_way_at(trace: Trace) -> NDArray[np.int64]:
-    """Return the ticks at which the arm leaves its task to give way; every run begins with its task."""
+    """Return the ticks at which the arm leaves its task to give way; every run begins with the task."""
     return np.flatnonzero(begins_at(gives_way(trace)))
 
 
@@ -344,15 +345,15 @@ GIVES_WAY_AT_MOST = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class NoFalseAlarms(Worded):
-    """The limit less the distance of the nearest true hand from the TCP whenever the arm gives way.
+    """The limit less the distance of the nearest true hand from the TCP when the arm begins to give way.
 
-    The beginnings of repulsion and protective stop count, and every decision.  Their duration does not, as a
-    hand may leave before they end, nor do stops at a singularity.  The limit is ``within_m``, else the
-    critical distance and the way of a hand at 2 m/s within the prediction horizon: a right prediction can be
-    that far ahead.  A hand farther than twice the limit, or a missing hand, counts as twice the limit.  Where
-    the arm never gave way the margin is the limit.
+    The claim judges each beginning of a repulsion or protective stop, and each decision. It does not judge
+    their duration, as a hand may leave before they end, nor stops at a singularity. The limit is
+    ``within_m``, or else the critical distance plus the way of a hand at 2 m/s within the prediction horizon.
+    A correct prediction can be that far ahead of the hand. A hand beyond twice the limit, or no hand, counts
+    as a hand at twice the limit. If the arm never gave way, the margin is the limit.
 
-    Every tick without a true hand within the limit exercises it.
+    Each tick without a true hand within the limit exercises the claim.
     """
 
     within_m: float | None = None
@@ -360,7 +361,7 @@ class NoFalseAlarms(Worded):
 
     @property
     def wording(self) -> str:
-        """Return the sentence, with the limit where it is stated."""
+        """Return the sentence, with the limit if ``within_m`` states one."""
         return "never retreats without a hand" + " within {within_m:mm}" * (self.within_m is not None)
 
     @reads(
@@ -392,7 +393,7 @@ class NoFalseAlarms(Worded):
         return judged(self, trace, margin_m, trace.time_s[worst], reason, exercised, lacked)
 
     def limit_m(self, settings: Settings) -> float:
-        """Return how far a hand may be to which the arm gives way."""
+        """Return the greatest distance [m] of a hand to which the arm may give way."""
         if self.within_m is not None:
             return self.within_m
         horizon_s = settings.hand_filter.prediction_horizon_s
@@ -401,7 +402,7 @@ class NoFalseAlarms(Worded):
 
 @once_a_trace
 def beginnings(trace: Trace) -> NDArray[np.int64]:
-    """Return the ticks (k,) at which the arm begins or decides to give way, but not at a singularity."""
+    """Return the ticks (k,) of decisions, and of beginnings of giving way except at a singularity."""
     begins = begins_at(gives_way(trace))
     begins &= trace.ticks["limits"] & int(Limit.SINGULARITY) == 0
     begins[trace.decisions["tick"]] = True
@@ -409,9 +410,11 @@ def beginnings(trace: Trace) -> NDArray[np.int64]:
 
 
 def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
-    """Return the ends of the margin: the nearest hand as far as possible at possible beginnings, and as near.
+    """Return the margin's least and largest possible values, and whether the claim was exercised.
 
-    A beginning is known to the tick before, and a decision to a tick either way or to its gap.
+    The least margin has the nearest hand as far as possible at every possible beginning; the largest has it
+    as near as possible. A beginning is uncertain by the tick before it, and a decision by a tick either way
+    or by its gap.
     """
     limit_m, nearest_m, off_m = (
         prop.limit_m(trace.scenario.settings),

@@ -1,9 +1,9 @@
-"""Servoing reaches its goal once the hands have left: gain switch reached, and converged.
+"""Judge that servoing reaches the gain switch, and then its goal, once the hands have left.
 
-Meanwhile the task never starves, and the camera has the object in view.  The first two claims compare with
-the closed form of eq. 1 with the right interaction matrix.  Its error decays as exp(-lambda t), so that from
-an error d the threshold c takes ln(d/c)/lambda seconds.  A run that ends before the time allowed is not
-evidence.
+Further claims judge that the task does not pause too long, and that the camera sees the object. The first two
+claims compare servoing with the closed form of eq. 1 with the right interaction matrix. The closed form's
+error decays as exp(-lambda t) with the gain lambda, so it falls from d to a threshold c in ln(d/c)/lambda
+seconds. A run that ends before the allowed time is not evidence.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from safety_harness.trace.trace import Trace, history, once_a_trace
 ALLOWANCE = 1.25  # times the closed form, for the limits and the other five features
 GRACE_S = 1.0  # for getting up to speed
 ROUNDED_UP_S = 0.1
-LEAST_GAIN_M = 1e-3  # nearer by less is not getting on (metres and radians together, as in eq. 15)
-CAUSE_REACH = 1.5  # critical distances, within which a hand may be the cause: a retreat goes beyond one
+LEAST_GAIN_M = 1e-3  # a smaller approach is no progress (metres and radians together, as in eq. 15)
+CAUSE_REACH = 1.5  # critical distances within which a hand may cause a retreat, which leads beyond one
 STANDS_S = 5.0  # without getting on, and it does not converge
-LEAST_SHARE = 0.1  # of the closed form's rate, with which servoing gets on
+LEAST_SHARE = 0.1  # of the closed form's rate: servoing at less is no progress
 
 
 def retreat_s(trace: Trace) -> float:
-    """Return how long an arm may still retreat, or stand, once the last hand has left."""
+    """Return how long [s] an arm may still retreat or stand after the last hand has left."""
     avoidance = trace.scenario.settings.avoidance
     speed_mps, most_mps2 = avoidance.repulsion_speed_mps, avoidance.repulsion_acceleration_mps2
     return avoidance.restart_delay_s + avoidance.radius_m / speed_mps + speed_mps / most_mps2
@@ -55,11 +55,11 @@ def retreat_s(trace: Trace) -> float:
 
 @once_a_trace
 def left_at(trace: Trace) -> int | None:
-    """Return the tick from which the arm is free for its task, by motion, whatever the mode; else None.
+    """Return the tick from which the arm is free for its task, by its motion alone; None if there is none.
 
-    No true hand is within the critical distance of the TCP, and the TCP does not leave the desired pose while
-    a hand is within ABOUT of that distance.  Then it may stand or go on, for ``retreat_s``: the result is the
-    last tick of that time at which it is as far off as at any.
+    After it, no true hand is within the critical distance of the TCP. Nor does the TCP leave the desired pose
+    while a hand is within CAUSE_REACH times that distance. For another ``retreat_s`` the arm may stand or
+    retreat; the result is the last tick of that time at which it is farthest off.
     """
     settings, error = trace.scenario.settings, hypot(*pose_errors(trace))
     nearest_m, critical_m = nearest_hand_m(trace), settings.avoidance.critical_distance_m
@@ -75,24 +75,25 @@ def left_at(trace: Trace) -> int | None:
 
 
 def busy_to_the_end(trace: Trace) -> str:
-    """Return why servoing was not free to go on."""
+    """Return words on the hand that kept the arm from servoing to the end of the run."""
     critical_m, left_m = trace.scenario.settings.avoidance.critical_distance_m, nearest_hand_m(trace)[-1]
     hand_near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
-    # From a hand outside the critical distance the arm still goes away.
+    # The arm may still retreat from a hand just outside the critical distance.
     beyond_m = critical_m if left_m < critical_m else CAUSE_REACH * critical_m
     return f"{hand_near}; beyond {beyond_m * 1e3:g} mm, or a longer duration, exercises it"
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainSwitchReached(Worded):
-    """Eq. 15 falls below the switch within the allowed time after the last hand has left.
+    """The claim that eq. 15 falls below the gain switch soon enough after the last hand has left.
 
-    The margin is the time left at that moment, or minus the time overrun at the end of the run.  The allowed
-    time is ``within_s``, else 1.25 times the closed form ln(|e|/sqrt(c))/lambda plus 1 s.  An object that is
-    not seen is not below the switch.
+    The margin is the allowed time that is left at that moment, or minus the excess at the end of the run. The
+    allowed time is ``within_s``, or else 1.25 times the closed form ln(|e|/sqrt(c))/lambda, plus 1 s. Here e
+    is the error when the hand leaves, c the gain switch and lambda the far gain. While the camera does not
+    see the object, the error is not below the switch.
 
-    A run exercises it if the error is above the switch after the last hand has left: a smaller error has
-    another cause, the start or the time while the hand was near.
+    A run exercises the claim if the error is above the switch after the last hand has left. A smaller error
+    results from the start, or from the time while the hand was near.
     """
 
     within_s: float | None = None
@@ -100,7 +101,7 @@ class GainSwitchReached(Worded):
 
     @property
     def wording(self) -> str:
-        """Return the sentence, with the time allowed where it is stated."""
+        """Return the sentence, with the allowed time if ``within_s`` states one."""
         return "gain switch reached" + " within {within_s:s}" * (self.within_s is not None)
 
     @only_whole()
@@ -140,22 +141,22 @@ class GainSwitchReached(Worded):
 
 
 def longer(trace: Trace, lacked_s: float) -> str:
-    """Return the duration that would decide it."""
+    """Return words on the duration of a run that would decide the claim."""
     duration_s = trace.scenario.duration_s + lacked_s + ROUNDED_UP_S
     return f"a duration of {duration_s:.1f} s exercises it if no hand comes near again"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Converged:
-    """The TCP ends within 1 mm and 0.1 degree of the desired pose, judged by pose, not by features.
+    """The claim that the TCP ends within 1 mm and 0.1 degree of the desired pose, whatever the features.
 
-    The margin is 1 mm less the distance at the end.  Where the angle is too large, it is minus the distance
-    that the excess angle means at the camera's desired depth.  A run shorter than the closed form needs (both
-    gains) is inconclusive unless it has converged already, or has hardly come nearer in the last 5 s.  Motion
-    alone counts, not the reported mode.
+    The margin is 1 mm less the distance at the end. If the angle is too large, the margin is minus the
+    distance that the excess angle makes at the camera's desired depth. A run shorter than the closed form
+    needs with both gains is inconclusive. Exceptions are a TCP that has already converged, or that hardly
+    came nearer in the last 5 s. Only the motion counts, not the reported mode.
 
-    A run exercises it if the TCP was farther off at any tick, so that servoing has brought it here.  A TCP
-    that began there and stayed is not evidence.
+    A run exercises the claim if the TCP was farther off at any tick, so that servoing has brought it here. A
+    run whose TCP began there and stayed is not evidence.
     """
 
     unit: Unit = Unit.LENGTH
@@ -168,7 +169,7 @@ class Converged:
         ends=lambda _, trace, margin: _converged_ends(trace, margin),
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge the last tick."""
+        """Judge the TCP's pose at the last tick."""
         first = left_at(trace)
         if first is None:
             return inconclusive(self, busy_to_the_end(trace))
@@ -192,7 +193,7 @@ class Converged:
         )
 
     def _needed_s(self, trace: Trace, distance_m: float) -> float:
-        """Return the closed form from ``distance_m``: fast until the gain switch, slow on to 1 mm."""
+        """Return the closed form's time [s] from ``distance_m`` to 1 mm with both gains, and an allowance."""
         servo = trace.scenario.settings.servo
         switch_m = float(np.sqrt(servo.gain_switch_sse))
         far_s = log(max(distance_m, switch_m) / switch_m) / servo.gain_far
@@ -201,7 +202,7 @@ class Converged:
 
 
 def _stands(trace: Trace, first: int) -> bool:
-    """Return whether it came nearer in the last STANDS_S since ``first`` by less than at half of its rate."""
+    """Return whether the TCP, in the last STANDS_S since ``first``, neared at less than half its due rate."""
     begin = len(trace.ticks) - 1 - round(STANDS_S / trace.scenario.settings.clock.control_period_s)
     error = hypot(*pose_errors(trace))
     rate_per_s = 0.5 * trace.scenario.settings.servo.gain_near
@@ -209,9 +210,9 @@ def _stands(trace: Trace, first: int) -> bool:
 
 
 def _converged_ends(trace: Trace, margin: float) -> tuple[float, float, bool]:
-    """Return the ends of the margin, for ``reads``, by the error of the last pose.
+    """Return the margin's ends, as ``reads`` expects, by the error of the last pose.
 
-    A violation is not certain if a hand may have come near after all.
+    The upper end is infinite if a hand may have come near after all, because a violation is then uncertain.
     """
     off_m, first = trace.known.uncertainty_of("transform_tcp_to_base", len(trace.ticks)), left_at(trace) or 0
     apart_m = (nearest_hand_m(trace) - nearest_off_m(trace))[first:]
@@ -257,7 +258,7 @@ CONVERGED = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class GainSwitchIterations(Worded):
-    """``GainSwitchReached`` with its time counted in control ticks after the last hand has left."""
+    """The claim of ``GainSwitchReached`` with the time counted in control ticks."""
 
     within: int
     unit: Unit = Unit.COUNT
@@ -265,13 +266,13 @@ class GainSwitchIterations(Worded):
 
     @property
     def reads(self) -> tuple[str, ...] | None:
-        """Return the columns of the claim in seconds."""
+        """Return the columns that ``GainSwitchReached`` reads."""
         return columns_read_by(GainSwitchReached())
 
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the first crossing after the hands have left."""
         period_s = trace.scenario.settings.clock.control_period_s
-        # half a period more, so that no rounding of times decides; the margin is cut to whole ticks
+        # half a period more, so that rounding does not decide; the margin is cut to whole ticks
         timed = GainSwitchReached(within_s=(self.within + 0.5) * period_s).evaluate(trace)
         evaluation = replace(timed, sentence=self.sentence, unit=self.unit)
         if timed.margin is None:
@@ -300,11 +301,11 @@ GAIN_SWITCH_ITERATIONS = replace(
 class NeverStarved(Worded):
     """``longest_s`` less the longest time for which the task paused.
 
-    The error is eq. 15's for the true pose, (distance^2 + angle^2)^(1/2) in metres and radians.  Below the
-    root of the gain switch the task is done.  A tick is lost if the task is not done and the controller does
-    not servo, or servoes with less than a tenth of the closed form's rate lambda |e|.  The loss is recovered
-    when the error is 1 mm smaller than ever since the task was last done.  So a system that servoes and gives
-    way in turns, without coming nearer, pauses its task.
+    The error is that of eq. 15 for the true pose, (distance^2 + angle^2)^(1/2) in metres and radians. The
+    task is done while the error is below the root of the gain switch. The task pauses at a tick if it is not
+    done and the controller does not servo. It also pauses if the error falls at less than a tenth of the
+    closed form's rate lambda |e|. The pause ends when the error is 1 mm smaller than ever since the task was
+    last done. So a system that servoes and gives way in turns without coming nearer pauses its task.
     """
 
     longest_s: float
@@ -313,7 +314,7 @@ class NeverStarved(Worded):
 
     @reads("transform_tcp_to_base", also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge the whole run."""
+        """Judge the longest pause of the run."""
         if time_left_s(trace, self.longest_s, len(trace.ticks) - 1) >= 0.0:
             lasts = f"the run lasts {trace.time_s[-1]:g} s"
             return inconclusive(self, f"{lasts}; longer than {self.longest_s:g} s exercises it")
@@ -335,7 +336,7 @@ class NeverStarved(Worded):
 
 
 def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return (n,) how many ticks the task has paused at each tick, and (n,) whether it is not done."""
+    """Return (n,) for how many ticks the task has paused, and (n,) whether the task is not done."""
     settings = trace.scenario.settings
     distance_m, angle_rad = pose_errors(trace)
     error = hypot(distance_m, angle_rad)
@@ -352,7 +353,7 @@ def _lost(
     done_below: float,
     least_share: float,  # of the error, in one tick
 ) -> NDArray[np.int64]:
-    """Return (n,) the ticks lost in a row: 0 at a new best error, else one more unless it gains enough."""
+    """Return (n,) the ticks lost: 0 at a new least error, else one more unless the error falls enough."""
     best, lost = error[0], np.zeros(error.shape[0], np.int64)
     for k in range(1, error.shape[0]):
         if error[k] < done_below:
@@ -382,11 +383,11 @@ NEVER_STARVED = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectInView(Worded):
-    """``within_s`` less the longest time in which the last image did not show the whole object.
+    """``within_s`` less the longest time for which the latest image did not show the whole object.
 
-    Before the first image it is not in view.  A run that is no longer than the limit could not violate it,
-    and is not evidence.  A loss that lasts to the end of the run, and is not yet longer than the limit,
-    leaves open whether the object is recovered in time.
+    Before the first image, the object is not in view. A run that is no longer than the limit could not
+    violate the claim, so it is not evidence. If the object is out of view at the end of the run, but not yet
+    for too long, the claim is inconclusive.
     """
 
     within_s: float
@@ -395,7 +396,7 @@ class ObjectInView(Worded):
 
     @reads("tcp_speed_mps", also=["object_visible"])
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every loss from its first tick to that of the recovery."""
+        """Judge every time out of view, from its first tick to the tick that has the object in view again."""
         if time_left_s(trace, self.within_s, trace.scenario.ticks) >= 0.0:
             lasts = f"the run lasts {trace.scenario.duration_s:g} s"
             return inconclusive(self, f"{lasts}; longer than {self.within_s:g} s exercises it")

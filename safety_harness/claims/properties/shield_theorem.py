@@ -1,7 +1,7 @@
-"""The assumptions of docs/explanation/shield.md that failed in a run, by its trace: 1 to 5, 7 and 9.
+"""Find the assumptions of docs/explanation/shield.md that failed in a run, by its trace: 1 to 5, 7 and 9.
 
-A wrong time stamp (6) puts a hand in a wrong place (5), and drives that brake late or less than commanded (8)
-do not follow commands (7).  A trace does not show whether a capsule encloses its link.
+The others show indirectly. A wrong time stamp (6) puts a hand in a wrong place (5). Drives that brake late or
+less than commanded (8) do not follow commands (7). A trace cannot show whether a capsule encloses its link.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from safety_harness.trace.trace import Trace, once_a_trace
 Floats = NDArray[np.float64]
 RELATIVE, TURNED_RAD = 1e-6, 1e-4  # rounding; and 0.1 mm at 1 m
 NOT_KNOWN = 10  # in place of an assumption's number
-# Of a run's ``theorem_bits``; bit n says that assumption n did not hold.
+# Masks of a run's ``theorem_bits``, in which bit n says that assumption n did not hold.
 SHIELDED, BROKEN, REFUTED = 1, 0b11111111110, 1 << 11
 
 
 class BrokenAssumption(NamedTuple):
-    """The first tick at which an assumption of the theorem did not hold; ``number`` may be NOT_KNOWN."""
+    """An assumption of the theorem with the first tick at which it failed; ``number`` may be NOT_KNOWN."""
 
     number: int
     tick: int
@@ -37,9 +37,9 @@ class BrokenAssumption(NamedTuple):
 
 @once_a_trace
 def broken_assumptions(trace: Trace) -> list[BrokenAssumption]:
-    """Return the first break of each assumption, in their order; NOT_KNOWN alone for old traces.
+    """Return the first failure of each assumption, in the assumptions' order; for old traces NOT_KNOWN alone.
 
-    The run has a shield.
+    The run must have a shield.
     """
     shield = trace.scenario.shield
     assert shield is not None
@@ -57,9 +57,9 @@ def _broken(trace: Trace, n: int, tick: int, why: str) -> BrokenAssumption:
 
 
 def counts_words(runs: Iterable[tuple[int, int]]) -> str:
-    """Return a line on the theorem after runs; empty where no run has a shield.
+    """Return a line on what ``runs`` show of the theorem; empty if no run has a shield.
 
-    ``runs`` are pairs of ``theorem_bits`` and the number of runs with these.
+    ``runs`` are pairs of ``theorem_bits`` and the number of runs with these bits.
     """
     there = list(runs)
 
@@ -78,7 +78,7 @@ def counts_words(runs: Iterable[tuple[int, int]]) -> str:
 
 
 def _of_hands(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
-    """Check assumptions 1 to 5."""
+    """Return the first failure of each of the assumptions 1 to 5."""
     ticks, done, hands = trace.ticks, trace.interventions, trace.scenario.hands
     period_s, size = trace.scenario.settings.clock.control_period_s, trace.scenario.settings.hand
     there = ticks["hand_present"][:, : len(hands)]
@@ -87,7 +87,7 @@ def _of_hands(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
     moved_mps = np.diff(at_m, axis=0) / period_s
     speed_mps = np.linalg.norm(moved_mps, axis=2)
     reach_m = np.maximum(size.radius_m, np.linalg.norm(elbow_m - at_m, axis=2) + size.forearm_radius_m)
-    # where each hand was when the frame that the shield went by was taken, and the box nearest to that
+    # each hand's place when the frame that the shield used was taken, and the nearest box
     frame = np.clip(np.rint(np.maximum(done["taken_s"], 0.0) / period_s).astype(int), 0, len(ticks) - 1)
     real = np.arange(done["hand_in_base_m"].shape[1]) < done["count"][:, None]
     away_m = np.linalg.norm(done["hand_in_base_m"][:, None] - at_m[frame][:, :, None], axis=3)
@@ -122,9 +122,9 @@ def _of_hands(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
 
 
 def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
-    """Check assumption 7: the joints' velocity is a mean of the commands in the last reaction time, or less.
+    """Return the first failure of assumption 7: the joints turn at a mean of recent commands, or more slowly.
 
-    A command turns no joint farther than its own angle.
+    Recent commands are those of the last reaction time. No command turns a joint farther than its own angle.
     """
     period_s = trace.scenario.settings.clock.control_period_s
     held = delay_ticks(shield.reaction_time_s, period_s)
@@ -152,7 +152,7 @@ def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
 
 
 def _mean(sent: Floats, turned: Floats) -> float:
-    """Return how far ``turned`` (joints,) is from every mean of zero and the rows of ``sent`` (n, joints)."""
+    """Return how far ``turned`` (joints,) is from any mean of zero and the rows of ``sent`` (n, joints)."""
     from scipy.optimize import nnls  # takes long to import, and few drives need it
 
     if not np.isfinite(turned).all():

@@ -1,7 +1,7 @@
-"""Calibration of an avoider's spread: a property of many runs, how often its intervals hold the target.
+"""Judge the calibration of an avoider's spread over many runs: how often its intervals hold the target.
 
-A single run does not show it, since one decision is either covered or not.  The runs have to be drawn
-independently of their outcomes, for example as draws of a space; runs that a search picked are not evidence.
+A single run does not show calibration, since one decision is either covered or not. The runs must be drawn
+independently of their outcomes, for example as draws of a space. Runs that a search chose are not evidence.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from safety_harness.trace.trace import Trace
 
 READ = (*PROPOSAL, "decision.seed", "decision.proposed_spread_m")
 LEAST_DECISIONS = 100
-AT_LEAST = 0.90  # what intervals of 95 % must cover: the difference is what some hundred runs can tell
+AT_LEAST = 0.90  # least coverage of 95 % intervals; some hundred runs can tell this difference
 
 
 class Target(Enum):
-    """The target of intervals."""
+    """The target that intervals are to hold."""
 
-    LABEL = "eq. 13 with candidates drawn afresh"  # what most networks are trained and calibrated for
+    LABEL = "eq. 13 with candidates drawn afresh"  # the target of most networks' training and calibration
     OPTIMUM = "eq. 13 with the continuous optimum"  # exact: no label is nearer to the desired position
 
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalRule:
-    """prediction +- ``multiplier`` (spread^2 + residual^2)^(1/2) by axis [m], and its target."""
+    """The interval prediction +- ``multiplier`` (spread^2 + residual^2)^(1/2) by axis [m], and its target."""
 
     multiplier: float
     residual_std_m: Vector3
@@ -49,7 +49,7 @@ class IntervalRule:
 
     @classmethod
     def from_model(cls, model: Model) -> IntervalRule | None:
-        """Return the rule of a model's calibration for the target of its card; None without a calibration."""
+        """Return the rule of a model's calibration for its card's target; None without a calibration."""
         if model.calibration is None:
             return None
         recipe = model.card.get("recipe")
@@ -63,14 +63,15 @@ class IntervalRule:
 
 @dataclass(frozen=True, kw_only=True)
 class SpreadCalibration:
-    """At least ``at_least`` of decisions have their target within the interval, on all axes at once.
+    """The claim that the share ``at_least`` of decisions has the target within the interval on all axes.
 
-    The first answered decision of each run counts, by its question; later decisions of a run depend on it.
-    The verdict is by the exact 95 % interval (Clopper and Pearson) of the share: holds if all of it is at
-    least ``at_least``, violated if all of it is less, else inconclusive, as with fewer than 100 decisions.
-    The margin is from the nearer end of that interval to ``at_least``.
+    Only the first answered decision of each run counts, because later decisions of the run depend on it. The
+    verdict depends on the exact 95 % interval (Clopper and Pearson) of the share. It is *holds* if the whole
+    interval is at least ``at_least``, and *violated* if the whole interval is less. Otherwise, and with fewer
+    than 100 decisions, it is *inconclusive*. The margin is the distance from the nearer end of that interval
+    to ``at_least``.
 
-    ``intervals`` are by default those of the shipped network that the runs name.
+    By default, ``intervals`` are those of the shipped network that the runs name.
     """
 
     at_least: float = AT_LEAST
@@ -118,7 +119,7 @@ def _shipped(avoider: str) -> IntervalRule | None:
 
 
 def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
-    """Return whether the target of a run's first answered decision is within its interval; may be None."""
+    """Return whether a run's first answered decision has its target in the interval; None without one."""
     answered = proposals(trace)
     if not len(answered):
         return None
@@ -130,7 +131,7 @@ def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
 
 
 def target_in_base_m(decision: np.void, settings: Settings, target: Target) -> NDArray[np.float64]:
-    """Return (3,) eq. 13 for the question of a decision; candidates come from a seed below the decision's."""
+    """Return (3,) the target by eq. 13 of a decision's question, with candidates from the decision's seed."""
     oracle = NearestCandidate.for_cell(settings)
     hand, tcp = decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]
     if target is Target.LABEL:

@@ -1,4 +1,4 @@
-"""How often the runs of a suite exercised each claim; a claim that was never exercised is not evidence."""
+"""Count how often the runs of a suite exercised each claim; a claim never exercised is not evidence."""
 
 from __future__ import annotations
 
@@ -49,12 +49,13 @@ A_LOG, NO_WORLD = "a log", "no world"
 def basis(
     worlds: Iterable[str], exercised: Iterable[tuple[int, int]] | str, unwatched: Iterable[str] = UNWATCHED
 ) -> str:
-    """Return a sentence on the basis of verdicts: world, exercised runs, and what was not watched.
+    """Return a sentence on what verdicts rest on: the worlds, the exercising runs, and what was not watched.
 
     Args:
         worlds: Names such as "PyBullet".
-        exercised: For each claim the number of runs that exercised it and of all runs; or words on the runs.
-        unwatched: Assumptions, whose names are shown.
+        exercised: For each claim, the number of runs that exercised it and the number of all its runs; or
+            words on the runs.
+        unwatched: The assumptions that no run checked; the sentence shows their names.
 
     """
     if not isinstance(exercised, str):
@@ -70,7 +71,7 @@ def basis(
 
 
 def short_basis(basis: str) -> str:
-    """Return the sentence on what verdicts rest on, without the names of what nothing watched."""
+    """Return the sentence ``basis`` without the names of what was not watched."""
     head, watched, _ = basis.partition("; nothing watched: ")
     return head + ("; what nothing watched: see the report, or -v" if watched else "")
 
@@ -84,7 +85,7 @@ def made_in(trace: Trace) -> str:
 
 
 def basis_of_tallies(worlds: Iterable[str], tallies: Iterable[ClaimTally]) -> str:
-    """Return the basis of judged runs; the ``worlds`` decide what was not watched."""
+    """Return the basis of judged runs; ``worlds`` determine what was not watched."""
     distinct = list(dict.fromkeys(worlds))
     simulated = UNWATCHED if not distinct or set(distinct) != {A_LOG} else ()
     of_logs = UNWATCHED_IN_LOGS if A_LOG in distinct else ()
@@ -98,10 +99,10 @@ BASIS_OF_ANSWERS = basis([NO_WORLD], "no run was made", ("what a run does with t
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
-    """The outcome of a claim in a run.
+    """The outcome of one claim in one run.
 
-    ``run`` is the name that people use, its scenario's; ``expected`` is the verdict that the author of the
-    claim expects.
+    ``run`` is the name of the run's scenario; ``expected`` is the verdict that the author of the claim
+    expects.
     """
 
     run: str
@@ -111,13 +112,14 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimTally:
-    """A sentence over all runs of a suite.
+    """The results of one claim's sentence over all runs of a suite.
 
-    ``runs`` judged it, ``exercised`` of them exercised it, on ``occasions`` altogether.  ``unmeasured`` runs
-    are inconclusive since columns were not measured; they are not tests, on whatever occasions.  ``worst`` is
-    the outcome with the least margin, None without a margin.  It is ``untested`` if some author expected a
-    verdict other than inconclusive, and none of those runs tested it.  Then ``nearest`` is the run among them
-    with the least margin, else the first by name.  A violation counts as a test, whatever the occasions.
+    ``runs`` counts the runs that judged the claim, ``exercised`` those that exercised it, and ``occasions``
+    how often in total. ``unmeasured`` counts runs that are inconclusive because columns were not measured;
+    they never count as tests. ``worst`` is the outcome with the least margin, None without a margin. The
+    claim is ``untested`` if an author expected a conclusive verdict in some runs, and none of these runs
+    tested it. Then ``nearest`` is the one of them with the least margin, or without margins the first by
+    name. A violation counts as a test even without an occasion.
     """
 
     sentence: str
@@ -134,18 +136,18 @@ class ClaimTally:
 
     @property
     def untested(self) -> bool:
-        """Return whether an author expected a verdict, and no run exercised it."""
+        """Return whether an author expected a conclusive verdict, and no such run tested the claim."""
         return self.nearest is not None
 
     @property
     def never(self) -> str:
-        """Return what was missing where it is ``untested``: a measurement, or an occasion."""
+        """Return what an ``untested`` claim lacked, in words: a measurement, or an occasion."""
         unmeasured = self.nearest is not None and self.nearest.evaluation.unmeasured
         return "not measured" if unmeasured else "never exercised"
 
     @property
     def worst_words(self) -> str:
-        """Return the least margin with its moment and run, or a dash."""
+        """Return the least margin with its time and run in words, or a dash."""
         if self.worst is None:
             return "-" if self.applicable else "not applicable"
         time_s = self.worst.evaluation.worst_time_s
@@ -154,7 +156,7 @@ class ClaimTally:
 
 
 def tally_claims(judged: Iterable[Judged]) -> tuple[ClaimTally, ...]:
-    """Return a tally for each sentence, in the order of their first runs."""
+    """Return a tally for each sentence, in the order in which the sentences first appear."""
     by_sentence: dict[str, list[Judged]] = {}
     for outcome in judged:
         by_sentence.setdefault(outcome.evaluation.sentence, []).append(outcome)
@@ -206,7 +208,7 @@ def _nearness(outcome: Judged) -> tuple[float, str, str, str, str]:
 
 
 def far_lines(tallies: Sequence[ClaimTally]) -> list[str]:
-    """Return a note on every claim that held, and whose limit no run came near to."""
+    """Return a note on each claim that held without any run near its limit."""
     worst = [tally.worst.evaluation for tally in tallies if tally.worst is not None]
     far = [
         (tally.sentence, far_words(tally.close, tally.margin))
@@ -217,7 +219,7 @@ def far_lines(tallies: Sequence[ClaimTally]) -> list[str]:
 
 
 def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:
-    """Return how many claims were never exercised or not measured, and what the nearest run lacked."""
+    """Return lines on claims that were never exercised or not measured, and what the nearest run lacked."""
     lines = []
     for never in ("never exercised", "not measured"):
         untested = [(t.sentence, t.nearest) for t in tallies if t.nearest is not None and t.never == never]
@@ -230,7 +232,7 @@ def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:
 
 
 def table_lines(tallies: Sequence[ClaimTally], most: int | None = None) -> list[str]:
-    """Return the tallies as a ``table``, with a mark for claims that were never exercised."""
+    """Return the lines of a ``table`` of ``tallies``, with a mark for claims that were never exercised."""
     return table(HEADINGS, map(_cells, tallies), most, named_by=1, right=range(1, 7))
 
 
@@ -250,10 +252,10 @@ def table(
     named_by: int = 2,
     right: range = range(0),
 ) -> list[str]:
-    """Return lines with columns as wide as needed, those in ``right`` aligned to the right.
+    """Return the lines of a table with columns as wide as needed; columns in ``right`` are right-aligned.
 
-    There are no lines without rows.  If the columns are wider than ``most`` characters, each row becomes its
-    ``named_by`` first cells, and below them a list of the other cells.
+    Without rows there are no lines. If the table is wider than ``most`` characters, each row becomes two
+    lines: its first ``named_by`` cells, and a list of the other cells.
     """
     cells = [tuple(head), *map(tuple, rows)]
     if len(cells) == 1:

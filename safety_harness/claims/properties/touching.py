@@ -1,4 +1,4 @@
-"""No moving part touches a hand: contact is the hazard, and a hand may always touch an arm that stands."""
+"""Judge that no moving part touches a hand; a hand may touch an arm that stands."""
 
 from __future__ import annotations
 
@@ -40,9 +40,10 @@ from safety_harness.trace.trace import Trace, once_a_trace
 
 
 def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
-    """Return the ends of the margin, for ``reads``: the lower end by any part, for a part may move unseen.
+    """Return the margin's ends, as ``reads`` expects, and whether the claim was exercised.
 
-    The upper end takes the parts that are nearest at a tick and surely turn in the tick that begins there.
+    The lower end takes the distance of any part, because every part may move unseen. The upper end takes
+    parts that are nearest at a tick and surely turn in the period that begins there.
     """
     at_ticks_m, between_m = distance_moved_m(trace)
     off_m, true, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace), np.inf
@@ -59,7 +60,7 @@ def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[flo
 
 
 def _nearest_links(trace: Trace, hand: int) -> NDArray[np.int64]:
-    """Return (n,) the link whose part is nearest to a hand at each tick; -1 in an edited trace without it."""
+    """Return (n,) the link whose part is nearest to ``hand`` at each tick; -1 if the trace names no part."""
     links, part = capsules_of(trace).link_index, trace.ticks["hand_distance_capsule"][:, hand]
     there = (part >= 0) & (part < len(links))
     nearest: NDArray[np.int64] = np.where(there, links[np.where(there, part, 0)], -1)
@@ -68,14 +69,14 @@ def _nearest_links(trace: Trace, hand: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, kw_only=True)
 class NoMovingPartTouches:
-    """min over hands, and over the ticks in which a part of the arm moves, of the distance to that part.
+    """The least distance of any hand from any part of the arm while that part moves.
 
     A part moves in a tick if any joint between it and the base turns by at least STANDSTILL_RADPS times the
-    period; the base never does.  Distances are surface to surface, and bounded between ticks, as for
-    ``HandDistance``.  Zero is a touch, and the margin is below zero inside.
+    period. The base never moves. Distances are surface to surface, and bounded between ticks, as for
+    ``HandDistance``. At zero the part touches the hand, and in penetration the margin is negative.
 
-    A run exercises it when a hand comes within ``near_m`` of the arm, moving or not, and the arm moves in
-    that run.
+    A run exercises the claim if a hand comes within ``near_m`` of the arm, and the arm moves at any time of
+    the run.
     """
 
     near_m: float
@@ -84,7 +85,7 @@ class NoMovingPartTouches:
 
     @reads(*OF_DISTANCES, also=["hand_distance_capsule"], of_each_hand=True, ends=_ends)
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge the closest approach of a hand and a part that moves."""
+        """Judge the closest approach of any hand to a part that moves."""
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
@@ -97,9 +98,9 @@ class NoMovingPartTouches:
 
 
 def theorem_words(trace: Trace, evaluation: Evaluation) -> str:
-    """Return what a run shows of its shield's theorem beside the verdict on touches; may be empty.
+    """Return words on what a run shows of its shield's theorem, next to the verdict on touches; may be empty.
 
-    Whether the theorem applies changes no verdict.
+    The verdict does not depend on whether the theorem applies.
     """
     if trace.scenario.shield is None or len(trace.ticks) == 0:
         return ""
@@ -112,7 +113,7 @@ def theorem_words(trace: Trace, evaluation: Evaluation) -> str:
 
 
 def refutes_theorem(trace: Trace, evaluation: Evaluation) -> bool:
-    """Return whether a moving part was touched before any assumption of the shield's theorem broke."""
+    """Return whether a moving part touched a hand before any assumption of the shield's theorem broke."""
     if trace.scenario.shield is None or evaluation.verdict is not Verdict.VIOLATED:
         return False
     broken = broken_assumptions(trace)
@@ -124,7 +125,7 @@ def refutes_theorem(trace: Trace, evaluation: Evaluation) -> bool:
 
 
 def theorem_bits(trace: Trace) -> int:
-    """Return the bits of a run with a shield for ``counts_words``; 0 without a shield."""
+    """Return the bits of a run for ``counts_words``; 0 if the run has no shield."""
     if trace.scenario.shield is None or len(trace.ticks) == 0:
         return 0
     refuted = refutes_theorem(trace, NO_MOVING_PART_TOUCHES.prop.evaluate(trace))
@@ -140,7 +141,7 @@ def _nearest_moving(trace: Trace) -> Nearest:
 
 @once_a_trace
 def first_turning(trace: Trace) -> NDArray[np.int64]:
-    """Return (n - 1,) the first joint, from the base on, that turns in each tick; else their number."""
+    """Return (n - 1,) the first joint from the base that turns in each tick, or else the number of joints."""
     joints_rad = true_motion(trace).joints_rad
     period_s = trace.scenario.settings.clock.control_period_s
     turns = np.abs(np.diff(joints_rad, axis=0)) >= STANDSTILL_RADPS * period_s
@@ -149,7 +150,7 @@ def first_turning(trace: Trace) -> NDArray[np.int64]:
 
 
 def closest_moving(trace: Trace, paths: HandPaths) -> Nearest:
-    """Return the closest approach of a hand to a moving part; inf without a moving part."""
+    """Return the closest approach of any hand to a moving part; infinite without a moving part."""
     best = Nearest()
     hand_size = trace.scenario.settings.hand
     for hand in range(len(trace.scenario.hands)):
@@ -195,7 +196,7 @@ def _lower_bounds(
     distance_m: NDArray[np.float64],  # (n,) infinite where it is not known
     slack_m: NDArray[np.float64],  # (n - 1,)
 ) -> NDArray[np.float64]:
-    """Return (n - 1,) lower bounds of the distances of ``closest_between`` from an instant to the next."""
+    """Return (n - 1,) lower bounds of ``closest_between``'s distances from each instant to the next."""
     lower_m, left_m = np.empty(slack_m.shape[0]), -np.inf
     for k in range(slack_m.shape[0]):
         if distance_m[k] != np.inf:  # it is known
@@ -206,13 +207,13 @@ def _lower_bounds(
 
 
 def _runs(first: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """Return the beginning of each stretch of equal values, and the first after its end."""
+    """Return the beginning of each stretch of equal values in ``first``, and the first index after it."""
     cuts = (np.flatnonzero(np.diff(first)) + 1).tolist()
     return list(zip([0, *cuts], [*cuts, len(first)], strict=True)) if len(first) else []
 
 
 def _distal_part(arm: Arm, joint: int) -> Arm:
-    """Return the arm with only the capsules that the joint moves."""
+    """Return the arm with only the capsules that ``joint`` moves."""
     return Arm(arm.chain, _moved(arm.capsules.tobytes(), arm.capsules.dtype, joint), arm.reach_m)
 
 
@@ -220,14 +221,14 @@ def _distal_part(arm: Arm, joint: int) -> Arm:
 def _moved(capsules: bytes, dtype: np.dtype[np.void], joint: int) -> NDArray[np.void]:
     moving = np.frombuffer(capsules, dtype)
     moving = moving[moving["link_index"] > joint].copy()
-    moving.setflags(write=False)  # as all of them are: the same type for compiled code
+    moving.setflags(write=False)  # like all others, so that compiled code gets the same type
     return moving
 
 
 def _known(
     distance_m: NDArray[np.float64], at: NDArray[np.float64], moves: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Return the distance at an instant whose nearest part moves, else infinite: to be computed.
+    """Return the distance at each instant whose nearest part moves, or else inf, which must then be computed.
 
     The memory layout is that of ``distance_m`` (k,), since compiled code distinguishes arrays by it.
     """

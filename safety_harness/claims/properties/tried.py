@@ -1,7 +1,7 @@
-"""Parts of scenarios that runs did not exercise: moves that never began, faults that never acted.
+"""Find the parts of scenarios that no run exercised: moves that never began, and faults that never acted.
 
-For a space, also the values that vary only in these parts.  A verdict does not cover them.  A fault of a hand
-sensor counts while a hand is there for which it matters, within twice NEAR_M of the TCP.
+For a space, find also the values that only vary these parts. A verdict covers neither. A fault of a hand
+sensor counts as exercised if it acts while a hand is within twice NEAR_M of the TCP.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ _NAMES = {table.kind: table.name for table in MOVES}
 
 @dataclass(eq=False)
 class TriedParts:
-    """Each move and each fault of runs, by scenario title, and whether any run exercised it."""
+    """A record of each scenario's moves and faults, by its title, that tells which ones any run exercised."""
 
     runs: dict[str, int] = field(default_factory=dict)
     parts: dict[str, dict[str, bool]] = field(default_factory=dict)
 
     @classmethod
     def from_traces(cls, *traces: Trace) -> TriedParts:
-        """Return the parts that ``traces`` exercised."""
+        """Return the record of the runs ``traces``."""
         tried = cls()
         for trace in traces:
             tried.add(trace)
@@ -63,7 +63,7 @@ class TriedParts:
         self.join(scenario.title, dict(zip(parts, [*begun, *faults], strict=True)))
 
     def suppose(self, scenario: Scenario, tcp_in_base_m: NDArray[np.float64]) -> None:
-        """Add a possible run, with the TCP at ``tcp_in_base_m`` (3,) throughout."""
+        """Add a possible run of ``scenario``, as if the TCP stayed at ``tcp_in_base_m`` (3,)."""
         times_s = np.arange(0.0, scenario.duration_s + STEP_S, STEP_S)
         begun, nearest_m = moves_begun(scenario, np.tile(tcp_in_base_m, (len(times_s), 1)), STEP_S)
         near_s = times_s[nearest_m < 2.0 * NEAR_M]
@@ -77,15 +77,16 @@ class TriedParts:
         self.join(scenario.title, dict(zip(dict(_parts(scenario)), [*begun, *faults], strict=True)))
 
     def join(self, title: str, parts: dict[str, bool], runs: int = 1) -> None:
-        """Add so many runs of a title."""
+        """Add ``runs`` runs of the scenario ``title``, with whether they exercised each of ``parts``."""
         known = self.parts.setdefault(title, {})
         known |= {part: tried or known.get(part, False) for part, tried in parts.items()}
         self.runs[title] = self.runs.get(title, 0) + runs
 
     def lines(self, *spaces: ScenarioSpace, subject: str = "runs") -> list[str]:
-        """Return a line for each title on the parts that no run exercised.
+        """Return a line for each title with parts that no run exercised, on these parts.
 
-        The values of ``spaces`` that vary in these parts alone follow.  ``subject`` is the kind of runs.
+        The line also names the values of ``spaces`` that only vary these parts. ``subject`` is the word for
+        the runs.
         """
         titled, lines = {space.title: space for space in spaces}, []
         for title, parts in self.parts.items():
@@ -100,7 +101,7 @@ class TriedParts:
 
 
 def _parts(scenario: Scenario) -> Iterator[tuple[str, object]]:
-    """Yield every move and every fault, in words that the draws of a space share, with the object."""
+    """Yield every move and fault, each with a name that is the same in all draws of a space."""
     for hand in scenario.hands:
         for number, move in enumerate(hand.moves if isinstance(hand, MovingHand) else (), start=1):
             yield f"move {number} of {hand.name} ({_NAMES[type(move)]})", move
@@ -112,9 +113,10 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, object]]:
 def moves_begun(
     scenario: Scenario, tcp_in_base_m: NDArray[np.float64], period_s: float
 ) -> tuple[list[bool], NDArray[np.float64]]:
-    """Return whether each move began, hand by hand, with the TCP at ``tcp_in_base_m`` (n, 3) every period.
+    """Return whether each move began, hand by hand, if the TCP is at ``tcp_in_base_m`` (n, 3).
 
-    Return also (n,) the distance of the nearest hand from the TCP.
+    The TCP's positions are one ``period_s`` apart.  Also return (n,) the distance of the nearest hand from
+    the TCP.
     """
     hands = hands_at_start(scenario)
     tcp_m = np.ascontiguousarray(tcp_in_base_m)
@@ -140,7 +142,7 @@ def _follow(
     tcp_in_base_m: NDArray[np.float64],  # (n, 3)
     period_s: float,
 ) -> NDArray[np.float64]:
-    """Return (n,) the distance of the nearest hand from the TCP, while the hands go on by n - 1 periods."""
+    """Return (n,) the distance of the nearest hand from the TCP, and advance ``hands`` by n - 1 periods."""
     nearest_m = np.full(tcp_in_base_m.shape[0], np.inf)
     for k in range(tcp_in_base_m.shape[0]):
         for hand in range(hands.shape[0]):
@@ -155,7 +157,7 @@ def _follow(
 
 
 def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
-    """Return the names of the values of a space that change only the parts ``idle``."""
+    """Return the names of the values of ``space`` that change only the parts ``idle``."""
     rows, untried = space.values_of_draws(range(LOOKED_AT), 0), []
     for parameter, used in zip(space.parameters, space.used_by(rows), strict=True):
         changed: set[str] = set()
@@ -170,13 +172,13 @@ def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
 
 
 def _differing(first: Scenario, second: Scenario) -> set[str]:
-    """Return the moves and faults in which two scenarios differ; an empty word is any other difference."""
+    """Return the moves and faults in which two scenarios differ, and "" for any other difference."""
     (mine, rest), (theirs, of_other) = (_split(scenario) for scenario in (first, second))
     changed = {part for part in mine.keys() | theirs.keys() if mine.get(part) != theirs.get(part)}
     return changed if rest == of_other else {*changed, ""}
 
 
 def _split(scenario: Scenario) -> tuple[dict[str, object], str]:
-    """Return moves and faults, and the scenario without them."""
+    """Return the moves and faults of ``scenario``, and the text of the scenario without them."""
     hands = (replace(h, moves=()) if isinstance(h, MovingHand) else h for h in scenario.hands)
     return dict(_parts(scenario)), write_scenario(replace(scenario, hands=tuple(hands), faults=()))

@@ -1,9 +1,9 @@
-"""The onset, direction, speed and end of a repulsion, each judged by itself.
+"""Judge the onset, direction, speed and end of a repulsion, each by itself.
 
-The resolution of each is the smallest that raises no alarm over the twelve harmless changes of
-``tests/claims/properties/harmless.py``, in both worlds.  If the scenario states that its drives are late,
-their dead time and lag count as cycles, and the cone of the direction is wider by the turn of the arm
-meanwhile.
+Each has the finest resolution that raises no alarm for the twelve harmless changes of
+``tests/claims/properties/harmless.py``, in both worlds. If the scenario states that its drives are late,
+their dead time and lag count as additional cycles. The cone of the direction is then wider by the angle that
+the arm turns meanwhile.
 """
 
 from __future__ import annotations
@@ -31,21 +31,22 @@ from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 
 OFF_RAD = radians(1.0)
-LEVER_M = 0.5  # about which an arm turns: the least that raises no alarm
+LEVER_M = 0.5  # radius about which an arm turns: the least that raises no alarm
 MOST_OFF_RAD = radians(5.0)
 SHORT_M = 0.001  # beyond the arrival tolerance
 PACE = Shares(speed=0.95, acceleration=0.9)
-BEGUN_SHARE = 0.25  # of the change of velocity that a tick allows; drives that lag begin with less
-ASIDE_MPS = 0.001  # a slower motion across the way need not be turned
+BEGUN_SHARE = 0.25  # of the velocity change allowed in a tick; drives that lag begin with less
+ASIDE_MPS = 0.001  # a TCP with a slower motion across the way need not turn
 Vector = NDArray[np.float64]  # (3,)
 
 
 def way_gone(
     trace: Trace, number: int, target_in_base_m: Vector, cycles: int, where: str
 ) -> tuple[dict[str, list[Finding]], bool]:
-    """Judge the repulsion of decision ``number`` by the straight way to a target, named ``where``.
+    """Judge the repulsion of decision ``number`` by the straight way to a target, which ``where`` names.
 
-    Returns the findings by part, and whether there was time for 10 mm of way.  ``target_in_base_m`` (3,).
+    The target is ``target_in_base_m`` (3,).  Returns the findings by part, and whether there was time for 10
+    mm of way.
     """
     period_s = trace.scenario.settings.clock.control_period_s
     allowed = cycles + sum(ceil(one_s / period_s - 1e-9) for one_s in _delays_s(trace))
@@ -64,14 +65,14 @@ def way_gone(
 
 
 def _delays_s(trace: Trace) -> tuple[float, ...]:
-    """The dead time and the lag that the scenario states of the drives."""
+    """Return the dead time [s] and the lag [s] that the scenario states for the drives."""
     robot = trace.scenario.robot
     drives = robot.drives if isinstance(robot, OwnRobot) else None
     return () if drives is None else (drives.dead_time_s, drives.lag_s)
 
 
 def _change(trace: Trace, tick: int, target_in_base_m: Vector) -> tuple[Vector, float, float]:
-    """Return the change of velocity (3,) that the way needs, that allowed in a tick, and the speed aside."""
+    """Return the velocity change (3,) that the way needs, that allowed in a tick, and the lateral speed."""
     avoidance, period_s = trace.scenario.settings.avoidance, trace.scenario.settings.clock.control_period_s
     displacement = target_in_base_m - trace.ticks["transform_tcp_to_base"][tick, :3, 3]
     along, velocity = displacement / max(length(displacement), 1e-9), velocity_at(trace, tick)
@@ -81,7 +82,7 @@ def _change(trace: Trace, tick: int, target_in_base_m: Vector) -> tuple[Vector, 
 
 
 def _onset(trace: Trace, first: int, last: int, target_in_base_m: Vector, allowed: int) -> list[Finding]:
-    """Count the ticks until the TCP's velocity changes as the way asks for; the margin is their way."""
+    """Return a finding on the ticks until the TCP's velocity changes as the way needs, converted to a way."""
     change, step_mps, _ = _change(trace, first, target_in_base_m)
     most_mps = length(change)
     if most_mps < 0.1 * step_mps or last - first <= allowed:
@@ -100,9 +101,9 @@ def _onset(trace: Trace, first: int, last: int, target_in_base_m: Vector, allowe
 
 
 def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, where: str) -> list[Finding]:
-    """Return how far the way leaves the cone to the target.
+    """Return a finding on how far [m] the TCP leaves the cone to the target.
 
-    The cone begins after 10 mm and once the TCP has turned.
+    The cone begins after 10 mm of way, and when the TCP has turned to the target.
     """
     tcp_in_base = trace.ticks["transform_tcp_to_base"][start : last + 1, :3, 3]
     change, step_mps, aside_mps = _change(trace, start, target_in_base_m)
@@ -116,12 +117,12 @@ def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, wh
     length_m = np.linalg.norm(chord, axis=1)
     along_m = product(chord, bearing) / max(length(bearing), 1e-9)
     aside_m = np.sqrt(np.maximum(length_m * length_m - along_m * along_m, 0.0))
-    # A demand that is late moves an arm that has turned meanwhile.
+    # The arm has turned by the time that a late demand moves it.
     late_m = max(trace.scenario.settings.avoidance.repulsion_speed_mps, LEAST_SPEED_MPS) * sum(
         _delays_s(trace)
     )
     off_rad = min(OFF_RAD + late_m / LEVER_M, MOST_OFF_RAD)
-    # What lies behind the apex is off by its whole length.
+    # A point behind the apex is off by its whole distance from the apex.
     left_m = np.where(
         length_m >= LEAST_WAY_M, sin(off_rad) * length_m - aside_m + np.minimum(along_m, 0.0), inf
     )
@@ -134,7 +135,7 @@ def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, wh
 
 
 def _end(trace: Trace, number: int, last: int, target_in_base_m: Vector, where: str) -> list[Finding]:
-    """Return how far from the target the TCP is where its controller goes on because it has arrived."""
+    """Return a finding on the TCP's distance from ``where`` when its controller regards it as arrived."""
     if not arrival_claimed(trace, number, last):
         return []
     tcp_in_base = trace.ticks["transform_tcp_to_base"][last, :3, 3]

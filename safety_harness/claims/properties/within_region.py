@@ -1,4 +1,4 @@
-"""A proof about a network's answers covers a region; the arm acts on no other answer."""
+"""Judge that the arm acts only on answers to questions within the gate's region, which a proof covers."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True, kw_only=True)
 class ActedWithinRegion:
-    """Each answer that the arm acted on is one to a question within the region of the gate.
+    """The claim that each answer on which the arm acted is to a question within the region of the gate.
 
-    The margin is how far hand and TCP of the question are within their boxes, by axis.
+    The margin is how far the question's hand and TCP lie within their boxes, least over axes.
     """
 
     unit: Unit = Unit.LENGTH
@@ -26,7 +26,7 @@ class ActedWithinRegion:
 
     @reads(also=(*PROPOSAL, "decision.outcome"), ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge each proposal that was used."""
+        """Judge each proposal that the arm used."""
         region = None if trace.scenario.gate is None else trace.scenario.gate.questions_within
         if region is None:
             return unexercised(self, "the gate has no region; its key questions within exercises it")

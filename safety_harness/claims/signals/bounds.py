@@ -1,6 +1,6 @@
-"""Bounds of a signal between two ticks, and their errors, for numbers or for arrays.
+"""Compute bounds of a signal between two ticks, and their errors, for numbers or arrays.
 
-Compiled code can call these functions, so that a monitor has the bounds of a log.
+Compiled code can call these functions, so that a monitor computes the same bounds as a log.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ jitable: Callable[[Function], Function] = register_jitable  # compiled code can 
 
 @jitable
 def lipschitz_bounds(first: Any, second: Any, variation: Any, slack: Any) -> tuple[Any, Any]:
-    """Return bounds of a signal that goes ``variation`` from its value ``first`` at a tick to the ``second``.
+    """Return bounds of a signal that varies by at most ``variation`` on its way from ``first`` to ``second``.
 
-    After a part x of the way the signal has changed by at most x from ``first``, and differs by at most way -
-    x from ``second``.  ``slack`` is a further error of the signal.
+    After a part x of that way, the signal differs by at most x from ``first``, and by at most variation - x
+    from ``second``. ``slack`` is an additional error of the signal, which widens the bounds.
     """
     low = np.minimum(0.5 * (first + second - variation), np.minimum(first, second)) - slack
     return low, np.maximum(0.5 * (first + second + variation), np.maximum(first, second)) + slack
@@ -28,9 +28,9 @@ def lipschitz_bounds(first: Any, second: Any, variation: Any, slack: Any) -> tup
 
 @jitable
 def cells(value: Any, variation: Any, slack: Any) -> tuple[Any, Any]:
-    """Return bounds (n,) of a signal ``value`` (n,) from each tick to the next, by ``lipschitz_bounds``.
+    """Return the ``lipschitz_bounds`` (n,) of a signal ``value`` (n,) from each tick to the next.
 
-    The last bounds are those of the last tick.  ``variation`` (n-1,), and ``slack`` (n-1,) or a number.
+    The last bounds are those at the last tick. ``variation`` is (n-1,), and ``slack`` is (n-1,) or a number.
     """
     low, high = value.copy(), value.copy()
     low[:-1], high[:-1] = lipschitz_bounds(value[:-1], value[1:], variation, slack)
@@ -39,7 +39,7 @@ def cells(value: Any, variation: Any, slack: Any) -> tuple[Any, Any]:
 
 @jitable
 def or_next(value: Any) -> Any:
-    """Return the larger of each tick's value and the next one's, for (n, ...) ticks; NaN where one is."""
+    """Return the larger of each tick's ``value`` (n, ...) and the next tick's; NaN if either is NaN."""
     larger = value.copy()
     larger[:-1] = np.maximum(value[:-1], value[1:])
     return larger
@@ -47,10 +47,10 @@ def or_next(value: Any) -> Any:
 
 @jitable
 def speed_cells(at_ticks: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the fastest joint's speeds (n,) at the ticks, its bounds to the next tick, and its mean (n-1,).
+    """Return the fastest joint's speed (n,) at the ticks, its bounds to the next tick, and its mean (n-1,).
 
-    Between two ticks a joint's speed lies between the least and the largest of both ends and the mean.
-    ``at_ticks`` (n, joints) and ``mean`` (n-1, joints).
+    Between two ticks, a joint's speed lies between the least and the largest of both ticks' speeds and the
+    mean. ``at_ticks`` is (n, joints), and ``mean`` is (n-1, joints).
     """
 
     def largest(each: Any) -> Any:
@@ -67,22 +67,22 @@ def speed_cells(at_ticks: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
 
 @jitable
 def place_between(at: Any, speed: Any, period_s: float) -> Any:
-    """Return the error of a place between ticks: its own error, and half of the error of its way.
+    """Return the error of a place between ticks: that at the ticks, and half of the error of its way.
 
-    ``at`` is the error of the place at a tick, ``speed`` the error of its speed.
+    ``at`` is the error of the place at a tick, and ``speed`` is the error of its speed.
     """
     return at + 0.5 * np.maximum(speed * period_s, 2.0 * at)
 
 
 @jitable
 def speed_between(speed: Any, place: Any, period_s: float) -> Any:
-    """Return the error of a speed whose mean over a period counts too, by its own error and its place's."""
+    """Return the error of a speed and of its mean over a period, by the errors of speed and place."""
     return np.maximum(speed, 2.0 * place / period_s)
 
 
 @jitable
 def apart_between(hand: Any, elbow: Any, arm: Any, faster: Any, period_s: float) -> Any:
-    """Return the error of the distance of a hand from the arm, with the bend of joints between ticks.
+    """Return the error of a hand's distance from the arm between ticks, including the bend of the joints.
 
     Args:
         hand: The error of the hand's position.
@@ -97,9 +97,9 @@ def apart_between(hand: Any, elbow: Any, arm: Any, faster: Any, period_s: float)
 
 @jitable
 def velocity_off(reach_m: Any, turned_rad: Any, faster_radps: Any, rates_radps: Any) -> Any:
-    """Return the error (n,) of the TCP's velocity at ticks.
+    """Return the error (n,) [m/s] of the TCP's velocity at each tick.
 
-    u' sum over j of l_j + u sum over j of |q'_j| sum over i of l_max(i, j), as for ``faster_mps``.
+    It is u' sum over j of l_j + u sum over j of |q'_j| sum over i of l_max(i, j), as in ``faster_mps``.
 
     Args:
         reach_m: The lengths (joints,) of the chains of links that the joints move.

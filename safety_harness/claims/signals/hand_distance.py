@@ -1,4 +1,4 @@
-"""The distance of hands from the robot, at the ticks and between them, and its error."""
+"""Compute the distance of hands from the robot at the ticks and between them, and its error."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ from safety_harness.claims.signals.true_motion import (
 from safety_harness.trace.trace import Trace, history
 
 POINT = (0.0, 0.0)  # radii of a hand that is a point
-FASTEST_RADPS = 1e4  # no joint turns so fast: such a speed says nothing
-SATURATED_RADPS = 1e-3  # a mean speed this far from that of the tick's end is of motors that may saturate
-ROUNDING_RADPS = 1e-6  # by which a mean speed may be beyond what is recorded: a nanometre or two
-TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
+FASTEST_RADPS = 1e4  # no joint turns so fast, so that such a speed is meaningless
+SATURATED_RADPS = 1e-3  # motors may saturate if the mean speed is this far from that at the tick's end
+ROUNDING_RADPS = 1e-6  # by which a mean speed may exceed the recorded speeds: a nanometre or two
+TURNED_RAD = 8.0 * np.pi  # four times the limits: beyond it an engine or a file has taken the arm apart
 
 
 def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n,) and (n,) the errors [m] of the distances of hands, at the ticks and between them.
+    """Return (n,) the error [m] of hands' distances at the ticks, and (n,) between the ticks.
 
-    They are infinite if a hand heads for a TCP that was not measured everywhere and exactly.
+    Both are infinite if a hand heads for a TCP that was not measured everywhere and exactly.
     """
     known, count = trace.known, len(trace.ticks)
     if follows_unknown(trace):
@@ -55,7 +55,7 @@ def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 class Nearest(NamedTuple):
-    """Both ends [m] of a least distance, the time [s] of the lower end, and its hand; ``inf``: no hand."""
+    """Both bounds [m] of a least distance (inf without a hand), and the lower bound's time [s] and hand."""
 
     low_m: float = np.inf
     time_s: float = 0.0
@@ -63,7 +63,7 @@ class Nearest(NamedTuple):
     high_m: float = np.inf
 
     def or_nearer(self, candidate: Nearest) -> Nearest:
-        """Return the smaller of two."""
+        """Return the nearer of this and ``candidate``, with the smaller upper bound of both."""
         low = self if candidate.low_m >= self.low_m else candidate  # a NaN comes out
         return low._replace(high_m=min(self.high_m, candidate.high_m))
 
@@ -71,13 +71,13 @@ class Nearest(NamedTuple):
 def known_to(
     limit_m: float, nearest: Callable[[Trace, HandPaths], Nearest], trace: Trace, paths: HandPaths
 ) -> Nearest:
-    """Return the nearest approach, with hands followed in parts of a tick if that may decide."""
+    """Return the result of ``nearest``, with ``finer_paths`` if ``limit_m`` lies between its bounds."""
     known = nearest(trace, paths)
     return nearest(trace, finer_paths(trace)) if known.low_m < limit_m <= known.high_m else known
 
 
 def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
-    """Return the paths of the hands, or the reason why no distance from them can be judged in this trace."""
+    """Return the hands' paths, or None and the reason why the trace's hand distances cannot be judged."""
     if not trace.scenario.hands:
         return None, f"never exercised: {no_hand(trace)}"
     if (np.abs(history(trace, "joint_position_rad")) > TURNED_RAD).any():
@@ -89,7 +89,7 @@ def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
 
 
 def capsule_name(trace: Trace, tick: int, hand: int) -> str:
-    """Return the part of the robot that is nearest to a hand at a tick."""
+    """Return the name of the robot's part that is nearest to ``hand`` at ``tick``."""
     names = capsules_of(trace).names
     number = int(trace.ticks["hand_distance_capsule"][tick, hand])
     return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
@@ -98,7 +98,8 @@ def capsule_name(trace: Trace, tick: int, hand: int) -> str:
 def closest_approach(trace: Trace, paths: HandPaths, off_m: NDArray[np.float64] | None = None) -> Nearest:
     """Return the closest approach of any hand, at the ticks and between them.
 
-    The error ``off_m`` (n,) of the distance at each tick is subtracted, between two ticks the larger error.
+    The error ``off_m`` (n,) of each tick's distance is subtracted, and between two ticks the larger of both
+    errors.
     """
     settings = trace.scenario.settings
     best = Nearest()
@@ -128,7 +129,7 @@ def closest_between(
     size: Hand,
     paths: HandPaths,
 ) -> tuple[tuple[float, float], float]:
-    """Return both ends of a hand's least distance [m] over ``instants``, and when the lower is, in ticks."""
+    """Return both bounds of a hand's least distance [m] over ``instants``, and the lower's time in ticks."""
     low_m, index, fraction, high_m = _closest_in_trace(
         arm,
         joints_rad,
@@ -147,10 +148,10 @@ def closest_between(
 def ends_between(
     trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both ends of a hand's least distance [m] from tick to tick, and the ways of hand and elbow.
+    """Return both bounds of a hand's least distance [m] between ticks, and the ways of hand and elbow [m].
 
-    Both are (2, n-1); NaN is unknown.  The distance is from the arm, surface to surface, or with ``from_tcp``
-    from the TCP to the hand's centre.
+    Both results are (2, n-1); NaN stands for unknown. The distance is that from the arm, surface to surface,
+    or with ``from_tcp`` that from the TCP to the hand's centre.
     """
     own, bodies, size = paths.corner_hand == hand, [0, 0 if from_tcp else 1], trace.scenario.settings.hand
     true, arm = true_motion(trace), tcp_of(trace) if from_tcp else arm_of(trace)
@@ -169,7 +170,7 @@ def ends_between(
 
 @inlined
 def distance_m(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """Return the distance of two points, ``first`` (3,) and ``second`` (3,)."""
+    """Return the distance [m] of two points, ``first`` (3,) and ``second`` (3,)."""
     x, y, z = second[0] - first[0], second[1] - first[1], second[2] - first[2]
     return float(np.sqrt(x * x + y * y + z * z))
 
@@ -186,9 +187,9 @@ def between_ticks(
     radii_m: tuple[float, float],  # of hand and forearm
     tolerance_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both ends of a hand's least distance [m] from tick to tick, and the ways [m] of hand and elbow.
+    """Return both bounds of a hand's least distance [m] between ticks, and the ways [m] of hand and elbow.
 
-    Both are (2, n - 1).  Arm and hand go straight from corner to corner.
+    Both results are (2, n - 1). Arm and hand move straight from corner to corner.
     """
     ends_m, ways_m, c = np.full((2, len(slack_m)), np.inf), np.zeros((2, len(slack_m))), 0
     radius_m, arm_radius_m = radii_m
@@ -213,10 +214,11 @@ def between_ticks(
 
 
 def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
-    """Return ticks, and the hand's corners between them, in order of time.
+    """Return arm and hand at the ticks and at the hand's corners between them, in order of time.
 
-    These are (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance (inf at a
-    corner), and (n - 1,) how far the distance may be below that of straight ways after each [m].
+    The arrays are (n,) the instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, and (n,) the distance
+    (inf at a corner). The last array (n - 1,) is how far [m] the distance after each instant may be below
+    that of straight ways.
     """
     true, distance_m = true_motion(trace), trace.ticks["hand_distance_m"][:, hand]
     joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, 1]
@@ -226,7 +228,7 @@ def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.floa
     if not own.any():
         return ticks, joints_rad, hand_m, elbow_m, distance_m, slack_m
     corner_at = paths.corner_at[own]
-    # a sample that is a rounding before the last tick is at it
+    # a sample that lies before the last tick only by rounding counts as at that tick
     next_tick = np.minimum(np.searchsorted(ticks, corner_at, side="right"), len(ticks) - 1)
     at = np.insert(ticks, next_tick, corner_at)
     corners = paths.corners_in_base_m[own]
@@ -241,15 +243,15 @@ def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.floa
 
 
 def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
-    """Return (n-1,) how far the arm may leave the path of joints that move linearly within each tick.
+    """Return (n-1,) how far [m] the arm may leave the path of linearly moving joints between two ticks.
 
-    A joint whose speed changes by at most dv, between the values at the two ticks, leaves the straight line
-    by at most dv dt/4.  A point is displaced by at most that angle times the length of the chain of links
-    that the joint moves.  If the mean speed differs by a and b from the two values, the angle is dt a b/(a +
-    b).  So it is 0 where a whole tick went at the speed of its end, as in both worlds.
+    A joint whose speed stays between its values at the two ticks, dv apart, leaves the straight line by at
+    most dv dt/4. That angle displaces a point by at most the angle times the length of the chain of links
+    that the joint moves. If the mean speed differs by a and b from the two values, the angle is dt a b/(a +
+    b). So the angle is 0 if the joint moves all the time at the speed of the second tick, as in both worlds.
 
-    Motors that saturate exceed both speeds.  If an engine did not record by how much, the result is infinite
-    unless the mean speed of a joint is that of the end.
+    Motors that saturate exceed both values. If an engine did not record by how much, the result is infinite
+    unless each joint's mean speed is that of the second tick.
     """
     true, world = true_motion(trace), trace.provenance.world
     period_s, known = trace.scenario.settings.clock.control_period_s, trace.known
@@ -274,7 +276,7 @@ def _joint_bends(
     exact: bool,  # positions and speeds are known exactly
     engine: bool,  # the world has motors, which may saturate
 ) -> NDArray[np.float64]:
-    """Return (n-1,) dt times the sum over joints of l a b/(a + b) [m], l of ``chain_lengths``; else dv/4."""
+    """Return (n-1,) dt times the sum over joints of l a b/(a + b) [m], or of l dv/4, for chain lengths l."""
     bends, recorded = np.zeros(max(rates_radps.shape[0] - 1, 0)), len(overshoot_radps) >= len(rates_radps)
     for k in range(bends.shape[0]):
         for joint in range(arm.chain[0].joint_axes.shape[0]):
@@ -306,10 +308,11 @@ def _closest_in_trace(
     forearm_radius_m: float,
     tolerance_m: float,
 ) -> tuple[float, int, float, float]:
-    """Return the least distance of a trace, the tick before it, part of the way to the next, and upper end.
+    """Return the least distance [m], the instant before it, the share of the way onwards, and an upper bound.
 
-    Stretches that cannot be nearer than the least distance so far are skipped: a joint moves no point farther
-    than its angle times its chain of links, and distances change by no more than points move.
+    The function skips stretches that cannot be nearer than the least distance so far. It can do so because
+    distances change by no more than points move. No joint moves a point farther than its angle times its
+    chain of links.
     """
     best = np.inf
     index, fraction = 0, 0.0
@@ -366,7 +369,7 @@ def displacement_m(
     elbows_m: NDArray[np.float64],  # (n, 3)
     k: int,
 ) -> float:
-    """Return the largest change [m] of a distance from instant k to the next."""
+    """Return the largest possible change [m] of a hand's distance from instant ``k`` to the next."""
     moved, hand, elbow = 0.0, 0.0, 0.0
     for i in range(reach_m.shape[0]):
         moved += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]

@@ -1,7 +1,7 @@
-"""Reasons why a run did not exercise a claim: how near it came, and what would have been enough.
+"""Word the reasons why a run did not exercise a claim: how near it came, and what would have been enough.
 
-Each function returns words for the reason of an inconclusive verdict.  Every number in them comes from the
-trace or from its scenario's settings.
+The functions return words for the reason of an inconclusive verdict. Each number in them comes from the trace
+or from its scenario's settings.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import ENDLESS
 from safety_harness.trace.trace import Trace
 
-# A hand nearer than this puts a claim to the test: the claims' own number.  Were it a setting of the tested
-# system, whoever changes that setting would change how many runs count.
+# A hand nearer than this exercises a claim.  The number belongs to the claims: if it were a setting of the
+# tested system, a change of that setting would change how many runs count.
 NEAR_M = 0.4
 MOVES = 1e-3  # m/s and rad/s: what is slower stands
 SEEN = ("predicted_distance_m", "transform_tcp_to_base", "hand_position_in_base_m", PRESENCE)
@@ -23,7 +23,7 @@ OFF_THE_GOAL = "a TCP start farther from the desired pose"
 
 
 def beside(value: float, limit: float, unit: str, per_si: float) -> str:
-    """Return ``value`` (SI) in ``unit``, with enough digits to differ from ``limit``."""
+    """Return ``value`` (SI) as text in ``unit``, with enough digits to differ from ``limit``."""
     shown = value * per_si
     digits = 1
     while digits < 9 and value != limit and round(shown, digits) == round(limit * per_si, digits):
@@ -32,7 +32,7 @@ def beside(value: float, limit: float, unit: str, per_si: float) -> str:
 
 
 def millimetres(value_m: float, limit_m: float) -> str:
-    """Return a length in mm, with enough digits to differ from ``limit_m``."""
+    """Return ``value_m`` as text in mm, with enough digits to differ from ``limit_m``."""
     return beside(value_m, limit_m, "mm", 1e3)
 
 
@@ -43,7 +43,7 @@ def nearest_of(
     body: str,
     target: str = "the TCP",
 ) -> str:
-    """Return how near a hand came to ``target``, when, and how near is enough; empty if no hand was there."""
+    """Return how near a hand came to ``target``, when, and how near is enough; empty without a hand."""
     there_m = np.where(np.abs(distance_m) < ENDLESS, distance_m, np.inf)
     tick = int(np.argmin(there_m))
     if not np.isfinite(there_m[tick]):
@@ -53,7 +53,7 @@ def nearest_of(
 
 
 def _near_m(trace: Trace) -> float:
-    """Return the distance within which a hand counts and has to be answered."""
+    """Return the distance within which a hand counts and the arm must respond to it."""
     return min(trace.scenario.settings.avoidance.critical_distance_m, NEAR_M)
 
 
@@ -64,16 +64,16 @@ def no_near_hand(trace: Trace) -> str:
 
 
 def no_hand(trace: Trace) -> str:
-    """Return that no hand was there."""
+    """Return that no hand was there, and how near a hand would exercise the claim."""
     near_m = _near_m(trace)
     enough = f"one within {near_m * 1e3:g} mm of the TCP exercises it"
     return f"{'no hand was there' if trace.scenario.hands else 'there is no hand in this scenario'}; {enough}"
 
 
 def no_predicted_hand(trace: Trace) -> str:
-    """Return why no predicted hand was within the critical distance of the TCP: too far away, or not seen.
+    """Return why no predicted hand was near the TCP: too far away, or not seen.
 
-    The reason has only the sufficient distance if measurements are missing.
+    If measurements are missing, the reason only states the sufficient distance.
     """
     near_m = _near_m(trace)
     if _not_all_seen(trace):
@@ -86,12 +86,12 @@ def no_predicted_hand(trace: Trace) -> str:
 
 
 def _not_all_seen(trace: Trace) -> bool:
-    """Return whether a statement on near hands, predicted or true, would exceed what is known."""
+    """Return whether the trace knows too little to state how near hands came, predicted or true."""
     return not trace.known.whole and any(trace.known.column(name).limited for name in SEEN)
 
 
 def no_decision(trace: Trace) -> str:
-    """Return why the controller never had to decide."""
+    """Return why the controller made no decision."""
     if _not_all_seen(trace):
         return no_predicted_hand(trace)
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
@@ -104,7 +104,7 @@ def no_decision(trace: Trace) -> str:
 
 
 def no_position(trace: Trace) -> str:
-    """Return why no position to retreat to was chosen."""
+    """Return why the controller chose no position to retreat to."""
     stops = len(trace.decisions)
     if stops == 0:
         return no_decision(trace)
@@ -120,15 +120,16 @@ def no_answer(trace: Trace) -> str:
 
 
 def no_time(due_m: float, least_m: float) -> str:
-    """Return that no repulsion had time for a way that shows anything."""
+    """Return that no repulsion had time for a way of ``least_m``, but at most for ``due_m``."""
     had = f"a repulsion had time for {millimetres(due_m, least_m)} of way at most"
     return f"{had}; {least_m * 1e3:g} mm exercise it: a hand that comes earlier, or a longer duration"
 
 
 def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
-    """Return the spread of the answer that is nearest to being above its threshold, or within it.
+    """Return the spread of the answer that was nearest to its threshold from the wrong side.
 
-    Return another reason if no answer has both a spread and a threshold.
+    The wrong side is below the threshold if ``above`` is wanted, else above it. Without an answer with both a
+    spread and a threshold, return another reason.
     """
     if len(trace.decisions) == 0:
         wanted = "in doubt, above its threshold" if above else "sure of an answer that can be used"
@@ -147,7 +148,7 @@ def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
 
 
 def went(trace: Trace, place: str, counted: NDArray[np.bool_]) -> bool:
-    """Return whether the column ``place`` certainly moves: between two ticks by more than its uncertainty.
+    """Return whether the column ``place`` certainly changes between two ticks by more than its uncertainty.
 
     Only stretches whose ticks are all ``counted`` (n,) count.
     """
@@ -161,17 +162,17 @@ def went(trace: Trace, place: str, counted: NDArray[np.bool_]) -> bool:
 
 
 def tcp_stood(trace: Trace) -> str:
-    """Return that the TCP did not move."""
+    """Return how slowly the TCP moved, and which speed exercises the claim."""
     fastest = millimetres(float(trace.ticks["tcp_speed_mps"].max()), MOVES)
     return f"the TCP moved at {fastest}/s at most; above {MOVES * 1e3:g} mm/s exercises it: {OFF_THE_GOAL}"
 
 
 def joints_stood(trace: Trace) -> str:
-    """Return that no joint turned."""
+    """Return how slowly the joints turned, and which speed exercises the claim."""
     fastest = beside(float(np.abs(true_motion(trace).rates_radps).max()), MOVES, "mrad/s", 1e3)
     return f"a joint turned at {fastest} at most; above {MOVES * 1e3:g} mrad/s exercises it: {OFF_THE_GOAL}"
 
 
 def occasion_m(limit_m: float = 0.0) -> float:
-    """Return how near a hand has to come to exercise a limit of its distance: twice the limit, or NEAR_M."""
+    """Return how near [m] a hand must come to exercise a limit of its distance: NEAR_M or twice the limit."""
     return max(NEAR_M, 2.0 * limit_m)

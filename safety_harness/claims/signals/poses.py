@@ -1,4 +1,4 @@
-"""The TCP's error from the pose at which servoing aims."""
+"""Compute the TCP's error from the pose at which servoing aims."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors of predicted hands: their distance from the true hands at the predicted time."""
+"""Compute the errors of predicted hands: their distances from the true hands at the predicted time."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from safety_harness.trace.trace import Trace
 
 
 def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
-    """Return (k, tracks) the distance of each prediction from the nearest true hand at the predicted time.
+    """Return (k, tracks) the distance [m] of each prediction from the nearest true hand at its time.
 
-    k is the number of ticks whose predictions are for times within the trace; NaN where a slot tracks no
-    hand.
+    k is the number of ticks whose predictions are for times within the trace. The distance is NaN if a slot
+    tracks no hand.
     """
     settings = trace.scenario.settings
     ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s  # in ticks
@@ -29,7 +29,7 @@ def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
 
 
 def tracked_errors_m(trace: Trace) -> NDArray[np.float64]:
-    """Return (k, tracks) the same distances, with minus infinity where a slot tracks no hand."""
+    """Return (k, tracks) the distances of ``prediction_errors_m``, with -inf if a slot tracks no hand."""
     errors_m = prediction_errors_m(trace)
     return np.where(trace.ticks["track_valid"][: len(errors_m)], errors_m, -np.inf)
 
@@ -42,7 +42,7 @@ def _errors(
     at: NDArray[np.float64],  # (k,) what the predictions are for, in ticks
     errors_m: NDArray[np.float64],  # (k, tracks), written
 ) -> None:
-    """Least over hands of |predicted - true| [m], the true one straight between the ticks around ``at``."""
+    """Write the least |predicted - true| [m] over hands, with true hands interpolated at the times ``at``."""
     last = hands_m.shape[0] - 1
     for k in range(at.shape[0]):
         start = int(at[k])

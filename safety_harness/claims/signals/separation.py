@@ -1,18 +1,18 @@
-"""Speed and separation monitoring: while the arm moves, every human is far enough away for it to stop.
+"""Speed and separation monitoring: a moving arm must be able to stop before it reaches any human.
 
-The distance is the protective separation distance of ISO/TS 15066, term by term, for every pair of robot and
-human.
+The required distance is the protective separation distance S_p of ISO/TS 15066, computed term by term for
+every pair of robot and human.
 
-S_p = S_h + S_r + S_s + C + Z_d + Z_r: the way of the human until the robot stands (S_h), the ways of the
-robot in its reaction time (S_r) and while it brakes (S_s), how far a body reaches in before it is noticed
-(C), and the uncertainty of the places of human (Z_d) and robot (Z_r).
+S_p = S_h + S_r + S_s + C + Z_d + Z_r.  S_h is the human's way until the robot stands.  S_r and S_s are the
+robot's ways in its reaction time and while it brakes.  C is how far a body reaches in before it is noticed.
+Z_d and Z_r are the uncertainties of the human's and the robot's place.
 
-A pair is one capsule of the arm and one body of one hand, its sphere or its forearm.  Each has its own
-speeds, those of its two nearest points along the line between them.  The robot's speed is the rate at which
-the distance would shrink if the human stood still.  Receding counts as standing.
+A pair is one capsule of the arm and one body of a hand: its sphere or its forearm. The speeds of a pair are
+those of its two nearest points, along the line between them. The robot's speed is the rate at which the
+distance would shrink if the human stood still. A point that recedes counts as standing.
 
-``least_separation`` finds the pair with the least margin in a run, in compiled code: every pair, or a bound
-of it.
+``least_separation`` finds the pair with the least margin in a run, in compiled code. It computes every pair,
+or a bound of the pair's margin.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ ASSUMED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """A term of S_p [m] and its assumption."""
+    """A term of S_p with its length [m] and its assumption."""
 
     symbol: str
     length_m: float
@@ -52,11 +52,11 @@ class Term:
 
 @dataclass(frozen=True, kw_only=True)
 class Separation:
-    """A pair at a tick: its distance, and the distance that it needs.
+    """A pair at a tick, with its distance and the terms of the distance that it needs.
 
-    ``robot_speed_mps`` and ``hand_speed_mps`` are the speeds towards each other in the terms.
-    ``reaction_time_s`` and ``stop_time_s`` are the remaining times.  ``hand_moves_m`` and ``robot_moves_m``
-    are the ways of the nearest points within half a tick.
+    ``robot_speed_mps`` and ``hand_speed_mps`` are the speeds towards each other. ``reaction_time_s`` and
+    ``stop_time_s`` are the times that are left. ``hand_moves_m`` and ``robot_moves_m`` are the ways of the
+    nearest points in half a control period.
     """
 
     tick: int
@@ -89,12 +89,12 @@ class Separation:
 
     @property
     def required_m(self) -> float:
-        """Return S_p."""
+        """Return S_p [m] of the pair."""
         return sum(term.length_m for term in self.terms)
 
     @property
     def margin_m(self) -> float:
-        """Return the distance of the pair less S_p."""
+        """Return the distance of the pair less S_p [m]."""
         return self.distance_m - self.required_m
 
 
@@ -107,7 +107,7 @@ def lengths(
     hand_moves_m: float,
     robot_moves_m: float,
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the six lengths [m], in the order of ``ASSUMED``."""
+    """Return the lengths [m] of the six terms, in the order of ``ASSUMED``."""
     return (
         hand_speed_mps * (reaction_time_s + stop_time_s),
         robot_speed_mps * reaction_time_s,
@@ -135,14 +135,15 @@ def least_separation(
     hand_step_m: NDArray[np.float64],  # (n,)
     first_look: int,  # a tick whose margin is likely to be small: for less work, the answer is the same
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the pair with the least margin, the first of equals.
+    """Return the pair with the least margin; of equal margins, the first.
 
-    These are (4,) tick, hand, capsule and body (1 is the forearm), with tick -1 if there is no pair, and (5,)
-    distance [m], v_r, v_h, and the ways of the nearest points of hand and robot in half a tick.
+    The first result (4,) is tick, hand, capsule and body (1 is the forearm); the tick is -1 if there is no
+    pair. The second result (5,) is the distance [m], v_r, v_h, and the ways [m] of the hand's and the robot's
+    nearest point in half a period.
 
-    The search skips ticks and pairs that cannot have as small a margin as the least so far: distances change
-    by no more than points move, and no point of a capsule or of a hand is faster than an end.  The trace's
-    own distances are not trusted.
+    The search skips ticks and pairs that cannot have a smaller margin than the least so far. It can do so
+    because distances change by no more than points move, and no point of a body is faster than its ends. The
+    search does not trust the trace's own distances.
     """
     indices, values = np.full(4, -1), np.full(5, np.nan)
     joints, capsules = arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
@@ -151,13 +152,13 @@ def least_separation(
     direction, robot, human = np.empty(3), np.empty(3), np.empty(3)
     thickest_m = max(body_radius_m[0], body_radius_m[1])
     least, good_enough = np.inf, np.inf
-    looked, near_m, arm_mps = 0, -np.inf, np.inf  # when all pairs were looked at, and what was found
+    looked, near_m, arm_mps = 0, -np.inf, np.inf  # the last tick with all pairs computed, and its result
     for step in range(-1, judged.shape[0]):
         k = step if step >= 0 else first_look
         if step > 0:
             near_m -= arm_step_m[k - 1] + hand_step_m[k - 1]
         elif step == 0:
-            near_m, least = -np.inf, np.inf  # what was found at the first look counts in its turn
+            near_m, least = -np.inf, np.inf  # the first look counts again when its tick comes
         if not judged[k]:
             continue
         human_mps = hand_step_m[k] / period_s
@@ -237,10 +238,10 @@ def farthest_steps(
     hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
     present: NDArray[np.bool_],  # (n, hands)
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n,) and (n,) the largest way [m] of a point of the arm and of a hand from tick to tick.
+    """Return (n,) the largest way [m] of any point of the arm to the next tick, and (n,) that of any hand.
 
-    The way is infinite where a hand appears or leaves.  The last tick has that of the tick before, as for
-    velocities.
+    The hands' way is infinite if a hand appears or leaves. The last tick has the ways of the tick before, as
+    for velocities.
     """
     n, joints = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0]
     arm_step_m, hand_step_m = np.zeros(n), np.zeros(n)
@@ -252,7 +253,7 @@ def farthest_steps(
             if present[k, hand] != present[k + 1, hand]:
                 farthest = np.inf
             if not (present[k, hand] and present[k + 1, hand]):
-                continue  # what stands where no hand is need not be a number
+                continue  # values of an absent hand need not be numbers
             for body in range(2):
                 total = 0.0
                 for i in range(3):
@@ -267,7 +268,7 @@ def farthest_steps(
 
 @inlined
 def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, body: int, i: int) -> float:
-    """Return a component of the mean velocity [m/s] over the next tick; at the last, over the tick before.
+    """Return component ``i`` of a mean velocity [m/s] over the period after tick ``k``, or the last period.
 
     ``hands_m`` (n, hands, 2, 3).
     """
@@ -288,11 +289,12 @@ def faster_mps(
 ) -> float:
     """Return how much faster [m/s] a point of the arm can be at tick b than the same point at tick a.
 
-    sum over j of |q'_j(b) - q'_j(a)| l_j + |q'_j(b)| sum over i of |q_i(b) - q_i(a)| l_max(i, j).  The
-    point's velocity is the sum of rate_j dp/dq_j.  |dp/dq_j| and |d^2 p/dq_i dq_j| are at most the lengths of
-    the chains of links to p from j, and from the outer joint of i and j.
+    It is the sum over joints j of |q'_j(b) - q'_j(a)| l_j + |q'_j(b)| sum over i of |q_i(b) - q_i(a)|
+    l_max(i, j). The bound holds because a point p has the velocity sum over j of q'_j dp/dq_j. |dp/dq_j| is
+    at most the length l_j of the chain of links from joint j to p. |d^2 p/dq_i dq_j| is at most the length
+    from the outer joint of i and j.
     """
-    faster, distal, proximal = 0.0, 0.0, 0.0  # the sums of turns times lengths beyond j, and of turns up to j
+    faster, distal, proximal = 0.0, 0.0, 0.0  # sums of turns times lengths beyond j, and of turns up to j
     joints, reach_m = arm.chain[0].joint_axes.shape[0], arm.reach_m
     for i in range(joints):
         distal += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[i]
@@ -307,9 +309,9 @@ def faster_mps(
 
 @compiled
 def _along(velocity: NDArray[np.float64], displacement: NDArray[np.float64], length: float) -> float:
-    """Return the component of a velocity along ``displacement``/``length``, at least 0.
+    """Return the component of ``velocity`` (3,) along ``displacement``/``length``, at least 0.
 
-    If the length is 0, return the speed.  ``velocity`` and ``displacement`` (3,).
+    If ``length`` is 0, return the speed.  ``displacement`` is (3,).
     """
     if length == 0.0:
         return sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)

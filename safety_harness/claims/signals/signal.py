@@ -1,7 +1,7 @@
-"""A signal: a name for a value that a trace has at every control tick, with its unit.
+"""A signal: a named value with a unit, which a trace has at every control tick.
 
-Between its ticks a signal keeps its value, stays within bounds, or is not known.  The cell of a tick lasts
-until the next tick; the cell of the last tick is the tick itself.
+From one tick to the next, a signal keeps its value, stays within bounds, or is not known. The time from a
+tick to the next is the tick's *cell*; the cell of the last tick is the tick itself.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ Values = NDArray[np.float64]
 
 
 class Interpolation(Enum):
-    """The knowledge of a signal from one tick to the next.
+    """What is known of a signal from one tick to the next.
 
-    HELD: the signal keeps its value until the next tick.  BOUNDED: it stays within bounds.  TICKS_ONLY: it is
-    not known, and a formula judges the ticks alone.
+    HELD: the signal keeps its value until the next tick. BOUNDED: it stays within bounds. TICKS_ONLY: it is
+    not known, so that a formula judges only the ticks.
     """
 
     HELD = "held"
@@ -34,18 +34,19 @@ class Interpolation(Enum):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sampled:
-    """A signal along a trace of n ticks, in SI; a truth is 1.0 or 0.0; NaN is unknown, inf a value.
+    """A signal's values over a trace of n ticks, in SI; a truth is 1.0 or 0.0, and NaN is unknown.
 
-    ``value`` (n,) is the value at each tick; ``low`` and ``high`` (n,) bound it from that tick to the next.
-    ``surely`` (n,) is a value that the signal does not exceed at some moment between a tick and the next
-    (None: not computed).  ``absent`` is the reason why the run has no such signal, else it is empty.
-    ``tried`` (n,) are bounds of a number that is above 0 where the run exercises a claim on the signal (None:
-    every tick does).  ``untried`` is the event that did not happen.  For a distance, both are about somebody
-    who ``comes`` near to something: each approach counts, and the claim's limit says how near is near.
+    ``value`` (n,) is the value at each tick, which may be inf; ``low`` and ``high`` (n,) bound it from that
+    tick to the next. Between a tick and the next, the signal certainly falls at some moment to ``surely``
+    (n,) or below (None: not computed). ``absent`` is the reason why the run has no such signal, or empty.
+    ``tried`` are two bounds (n,) of a number that is above 0 at ticks that exercise a claim on the signal
+    (None: every tick does). ``untried`` states what did not happen if no tick does. For a distance, ``comes``
+    names who comes near to what. Then each approach counts as one, and the claim's limit determines how near
+    is near.
 
-    In a trace that was measured in part, the signal is not known at the ticks ``lost`` (n,).  Then
-    ``value_low`` and ``value_high`` (n,) bound it at the ticks (None: both are ``value``).  At a lost tick
-    ``value`` is that of the hands that were measured, or NaN; the signal is at most as large.
+    In a trace that was measured in part, the signal is not wholly known at the ticks ``lost`` (n,). Then
+    ``value_low`` and ``value_high`` (n,) bound it at the ticks (None: both are ``value``). At a lost tick,
+    ``value`` is that of the measured hands, which the signal cannot exceed, or NaN.
     """
 
     value: Values
@@ -63,14 +64,14 @@ class Sampled:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signal:
-    """A named signal, and the way to sample it from a trace.
+    """A named signal, with the functions that sample it from a trace.
 
-    ``words`` is its name in sentences; ``dimension`` is None for a signal that is true or false.  ``sample``
-    computes it from a trace, and reads only the columns ``reads``.  ``off`` returns its error (SI) where
-    columns are uncertain: at the ticks, and below and above its bounds between them.  Without ``off``, no
-    verdict is given on a trace with an uncertain column.  ``finer`` samples it with closer bounds, for more
-    work.  ``place`` is the column whose speed the signal is.  Two signals are equal only if they are the same
-    object.
+    ``words`` is the signal's name in sentences; ``dimension`` is None for a signal that is true or false.
+    ``sample`` computes the signal from a trace, and reads only the columns ``reads``. If columns are
+    uncertain, ``off`` returns the signal's errors (SI): at the ticks, and below and above its bounds between
+    them. Without ``off``, a trace with an uncertain column gets no verdict. ``finer`` samples the signal with
+    closer bounds, but takes longer. If the signal is a speed, ``place`` is the column that moves with it. Two
+    signals are equal only if they are the same object.
     """
 
     words: str
@@ -85,7 +86,7 @@ class Signal:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Return 0 and 0, for a signal without a limit."""
+        """The least and the largest limit: 0 and 0 for a signal that is compared with none."""
         return 0.0, 0.0
 
     def __str__(self) -> str:
@@ -93,18 +94,18 @@ class Signal:
 
 
 def at_ticks(value: Values) -> Sampled:
-    """Return a signal ``value`` (n,) that keeps its value until the next tick, or whose ticks alone count."""
+    """Return a signal ``value`` (n,) that is held until the next tick, or of which only the ticks count."""
     return Sampled(value=value, low=value, high=value)
 
 
 def absent(trace: Trace, why: str) -> Sampled:
-    """Return a signal that this run does not have."""
+    """Return the sampled form of a signal that the run does not have, because of ``why``."""
     nothing = np.full(len(trace.ticks), np.nan)
     return Sampled(value=nothing, low=nothing, high=nothing, absent=why)
 
 
 def bounded(value: Values, variation: Values) -> Sampled:
-    """Return a signal ``value`` (n,) that changes by at most ``variation`` (n-1,) within each cell."""
+    """Return a signal ``value`` (n,) with bounds for changes of at most ``variation`` (n-1,) in the cells."""
     low, high = value.copy(), value.copy()
     low[:-1], high[:-1] = lipschitz_bounds(value[:-1], value[1:], variation, 0.0)
     return Sampled(value=value, low=low, high=high)

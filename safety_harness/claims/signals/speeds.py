@@ -1,4 +1,4 @@
-"""Speeds of TCP and joints, and their ways from tick to tick."""
+"""Compute speeds of TCP and joints, and their ways from tick to tick."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from safety_harness.trace.trace import Trace, history, once_a_trace
 
 
 def speeds(at_tick: Values, mean: Values, *, moving_part: str) -> Sampled:
-    """Sample the fastest of some speeds, with bounds between the ticks as ``speed_cells`` has them.
+    """Return the signal of the fastest of several speeds, with the bounds of ``speed_cells`` between ticks.
 
-    Occasions are the ticks from which on it moves.  ``at_tick`` is of shape (n, joints) and ``mean``, from
-    tick to tick, of shape (n-1, joints).
+    The ticks from which on ``moving_part`` moves exercise it. ``at_tick`` (n, joints) are the speeds at the
+    ticks, and ``mean`` (n-1, joints) those between them.
     """
     value, low, high, mean = speed_cells(at_tick, mean)
     moves = value - MOVES
@@ -35,13 +35,13 @@ def speeds(at_tick: Values, mean: Values, *, moving_part: str) -> Sampled:
 
 @once_a_trace
 def tcp_steps_m(trace: Trace) -> Values:
-    """Return (n-1,) the distance of the TCP at each tick from its place at the tick before."""
+    """Return (n-1,) the distance [m] of the TCP's places at each two consecutive ticks."""
     steps = np.diff(np.ascontiguousarray(true_motion(trace).tcp_m.T))
     return np.asarray(np.sqrt((steps * steps).sum(axis=0)))
 
 
 def tcp_way_m(trace: Trace) -> Values:
-    """Return (n-1,) the TCP's way within each tick, at its largest speed: at either end, or in the mean."""
+    """Return (n-1,) the TCP's way [m] between ticks at the largest of both ticks' speeds and the mean."""
     speed = trace.ticks["tcp_speed_mps"]
     steps = tcp_steps_m(trace)
     path_m: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
@@ -49,7 +49,7 @@ def tcp_way_m(trace: Trace) -> Values:
 
 
 def turned_rad(trace: Trace) -> Values:
-    """Return (n-1,) the angle by which the TCP can turn within each tick: the sum over all joints."""
+    """Return (n-1,) the angle [rad] by which the TCP can turn between ticks: the sum over all joints."""
     speed = np.abs(trace.ticks["joint_velocity_radps"])
     steps = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
     most = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s)[:, None], steps)
@@ -58,17 +58,17 @@ def turned_rad(trace: Trace) -> Values:
 
 
 def known_to_radps(trace: Trace) -> float:
-    """Return the largest difference [rad/s] of recorded and commanded joint speeds in the trace's world."""
+    """Return by how much [rad/s] recorded and commanded joint speeds may differ in the trace's world."""
     return sum(world.known_to_radps for world in WORLDS if world.name == trace.provenance.world)
 
 
 def tcp_speeds_mps(trace: Trace) -> tuple[Values, Values]:
-    """Return (n,) the TCP's speed at the ticks, and (n-1,) its mean from tick to tick."""
+    """Return (n,) the TCP's speed [m/s] at the ticks, and (n-1,) its mean from tick to tick."""
     return history(trace, "tcp_speed_mps"), tcp_steps_m(trace) / np.diff(trace.time_s)
 
 
 def joint_speeds_radps(trace: Trace) -> tuple[Values, Values]:
-    """Return (n, joints) the joints' speeds at the ticks, and (n-1, joints) their means from tick to tick."""
+    """Return the joints' speeds [rad/s]: (n, joints) at the ticks, and (n-1, joints) means between them."""
     steps = np.abs(np.diff(history(trace, "joint_position_rad"), axis=0))
     return np.abs(history(trace, "joint_velocity_radps")), steps / np.diff(trace.time_s)[:, None]
 
@@ -76,7 +76,7 @@ def joint_speeds_radps(trace: Trace) -> tuple[Values, Values]:
 def larger(at_tick: Values, mean: Values) -> Values:
     """Return (n, ...) the speed at each tick, or the mean speed to the next tick if that is larger.
 
-    ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
+    ``at_tick`` is (n, ...), and ``mean`` is (n-1, ...).
     """
     largest = at_tick.copy()
     largest[:-1] = np.maximum(largest[:-1], mean)
@@ -84,7 +84,7 @@ def larger(at_tick: Values, mean: Values) -> Values:
 
 
 def sample_tcp_speed(trace: Trace) -> Sampled:
-    """Sample the TCP's speed; between ticks its mean counts too."""
+    """Sample the TCP's speed; between ticks, the mean speed counts too."""
     at_ticks, mean = tcp_speeds_mps(trace)
     return speeds(at_ticks[:, None], mean[:, None], moving_part="the TCP")
 
@@ -99,9 +99,9 @@ def sample_joint_speed(trace: Trace) -> Sampled:
 
 @once_a_trace
 def arm_speeds_mps(trace: Trace) -> Values:
-    """Return (n, 4) the speed of the fastest end of any capsule's axis, and the TCP's velocity in base.
+    """Return (n, 4) the speed of the fastest end of the capsules' axes, and the TCP's velocity in base.
 
-    No point of an axis is faster than an end.
+    No point of an axis is faster than both ends of the axis.
     """
     true = true_motion(trace)
     return _arm_speeds_mps(arm_of(trace), true.joints_rad, true.rates_radps)
@@ -113,7 +113,7 @@ def _arm_speeds_mps(
     joints_rad: NDArray[np.float64],  # (n, joints)
     rates_radps: NDArray[np.float64],  # (n, joints)
 ) -> NDArray[np.float64]:
-    """Return (n, 4) as ``arm_speeds_mps`` does."""
+    """Return (n, 4) the result of ``arm_speeds_mps``."""
     n, joints, capsules = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
     transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
     twists, speeds_mps = np.empty((joints + 1, 6)), np.zeros((n, 4))

@@ -1,13 +1,12 @@
-"""The true motion of arm and hands in a trace, at the ticks and between them, for many properties.
+"""Provide the true motion of arm and hands in a trace, at the ticks and between them.
 
-A trace has the place of a hand at each tick.  Between two ticks the scenario's own moves are followed again.
-Within a tick a recorded hand may have turned, at a sample.  On the chord from tick to tick such a corner is
-lost, by up to half the way of a tick (8 mm at 2 m/s and 8 ms).  Other hands have no corners, as their
-acceleration is bounded, but they leave the chord by as much as that bound allows.  If they are followed in
-parts of a tick (``finer_paths``), they leave the shorter chords by less.
+A trace stores the place of a hand at each tick only. Between two ticks, this module follows the scenario's
+own moves again. A recorded hand may turn at a sample between two ticks. The chord between the ticks misses
+such a corner by up to half a tick's way (8 mm at 2 m/s and 8 ms). Other hands have bounded accelerations, so
+they leave the chord without corners. ``finer_paths`` follows them in parts of a tick, so that they leave the
+shorter chords by less.
 
-The module also checks whether a trace agrees with itself: poses, speeds and distances follow from joints and
-hands.
+It also checks that poses, speeds and distances of a trace follow from its joints and hands.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from safety_harness.trace.records import as_compiled, as_numbers, columns
 from safety_harness.trace.trace import Trace, once_a_trace
 
 RESOLUTION_M = 1e-4
-SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
+SAME_M = 1e-6  # a hand farther than this from where the scenario moves it is not the scenario's hand
 JOINTS = ("joint_position_rad", "joint_velocity_radps")
 BODIES = ("hand_position_in_base_m", "elbow_position_in_base_m")
 DERIVED = {  # from what
@@ -45,15 +44,15 @@ DERIVED = {  # from what
     "tcp_speed_mps": JOINTS,
     "hand_distance_m": (JOINTS[0], *BODIES, PRESENCE),
 }
-PARTS = 16  # of a tick: what 90 m/s2 bends within 8 ms is 3 um in one of them
-TOLERANCE = 1e-9  # metres, metres a second and entries of rotations: another machine's last digits
+PARTS = 16  # of a tick: in one part of 8 ms / 16, 90 m/s2 bends a path by 3 um
+TOLERANCE = 1e-9  # of metres, m/s and entries of rotations, for the last digits of another machine
 
 
 class TrueMotion:
-    """The motion at each of n ticks; positions in the base frame [m].
+    """The motion at each of n ticks, with positions in the base frame [m].
 
-    The arrays are read-only views, since copies would take longer.  Each is made on first use, so that a
-    property reads only the columns that it states.
+    The arrays are read-only views, for speed. Each is made on first use, so that a property reads only the
+    columns that it states.
     """
 
     def __init__(self, ticks: NDArray[np.void]) -> None:
@@ -89,7 +88,7 @@ class TrueMotion:
 
     @cached_property
     def nearest_m(self) -> NDArray[np.float64]:
-        """(n,): the least distance of a hand that is there, surface to surface; infinite without one."""
+        """(n,): the least distance of a present hand, surface to surface; infinite without a hand."""
         distance_m = np.where(self.present, self._ticks["hand_distance_m"], np.inf)
         nearest: NDArray[np.float64] = np.array(distance_m, order="F").min(axis=1)
         return nearest
@@ -97,7 +96,7 @@ class TrueMotion:
 
 @once_a_trace
 def true_motion(trace: Trace) -> TrueMotion:
-    """The true motion of arm and hands in a trace."""
+    """Return the true motion of arm and hands in a trace."""
     return TrueMotion(trace.ticks)
 
 
@@ -111,18 +110,18 @@ def nearest_hand_m(trace: Trace) -> NDArray[np.float64]:
 
 @once_a_trace
 def capsules_of(trace: Trace) -> CapsuleSet:
-    """Return the capsules of arm and camera."""
+    """Return the capsules of the trace's arm and camera."""
     return cell_capsules(arm_capsules(trace.scenario.robot), trace.scenario.settings)
 
 
 @once_a_trace
 def arm_of(trace: Trace) -> Arm:
-    """Return the arm of a trace with its capsules and the camera's, for compiled code."""
+    """Return the arm of a trace with the capsules of arm and camera, for compiled code."""
     return arm_with(arm_model(trace.scenario.robot), capsules_of(trace))
 
 
 def tcp_of(trace: Trace) -> Arm:
-    """Return the TCP of that arm alone."""
+    """Return the arm of a trace reduced to its TCP, for compiled code."""
     return tcp_alone(arm_model(trace.scenario.robot))
 
 
@@ -130,12 +129,12 @@ def tcp_of(trace: Trace) -> Arm:
 class HandPaths:
     """The paths of the scenario's hands along the arm's true way.
 
-    ``positions_in_base_m`` (n, hands, 2, 3) are hand and elbow at each tick.  ``moving`` (n-1, hands) is
-    False where a hand rests from one tick to the next.  ``corner_hand`` and ``corner_at`` (m,) are the hand
-    of a corner and its time in ticks, rising for each hand (3.25 is a quarter of the way from tick 3 to 4);
-    ``corners_in_base_m`` (m, 2, 3) are hand and elbow there.  ``parts`` (n-1, hands) is the number of parts
-    into which corners divide the way of a hand that its own moves lead.  ``resolution_m`` is the resolution
-    of a least distance between two instants.
+    ``positions_in_base_m`` (n, hands, 2, 3) are hand and elbow at each tick. ``moving`` (n-1, hands) is False
+    where a hand rests from one tick to the next. ``corner_hand`` (m,) is the hand of each corner.
+    ``corner_at`` (m,) is the corner's time in ticks, rising for each hand (3.25: a quarter of the way from
+    tick 3 to 4). ``corners_in_base_m`` (m, 2, 3) are hand and elbow there. ``parts`` (n-1, hands) is the
+    number of parts into which corners divide a tick of a hand with moves. ``resolution_m`` is that of least
+    distances between two instants.
     """
 
     positions_in_base_m: NDArray[np.float64]
@@ -149,13 +148,13 @@ class HandPaths:
 
 @once_a_trace
 def hand_paths(trace: Trace) -> HandPaths:
-    """Follow the moves again; hands that head for the TCP see the trace's TCP."""
+    """Return the hands' paths by their moves again; hands that head for the TCP see the trace's TCP."""
     return _paths(trace, 1)
 
 
 @once_a_trace
 def finer_paths(trace: Trace) -> HandPaths:
-    """Follow the moves in PARTS of each tick, for a closer bound."""
+    """Return the hands' paths by following their moves in PARTS of each tick, for closer bounds."""
     return _paths(trace, PARTS)
 
 
@@ -186,10 +185,10 @@ def _paths(trace: Trace, most_parts: int) -> HandPaths:
 
 @once_a_trace
 def first_stray(trace: Trace) -> int | None:
-    """Return the first tick at which a hand or elbow is not where its scenario moves it; None without one.
+    """Return the first tick at which a hand or elbow is not where its scenario moves it, or None.
 
-    Positions are compared to within their uncertainty, and where they were measured.  Hands that follow a TCP
-    that is not wholly known are not compared.
+    Only measured positions are compared, to within their uncertainty. No hand is compared if a hand heads for
+    a TCP that is not wholly known.
     """
     moved_m, known = hand_paths(trace).positions_in_base_m, trace.known
     stored_m = true_motion(trace).hands_m[:, : moved_m.shape[1]].copy()
@@ -213,7 +212,7 @@ def follows_unknown(trace: Trace) -> bool:
 
 
 def apart_moved_m(trace: Trace) -> NDArray[np.float64]:
-    """Return (n,) the error [m] of a distance from hand to arm, by the uncertainty of hands and joints."""
+    """Return (n,) the error [m] of hands' distances from the arm, by the uncertainty of hands and joints."""
     known, count = trace.known, len(trace.ticks)
     hands, elbows = (known.uncertainty_of(name, count) for name in BODIES)
     return np.maximum(hands, elbows) + known.uncertainty_of(JOINTS[0], count) * float(
@@ -222,22 +221,22 @@ def apart_moved_m(trace: Trace) -> NDArray[np.float64]:
 
 
 def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
-    """Return (n,) the error [m/s] of the TCP's velocity at each tick, by the uncertainty of the joints."""
+    """Return (n,) the error [m/s] of the TCP's velocity at each tick, from the uncertainty of the joints."""
     turned_rad, faster_radps = (trace.known.uncertainty_of(name, len(trace.ticks)) for name in JOINTS)
     rates_radps = np.nan_to_num(true_motion(trace).rates_radps, nan=0.0, posinf=0.0, neginf=0.0)
     return np.asarray(velocity_off(arm_of(trace).reach_m, turned_rad, faster_radps, rates_radps))
 
 
 def hand_bend_m(trace: Trace, paths: HandPaths, hand: int, *, centre: bool = False) -> NDArray[np.float64]:
-    """Return (n-1,) how far a hand or its elbow, or its ``centre`` alone, may leave its chord within a tick.
+    """Return (n-1,) how far [m] ``hand`` or its elbow may leave its chord between two ticks.
 
-    A path whose second derivative is at most b leaves its chord by at most b dt^2/8.  For a hand, b is its
-    acceleration a, with its tremor's.  The elbow is a forearm's length L from the hand towards a fixed point.
-    At the speed v, at least r away from that point, b is at most a (1 + L/r) + L (4/3)^(1/2) (v/r)^2.
-    However the forearm turns, its points are at most L from the hand's centre.  So a distance is wrong by at
-    most L and the forearm's radius less the hand's, beside the part that the hand's bend makes.  Where
-    corners divide a tick, dt is the time from one to the next.  A recorded hand, and its elbow, go straight
-    from corner to corner.
+    With ``centre``, only the hand's centre counts. A path whose second derivative is at most b leaves its
+    chord by at most b dt^2/8. For a hand, b is its acceleration a, including that of its tremor. The elbow
+    lies a forearm's length L from the hand, towards a fixed point. For an elbow, b is at most a (1 + L/r) + L
+    (4/3)^(1/2) (v/r)^2, if the hand has the speed v and stays r away from that point. However the forearm
+    turns, its axis stays within L of the hand's centre. So a distance is wrong by at most L plus the
+    forearm's radius less the hand's, beyond the error by the hand's bend. If corners divide a tick, dt is the
+    time from one corner to the next. A recorded hand and its elbow move straight from corner to corner.
     """
     scenario = trace.scenario
     trajectory, period_s = scenario.hands[hand], scenario.settings.clock.control_period_s
@@ -282,8 +281,8 @@ def _hand_bends(
 ) -> NDArray[np.float64]:
     """Return (n-1,) b dt^2/8 [m] with b = a (1 + L/r) + L (4/3)^(1/2) (v/r)^2, as for ``hand_bend_m``.
 
-    dt is the period divided by the parts; ``turned_m`` is added to a hand's bend for an elbow that turns
-    anywhere.
+    dt is the period divided by the parts. ``turned_m`` plus the hand's bend is a bound for an elbow that
+    turns anywhere.
     """
     bends, speed_after = np.zeros(moving.shape[0]), np.nan
     for k in range(hand_m.shape[0]):
@@ -315,7 +314,7 @@ def _follow(
     corners: NDArray[np.float64],  # (c, 2, 3)
     parts: NDArray[np.int64],  # (n - 1, hands) wanted; 1 is written where the way is not known in parts
 ) -> int:
-    """Write positions at the ticks and corners between them; return the number of corners."""
+    """Write ``positions`` at the ticks and ``corners`` between them, and return the number of corners."""
     count = 0
     hands_before, even = hands.copy(), np.zeros(positions.shape[1], np.bool_)
     for k in range(positions.shape[0]):
@@ -361,7 +360,7 @@ def _follow(
             even[i] = _evenly(hands_before[guide], hands[guide], period_s)
             heads = not even[i] and _heads_for_tcp(hands_before[guide], hands[guide], moves)
             if not moves_on or heads or hands[guide].recorded:
-                parts[k, i] = 1  # it rests, or its way is not known but at the ticks
+                parts[k, i] = 1  # it rests, or its way is known only at the ticks
         for part in range(1, parts[k].max() if parts.shape[1] else 1):
             there, gone_s = hands_before.copy(), part * period_s / parts[k].max()
             advance_hands(there, moves, samples, tcp_in_base_m[k], k * period_s, gone_s)
@@ -389,7 +388,7 @@ def _follow(
 
 @njit_no_nrt
 def _evenly(earlier: Any, later: Any, period_s: float) -> bool:
-    """Return whether a hand's way within a tick is that of a velocity that changes evenly."""
+    """Return whether a hand's velocity changes evenly between two ticks."""
     even = True
     for j in range(3):
         mean_mps = 0.5 * (earlier.velocity_in_base_mps[j] + later.velocity_in_base_mps[j])
@@ -400,7 +399,7 @@ def _evenly(earlier: Any, later: Any, period_s: float) -> bool:
 
 @njit_no_nrt
 def _heads_for_tcp(earlier: Any, later: Any, moves: Any) -> bool:
-    """Return whether a move of a hand within a tick heads for the TCP; others can be followed to any time."""
+    """Return whether a hand heads for the TCP between two ticks, so that its way is known at ticks alone."""
     heads = False
     for row in range(earlier.current, min(later.current + 1, later.count)):
         heads = heads or moves[earlier.first + row].kind >= REACH_FOR_TCP
@@ -408,7 +407,7 @@ def _heads_for_tcp(earlier: Any, later: Any, moves: Any) -> bool:
 
 
 def refuse_contradictions(trace: Trace, file: Path | None = None) -> None:
-    """Raise TraceError with field and tick if no run can have written ``trace``; it names ``file``."""
+    """Raise TraceError with ``file``, field and tick if no run can have written ``trace``."""
     problem = first_inconsistency(trace) or first_untruth(trace)
     if problem is not None:
         where = problem.where if file is not None else f"trace of {trace.scenario.name}: {problem.where}"
@@ -416,11 +415,11 @@ def refuse_contradictions(trace: Trace, file: Path | None = None) -> None:
 
 
 def first_untruth(trace: Trace) -> Inconsistency | None:
-    """Return the first tick whose pose, speed or hand distances do not follow from its joints and hands.
+    """Return the first field and tick whose value does not follow from the tick's joints and hands.
 
-    A NaN must follow from a NaN of joints or hands; the properties decide whether that can be judged.  Values
-    that were not measured are not compared, and measured values only to within their uncertainty.  The order
-    of the fields counts before that of the ticks.
+    A NaN must follow from a NaN of joints or hands, and each property decides whether it can judge that.
+    Measured values are compared to within their uncertainty, and no others. Of several fields, the first in
+    order is reported, at its first tick.
     """
     recomputed, known = derived(trace), trace.known
     for name, inputs in DERIVED.items():
@@ -446,7 +445,7 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
 
 
 def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
-    """Return (n,) the largest error of one of ``DERIVED``, by the uncertainty of all its columns."""
+    """Return (n,) the largest error of the derived field ``name`` by the uncertainty of all its columns."""
     error = trace.known.uncertainty_of(name, len(trace.ticks))
     if name == "tcp_speed_mps":
         return error + tcp_velocity_moved_mps(trace)
@@ -459,7 +458,7 @@ def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
 
 
 def derived(trace: Trace) -> NDArray[np.void]:
-    """Return (n,) ticks with the truth of every tick computed again from its joints and hands."""
+    """Return (n,) ticks whose derived fields are computed again from joints and hands."""
     capsules = capsules_of(trace)
     ticks = np.zeros(len(trace.ticks), trace.ticks.dtype)
     _derive(
@@ -482,7 +481,7 @@ def _derive(
     stored: NDArray[np.void],  # (n,) ``as_compiled``
     derived: NDArray[np.void],  # (n,) ``as_compiled``, its truth written
 ) -> None:
-    """Write the truth of every tick again, from its joints and hands."""
+    """Write the fields of every tick of ``derived`` that follow from its joints and hands."""
     for k in range(stored.shape[0]):
         tick = stored[k]
         for i in range(hands.shape[0]):

@@ -1,4 +1,4 @@
-"""Bounds of a signal in a trace that was measured in part, or not exactly."""
+"""Compute bounds of a signal in a trace that was measured only in part, or inexactly."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ blanked = once_a_trace(as_measured)
 
 
 def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tuple[str, ...]:
-    """Return the columns that were measured, but not always: with a gap at ``tick``, or at any tick."""
+    """Return those of ``columns`` that have a gap at ``tick``, or at any tick if ``tick`` is None."""
     known = trace.known
     return tuple(
         name
@@ -35,7 +35,7 @@ def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tu
 
 
 def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
-    """Return (n, hands) the ticks at which one of ``columns`` was not measured, for each possible hand."""
+    """Return (n, hands) whether one of ``columns`` was not measured at each tick, for each possible hand."""
     lost_rows = np.zeros((len(trace.ticks), *trace.ticks.dtype["hand_present"].shape), np.bool_)
     for name in columns:
         for gap in trace.known.column(name).gaps:
@@ -44,24 +44,24 @@ def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
 
 
 def lost(trace: Trace, columns: Iterable[str]) -> Truths:
-    """Return (n,) the ticks at which one of ``columns`` was not measured, of any hand."""
+    """Return (n,) whether one of ``columns`` was not measured at each tick, for any hand."""
     if trace.known.whole:
         return np.zeros(len(trace.ticks), np.bool_)
     return np.asarray(lost_of_hands(trace, columns).any(axis=1))
 
 
 def or_next(state: Truths) -> Truths:
-    """Return (n, ...) whether a state holds at a tick or at the next.  ``state`` (n, ...)."""
+    """Return (n, ...) whether ``state`` (n, ...) holds at each tick or at the next."""
     either = state.copy()
     either[:-1] |= state[1:]
     return either
 
 
 def as_known(signal: Signal, measured: Sampled, trace: Trace) -> Sampled:
-    """Return the bounds of ``signal``, where ``measured`` is its measured part.
+    """Return ``signal`` with bounds for all that is unknown or uncertain in ``measured``.
 
-    The signal is unknown at lost ticks and in the cells that touch them.  A value of the measured hands
-    bounds it from above there.
+    The signal is unknown at lost ticks and in the cells on both sides of them. There, a value of the measured
+    hands is an upper bound.
     """
     columns = [name for name in signal.reads if trace.known.column(name).limited]
     if not columns or measured.absent:
@@ -92,12 +92,12 @@ def as_known(signal: Signal, measured: Sampled, trace: Trace) -> Sampled:
     )
 
 
-# By how much a signal may be off, as its columns are uncertain: at the ticks, and its bounds between them,
-# (at, below, above) in SI.
+# The functions below return the errors (at, below, above) [SI] of a signal by its uncertain columns: at the
+# ticks, and below and above its bounds between them.
 
 
 def by_uncertainty_of(*columns: str) -> ErrorOf:
-    """Return the errors of a signal that is as uncertain as ``columns`` together."""
+    """Return a function for the errors of a signal that is as uncertain as ``columns`` together."""
 
     def errors(trace: Trace) -> tuple[float, float, float]:
         together = sum(trace.known.column(name).uncertainty for name in columns)
@@ -107,7 +107,7 @@ def by_uncertainty_of(*columns: str) -> ErrorOf:
 
 
 def of_change(column: str) -> ErrorOf:
-    """Return the errors of the mean change of ``column`` from tick to tick, in its unit per second."""
+    """Return a function for the errors of the mean change of ``column`` between ticks, in its unit/s."""
 
     def errors(trace: Trace) -> tuple[float, float, float]:
         error = 2.0 * trace.known.column(column).uncertainty / trace.scenario.settings.clock.control_period_s
@@ -117,14 +117,14 @@ def of_change(column: str) -> ErrorOf:
 
 
 def of_tcp_acceleration(trace: Trace) -> tuple[float, float, float]:
-    """Return the errors of the mean change of the TCP's velocity, by those of joints and their speeds."""
+    """Return the errors of the TCP's mean acceleration between ticks, by those of joints and their speeds."""
     off_mps = float(tcp_velocity_moved_mps(trace).max())
     acceleration_error = 2.0 * off_mps / trace.scenario.settings.clock.control_period_s
     return acceleration_error, acceleration_error, acceleration_error
 
 
 def of_speed(speed: str, position: str) -> ErrorOf:
-    """Return the errors of a speed; a mean between ticks has those of both positions over the period."""
+    """Return a function for the errors of ``speed``, between ticks also by the error of ``position``."""
 
     def errors(trace: Trace) -> tuple[float, float, float]:
         at, place = (trace.known.column(name).uncertainty for name in (speed, position))
@@ -135,17 +135,17 @@ def of_speed(speed: str, position: str) -> ErrorOf:
 
 
 def of_place(trace: Trace) -> tuple[float, float, float]:
-    """Return the errors of a place of the TCP: its own, and between ticks half of the error of its way."""
+    """Return the errors of the TCP's place: its own, plus between ticks half of the error of its way."""
     at, speed = (trace.known.column(name).uncertainty for name in (TCP, TCP_SPEED))
     between_ticks = float(place_between(at, speed, trace.scenario.settings.clock.control_period_s))
     return at, between_ticks, between_ticks
 
 
 def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
-    """Return the errors of the TCP's distance from a hand.
+    """Return the errors of the TCP's distance from the nearest hand.
 
-    At the ticks they are those of both places, below also of the joints and their bend, above also half of
-    those of both ways.
+    At the ticks they are the errors of both places. The error below also covers the joints and their bend,
+    and the error above half of the errors of both ways.
     """
     if follows_unknown(trace):
         return np.inf, np.inf, np.inf
@@ -158,7 +158,7 @@ def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
 
 
 def of_hand_distance(trace: Trace) -> tuple[Bound, Bound, Bound]:
-    """Return the errors of the hand distance: below by the catalogue's bound, above also by that at ticks."""
+    """Return the hand distance's errors: below that of the catalogue's bound, above also that at ticks."""
     at, moved = distance_moved_m(trace)
     between_ticks, beside = np.maximum(at, moved), at + moved
     return at, np.maximum(between_ticks, _next(between_ticks)), np.maximum(beside, _next(beside))

@@ -1,1 +1,1 @@
-"""Attribution: change one ingredient of a run at a time, then two, to find the cause of a violation."""
+"""Attribution: find the cause of a violation by changing one ingredient of its run at a time, then two."""

@@ -1,8 +1,8 @@
-"""Attribution: repeat a violation with ingredients changed, one at a time, then two.
+"""Attribute a violation: repeat its run with one ingredient changed at a time, then with two.
 
-All replays are kinematic, and run together.  A violation that the unchanged replay does not show is not
-attributed.  A violation that no arm could avoid is unavoidable.  For all others, the result names the
-smallest sets of ingredients that help.
+By default, all replays run in the kinematic world, together. A violation that the unchanged replay does not
+reproduce is not attributed. A violation that no arm could avoid is unavoidable. For every other violation,
+the result names the smallest sets of ingredients whose change avoids it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Changes = tuple[Change, ...]
 
 
 class Outcome(Enum):
-    """The state of the claim in a replay."""
+    """The result of a claim in a replay: kept, violated, never exercised, or unknown."""
 
     KEPT = "kept"
     NO_OCCASION = "no longer exercised"
@@ -44,7 +44,7 @@ class Outcome(Enum):
 
     @classmethod
     def from_evaluation(cls, evaluation: Evaluation) -> Outcome:
-        """Return the outcome of a verdict; an inconclusive verdict may lack an occasion."""
+        """Return the outcome for ``evaluation``; an inconclusive one may only lack an occasion."""
         if evaluation.verdict is not Verdict.INCONCLUSIVE:
             return cls.KEPT if evaluation.verdict is Verdict.HOLDS else cls.VIOLATED
         idle = evaluation.reason.startswith(("never exercised", NOT_MODELLED))
@@ -53,7 +53,7 @@ class Outcome(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """One replay with ``changes``; ``margin`` [SI] is None where the evaluation has no margin."""
+    """One replay of a run after ``changes``; ``margin`` [SI] is None if the evaluation has no margin."""
 
     changes: tuple[Change, ...]
     outcome: Outcome
@@ -61,12 +61,12 @@ class Replay:
 
     @property
     def helps(self) -> bool:
-        """Whether the run ended normally without a violation of the claim."""
+        """Whether the replay ended normally and did not violate the claim."""
         return self.outcome in (Outcome.KEPT, Outcome.NO_OCCASION)
 
     @property
     def ingredients(self) -> tuple[Ingredient, ...]:
-        """The changed ingredients, in the order of blame."""
+        """The changed ingredients, in the order of ``Ingredient``."""
         order = list(Ingredient)
         return tuple(sorted({change.ingredient for change in self.changes}, key=order.index))
 
@@ -77,7 +77,7 @@ class Replay:
 
 
 class AttributionAnswer(Enum):
-    """The four answers about a violation."""
+    """The four possible answers to the question about a violation's cause."""
 
     NOT_ATTRIBUTED = "not attributed"
     UNAVOIDABLE = "unavoidable"
@@ -89,9 +89,9 @@ class AttributionAnswer(Enum):
 class Attribution:
     """The cause of one violation.
 
-    ``margin`` [SI] is the margin of the unchanged replay.  ``why`` gives the reason of an unavoidable or
-    unattributed violation.  ``replays`` are all replays with a change.  ``helping`` has one replay for each
-    smallest set of ingredients that helps; the first replay has the blamed set.
+    ``margin`` [SI] is the margin of the unchanged replay. ``why`` tells why a violation is unavoidable or not
+    attributed. ``replays`` are all replays with changes. ``helping`` has one replay for each smallest set of
+    ingredients whose change avoids the violation; the first set is blamed.
     """
 
     scenario: str
@@ -105,12 +105,12 @@ class Attribution:
 
     @property
     def cause(self) -> tuple[Ingredient, ...]:
-        """The blamed set of ingredients; empty if no set helps."""
+        """The blamed set of ingredients; empty if no change avoids the violation."""
         return self.helping[0].ingredients if self.helping else ()
 
     @property
     def mending(self) -> tuple[str, ...]:
-        """All helpful changes of the blamed ingredient; empty if the cause has two ingredients."""
+        """All changes of the blamed ingredient that avoid the violation; empty if the cause is a pair."""
         if len(self.cause) != 1:
             return ()
         return tuple(
@@ -119,12 +119,12 @@ class Attribution:
 
     @property
     def group(self) -> str:
-        """The group in which a tally counts this violation."""
+        """The group in which a tally counts this violation: the blamed ingredients, else the answer."""
         return " and ".join(ingredient.value for ingredient in self.cause) or self.answer.value
 
     @property
     def summary(self) -> str:
-        """The answer in words, with the alternatives that help."""
+        """The answer in words, with the changes that avoid the violation as alternatives."""
         if not self.helping:
             return self.answer.value + (f": {self.why}" if self.why else "")
         return "; or ".join(f"{replay.summary}: {self._result_of(replay)}" for replay in self.helping)
@@ -132,7 +132,7 @@ class Attribution:
     words = summary  # deprecated: the old name, for one release
 
     def _result_of(self, replay: Replay) -> str:
-        """Return the margin after the change, with the outcome if the claim fails."""
+        """Return the margin of ``replay`` in words, after its outcome unless the claim is kept."""
         margin: str = self.unit.margin_text(replay.margin)
         if replay.outcome is Outcome.KEPT:
             return margin
@@ -141,24 +141,24 @@ class Attribution:
 
 
 class Runner(Protocol):
-    """Runs altered systems; an Exception stands for a run that could not be finished."""
+    """A function that runs altered systems; an Exception stands for a run that could not be finished."""
 
     def __call__(self, systems: Sequence[Altered]) -> Sequence[Trace | Exception]:
         """Return one run for each system, in their order.
 
-        A runner that spoils an ingredient outside the scenario leaves it sound where ``changes`` has that
-        ingredient.
+        A runner may spoil an ingredient by a fault outside the scenario. It leaves the ingredient sound if
+        ``changes`` contain that ingredient.
         """
 
 
 @dataclass(frozen=True)
 class ReplaysInWorld:
-    """A Runner that spoils no ingredient; Ctrl-C raises KeyboardInterrupt."""
+    """A Runner in ``world`` that spoils no ingredient; Ctrl-C raises KeyboardInterrupt."""
 
     world: WorldEntry = KINEMATIC
 
     def __call__(self, systems: Sequence[Altered]) -> list[Trace | Exception]:
-        """Run all systems, together if the world supports it."""
+        """Run all ``systems``, in one batch if the world supports it."""
         runs = list(run_all(systems, self.world))
         if any(isinstance(run, Trace) and run.ended == INTERRUPTED for run in runs):
             raise KeyboardInterrupt
@@ -173,23 +173,23 @@ def attribute(
     run: Runner = ReplaysInWorld(),
     faulty: Collection[Ingredient] = (),
 ) -> tuple[Attribution, ...]:
-    """Return the cause of each violation in a scenario.
+    """Return the cause of each violation in the ``admitted`` scenario.
 
     A violation that the kinematic replay does not reproduce is not attributed.
 
     Args:
         admitted: The admitted scenario.
-        claims: Claims that were violated in some world.  Without them, the function attributes every
-            violation of the scenario's own claims, and the violations that the scenario expects.
+        claims: Claims that were violated in some world. Without them, the function attributes each violation
+            of the scenario's own claims that the replay shows or the scenario expects.
         run: The runner of the replays.
-        faulty: The ingredients that ``run`` spoils outside the scenario.
+        faulty: The ingredients that ``run`` spoils by faults outside the scenario.
 
     Returns:
         One attribution for each violation.
 
     Raises:
         InadmissibleError: A claim cannot be judged in this scenario.
-        Exception: The exception of a failed run, if no violation was seen before.
+        Exception: The unchanged replay fails with it, and no violation was given or expected.
 
     """
     given = tuple(claims)
@@ -220,7 +220,7 @@ def attribute(
 def confirmed(
     admitted: Admitted, attribution: Attribution, *, run: Runner = ReplaysInWorld(PYBULLET)
 ) -> tuple[Replay, ...]:
-    """Repeat the violation in another world, unchanged and with the blamed change.
+    """Repeat the violating run in another world, first unchanged, then with the blamed change.
 
     Args:
         admitted: The admitted scenario.
@@ -238,7 +238,7 @@ def confirmed(
 
 
 class _Trials:
-    """The replays of one system; each runs once, for any number of claims."""
+    """The replays of one system; each list of changes runs once, however many claims use the run."""
 
     def __init__(self, system: Altered, run: Runner) -> None:
         self.system, self._run = system, run
@@ -246,7 +246,7 @@ class _Trials:
         self._idle: set[Changes] = set()  # changes without an effect
 
     def made(self, wanted: Iterable[Changes]) -> dict[Changes, Trace | Exception]:
-        """Return the run for each list of changes; lists without an effect are absent."""
+        """Return the run after each of the ``wanted`` lists of changes, except lists without an effect."""
         wanted, systems = list(wanted), dict[Changes, Altered]()
         for changes in wanted:
             if changes not in self._done and changes not in self._idle:
@@ -260,7 +260,7 @@ class _Trials:
         return {changes: self._done[changes] for changes in wanted if changes in self._done}
 
     def _altered(self, changes: Changes) -> Altered | None:
-        """Return the system after ``changes``; None if one has no effect."""
+        """Return the system after ``changes``; None if one of them has no effect."""
         system: Altered | None = self.system
         for change in changes:
             system = None if system is None else change.on(system)
@@ -269,22 +269,23 @@ class _Trials:
 
 @dataclass(frozen=True, eq=False)
 class _ClaimTrials:
-    """The attribution of one claim of a system."""
+    """The replays of one claim, and its attribution."""
 
     trials: _Trials
     number: int
     prop: Property
 
     def evaluation(self, run: Trace) -> Evaluation:
-        """Return the claim's evaluation of a run, in the run's own scenario."""
+        """Return the claim's evaluation of ``run``, with the claim read for the run's own scenario."""
         return property_of(self.trials.system.scenario.claims[self.number], run.scenario).evaluate(run)
 
     def attributed(self, margin: float | None, changes: Sequence[Change]) -> Attribution:
-        """Return the attribution: try the bound, then single changes, then all pairs.
+        """Return the attribution: try the bound of ``why_unavoidable``, then single changes, then pairs.
 
-        A pair combines for two ingredients the change that came nearest to help.  A claim about proposals
-        skips chosen changes.  Gate and fallback act after the answer that such a claim judges, and cannot
-        improve it.  Prediction and distance only change the question.
+        A pair combines the most helpful single changes of two ingredients. For a claim about proposals, the
+        method skips changes of a designer's choice (``chosen``). Such a claim judges the avoider's answer,
+        which the gate and the fallback cannot improve because they act later. Another prediction or critical
+        distance would only change the question to the avoider.
         """
         why = why_unavoidable(self.trials.system, self.prop)
         if why:
@@ -310,20 +311,20 @@ class _ClaimTrials:
         return Replay(changes, Outcome.from_evaluation(evaluation), evaluation.margin)
 
     def made(self, **fields: Any) -> Attribution:
-        """Return an ``Attribution`` of the claim; ``fields`` are its further fields."""
+        """Return an ``Attribution`` of the claim with ``fields`` as its other fields."""
         scenario = self.trials.system.scenario
         claim, unit = scenario.claims[self.number], self.prop.unit
         return Attribution(scenario=scenario.name, claim=claim, unit=unit, **fields)
 
 
 def _rank(ingredients: Iterable[Ingredient]) -> list[int]:
-    """Return the places of ingredients in the order of blame."""
+    """Return the place of each of ``ingredients`` in the order of ``Ingredient``."""
     order = list(Ingredient)
     return [order.index(ingredient) for ingredient in ingredients]
 
 
 def _gain(replay: Replay) -> float:
-    """Return how near a change came to help: the replay's margin, or -inf without a margin."""
+    """Return how near ``replay`` came to keeping the claim: its margin, or -inf without a margin."""
     return -inf if replay.margin is None or isnan(replay.margin) else replay.margin
 
 
@@ -336,16 +337,16 @@ def _by_ingredients(replays: Iterable[Replay]) -> list[list[Replay]]:
 
 
 def _best(replays: Iterable[Replay]) -> list[Replay]:
-    """Return for each set of ingredients the replay that came nearest to help."""
+    """Return the replay with the largest margin for each set of ingredients."""
     return [max(group, key=_gain) for group in _by_ingredients(replays)]
 
 
 def _least(replays: Iterable[Replay], sentence: str) -> tuple[Replay, ...]:
-    """Return the first helpful replay for each set of ingredients that helps, the blamed set first.
+    """Return one replay for each set of ingredients whose change avoids the violation, the blamed set first.
 
-    The order is ``_last_resort``, then three rules.  Parts that can break come before choices of a designer.
-    Sets with a greater share of helpful changes come first; settings count as if all helped.  The last rule
-    is the order of ``Ingredient``.
+    Sets are sorted by ``_last_resort``, and equal sets by three further rules. A part that can break comes
+    before a choice of a designer. A set comes earlier if a greater share of its changes helps; for settings
+    this share counts as 1. The last rule is the order in ``Ingredient``.
     """
     ranking = []
     for group in _by_ingredients(replays):
@@ -359,10 +360,10 @@ def _least(replays: Iterable[Replay], sentence: str) -> tuple[Replay, ...]:
 
 
 def _last_resort(replay: Replay, sentence: str, helped: int = 0) -> tuple[bool, bool, int, bool]:
-    """Return a sort key: the system before the hand, a kept claim before a removed occasion.
+    """Return a sort key that puts the system before the hand, and a kept claim before an untested claim.
 
-    For a claim about proposals, gate and settings come last of the system, because they lead to other
-    questions. ``helped`` is the number of violations of the run that the same ingredients help.
+    For a claim about proposals, gate and settings come after the rest of the system, because they change the
+    questions. ``helped`` is the number of violations of the run that a change of the same ingredients avoids.
     """
     own = ABOUT_PROPOSALS in sentence
     led = own and not {Ingredient.GATE, Ingredient.SETTINGS}.isdisjoint(replay.ingredients)
@@ -370,9 +371,9 @@ def _last_resort(replay: Replay, sentence: str, helped: int = 0) -> tuple[bool, 
 
 
 def _jointly(attributions: Sequence[Attribution]) -> tuple[Attribution, ...]:
-    """Reorder ``helping`` of a run's violations: the set that helps most of them comes first.
+    """Reorder ``helping`` of all violations of a run, so that the set that avoids most of them comes first.
 
-    One cause often has many effects.
+    One cause often leads to several violations.
     """
     helped = Counter(replay.ingredients for answer in attributions for replay in answer.helping)
 

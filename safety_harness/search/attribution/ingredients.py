@@ -1,7 +1,7 @@
-"""The ingredients of a run, and the changes of each for a replay.
+"""The ingredients of a run, and for each ingredient the changes that a replay can try.
 
-A change turns an admitted system into another one.  It also removes the faults of the scenario file that
-belong to its ingredient.  Attribution skips a change without an effect.
+A change turns an admitted system into an altered one. It also removes the scenario's faults that belong to
+its ingredient. Attribution skips a change without an effect.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ FARTHEST_M = 3.0  # the largest critical distance of a scenario
 
 
 class Ingredient(Enum):
-    """An ingredient of a run, in the order of blame among equals; the person comes last."""
+    """An ingredient of a run; of equally helpful ingredients the first is blamed, and the person last."""
 
     AVOIDER = "avoider"
     DEADLINE = "deadline"
@@ -74,7 +74,7 @@ class Ingredient(Enum):
     HAND = "hand"
 
 
-# A user's controller replaces the servo, so that changes of these have no effect.
+# A user's controller replaces the servo, so changes of these ingredients have no effect.
 OF_THE_SERVO = frozenset({Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GATE, Ingredient.FALLBACK})
 
 
@@ -82,7 +82,7 @@ OF_THE_SERVO = frozenset({Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GA
 class Altered(Admitted):
     """An admitted scenario after some changes.
 
-    ``fallback`` is None where the gate keeps its own.
+    ``fallback`` is None if the gate keeps its own fallback.
     """
 
     fallback: Avoider | None = None
@@ -94,14 +94,14 @@ class Altered(Admitted):
         return cls(**{field.name: getattr(admitted, field.name) for field in fields(admitted)})
 
     def servo(self, recorded: Trace | None = None) -> AvoidingServo:
-        """Return the servo as admitted, with the changed fallback if there is one."""
+        """Return the admitted servo, with the changed ``fallback`` if there is one."""
         pilot = super().servo(recorded)
         if self.fallback is not None:
             pilot.gate = replace(pilot.gate, fallback=self.fallback)
         return pilot
 
     def with_scenario(self, scenario: Scenario) -> Altered:
-        """Return the system with another scenario, checked like a file; InputError if it is refused."""
+        """Return the system with ``scenario``, checked like a file; raise InputError if it is refused."""
         return self if scenario == self.scenario else replace(self, **vars(check(scenario)))
 
     def without(self, *kinds: type[Any] | UnionType) -> Altered:
@@ -110,20 +110,21 @@ class Altered(Admitted):
         return self.with_scenario(replace(self.scenario, faults=kept))
 
     def with_settings(self, alter: Callable[[Settings], Settings]) -> Altered:
-        """Return the system with other settings; admission refuses no change of these groups.
+        """Return the system with the settings that ``alter`` returns, without a new admission.
 
-        The groups belong to controller, hand sensor and brakes.
+        ``alter`` may change only the settings of controller, hand sensor and brakes, which admission never
+        refuses.
         """
         scenario = replace(self.scenario, settings=alter(self.scenario.settings))
         return self if scenario == self.scenario else replace(self, scenario=scenario)
 
 
 def setting(group: str, values: Callable[[Settings], Mapping[str, Any]]) -> Callable[[Altered], Altered]:
-    """Return a change of some values in one group of the settings.
+    """Return a change that sets new ``values`` in one ``group`` of the settings.
 
     Args:
         group: The name of the group in Settings.
-        values: Gives the new values from the present settings.
+        values: The function that returns the new values by name from the present settings.
 
     """
 
@@ -135,9 +136,9 @@ def setting(group: str, values: Callable[[Settings], Mapping[str, Any]]) -> Call
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """One change of an ingredient; ``alter`` returns its argument if there is no effect.
+    """One change of an ingredient; ``alter`` returns the same system if the change has no effect.
 
-    ``chosen`` marks a change of a designer's choice, as opposed to the repair of a part that can break.
+    ``chosen`` marks a change of a designer's choice; all other changes repair a part that can break.
     """
 
     ingredient: Ingredient
@@ -164,7 +165,7 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class ExactOptimum(AvoiderAround):
-    """Proposes the closed form of the networks' target, in the time that ``avoider`` takes."""
+    """An avoider that proposes the closed form of the networks' target in the time of ``avoider``."""
 
     settings: Settings
     name = "exact optimum"
@@ -189,7 +190,7 @@ class ExactOptimum(AvoiderAround):
 
 @dataclass(frozen=True, eq=False)
 class InTheTimeOf(AvoiderAround):
-    """Proposes ``quick``'s answers in the time that ``avoider`` takes: only the answers change."""
+    """An avoider that gives the answers of ``quick`` in the time that ``avoider`` takes."""
 
     quick: OppositePose
     name = "opposite pose"
@@ -209,7 +210,7 @@ class InTheTimeOf(AvoiderAround):
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Return the answers of ``quick``; ``seeds`` (n,)."""
+        """Return the answers of ``quick`` to n questions; ``seeds`` (n,)."""
         return self.quick.propose_many(hands_in_base_m, tcps_in_base_m, seeds)
 
 
@@ -220,7 +221,7 @@ def _optimum(system: Altered) -> Altered:
 
 
 def _opposite(system: Altered) -> Altered:
-    """Replace the avoider by the opposite pose."""
+    """Replace the avoider by one that proposes the opposite pose."""
     sound = system.without(AvoiderSilent, AvoiderNaN)
     opposite = OppositePose(system.scenario.settings.avoidance.radius_m)
     if isinstance(system.avoider, OppositePose) and system.avoider == opposite:
@@ -229,9 +230,9 @@ def _opposite(system: Altered) -> Altered:
 
 
 def _in_a_tick(system: Altered) -> Altered:
-    """Let every answer take one control period, if any took longer.
+    """Let every answer take one control period, if the avoider's answers take longer.
 
-    An answer in no time at all would not exercise the claims about answers.
+    An answer in no time would not exercise the claims about answers.
     """
     on_time, settings = system.without(AvoiderLate), system.scenario.settings
     declared = settings.avoidance.decision_time is DecisionCost.AS_DECLARED
@@ -242,7 +243,7 @@ def _in_a_tick(system: Altered) -> Altered:
 
 
 def _other_gate(settings: Settings) -> dict[str, GateKind]:
-    """Return the kind of gate that the settings do not have."""
+    """Return the kind of gate that ``settings`` do not use."""
     return {"gate": GateKind.REACH if settings.avoidance.gate is GateKind.FULL else GateKind.FULL}
 
 
@@ -252,7 +253,7 @@ def _stops(system: Altered) -> Altered:
 
 
 def _exact_hands(system: Altered) -> Altered:
-    """Let the hand sensor see every hand exactly and at once, and give the filter the hand's true size."""
+    """Let the hand sensor see every hand exactly and at once, and tell the filter the hand's true size."""
 
     def alter(settings: Settings) -> Settings:
         place = settings.hand_sensor.overhead_position_in_base_m
@@ -263,7 +264,7 @@ def _exact_hands(system: Altered) -> Altered:
 
 
 def _exact_camera(system: Altered) -> Altered:
-    """Let the servoing camera see the object exactly and at once, at the place that the servo assumes."""
+    """Let the servoing camera see the object exactly and at once, from the place that the servo assumes."""
 
     def alter(settings: Settings) -> Settings:
         zero = Camera()
@@ -286,7 +287,7 @@ def _predicting(horizon_s: Callable[[Settings], float]) -> Callable[[Altered], A
 
 
 def _time_to_stop_s(settings: Settings) -> float:
-    """Return the time from the question to standstill, at the arm's full speed [s]; at most 2 s."""
+    """Return the time [s] from the question to standstill at the arm's full speed, at most 2 s."""
     braking, fastest_mps = settings.braking, fastest_tcp_mps(settings)
     stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps
     return min(settings.avoidance.decision_deadline_s + braking.reaction_time_s + stop_s, 2.0)
@@ -298,7 +299,7 @@ def fastest_tcp_mps(settings: Settings) -> float:
 
 
 def _sound_drives(system: Altered) -> Altered:
-    """Free all joints, let drives follow at once, and let brakes stop within one control period."""
+    """Free all stuck joints, let the drives follow at once, and let the brakes stop in one control period."""
 
     def alter(settings: Settings) -> Settings:
         stop_s = settings.clock.control_period_s
@@ -312,7 +313,7 @@ def _sound_drives(system: Altered) -> Altered:
 
 
 def _avoiding_from(distance_m: Callable[[Settings], float]) -> Callable[[Altered], Altered]:
-    """Return a change to a larger critical distance; a smaller distance has no effect."""
+    """Return a change that enlarges the critical distance to ``distance_m``, and never makes it smaller."""
 
     def larger(settings: Settings) -> dict[str, float]:
         before_m = settings.avoidance.critical_distance_m
@@ -322,7 +323,7 @@ def _avoiding_from(distance_m: Callable[[Settings], float]) -> Callable[[Altered
 
 
 def _at_default(group: str, name: str) -> Callable[[Altered], Altered]:
-    """Return a change of one setting to its default; an avoider built from settings is built anew."""
+    """Return a change of one setting to its default; an avoider made from settings is made anew."""
     default = getattr(getattr(DEFAULTS, group), name)
 
     def alter(system: Altered) -> Altered:
@@ -341,14 +342,14 @@ def _at_default(group: str, name: str) -> Callable[[Altered], Altered]:
 
 
 def _without_gate_rule(system: Altered) -> Altered:
-    """Remove the scenario's own rule of the gate."""
+    """Remove the gate rule that the scenario adds."""
     return system.with_scenario(replace(system.scenario, gate=None))
 
 
 def _all_at_default(system: Altered) -> Altered:
-    """Set all changed settings to their defaults; no effect where only one is changed.
+    """Set all changed settings to their defaults, if at least two are changed.
 
-    A single changed setting is already a change of its own.
+    For a single changed setting, ``_at_default`` is this change.
     """
     changed = [change for change in AT_DEFAULT if change.on(system) is not None]
     return reduce(lambda done, change: change.alter(done), changed, system) if len(changed) > 1 else system
@@ -359,12 +360,12 @@ def _times(factor: float) -> Callable[[Settings], float]:
 
 
 def _separation_m(settings: Settings) -> float:
-    """Return the protective separation at the arm's speed limit, from TCP to hand centre [m]."""
+    """Return the protective separation [m] from the TCP to the hand's centre at the arm's speed limit."""
     return ProtectiveSeparation().largest_m(settings) + settings.hand.radius_m
 
 
 def _half_as_fast(system: Altered) -> Altered:
-    """Move hands on the same paths at half their speed, in a run of twice the duration."""
+    """Let hands move on the same paths at half their speed, in a run of twice the duration."""
     scenario = system.scenario
     hands = tuple(map(_slower, scenario.hands))
     if hands == scenario.hands:
@@ -383,14 +384,14 @@ def _slower(hand: HandTrajectory) -> HandTrajectory:
 
 
 def _slower_move(move: HandMove) -> HandMove:
-    """Double the time that a move lasts or waits for its goal; a pause keeps its length."""
+    """Return the move with twice the time that it lasts or waits for its goal; a pause keeps its length."""
     slower = {"speed_mps": 0.5, "at_most_s": 2.0}
     if isinstance(move, FollowTcp | Wander):
         slower["duration_s"] = 2.0
     return replace(move, **{k: factor * getattr(move, k) for k, factor in slower.items() if hasattr(move, k)})
 
 
-# Settings with ingredients of their own.  Groups that describe arm, cell, person and sensors are no choice.
+# Settings that belong to other ingredients.  Groups that describe arm, cell, person or sensors are no choice.
 ELSEWHERE = ("gate", "critical_distance_m", "decision_time", "decision_deadline_s")
 AT_DEFAULT = (
     *(
@@ -422,6 +423,6 @@ CHANGES: tuple[Change, ...] = (
 
 
 def changes_for(faulty: Collection[Ingredient]) -> tuple[Change, ...]:
-    """Return the changes to try: first each ingredient of ``faulty`` made sound, then CHANGES."""
+    """Return the changes to try: first those that make each ingredient of ``faulty`` sound, then CHANGES."""
     order = list(Ingredient)
     return tuple(Change(part, "sound", replace) for part in sorted(faulty, key=order.index)) + CHANGES

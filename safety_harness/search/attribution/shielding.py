@@ -1,7 +1,7 @@
-"""Attribution to the shield: was it decisive, or would the rest have kept hands from a moving arm?
+"""Find out whether the shield, or the rest of the system, kept the moving arm from touching hands.
 
-Three kinematic runs answer this: unchanged, without the shield, and with the shield alone.  The last run has
-no avoider.
+Three kinematic runs answer this: the unchanged run, one without the shield, and one with the shield alone.
+The run with the shield alone has no avoider.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True)
 class ShieldAttribution:
-    """The evaluations of *no moving part touches a hand* in three runs, and the unchanged run.
+    """The evaluations of the claim *no moving part touches a hand* in three runs, with the unchanged run.
 
-    ``alone`` is None for a scenario whose controller is not ours.
+    ``alone`` is None for a scenario with a user's own controller.
     """
 
     trace: Trace
@@ -30,7 +30,7 @@ class ShieldAttribution:
 
     @property
     def summary(self) -> str:
-        """The decisive part in words."""
+        """The sentence on which part kept the moving arm from touching hands, if any part did."""
         evaluations = (self.shielded, self.plain, self.shielded if self.alone is None else self.alone)
         untold = [
             evaluation for evaluation in evaluations if Outcome.from_evaluation(evaluation) is Outcome.UNTOLD
@@ -52,9 +52,9 @@ class ShieldAttribution:
 
 
 def attribute_shield(admitted: Admitted) -> ShieldAttribution | None:
-    """Return the attribution of a scenario with a shield; None for a scenario without.
+    """Return the attribution of the ``admitted`` scenario; None if the scenario has no shield.
 
-    An exception of a run is raised.
+    If a run fails, its exception is raised.
     """
     if admitted.scenario.shield is None:
         return None

@@ -1,4 +1,4 @@
-"""Tallies of attributions: how many violations blame each ingredient, and which changes would have helped."""
+"""Count the violations for which each ingredient is blamed, and those that each change would have avoided."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ LAST = (AttributionAnswer.NOTHING_HELPED.value, AttributionAnswer.NOT_ATTRIBUTED
 
 @dataclass(frozen=True, eq=False)
 class AttributionTally:
-    """The violations of a search, a campaign or a report, each in one group."""
+    """The attributions of the violations of a search, a campaign or a report, each in one group."""
 
     attributions: tuple[Attribution, ...]
 
     @classmethod
     def from_attributions(cls, attributions: Iterable[Attribution]) -> AttributionTally:
-        """Return the tally of ``attributions``, from any number of runs."""
+        """Return the tally of ``attributions``, which may come from any number of runs."""
         return cls(tuple(attributions))
 
     of = from_attributions  # deprecated: the old name, for one release
@@ -33,7 +33,7 @@ class AttributionTally:
 
     @cached_property
     def would_help(self) -> dict[str, int]:
-        """The number of violations that each single change would have avoided, largest first."""
+        """The number of violations that each single change would have avoided, largest number first."""
         counts: Counter[str] = Counter()
         for attribution in self.attributions:
             for replay in attribution.replays:
@@ -49,7 +49,7 @@ class AttributionTally:
     words = summary  # deprecated: the old name, for one release
 
     def lines(self) -> Iterator[str]:
-        """Yield the groups and the helpful changes as a table for a terminal; empty without violations."""
+        """Yield the lines of a terminal's table of groups and helpful changes; no line without violations."""
         if not self.attributions:
             return
         yield self.summary
@@ -59,7 +59,7 @@ class AttributionTally:
             yield from (f"{count:>7,}  {change}" for change, count in helping.items())
 
     def as_json(self) -> dict[str, object]:
-        """Return counts, and every attribution with its replays; margins in SI."""
+        """Return the counts and every attribution with its replays as JSON; margins are in SI."""
         return {
             "violations": len(self.attributions),
             "groups": self.groups,
@@ -69,12 +69,12 @@ class AttributionTally:
 
 
 def group_words(groups: Mapping[str, int]) -> str:
-    """Return the number of violations in total and in each group, in words."""
+    """Return the number of violations in all ``groups`` and in each of them, in words."""
     return f"of {sum(groups.values())}: " + ", ".join(f"{count} {group}" for group, count in groups.items())
 
 
 def as_json_of(answer: Attribution) -> dict[str, object]:
-    """Return one violation with its replays as JSON; margins in SI."""
+    """Return the attribution ``answer`` with its replays as JSON; margins are in SI."""
     return {
         "scenario": answer.scenario,
         "claim": answer.claim.sentence,

@@ -1,9 +1,10 @@
-"""The bound on the distance from hands that no arm can keep; docs/explanation/whose-fault.md derives it.
+"""Prove that no arm could have kept a distance from hands; docs/explanation/whose-fault.md has the proof.
 
-A *free arm* knows the whole run beforehand and keeps a single limit of the system.  Its TCP starts where the
-run starts, and is never faster than the controller.  If that does not bound it, the joints' limits do.  A
-claim that no free arm keeps stays violated by every change of the system.  Each of the three bounds is a
-necessary condition. A violation that passes them all may still be unavoidable.
+A *free arm* knows the whole run beforehand, and a single limit of the system binds it. Its TCP starts where
+the run starts, and never exceeds the controller's speed limit. If that limit does not hold for the system,
+the joints' speed limits bind the TCP. If no free arm keeps a claim, the claim stays violated after every
+change of the system. Each of the three bounds is a necessary condition for keeping the claim. So a violation
+that meets all three conditions may still be unavoidable.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ from safety_harness.search.attribution.ingredients import fastest_tcp_mps
 
 SeeksTcp = ReachForTcp | FollowTcp
 STEPS = 200  # of the path of a hand that brakes
-LEAST = 1.05  # times the TCP's speed: a slower hand is not followed any further
+LEAST = 1.05  # times the TCP's speed: a slower hand is not followed any longer
 NOWHERE = np.zeros(3)  # a TCP for hands that do not depend on it
 
 
 def why_unavoidable(checked: Checked, prop: Property) -> str:
-    """Return why no free arm could have kept ``prop`` in this scenario; empty if no bound applies.
+    """Return why no free arm could have kept ``prop`` in this scenario; empty if no bound shows it.
 
     Args:
         checked: The admitted scenario with its arm.
@@ -67,9 +68,9 @@ def why_unavoidable(checked: Checked, prop: Property) -> str:
 class FreeArm:
     """The properties that all free arms of a scenario share, in the base frame.
 
-    ``start_m`` (3,) is the TCP at the start.  ``centre_m`` (3,) is a point from which the TCP is never
-    farther than ``reach_m``.  A ball of radius ``tip_m`` about the TCP lies within the arm.  ``fastest_mps``
-    limits the TCP. ``body`` has the capsules that no joint moves, with end points ``ends_m`` (n, 2, 3).
+    ``start_m`` (3,) is the TCP at the start. ``centre_m`` (3,) is a point from which the TCP is never farther
+    than ``reach_m``. A ball of radius ``tip_m`` about the TCP lies within the arm. ``fastest_mps`` limits the
+    TCP. ``body`` holds the capsules that no joint moves; ``ends_m`` (n, 2, 3) are their end points.
     """
 
     start_m: Array3
@@ -82,7 +83,7 @@ class FreeArm:
 
     @classmethod
     def from_checked(cls, checked: Checked) -> FreeArm:
-        """Return the free arm of a scenario, from its start."""
+        """Return the free arm of an admitted scenario at the start of its run."""
         transforms = links_in_base(checked.arm, checked.joint_position_rad)
         places = transforms[:, :3, 3]
         settings = checked.scenario.settings
@@ -107,7 +108,7 @@ class FreeArm:
         )
 
     def farthest_m(self, from_m: ArrayNx3, time_s: NDArray[np.float64]) -> NDArray[np.float64]:  # (n,)
-        """Return the greatest possible distance (n,) of the TCP from points at given times.
+        """Return the greatest possible distance (n,) of the TCP from each point at the point's time.
 
         Args:
             from_m: The points, in the base frame.
@@ -120,10 +121,10 @@ class FreeArm:
 
 
 def _fastest_mps(checked: Checked, capsules: CapsuleSet) -> float:
-    """Return a limit of the TCP's speed: the servo's, where the drives follow it.
+    """Return a limit of the TCP's speed [m/s]: the servo's limit, if the drives follow the servo.
 
-    Otherwise it is the limit of the joints, sum q'_j l_j, with the chain of links l_j behind joint j.  A
-    user's controller may command any joint speed.  Lagging drives or a stuck joint may deviate from the
+    Otherwise it is sum q'_j l_j, with the speed limit q'_j of joint j and the length l_j of the links behind
+    it. A user's controller may command any joint speed. Lagging drives or a stuck joint may deviate from the
     servo's command.
     """
     scenario = checked.scenario
@@ -151,8 +152,9 @@ def _immovable(
 ) -> tuple[CapsuleSet, NDArray[np.float64]]:
     """Return the capsules that no joint moves, and their end points (n, 2, 3) in the base frame.
 
-    These are the capsules of the base, and balls of the first link about its axis.  A ball at distance r from
-    the axis contains a ball about its foot on the axis, smaller by r, wherever the joint is.
+    These are the capsules of the base, and balls about the first joint's axis within the first link. A ball
+    at distance r from the axis always contains a ball about its foot on the axis, whose radius is smaller by
+    r.
     """
     parts: list[tuple[int, Array3, Array3, float]] = []
     axis = product(transforms[1, :3, :3], axis_in_link)
@@ -180,11 +182,12 @@ def _immovable(
 
 @dataclass(frozen=True, eq=False)
 class HandPath:
-    """The part of a hand's path that does not depend on the arm.
+    """The first part of a hand's path, which does not depend on the arm.
 
-    ``time_s`` (n,), ``hand_m`` and ``elbow_m`` (n, 3) are in the base frame.  ``then`` is the move with which
-    the hand first heads for the TCP; None if it never does.  This move begins at most ``period_s`` before the
-    last time.  ``at_rest`` tells whether the hand rests at that moment, and ``steady_m`` (3,) is its place.
+    ``time_s`` (n,), ``hand_m`` and ``elbow_m`` (n, 3) are in the base frame. ``then`` is the move with which
+    the hand first heads for the TCP; None if it never does. This move begins at most one control period
+    before the last time. ``at_rest`` tells whether the hand then rests, and ``steady_m`` (3,) is its place
+    without tremor.
     """
 
     time_s: NDArray[np.float64]
@@ -196,7 +199,7 @@ class HandPath:
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, number: int) -> HandPath:
-        """Return the path of hand ``number`` of the scenario, or of its leader."""
+        """Return hand ``number`` of ``scenario`` until its own or its leader's first move towards the TCP."""
         leader, settled = scenario.leader(scenario.hands[number]), scenario
         moves = leader.moves if isinstance(leader, MovingHand) else ()
         seeks = next((k for k, move in enumerate(moves) if isinstance(move, SeeksTcp)), None)
@@ -234,10 +237,9 @@ def _follow(
     period_s: float,
     ways_m: NDArray[np.float64],  # (n, 2, 3), written
 ) -> int:
-    """Write hand and elbow of hand ``number`` at each tick, and return the number of ticks.
+    """Write hand ``number`` and its elbow at each tick to ``ways_m``, and return the number of ticks.
 
-    The path ends when the moves of hand ``ends`` are over; ``ends`` -1 follows the hand to the end of the
-    run.
+    The path ends when the moves of hand ``ends`` are over, or with the run if ``ends`` is -1.
     """
     for tick in range(ways_m.shape[0]):
         for i in range(3):
@@ -250,7 +252,7 @@ def _follow(
 
 
 def _at_what_cannot_move(free: FreeArm, path: HandPath, minimum_m: float, radii: Hand) -> str:
-    """Return the first time at which the hand is too near to a part that no joint moves; or an empty text."""
+    """Return words on the first time when the hand is too near to a part that no joint moves, or ""."""
     sizes_m = radii.radius_m, radii.forearm_radius_m
     thick_m = max(sizes_m) + float(free.body.radius_m.max())
     thick_m += float(np.linalg.norm(free.ends_m - free.centre_m, axis=2).max())
@@ -266,7 +268,7 @@ def _at_what_cannot_move(free: FreeArm, path: HandPath, minimum_m: float, radii:
 
 
 def _before_it_can_leave(free: FreeArm, path: HandPath, near_m: float) -> str:
-    """Return the first time at which all places that the TCP can reach are too near; or an empty text.
+    """Return words on the first time when every place that the TCP can reach is too near the hand, or "".
 
     ``near_m`` is the least allowed distance from the hand's centre.
     """
@@ -279,7 +281,7 @@ def _before_it_can_leave(free: FreeArm, path: HandPath, near_m: float) -> str:
 
 
 def _pursued(free: FreeArm, path: HandPath, near_m: float, scenario: Scenario, hand: HandTrajectory) -> str:
-    """Return how a hand that is faster than the TCP catches it, or an empty text."""
+    """Return words on how a hand that is faster than the TCP catches it, or "" if no bound shows it."""
     move = path.then
     if move is None or not path.at_rest or not isinstance(hand, MovingHand):
         return ""
@@ -313,10 +315,10 @@ def _pursued(free: FreeArm, path: HandPath, near_m: float, scenario: Scenario, h
 
 @dataclass(frozen=True)
 class Chase:
-    """A hand that heads for a TCP from rest, in the motion of ``pursue``.
+    """A hand that heads for a TCP from rest, with the motion that ``pursue`` computes.
 
-    ``speed_mps`` and ``acceleration_mps2`` limit the hand, ``fleeing_mps`` limits the TCP.  The hand stops at
-    the distance ``until_m``.
+    ``speed_mps`` and ``acceleration_mps2`` limit the hand, and ``fleeing_mps`` limits the TCP's speed. The
+    hand stops at the distance ``until_m``.
     """
 
     speed_mps: float
@@ -326,11 +328,11 @@ class Chase:
     period_s: float
 
     def caught(self, nearest_m: float, farthest_m: float) -> tuple[float, float, float] | None:
-        """Return three upper bounds: the heading time [s], the time after it [s], and the distance then [m].
+        """Return upper bounds: the heading time [s], the time after it [s], and the distance then [m].
 
         Args:
-            nearest_m: The least distance of the TCP at the beginning.
-            farthest_m: Its greatest distance then.
+            nearest_m: The least possible distance [m] of the TCP when the hand begins to head for it.
+            farthest_m: The greatest possible distance [m] of the TCP at that time.
 
         Returns:
             The three bounds; None if there is no bound.
@@ -356,7 +358,7 @@ class Chase:
         return flown if flown[2] <= braked_m else (heading_s + braking_s, 0.0, braked_m)
 
     def _braked(self, ending_m: float) -> tuple[float, float]:
-        """Return upper bounds of the time [s] and the distance [m] while the hand brakes before the TCP."""
+        """Return upper bounds of the time [s] and the distance [m] for the hand's braking before the TCP."""
         a, v, dt = self.acceleration_mps2, self.fleeing_mps, self.period_s
         distance_m, took_s, turned, near_m = ending_m, 0.0, 0.0, ending_m
         step_m = (ending_m - self.until_m) / STEPS
@@ -376,10 +378,10 @@ class Chase:
         return took_s, near_m
 
     def _turned_s(self, nearest_m: float, ending_m: float) -> float | None:
-        """Return the longest time until the hand moves at the TCP with full speed; None for no bound.
+        """Return the longest time [s] until the hand moves at full speed at the TCP; None for no bound.
 
-        It is the least fixed point of the inequalities in docs/explanation/whose-fault.md.  The TCP is
-        no nearer than ``ending_m``.
+        It is the least fixed point of the inequalities in docs/explanation/whose-fault.md. It holds while the
+        TCP is at least ``ending_m`` away.
         """
         s, a, v = self.speed_mps, self.acceleration_mps2, self.fleeing_mps
         lateral_mps, least_m = 0.0, nearest_m
