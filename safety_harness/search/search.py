@@ -69,7 +69,9 @@ class AskTell:
 
         """
         if self._asked is not None:
-            raise SearchOrderError(f"{self.name}: ask() before tell() of the last {len(self._asked)} points")
+            raise SearchOrderError(
+                f"{self.name}: ask() before tell_scores() of the last {len(self._asked)} points"
+            )
         if count < 1:
             raise SearchOrderError(f"{self.name}: ask() for {count} points; expected at least 1")
         points = np.array(self._searcher.propose(count), dtype=np.float64)
@@ -94,12 +96,12 @@ class AskTell:
 
         """
         if self._asked is None:
-            raise SearchOrderError(f"{self.name}: tell() before ask()")
+            raise SearchOrderError(f"{self.name}: tell_scores() before ask()")
         wanted = (len(self._asked), self._claims)
         cells = [None] * len(self._asked) if cells is None else cells
         if scores.shape != wanted or len(cells) != len(self._asked):
             raise SearchOrderError(
-                f"{self.name}: tell() expects scores of shape {wanted}; got {scores.shape}"
+                f"{self.name}: tell_scores() expects scores of shape {wanted}; got {scores.shape}"
             )
         finite = scores.astype(np.float64)
         finite[np.isinf(finite)] = np.nan  # an infinite margin cannot guide a search
