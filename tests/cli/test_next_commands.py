@@ -20,7 +20,7 @@ hands:
 - hand: right hand
   starts at: [800 mm, -300 mm, 300 mm]
   elbow towards: [1600 mm, -1200 mm, 300 mm]
-  moves: [{reach for tcp: 2 m/s, until: 20 mm, at most: 2 s}]
+  moves: [{reach for tcp: 2 m/s, stop at distance: 20 mm, give up after: 2 s}]
 """
 SPACE = TEXT.replace("scenario:", "scenario space:").replace("300 ms", "from 300 ms to 400 ms")
 TRACE = "runs/1/traces/one.trace"
@@ -51,6 +51,11 @@ def next_words(arguments: list[str]) -> list[str]:
     return words
 
 
+def in_folder(folder: Path, words: list[str]) -> list[str]:
+    paths = ("runs", "one.yaml", "page.html", "pictures", "run.", "LOG")
+    return [str(folder / word) if word.startswith(paths) else word for word in words]
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
@@ -60,20 +65,13 @@ def next_words(arguments: list[str]) -> list[str]:
         (["attribute", "runs/1/traces", "--confirm"], ["view", TRACE]),
         (["attribute", "one.yaml", "--confirm"], ["run", "one.yaml"]),
         (["show", "one.yaml", "--out", "pictures"], ["run", "one.yaml"]),
-        (["history", "runs", "--out", "page.html"], ["attribute", "runs/2/traces"]),
-        (["export", TRACE, "--out", "run.mcap"], ["judge", "LOG.yaml"]),
     ],
 )
 def test_a_command_that_ends_well_ends_with_the_next_command(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, arguments: list[str], expected: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)  # where commands without --out write
-
-    def in_folder(words: list[str]) -> list[str]:
-        paths = ("runs", "one.yaml", "page.html", "pictures", "run.", "LOG")
-        return [str(folder / word) if word.startswith(paths) else word for word in words]
-
-    assert next_words(in_folder(arguments)) == in_folder(expected)
+    assert next_words(in_folder(folder, arguments)) == in_folder(folder, expected)
 
 
 def test_the_picture_of_a_space_leads_to_its_search(folder: Path, tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ def test_the_values_that_vary_in_what_no_run_tries_are_named() -> None:
         tried.add(made(one))
     (line,) = tried.lines(space)
     assert "hands[0].moves[2].reach for tcp, which varies" in line
-    assert "hands[0].moves[2].until, which varies" in line
+    assert "hands[0].moves[2].stop at distance, which varies" in line
     assert "offset" not in line
     assert "moves[0]" not in line
     tried.add(made(early))
