@@ -129,7 +129,7 @@ def test_a_certificate_bounds_the_share_of_runs_and_verify_makes_it_again(
     plan_in(tmp_path, PLAN.replace("AVOIDER", avoider).replace("WORLD", "PyBullet"), space)
     assert certify(Path("plan.yaml"), out=Path("report"), workers=1) == AS_EXPECTED
     (found,) = read_evidence(Path("report/evidence.json")).overruling
-    assert says(found.summary, all_of_them)
+    assert says(found.words, all_of_them)
     assert found.runs_overruled == found.runs * all_of_them
     assert found.overruled == found.proposals * all_of_them
     assert found.bound is not None
@@ -137,8 +137,8 @@ def test_a_certificate_bounds_the_share_of_runs_and_verify_makes_it_again(
     one_in_40 = 1.0 - 0.025 ** (1.0 / found.runs)  # Clopper and Pearson, of none of so many
     expected = (1.0 - one_in_40, 1.0) if all_of_them else (0.0, one_in_40)
     assert (found.bound.lower, found.bound.upper) == pytest.approx(expected)
-    assert found.summary in Path("report/evidence.html").read_text()
-    told = f"near: {found.summary}; in {found.runs_overruled} of {found.runs} runs with a proposal ("
+    assert found.words in Path("report/evidence.html").read_text()
+    told = f"near: {found.words}; in {found.runs_overruled} of {found.runs} runs with a proposal ("
     assert told in capsys.readouterr().out
     assert verify(Path("report"), runs=8, seed=1, execute_programs=True) == AS_EXPECTED
 

@@ -1,16 +1,13 @@
 """An independent check of a certificate of ``prove``, with numpy alone; ONNX files need ONNX's reference too.
 
-Run: python check.py CERTIFICATE MODEL.  The program bounds the answers p to hands h and TCPs t in each box
-that the certificate calls proven or refuted.  It refuses a certificate that these bounds do not confirm.
-
-A network is a list of steps (name, inputs, weight, bias, size of the bias's terms), or (name, inputs) for a
-ReLU.  A bound is a form (centre, symbols, slack).  A ReLU with l < 0 < u becomes s z + b +- b, where
-s = u / (u - l) and b = -s l / 2.  A sum of n terms is off by at most (n + 17) u of their sizes; u is above
-2^-24 for ONNX files and above 2^-53 for other files.  A claim has to hold with a margin of MARGIN.
-
-The optimum is t + 0.1 d + 0.05 (t - h).  Here d is the direction of v = DESIRED - t, or the nearest direction
-on the rim of the cone CONE about AXIS.  The derivative of v's direction by v is (1 - d d^T) / |v|, and its
-second derivative is at most 2 / (sqrt(3) |v|^2).
+Run: python check.py CERTIFICATE MODEL. It bounds the answers p to hands h and TCPs t in each box called
+proven or refuted, and refuses a certificate that they do not confirm. A network is a list of steps (name,
+inputs, weight, bias, size of the bias's terms), or (name, inputs) for a ReLU. A bound is a form (centre,
+symbols, slack). A ReLU with l < 0 < u becomes s z + b +- b, s = u / (u - l), b = -s l / 2. A sum of n terms
+errs by at most (n + 17) u of their sizes; u exceeds 2^-24 for ONNX files, 2^-53 for others. A claim has to
+hold with a margin of MARGIN. The optimum is t + 0.1 d + 0.05 (t - h), d the direction of v = DESIRED - t or
+the nearest on the rim of the cone CONE about AXIS. Its derivative by v is (1 - d d^T) / |v|, its second
+derivative at most 2 / (sqrt(3) |v|^2).
 """
 
 import base64
@@ -47,16 +44,14 @@ def network_of(data: bytes) -> tuple[list[Any], float, float]:
     tensors = json.loads(data[8 : (start := 8 + int.from_bytes(data[:8], "little"))])
     card = json.loads(tensors.pop("__metadata__")["safety_harness"])
     need(card["kind"] == "relu perceptron" and (m := card["members"]) >= 1, "the network is no perceptron")
-    mean, std, to, scale = (
-        np.array(card[k]) for k in ("input_mean", "input_std", "target_mean", "target_std")
-    )
+    mean, std, to, dev = (np.array(card[k]) for k in ("input_mean", "input_std", "target_mean", "target_std"))
     for name, raw in tensors.items():
         tensors[name] = np.frombuffer(data[start:][slice(*raw["data_offsets"])], "<f4").reshape(raw["shape"])
     steps, each = list[Any](), [f"{k}" for k in range(m)]
     for k in each:
         w, b = ([tensors[f"{k}/fc{n}.{part}"] for n in ("1", "2", "_out")] for part in ("weight", "bias"))
-        w[0], w[2] = w[0] / std, w[2] * scale[:, None]
-        b[0], b[2] = b[0] - w[0] @ mean, to + scale * b[2]
+        w[0], w[2] = w[0] / std, w[2] * dev[:, None]
+        b[0], b[2] = b[0] - w[0] @ mean, to + dev * b[2]
         x, y, z = ((w[n].T, b[n], np.abs(b[n])) for n in range(3))
         steps += [("x", [HAND, TCP], *x), ("x", ["x"]), ("y", ["x"], *y), ("y", ["y"]), (k, ["y"], *z)]
     mean = np.tile(EYE, (m, 1)) / m
@@ -163,12 +158,12 @@ def products(q: Array, w: Array, half: Array, g: Array, r: Array) -> tuple[Array
 
 def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: float, doubt: float) -> Any:
     """Return whether bounds confirm ``code`` for each box (n,) from ``low`` to ``high`` (n, 6)."""
-    kind, limit, (nearest_m, far) = claim["kind"], claim["limit_m"], claim["region"]["apart_m"]
+    kind, limit, (least_m, far) = claim["kind"], claim["limit_m"], claim["region"]["apart_m"]
     half = np.maximum(high - (centre := (low + high) / 2.0), centre - low) * (1.0 + 1e-12)
     gap, wide = centre[:, 3:] - centre[:, :3], half[:, 3:] + half[:, :3]
     nearest, farthest = np.linalg.norm([np.maximum(np.abs(gap) - wide, 0.0), np.abs(gap) + wide], axis=2)
     if code == OUTSIDE:
-        return (farthest < nearest_m - MARGIN) | (nearest > far + MARGIN)
+        return (farthest < least_m - MARGIN) | (nearest > far + MARGIN)
     forms = forms_of(steps, u, centre, half)
     z, g, r = forms[ANSWER]
     need((np.abs(z) + np.abs(g).sum(axis=1) + r < FARTHEST).all(), "an answer may be out of all bounds")
@@ -183,9 +178,7 @@ def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: flo
         square = np.stack([np.maximum(np.abs(z[0]) - deviation, 0.0), np.abs(z[0]) + deviation]) ** 2
         least, most = np.sqrt(square.reshape(2, len(z[0]), -1, 3).mean(axis=2)).max(axis=2)
         kept, broken = np.maximum(kept, least - doubt), np.minimum(broken, doubt - most)
-    return (
-        kept >= MARGIN if code == PROVEN else (broken >= MARGIN) & (nearest >= nearest_m) & (farthest <= far)
-    )
+    return kept >= MARGIN if code == PROVEN else (broken >= MARGIN) & (nearest >= least_m) & (farthest <= far)
 
 
 @np.errstate(all="ignore")
