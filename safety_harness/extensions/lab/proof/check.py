@@ -1,13 +1,12 @@
 """An independent check of a certificate of ``prove``, with numpy alone; ONNX files need ONNX's reference too.
 
-Run: python check.py CERTIFICATE MODEL. It bounds the answers p to hands h and TCPs t in each box called
-proven or refuted, and refuses a certificate that they do not confirm. A network is a list of steps (name,
-inputs, weight, bias, size of the bias's terms), or (name, inputs) for a ReLU. A bound is a form (centre,
-symbols, slack). A ReLU with l < 0 < u becomes s z + b +- b, s = u / (u - l), b = -s l / 2. A sum of n terms
-errs by at most (n + 17) u of their sizes; u exceeds 2^-24 for ONNX files, else 2^-53. Claims hold with
-MARGIN. The optimum is t + 0.1 d + 0.05 (t - h), d the direction of v = DESIRED - t or the nearest on the rim
-of cone CONE about AXIS. Its derivative by v is (1 - d d^T) / |v|, its second derivative at most 2 / (sqrt(3)
-|v|^2).
+Run: python check.py CERTIFICATE MODEL. It bounds answers p to hands h and TCPs t in the boxes called proven
+or refuted, and confirms or refuses these. A network is a list of steps (name, inputs, weight, bias, size of
+the bias's terms), or (name, inputs) for a ReLU. A bound is a form (centre, symbols, slack). A ReLU with l < 0
+< u becomes s z + b +- b, s = u / (u - l), b = -s l / 2. A sum of n terms errs by at most (n + 17) u of their
+sizes; u exceeds 2^-24 for ONNX files, else 2^-53. Claims hold with MARGIN. The optimum is t + 0.1 d + 0.05 (t
+- h), d the direction of v = DESIRED - t or the nearest on the rim of cone CONE about AXIS. Its derivative by
+v is (1 - d d^T) / |v|, its second derivative at most 2 / (sqrt(3) |v|^2).
 """
 
 import base64
