@@ -46,7 +46,7 @@ def test_asking_and_telling_in_turns_is_right() -> None:
 def test_asking_twice_is_refused() -> None:
     search = asking()
     search.ask(2)
-    with pytest.raises(SearchOrderError, match=r"before tell\(\) of the last 2 points"):
+    with pytest.raises(SearchOrderError, match=r"before tell_scores\(\) of the last 2 points"):
         search.ask(2)
 
 
