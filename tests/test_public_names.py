@@ -104,3 +104,11 @@ def test_an_old_keyword_works_for_one_release_and_an_unknown_one_does_not() -> N
     assert str(old(servoing(), within=s(2))) == str(stopped().until(servoing(), window=s(2)))
     with pytest.raises(TypeError, match="whitin"):
         old(servoing(), whitin=s(2))
+
+
+def test_a_keyword_and_its_old_name_together_are_refused() -> None:
+    from safety_harness.testing import always, s, stopped
+
+    old: Any = always
+    with pytest.raises(TypeError, match="window or its old name within; got both"):
+        old(stopped(), window=s(1), within=s(2))

@@ -23,6 +23,9 @@ def renamed_parameters(
     def decorate(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
         @wraps(function)
         def call(*args: Any, **keywords: Any) -> _Result:
+            for old, new in names.items():
+                if old in keywords and new in keywords:
+                    raise TypeError(f"{function.__name__}() takes {new} or its old name {old}; got both")
             return function(*args, **{names.get(name, name): value for name, value in keywords.items()})
 
         return call

@@ -165,6 +165,7 @@ class Worded(ABC):
 
     def __init_subclass__(cls) -> None:
         """Accept ``words``, the name of ``wording`` in earlier releases."""
+        super().__init_subclass__()
         if "words" in vars(cls) and "wording" not in vars(cls):
             cls.wording = vars(cls)["words"]  # type: ignore[method-assign]
 

@@ -95,20 +95,22 @@ class CatalogueEntry:
 
     def understands(self, sentence: str) -> re.Match[str] | None:
         """Return the match of a sentence that claims this property, ignoring case and outer spaces."""
-        patterns = (self.pattern or _pattern(self.wording), *map(_pattern, self.former))
-        matches = (re.fullmatch(pattern, sentence.strip(), re.IGNORECASE) for pattern in patterns)
-        return next(filter(None, matches), None)
+        return _match(sentence, self.pattern or _pattern(self.wording), *map(_pattern, self.former))
 
     def in_words_of_today(self, sentence: str) -> str | None:
         """Return a ``former`` sentence in today's words, with its values as written; None for any other."""
-        patterns = map(_pattern, self.former)
-        matches = (re.fullmatch(pattern, sentence.strip(), re.IGNORECASE) for pattern in patterns)
-        match = next(filter(None, matches), None)
+        match = _match(sentence, *map(_pattern, self.former))
         if match is None:
             return None
         values = iter(match.groups())
         sentence = FIELD.sub(lambda _: next(values), self.wording)
         return re.sub(r"(\S+)( \w+)\(s\)", lambda m: m[1] + m[2] + "s" * (m[1] != "1"), sentence)
+
+
+def _match(sentence: str, *patterns: str) -> re.Match[str] | None:
+    """Return the match of the first pattern that the whole sentence has; None without one."""
+    matches = (re.fullmatch(pattern, sentence.strip(), re.IGNORECASE) for pattern in patterns)
+    return next(filter(None, matches), None)
 
 
 def _pattern(wording: str) -> str:
