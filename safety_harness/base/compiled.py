@@ -5,8 +5,9 @@ All functions that the package compiles are compiled here.  Numba's own file cac
 ``controller`` would remain in use, and evidence from it would be wrong.
 
 So the machine code of a file lies in a folder whose name is a hash.  The hash covers that file and every file
-of the package that it imports (directly or not).  It also covers the versions of Python, numba and numpy.  A
-change in any of these causes a new compilation; a change of another file does not.
+of the package that it imports (directly or not).  It also covers the versions of Python and numba, and
+numpy's major version, within which the layout of arrays and the rules of types stay.  A change in any of
+these causes a new compilation; a change of another file does not.
 
 Numba looks for a function in the user's cache, then in the folder that a wheel contains (``machine_code``).
 It compiles the function if neither contains it.
@@ -76,8 +77,8 @@ def _content(file: Path) -> bytes:
 
 
 def _hash(files: Iterable[Path]) -> str:
-    """Return a hash (16 hex digits) of numba's and numpy's versions, and files' names and contents."""
-    digest = hashlib.sha256(f"numba {numba.__version__} numpy {np.__version__}".encode())
+    """Return a hash (16 hex digits) of numba's version, numpy's major one, and files' names and contents."""
+    digest = hashlib.sha256(f"numba {numba.__version__} numpy {np.__version__.split('.')[0]}".encode())
     for path in sorted(files):
         digest.update(_name(path))
         digest.update(_content(path))

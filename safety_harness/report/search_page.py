@@ -83,7 +83,7 @@ class SearchEvidence:
     faults: FaultsOfSearch | None = None  # the causes of all violations
     attributed: Mapping[str, Attribution] = field(default_factory=dict)  # by the counterexample's file
     flips: tuple[str, ...] = ()  # differences without a clear result when drawn again
-    overruled: str = ""  # states that the gate overrules this avoider more often than the reference
+    worse: tuple[str, ...] = ()  # sentences on what this avoider does worse than the reference
     causes: Causes = field(default_factory=Causes)
     against: Against | None = None  # how the runs differ from those with a reference
 

@@ -15,13 +15,16 @@ from numpy.typing import NDArray
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.base.exceptions import InputError
 from safety_harness.base.proportions import sign_test
+from safety_harness.base.settings import Settings
+from safety_harness.cell.avoidance.measures import optimum_in_base_m
+from safety_harness.cell.avoidance.paired import PosedAnswers, WrongAnswer, more_often_wrong, slower_words
 from safety_harness.claims.properties.against import ClaimDifference, RunDifference, VerdictChange
 from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
 from safety_harness.search.against import difference_of
 from safety_harness.search.confirm import OtherDraws
 from safety_harness.search.findings import Findings, Group
-from safety_harness.search.trials import Trials
+from safety_harness.search.trials import PartingAnswers, Trials
 from safety_harness.trace.trace import Trace
 
 CHANCE = 0.05  # of any finding, over all claims, on an avoider that is as good as the reference
@@ -102,8 +105,8 @@ def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Tria
     return lines
 
 
-def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
-    """Return a sentence if the gate refuses more of the avoider's proposals than of the reference's, or "".
+def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> list[str]:
+    """Return a sentence if the gate refuses more of the avoider's proposals than of the reference's.
 
     Proposals that the gate refuses for their spread alone do not count, because a larger spread is cautious.
     The result depends on runs anywhere in the space, with the limits ``SELDOM`` and ``OFTEN``. They are drawn
@@ -115,15 +118,58 @@ def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
 
     """
     if trials.reference is None or not np.greater(*_refused(trials.differences)):
-        return ""
+        return []
     drawn = draw().differences
     more, less = _refused(drawn)
     if more - less <= OFTEN * len(drawn) or sign_test(more, less) >= SELDOM:
-        return ""
-    return (
+        return []
+    return [
         f"the gate refused a greater share of its proposals, for more than their spread, than of "
         f"{trials.reference.name}'s in {more} of {len(drawn)} runs anywhere in the space, and a lesser share "
         f"in {less}"
+    ]
+
+
+def worse_answers(trials: Trials, draw: Callable[[], Trials]) -> list[str]:
+    """Return sentences on errors that the avoider makes more often than the reference, and on slower answers.
+
+    Of each pair of runs, only the last question that both share counts. As for overruling, runs anywhere in
+    the space decide, and they are drawn only if the runs of the search show an error.
+
+    Args:
+        trials: The trials of the search.
+        draw: The function that runs trials anywhere in the space.
+
+    """
+    if trials.reference is None or not trials.parting_answers:
+        return []
+    name, pairs = trials.reference.name, trials.parting_answers
+    own_s, other_s = (
+        max(float(made["decision_time_s"][0]) for made in side)
+        for side in ([pair.mine for pair in pairs], [pair.theirs for pair in pairs])
+    )
+    slower = slower_words(own_s, other_s, pairs[0].settings.clock.control_period_s, name)
+    worse = list[str]()
+    if _wrong(pairs, name, 0.5):
+        worse = _wrong(draw().parting_answers, name, CHANCE / (2 * len(WrongAnswer)))
+    return [*(f"it {text}" for text in worse), *filter(None, [slower])]
+
+
+def _wrong(pairs: Sequence[PartingAnswers], reference: str, chance: float) -> list[str]:
+    """Return the sentences of ``more_often_wrong`` about the last shared question of each pair."""
+    settings = [pair.settings for pair in pairs]
+    mine = _posed(np.concatenate([pair.mine for pair in pairs]), settings)
+    theirs = _posed(np.concatenate([pair.theirs for pair in pairs]), settings)
+    return [sentence for _, sentence, _ in more_often_wrong(mine, theirs, reference, chance)]
+
+
+def _posed(decisions: NDArray[np.void], settings: Sequence[Settings]) -> PosedAnswers:
+    """Return the questions and answers of ``decisions`` (n,), with the optima by the settings of each."""
+    hands, tcps = decisions["hand_position_in_base_m"], decisions["tcp_position_in_base_m"]
+    optima = [optimum_in_base_m(own, hands[k : k + 1], tcps[k : k + 1]) for k, own in enumerate(settings)]
+    proposed, spreads = decisions["proposed_position_in_base_m"], decisions["proposed_spread_m"]
+    return PosedAnswers(
+        hands, tcps, np.concatenate(optima), proposed, spreads, decisions["spread_threshold_m"]
     )
 
 

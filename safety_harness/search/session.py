@@ -46,7 +46,7 @@ from safety_harness.search.counterexample import (
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.cube import Cube
 from safety_harness.search.findings import RUN_FAILED, Findings, Group, TriedPoint
-from safety_harness.search.redrawn import keep_differences, more_overruled
+from safety_harness.search.redrawn import keep_differences, more_overruled, worse_answers
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
@@ -156,10 +156,11 @@ class SearchSession:
     searched world, and ``confirmed`` stays 0. ``unwritable`` is the reason why the session stopped writing.
     ``explain`` is called to explain each violation. ``repeated`` compares the avoider's answers with those of
     a second instance; None without this comparison. ``flips`` lists differences from the reference avoider
-    that a redraw did not show. ``overruled`` states that the gate overrules the avoider more often than the
-    reference avoider. Unless ``explains_all``, an ``allowance`` limits explanations to the search's simulated
-    time. ``examples`` holds the violations of each claim. The session calls ``concluding`` after the search.
-    ``keeps`` tells whether the session writes findings to ``out``.
+    that a redraw did not show. ``worse`` has sentences on what the avoider does worse than the reference
+    although it violates no claim for it: proposals that the gate refuses, wrong or late answers. Unless
+    ``explains_all``, an ``allowance`` limits explanations to the search's simulated time. ``examples`` holds
+    the violations of each claim. The session calls ``concluding`` after the search. ``keeps`` tells whether
+    the session writes findings to ``out``.
     """
 
     trials: Trials
@@ -179,7 +180,7 @@ class SearchSession:
     unconfirmed: list[Disagreement] = field(default_factory=list)
     repeated: RepeatabilityResult | None = None
     flips: list[str] = field(default_factory=list)
-    overruled: str = ""
+    worse: list[str] = field(default_factory=list)
     keeps: bool = True
     allowance: Allowance = field(default_factory=Allowance)
     examples: list[_Examples] = field(default_factory=list)
@@ -224,7 +225,7 @@ class SearchSession:
         applicable = ~self.trials.of_others  # all other claims cannot be judged
         unknown = bool(self.findings.tried) and not applicable.any()
         unknown |= not self.findings.evidence[applicable].all()  # a claim that no run exercised
-        unknown |= bool(self.overruled or self.not_found)
+        unknown |= bool(self.worse or self.not_found)
         return unknown or not all(written.expected for written in self.written)
 
     def search(self, make: MakesSearcher, trials: Trials, folder: str | None = "") -> Findings:
@@ -283,7 +284,7 @@ class SearchSession:
             say("interrupted: what was found is kept as it was found, not shrunk")
         elif self.unwritable is None:
             self._explain_groups()
-        for line in remarks(self.trials, findings, self.overruled):
+        for line in remarks(self.trials, findings, self.worse):
             say(line)
         self.output.detail("coverage: " + str(self.trials.coverage).replace("\n", "\n  "))
         whole_basis = basis_of_search(findings, self.confirmed)
@@ -344,13 +345,14 @@ class SearchSession:
             for findings in filter(None, [self.findings, self.baseline] if not self.interrupted else []):
                 self.flips += keep_differences(self.trials, findings, lambda: self._drawn)
             if not self.interrupted:
-                self.overruled = more_overruled(self.trials, lambda: self._drawn)
+                for worse in (more_overruled, worse_answers):
+                    self.worse += worse(self.trials, lambda: self._drawn)
         except KeyboardInterrupt:
             self.findings.interrupted = True
         for line in self.flips:
             self.output.say(f"flips near the limit: {line}")
-        if self.overruled:
-            self.output.result(f"OVERRULED  {self.overruled}")
+        for line in self.worse:
+            self.output.result(f"WORSE  {line}")
 
     def _ask_again(self) -> None:
         """Compare the avoider's answers with those of a second instance, except after an interruption."""
@@ -680,18 +682,18 @@ def summary(findings: Findings, budget: int) -> str:
     )
 
 
-def against_lines(against: Against, findings: Findings, touching: int, overruled: str) -> list[str]:
+def against_lines(against: Against, findings: Findings, touching: int, worse: Sequence[str]) -> list[str]:
     """Return lines on the differences from the reference; without any finding, also what that means.
 
     Args:
         against: The differences.
         findings: The findings.
         touching: The number of runs in which a hand touched the arm.
-        overruled: The finding about overruled proposals; may be empty.
+        worse: Sentences on what the avoider does worse than the reference.
 
     """
     lines = [f"against {against.reference}: {line}" for line in against.lines()]
-    if findings.tried and not (findings.found_any or overruled):
+    if findings.tried and not (findings.found_any or worse):
         touch = f"; in {touching} of them a hand touched the arm" if touching else ""
         lines.append(
             f"nothing found that {against.reference} does not do as well, in {findings.tried} runs{touch}. A "
@@ -700,13 +702,13 @@ def against_lines(against: Against, findings: Findings, touching: int, overruled
     return lines
 
 
-def remarks(trials: Trials, findings: Findings, overruled: str = "") -> list[str]:
+def remarks(trials: Trials, findings: Findings, worse: Sequence[str] = ()) -> list[str]:
     """Return lines against misreading: on refused points, untested claims, untried parts and touching hands.
 
     Args:
         trials: The trials of the search.
         findings: The findings.
-        overruled: The finding about overruled proposals; may be empty.
+        worse: Sentences on what the avoider does worse than the reference.
 
     """
     lines = [f"{count} points refused: {reason}" for reason, count in findings.refused.most_common(3)]
@@ -726,7 +728,7 @@ def remarks(trials: Trials, findings: Findings, overruled: str = "") -> list[str
         least = Unit.LENGTH.margin_text(trials.nearest_hand_m)
         lines.append(f"nearest hand: {least}; in {touching} of {findings.tried} runs a hand touched the arm")
     if trials.against is not None:
-        lines += against_lines(trials.against, findings, touching, overruled)
+        lines += against_lines(trials.against, findings, touching, worse)
     elif not findings.found_any and touching:
         lines.append(
             "no claim was violated: none here says that a hand must not touch the arm (--claim 'hand "

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from safety_harness.base.exceptions import (
 )
 from safety_harness.base.seeds import Branch
 from safety_harness.base.seeds import seed as leaf
+from safety_harness.base.settings import Settings
 from safety_harness.cell.avoidance.avoider import decision_time_of
 from safety_harness.cell.simulation.simulate import INTERRUPTED
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
@@ -53,6 +54,31 @@ from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured
+
+
+class PartingAnswers(NamedTuple):
+    """The answers at the last question that a pair of runs shares, as one decision (1,) of each run.
+
+    Both runs are equal until an answer changes what the arm does.
+    """
+
+    mine: NDArray[np.void]
+    theirs: NDArray[np.void]
+    settings: Settings
+
+    @classmethod
+    def of_pair(cls, mine: Trace, theirs: Trace) -> list[PartingAnswers]:
+        """Return the answers; empty if the runs share no question."""
+        asked = [run.decisions["asked_tick"] for run in (mine, theirs)]
+        both = asked[0][: len(asked[1])] == asked[1][: len(asked[0])]
+        arms_rad = [
+            run.ticks["joint_position_rad"][ticks[: len(both)]]
+            for run, ticks in zip((mine, theirs), asked, strict=True)
+        ]
+        shared = int(np.logical_and.accumulate(both & (arms_rad[0] == arms_rad[1]).all(axis=1)).sum())
+        last = slice(shared - 1, shared)
+        own = cls(mine.decisions[last].copy(), theirs.decisions[last].copy(), mine.scenario.settings)
+        return [own] if shared else []
 
 
 class ScenarioRunner(Protocol):
@@ -101,6 +127,8 @@ class Trials:
     With a ``reference``, every point also runs with that avoider. The search then looks for claims that the
     avoider violates and the reference keeps, and ``differences`` holds all pairs.
 
+    ``parting_answers`` holds the last question that each pair shares.
+
     The other fields sum over all runs. ``nearest_hand_m`` is the least distance between hand and arm;
     ``decisions`` counts all decisions, and ``unanswered`` those without an answer. ``overruling`` counts
     proposals that the gate overruled, and ``repeatability`` keeps the avoider's questions. ``tried`` records
@@ -125,6 +153,7 @@ class Trials:
     system: SystemUnderTest = field(default=NOT_NOTED, init=False)  # of the first run
     overruling: Overruling = field(default_factory=Overruling, init=False)
     differences: list[RunDifference] = field(default_factory=list, init=False)
+    parting_answers: list[PartingAnswers] = field(default_factory=list, init=False)
     repeatability: Repeatability = field(default_factory=Repeatability, init=False)
     tried: TriedParts = field(default_factory=TriedParts, init=False)
     times: AnswersTook = field(default_factory=AnswersTook, init=False)
@@ -261,6 +290,7 @@ class Trials:
         self.differences.append(
             RunDifference.from_traces(mine, reference, zip(evaluations, theirs, strict=True))
         )
+        self.parting_answers += PartingAnswers.of_pair(mine, reference)
         for claim, (my_evaluation, their_evaluation) in enumerate(zip(evaluations, theirs, strict=True)):
             margins[claim] = difference_of(my_evaluation, their_evaluation)
             conclusive[claim] &= their_evaluation.verdict is not Verdict.INCONCLUSIVE

@@ -111,7 +111,7 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
     first = _first_wrong(
         as_compiled(ticks),
         ticks["object_visible"].view(np.uint8),
-        trace.decisions["tick"],
+        np.array(trace.decisions["tick"]),  # a view's type for numba depends on its length
         scenario.settings.clock.control_period_s,
         len(scenario.hands),
         limits := LIMITS if scenario.shield is not None else LIMITS & ~int(Limit.SHIELD),

@@ -13,6 +13,8 @@ from safety_harness.base.geometry.arrays import ArrayNx3
 from safety_harness.base.settings import Settings
 from safety_harness.cell.avoidance.candidates import continuous_optimum
 
+WRONG_M = 0.060  # from the optimum: over half the repulsion radius, so the answer has another direction
+
 
 def optimum_in_base_m(settings: Settings, hands: ArrayNx3, tcps: ArrayNx3) -> ArrayNx3:
     """Return the targets (n, 3) of eq. 13 with the continuous optimum t_opt: t_opt + hand_pull (t_tcp - t_h).

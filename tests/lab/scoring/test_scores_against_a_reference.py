@@ -69,6 +69,16 @@ def test_a_little_worse_counts_on_more_than_a_share_of_the_questions(rows: int, 
     assert [one.kind for one in found] == [Kind.FAR_OFF] * named
 
 
+@pytest.mark.parametrize(("by_m", "named"), [(-0.015, False), (-0.025, True), (0.025, False)])
+def test_answers_over_20_mm_farther_off_than_the_references_are_a_finding(by_m: float, named: bool) -> None:
+    reference, far = moved(200, -0.030), moved(200, -0.030).regions[0].answers.positions_in_base_m.copy()
+    far[:, 0] += by_m
+    found = findings_against(with_answers(positions_in_base_m=far), [], reference, [], SETTINGS)
+    assert [one.words.split(" on ")[0] for one in found] == (
+        ["lies over 20 mm farther off the optimum than the other"] * named
+    )
+
+
 def test_sure_where_the_reference_doubts_is_a_finding() -> None:
     thresholds = np.full(200, 0.010)
     doubts = with_answers(spreads_m=np.full((200, 3), 0.02), thresholds_m=thresholds)

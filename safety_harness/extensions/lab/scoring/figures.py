@@ -10,7 +10,7 @@ from safety_harness.base.geometry.arrays import ArrayNx3
 from safety_harness.base.proportions import LEVEL, Proportion
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.base.settings import Settings, Vector3
-from safety_harness.cell.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
+from safety_harness.cell.avoidance.measures import WRONG_M, gained_m, is_sure, off_m, optimum_in_base_m
 from safety_harness.cell.controller.desired import reachable
 from safety_harness.extensions.lab.scoring.questions import Answers, Questions
 from safety_harness.extensions.lab.scoring.regions import QuestionRegion
@@ -21,7 +21,6 @@ Floats = NDArray[np.float64]
 ArrayN = NDArray[np.float64]  # (n,)
 Matrix = tuple[Vector3, Vector3, Vector3]
 
-WRONG_M = 0.060  # from the optimum: over half the repulsion radius, so the answer has another direction
 COARSEST_M = 0.001  # the largest step of a number format: half precision has such steps beyond a metre
 SPREAD_COUNTS = (1, 2, 3)  # multiples of the spread
 WORST = 10

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from safety_harness.base.proportions import Proportion
 from safety_harness.cell.avoidance.asking import Question
-from safety_harness.cell.avoidance.measures import gained_m
-from safety_harness.extensions.lab.scoring.figures import WRONG_M
+from safety_harness.cell.avoidance.measures import WRONG_M, gained_m
 from safety_harness.extensions.lab.scoring.scorecard import (
     AskedAgain,
     Figure,

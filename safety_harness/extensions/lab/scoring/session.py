@@ -15,8 +15,8 @@ from safety_harness.base.settings import DEFAULTS
 from safety_harness.base.whole_file import write_text
 from safety_harness.cell.avoidance.avoider import Avoider
 from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.measures import WRONG_M
 from safety_harness.extensions.lab.scoring.against import findings_against
-from safety_harness.extensions.lab.scoring.figures import WRONG_M
 from safety_harness.extensions.lab.scoring.findings import findings
 from safety_harness.extensions.lab.scoring.question_file import question_file
 from safety_harness.extensions.lab.scoring.regions import QuestionRegion, named_regions

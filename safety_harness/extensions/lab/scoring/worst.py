@@ -20,9 +20,8 @@ from safety_harness.base.geometry.arrays import Array3
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.base.seeds import seed as leaf
 from safety_harness.cell.avoidance.avoider import Avoider
-from safety_harness.cell.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
+from safety_harness.cell.avoidance.measures import WRONG_M, gained_m, is_sure, off_m, optimum_in_base_m
 from safety_harness.extensions.lab.scoring.asking import asked_together
-from safety_harness.extensions.lab.scoring.figures import WRONG_M
 from safety_harness.extensions.lab.scoring.question_file import begins_clear, seed_of
 from safety_harness.extensions.lab.scoring.questions import Questions
 from safety_harness.extensions.lab.scoring.regions import QuestionRegion
