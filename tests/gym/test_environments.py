@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,6 +17,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
@@ -22,7 +25,7 @@ from safety_harness.base.exceptions import ControllerError, InputError, MissingP
 from safety_harness.extensions.gym.environment import HarnessEnv
 from safety_harness.extensions.gym.stable_baselines import StableBaselinesEnv
 from safety_harness.extensions.gym.vector import HarnessVectorEnv
-from safety_harness.scenario.read import parse_scenario
+from safety_harness.scenario.read import parse_scenario, read_scenario
 from safety_harness.seams.contract import Move
 from safety_harness.space.read import parse_space
 
@@ -175,7 +178,10 @@ def test_lanes_are_the_single_environments_bit_for_bit(one: HarnessEnv) -> None:
     assert truncated.all()
     assert info["_final_obs"].all()
     for lane, (every, _, last) in enumerate(singles):
-        assert alike(every[-1], {name: array[lane] for name, array in info["final_obs"].items()})
+        assert alike(every[-1], info["final_obs"][lane])
+        assert {name: last[name] for name in ("cost", "is_success", "scenario")} == {
+            name: info["final_info"][name][lane] for name in ("cost", "is_success", "scenario")
+        }
         assert last["margins"][NEAR] == info["final_info"]["margins"][NEAR][lane]
     lanes.close()
 
@@ -232,8 +238,8 @@ def test_stable_baselines_gets_fields_held_actions_and_the_last_observation() ->
     assert all(info["TimeLimit.truncated"] for info in infos)
     told = [beside.step(lanes.single_action_space.high * actions) for _ in range(TICKS)]
     np.testing.assert_allclose(total, sum(step[1] for step in told), rtol=1e-5)
-    last = told[-1][4]["final_obs"]["tcp_position_in_base_m"]
-    np.testing.assert_allclose(infos[1]["terminal_observation"]["tcp_position_in_base_m"], last[1], rtol=1e-6)
+    last = told[-1][4]["final_obs"][1]["tcp_position_in_base_m"]
+    np.testing.assert_allclose(infos[1]["terminal_observation"]["tcp_position_in_base_m"], last, rtol=1e-6)
     env.close()
 
 
@@ -246,7 +252,8 @@ def test_stable_baselines_gets_fields_held_actions_and_the_last_observation() ->
             {"space": SPACE, "action": "torque"},
             "tcp velocity, tcp twist, joint velocity; got 'torque'",
         ),
-        ({"space": SPACE, "sees": ("image",)}, "got 'image'"),
+        ({"space": SPACE, "sees": ("image",)}, "sees: expected a world that renders .*; got 'image' in the"),
+        ({"space": SPACE, "render_mode": "human"}, "render_mode: expected None or rgb_array; got 'human'"),
         ({"space": SPACE, "sees": ()}, "sees: expected at least one of: joints, .*; got none"),
         (
             {"space": SPACE, "sees": "joints"},
@@ -284,3 +291,129 @@ def test_without_gymnasium_or_stable_baselines_it_says_what_to_install(
         monkeypatch.delitem(sys.modules, module)
         with pytest.raises(MissingPackageError, match=rf"needs {package}, .*safety-harness\[{extra}\]"):
             import_module(module)
+
+
+def test_info_counts_the_claims_that_a_tick_violates_and_names_the_draw() -> None:
+    env = HarnessEnv(space=SPACE, rewards={NEAR: 1.0, "TCP speed never above 1 mm/s": 1.0})
+    _, info = env.reset(seed=2)
+    costs = [info["cost"]] + [env.step(np.array([0.1, 0.0, 0.0]))[4]["cost"] for _ in range(TICKS)]
+    ticks = env.trace().ticks
+    distance_m = np.where(ticks["hand_present"], ticks["hand_distance_m"], np.inf).min(axis=1)
+    assert costs == ((distance_m < 0.3) * 1.0 + (ticks["tcp_speed_mps"] > 0.001)).tolist()
+    assert set(costs) == {1.0, 2.0}
+    assert info["scenario"] == SPACE.draw(2, 0).name
+    env.close()
+
+
+def test_success_is_arrival_without_a_violation() -> None:
+    env = HarnessEnv(scenario=SCENARIO, rewards={"hand distance never below 50 mm": 1.0})
+    desired = np.array(SCENARIO.settings.cell.desired_tcp_position_in_base_m)
+    seen, info = env.reset()
+    successes = [info["is_success"]]
+    for _ in range(TICKS):
+        seen, *_, info = env.step(np.clip(8.0 * (desired - seen["tcp_position_in_base_m"]), -0.2, 0.2))
+        successes.append(info["is_success"])
+    way_m = np.linalg.norm(env.trace().ticks["transform_tcp_to_base"][:, :3, 3] - desired, axis=1)
+    assert successes == (way_m <= 0.001).tolist()
+    env.close()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("make", [HarnessEnv, lambda **given: HarnessVectorEnv(3, **given)])
+def test_a_copy_in_the_middle_of_an_episode_goes_on_bit_for_bit(copied: Any, make: Any) -> None:
+    env = make(space=SPACE, rewards={"progress": 1.0, NEAR: 2.0})
+    rng = np.random.default_rng(1)
+    env.reset(seed=5)
+    for _ in range(TICKS + 7 if isinstance(env, HarnessVectorEnv) else 7):
+        env.step(rng.uniform(-0.2, 0.2, env.action_space.shape))
+    other = copied(env)
+    for k in range(TICKS - 7):
+        action = rng.uniform(-0.2, 0.2, env.action_space.shape)
+        one, two = env.step(action), other.step(action)
+        assert alike(one[0], two[0])
+        assert np.array_equal(one[1], two[1]), k
+    assert alike(env.reset()[0], other.reset()[0])  # the next draw of the stream
+    env.close()
+    other.close()
+
+
+@pytest.mark.parametrize(
+    ("seed", "said"),
+    [
+        (-1, "seed: expected a whole number, at least 0; got -1"),
+        (0.5, "got 0.5"),
+        ("7", "got '7'"),
+        ([1, 2], "seed: expected one entry for each of the 3 lanes; got 2 of them"),
+        ([1, -2, 3], r"seed\[1\]: expected a whole number, at least 0; got -2"),
+    ],
+)
+def test_a_seed_that_is_none_is_refused(seed: object, said: str, one: HarnessEnv) -> None:
+    lanes = HarnessVectorEnv(3, space=SPACE)
+    with pytest.raises(InputError, match=said):
+        lanes.reset(seed=seed)
+    with pytest.raises(InputError, match="seed: expected a whole number"):
+        one.reset(seed=seed)
+    lanes.close()
+
+
+def test_integers_of_numpy_are_seeds_and_none_lets_a_lane_go_on(one: HarnessEnv) -> None:
+    assert alike(one.reset(seed=np.int64(7))[0], one.reset(seed=7)[0])
+    lanes, others = (HarnessVectorEnv(3, space=SPACE) for _ in range(2))
+    assert alike(lanes.reset(seed=np.int32(7))[0], others.reset(seed=np.array([7, 8, 9]))[0])
+    others.reset(seed=[7, None, 9])
+    assert others.call("scenario")[0] == lanes.call("scenario")[0]
+    lanes.close()
+    others.close()
+
+
+def test_lanes_have_attributes_in_common_and_nothing_to_call() -> None:
+    lanes = HarnessVectorEnv(2, space=SPACE)
+    assert lanes.get_attr("num_envs") == (2, 2)
+    with pytest.raises(AttributeError, match="step cannot be called"):
+        lanes.call("step")
+    with pytest.raises(AttributeError, match="cannot be set"):
+        lanes.set_attr("num_envs", 3)
+    lanes.close()
+
+
+def test_wrappers_of_gymnasium_read_the_infos_of_lanes() -> None:
+    lanes = HarnessVectorEnv(3, space=SPACE, rewards={NEAR: 1.0})
+    wrapped = DictInfoToList(RecordEpisodeStatistics(lanes))
+    _, infos = wrapped.reset(seed=7)
+    assert [info["scenario"] for info in infos] == [SPACE.draw(7 + lane, 0).name for lane in range(3)]
+    for _ in range(TICKS):
+        *_, infos = wrapped.step(np.zeros((3, 3)))
+    for info in infos:
+        assert info["episode"]["l"] == TICKS
+        assert set(info["final_info"]) == {"margins", "cost", "is_success", "scenario"}
+        assert info["final_info"]["margins"][NEAR] < 0.3
+    wrapped.close()
+
+
+@pytest.mark.parametrize("world", ["kinematic", "pybullet"])
+def test_a_picture_shows_arm_and_hand_from_outside_in_any_world(world: str) -> None:
+    name = "safety_harness.extensions.gym:SafetyHarness-v0"
+    env = gymnasium.make(name, scenario=SCENARIO, world=world, render_mode="rgb_array")
+    env.reset()
+    first = env.render()
+    for _ in range(TICKS):
+        env.step(np.array([0.0, 0.0, 0.2]))
+    last = env.render()
+    env.close()
+    assert first.shape == last.shape == (480, 640, 3)
+    assert first.dtype == np.uint8
+    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 20
+    assert (first != last).any()
+
+
+def test_images_are_observed_where_the_world_renders() -> None:
+    rendered = read_scenario("shipped:rendered-images")
+    env = HarnessEnv(scenario=rendered, world="pybullet", sees=("joints", "image"))
+    camera = rendered.settings.camera
+    seen, _ = env.reset()
+    assert env.observation_space["image"].shape == (camera.height_px, camera.width_px, 3)
+    for _ in range(40):
+        seen, *_ = env.step(np.zeros(3))
+    assert env.observation_space.contains(seen)
+    assert seen["image"].any()
+    env.close()

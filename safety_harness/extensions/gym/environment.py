@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from itertools import count
 from multiprocessing import current_process, parent_process
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakValueDictionary
 
 import gymnasium
@@ -17,23 +17,36 @@ from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.admission.admit import Checked
 from safety_harness.base.exceptions import ControllerError, InadmissibleError
-from safety_harness.base.settings import Settings
+from safety_harness.base.settings import ImageSource, Settings
 from safety_harness.cell.controller.arrays import Arrays, observed
 from safety_harness.cell.controller.driven import DrivenController
 from safety_harness.cell.simulation.simulate import no_ticks, trace_of
-from safety_harness.cell.simulation.world import World
-from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry, world_named
-from safety_harness.extensions.gym.episodes import OUTSIDE, Episodes, File
+from safety_harness.cell.simulation.world import ShowsImages, World
+from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry, world_named
+from safety_harness.extensions.gym.episodes import OUTSIDE, Episodes, File, stream_number
 from safety_harness.extensions.gym.observing import observation_space
 from safety_harness.extensions.gym.rewards import PROGRESS, Rewards
 from safety_harness.scenario.model import Scenario
-from safety_harness.seams.contract import JOINTS, PREDICTED_HANDS, DrivenArm, Seen, Start, Stop, sees_of
+from safety_harness.seams.contract import (
+    IMAGE,
+    JOINTS,
+    PREDICTED_HANDS,
+    DrivenArm,
+    Seen,
+    Start,
+    Stop,
+    sees_of,
+)
 from safety_harness.seams.rows import seen_dtype
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 
+if TYPE_CHECKING:
+    from safety_harness.extensions.gym.viewer import Viewer
+
 SEES = (JOINTS, PREDICTED_HANDS)
+RGB_ARRAY = "rgb_array"
 REWARDS = {PROGRESS: 1.0, "hand distance never below 50 mm": 100.0}
 TCP_VELOCITY, TCP_TWIST, JOINT_VELOCITY = "tcp velocity", "tcp twist", "joint velocity"
 ACTIONS = (TCP_VELOCITY, TCP_TWIST, JOINT_VELOCITY)
@@ -83,10 +96,20 @@ class Setting:
         self.joints = len(first.arm.joint_names)
         self.rewards = Rewards.of_claims(rewards, ends, first)
         seen = np.zeros(1, seen_dtype(first.scenario.hand_slots, self.joints))
-        self.observation_space = observation_space(seen, self.sees)
+        self.observation_space = observation_space(seen, self.sees, self._image_shape(first.scenario))
         self.action_space = _action_space(action, first)
         self.by_joints = action == JOINT_VELOCITY
         self.wanted = self.joints if self.by_joints else 6
+
+    def _image_shape(self, first: Scenario) -> tuple[int, int, int] | None:
+        """Return the shape (height, width, 3) of observed images; None if they are not observed."""
+        if IMAGE not in self.sees:
+            return None
+        camera = first.settings.camera
+        if not (self.world.renders and camera.source is ImageSource.RENDERED):
+            expected = "a world that renders (pybullet), and a scenario whose camera does, to see the image"
+            raise InadmissibleError.of_option("sees", expected, f"{IMAGE!r} in {self.world}")
+        return camera.height_px, camera.width_px, 3
 
     def wanted_of(self, actions: ArrayLike, lanes: int) -> NDArray[np.float64]:
         """Return ``actions`` (n, a) as (n, wanted), filled up with zeros.
@@ -157,13 +180,14 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         rewards: The weights of claims and of "progress", which ``extensions.gym.rewards`` explains.
         ends: Claims whose violation at a tick terminates an episode. The end of the scenario truncates an
             episode.
+        render_mode: "rgb_array", for pictures (480, 640, 3) by ``render``, which needs PyBullet; None: none.
 
     Raises:
         InadmissibleError: An argument cannot be used, or a scenario cannot run.
 
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012
+    metadata = {"render_modes": [RGB_ARRAY], "render_fps": 125}  # noqa: RUF012
 
     action_space: spaces.Box  # type: ignore[assignment]  # its numbers are float64
 
@@ -177,14 +201,30 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         action: str = TCP_VELOCITY,
         rewards: Mapping[str, float] = REWARDS,
         ends: Sequence[str] = (),
+        render_mode: str | None = None,
     ) -> None:
+        if render_mode not in (None, RGB_ARRAY):
+            raise InadmissibleError.of_option("render_mode", f"None or {RGB_ARRAY}", repr(render_mode))
+        if render_mode is not None:
+            REFERENCE.opener()
+        self.render_mode = render_mode
         self.setting = Setting(scenario, space, world, sees, action, rewards, ends)
+        self._given: dict[str, Any] = {"scenario": scenario, "space": space, "render_mode": render_mode}
+        self._given |= {"world": self.setting.world.label, "sees": tuple(sees), "action": action}
+        self._given |= {"rewards": dict(rewards), "ends": tuple(ends)}
         self.observation_space = self.setting.observation_space
         self.action_space = self.setting.action_space
-        self._stream: Iterator[Checked] = self.setting.episodes.stream(_lane(self) or None)
+        self._stream = self.setting.episodes.stream(_lane(self) or None)
         self._closing = ExitStack()
-        self._way_m = np.zeros(1)
-        self._over = True
+        self._viewer: Viewer | None = None
+        self._actions: list[NDArray[np.float64]] = []
+        self._way_m, self._cost = np.zeros(1), np.zeros(1)
+        self._begun, self._over = False, True
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let the environment be copied and pickled: the copy repeats the episode's steps so far."""
+        stream = self._stream
+        return _repeated, (self._given, stream.seed, stream.number, self._begun, self._actions)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -197,12 +237,18 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
             options: Ignored.
 
         Returns:
-            Observation and info. ``info["margins"]`` maps each claim to its least margin so far.
+            Observation and info. ``info["margins"]`` maps each claim to its least margin so far. ``cost``
+            counts the claims that this tick violates. ``is_success`` is true if the TCP has arrived and no
+            claim was violated so far. ``scenario`` names the draw.
+
+        Raises:
+            InadmissibleError: The seed is no integer, or negative.
 
         """
-        super().reset(seed=seed)
-        if seed is not None:
-            self._stream = self.setting.episodes.stream(seed)
+        number = None if seed is None else stream_number(seed)
+        super().reset(seed=number)
+        if number is not None:
+            self._stream = self.setting.episodes.stream(number)
         self._begin(next(self._stream))
         return self._observed(), self._info()
 
@@ -222,6 +268,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         if self._over:
             raise ControllerError("the episode is over: reset begins the next")
         wanted = self.setting.wanted_of(action, 1)[0]
+        self._actions.append(np.array(action, np.float64))
         self._command(wanted, last=False)
         self._observe(self._tick + 1)
         way_before_m, rewards = self._way_m, self.setting.rewards
@@ -229,6 +276,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         margins, self._way_m = rewards.at(ticks), rewards.way_left_m(ticks)
         for sentence, margin in margins.items():
             self._least[sentence] = np.minimum(self._least[sentence], margin)
+        self._cost = rewards.cost_of(margins, 1)
         reward = float(rewards.of_step(margins, self._way_m, way_before_m)[0])
         terminated = bool(rewards.ends_episode(margins, 1)[0])
         truncated = self._tick == self._checked.scenario.ticks
@@ -244,15 +292,26 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         ended = "complete" if whole else "the environment's episode ended before its scenario"
         return trace_of(self._checked.scenario, self._world, self._controller, done, ended)
 
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture (480, 640, 3) of the cell from outside; None without a ``render_mode``."""
+        if self.render_mode is None or not self._begun:
+            return None
+        if self._viewer is None:
+            from safety_harness.extensions.gym.viewer import Viewer
+
+            self._viewer = self._closing.enter_context(Viewer(self._checked))
+        return self._viewer.picture(self._ticks[self._tick])
+
     def close(self) -> None:
         """Close the world."""
         self._closing.close()
-        self._over = True
+        self._begun, self._over = False, True
         for key in [key for key, living in _LIVING.items() if living is self]:
             del _LIVING[key]
 
     def _begin(self, checked: Checked) -> None:
         self._closing.close()
+        self._viewer, self._actions = None, []
         self._checked, scenario = checked, checked.scenario
         opened = self.setting.world.open(scenario, checked.arm, checked.joint_position_rad)
         self._world: World = self._closing.enter_context(opened)
@@ -265,10 +324,11 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
             scenario.seed,
             scenario.hand_slots,
         )
-        self._ticks, self._over = no_ticks(scenario), False
+        self._ticks, self._begun, self._over = no_ticks(scenario), True, False
         self._observe(0)
         rewards = self.setting.rewards
         self._least, self._way_m = rewards.at(self._ticks[:1]), rewards.way_left_m(self._ticks[:1])
+        self._cost = rewards.cost_of(self._least, 1)
 
     def _observe(self, tick: int) -> None:
         self._tick = tick
@@ -286,10 +346,29 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         tick["faults"] |= self._world.acted_faults
 
     def _observed(self) -> dict[str, Any]:
-        rows: Arrays = observed(self._seen, self.setting.sees)
-        return {name: array[0] for name, array in rows.items()}
+        rows: Arrays = observed(self._seen, (word for word in self.setting.sees if word != IMAGE))
+        shown: dict[str, Any] = {name: array[0] for name, array in rows.items()}
+        if IMAGE in self.setting.sees:
+            assert isinstance(self._world, ShowsImages)  # the space of observations was refused else
+            shown[IMAGE] = self._world.image().pixels
+        return shown
 
     def _info(self) -> dict[str, Any]:
-        """Return the scenario's name, and ``margins``: each claim's least margin [SI] at a tick so far."""
+        """Return what ``reset`` describes; ``margins`` are the least [SI] at a tick so far."""
         margins = {sentence: float(least[0]) for sentence, least in self._least.items()}
-        return {"margins": margins, "scenario": self._checked.scenario.name}
+        success = bool(self.setting.rewards.succeeds(self._least, self._way_m)[0])
+        info = {"margins": margins, "cost": float(self._cost[0]), "is_success": success}
+        return info | {"scenario": self._checked.scenario.name}
+
+
+def _repeated(
+    given: dict[str, Any], seed: int | None, number: int, begun: bool, actions: list[NDArray[np.float64]]
+) -> HarnessEnv:
+    """Return an environment made of ``given`` that has repeated ``actions`` in the draw before ``number``."""
+    env = HarnessEnv(**given)
+    env._stream = env.setting.episodes.stream(seed, number - begun)
+    if begun:
+        env.reset()
+    for action in actions:
+        env.step(action)
+    return env

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from operator import index
 from pathlib import Path
 
 from safety_harness.admission.admit import Checked, check
@@ -38,38 +39,32 @@ class Episodes:
         self._space = read_space(space) if isinstance(space, str | Path) else space
         self._world = world
         self._size: tuple[object, ...] = ()
-        self.first = next(self.stream(None))
+        self.first = self.next_of(self.stream(None))
 
-    def stream(self, seed: int | None) -> Iterator[Checked]:
-        """Yield episodes without end.
+    def stream(self, seed: int | None, number: int = 0) -> Stream:
+        """Return the episodes of stream ``seed`` from draw ``number`` on."""
+        return Stream(self, seed, number)
 
-        A space yields those draws of stream ``seed`` that can run. A scenario yields itself again and again.
-        If ``seed`` is given, episode k of the scenario gets the seed of leaf k.
-
-        Args:
-            seed: The number of the stream. None: stream 0 of a space, or the scenario's own seed.
+    def next_of(self, stream: Stream) -> Checked:
+        """Return the next draw of ``stream`` that can run, and advance the stream past it.
 
         Raises:
             InadmissibleError: Too few draws of the space can run, or their sizes differ.
 
         """
-        number, refused = 0, 0
-        while True:
+        for _ in range(MAX_REJECTION_RATIO):
+            stream.number += 1
             try:
-                checked = self._checked(seed, number)
+                checked = self._checked(stream.seed, stream.number - 1)
             except InputError as error:
                 if self._space is None:
                     raise
-                reason = why_refused(error)
-                refused += 1
-                if refused >= MAX_REJECTION_RATIO:
-                    expected = f"a space in which at least one draw in {MAX_REJECTION_RATIO} can run"
-                    raise InadmissibleError.of_option("space", expected, reason) from error
+                refused = error
             else:
-                refused = 0
                 self._refuse_other_size(checked.scenario)
-                yield checked
-            number += 1
+                return checked
+        expected = f"a space in which at least one draw in {MAX_REJECTION_RATIO} can run"
+        raise InadmissibleError.of_option("space", expected, why_refused(refused)) from refused
 
     def _checked(self, seed: int | None, number: int) -> Checked:
         if self._space is not None:
@@ -98,3 +93,32 @@ class Episodes:
                 got=f"{scenario.name}, which is not like those before it",
             )
         self._size = size
+
+
+@dataclass(eq=False)
+class Stream(Iterator[Checked]):
+    """Episodes without end; a copy of a stream goes on as the original does.
+
+    A space yields those draws of stream ``seed`` that can run. A scenario yields itself again and again. If
+    ``seed`` is given, episode k of the scenario gets the seed of leaf k. If it is None, a space yields stream
+    0, and a scenario keeps its own seed. ``number`` is the draw to try next.
+    """
+
+    episodes: Episodes
+    seed: int | None
+    number: int = 0
+
+    def __next__(self) -> Checked:
+        """Return the next episode."""
+        return self.episodes.next_of(self)
+
+
+def stream_number(seed: object, place: str = "seed") -> int:
+    """Return ``seed`` as an int; raise InadmissibleError for a negative number or no integer."""
+    try:
+        number = index(seed)  # type: ignore[arg-type]  # what it refuses is refused here
+    except TypeError:
+        number = -1
+    if number < 0 or isinstance(seed, bool):
+        raise InadmissibleError.of_option(place, "a whole number, at least 0", repr(seed))
+    return number

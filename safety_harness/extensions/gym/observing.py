@@ -11,20 +11,26 @@ from safety_harness.cell.controller.arrays import SeenRows, observed
 from safety_harness.seams.contract import IMAGE, SIGHTS
 
 
-def observation_space(seen: SeenRows, sees: tuple[str, ...]) -> spaces.Dict:
-    """Return the space of one lane of ``observed``; raise InadmissibleError without ``sees`` or for pixels.
+def observation_space(
+    seen: SeenRows, sees: tuple[str, ...], image: tuple[int, int, int] | None = None
+) -> spaces.Dict:
+    """Return the space of one lane of ``observed``, and of the image.
 
     Args:
         seen: (1,) SEEN, which determines the shapes.
         sees: Words of a controller's contract, which name the observed quantities.
+        image: The shape (height, width, 3) of the observed image.
+
+    Raises:
+        InadmissibleError: ``sees`` is empty.
 
     """
     if not sees:
-        known = ", ".join(sight.word for sight in SIGHTS if sight.word != IMAGE)
+        known = ", ".join(sight.word for sight in SIGHTS)
         raise InadmissibleError.of_option("sees", f"at least one of: {known}", "none")
-    if IMAGE in sees:
-        raise InadmissibleError.of_option("sees", "what an environment can show", repr(IMAGE))
-    return spaces.Dict({name: _space(array[0]) for name, array in observed(seen, sees).items()})
+    rows = observed(seen, (word for word in sees if word != IMAGE))
+    shown: dict[str, spaces.Space[NDArray[np.generic]]] = {name: _space(row[0]) for name, row in rows.items()}
+    return spaces.Dict(shown | ({IMAGE: spaces.Box(0, 255, image, np.uint8)} if image else {}))
 
 
 def _space(like: NDArray[np.generic]) -> spaces.Space[NDArray[np.generic]]:

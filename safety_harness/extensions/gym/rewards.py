@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from safety_harness.admission.admit import Checked
 from safety_harness.admission.claims import property_of
 from safety_harness.base.exceptions import InadmissibleError, Place
+from safety_harness.base.settings import CONVERGED_POSITION_M
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.claims.formulas.claim import FormulaClaim
 from safety_harness.claims.formulas.formula import Always, Comparison, Relation
@@ -158,6 +159,23 @@ class Rewards:
         for sentence, weight in self.weights.items():
             total += weight * self.period_s * np.minimum(margins[sentence], 0.0)
         return total
+
+    def cost_of(self, margins: Mapping[str, Floats], count: int) -> Floats:
+        """Return the number (n,) of claims that each tick violates; a margin of NaN counts as a violation."""
+        cost = np.zeros(count)
+        for margin in margins.values():
+            cost += ~(margin >= 0.0)
+        return cost
+
+    def succeeds(self, least: Mapping[str, Floats], way_m: Floats) -> NDArray[np.bool_]:
+        """Return (n,) true where the TCP has arrived and no tick so far violated a claim.
+
+        Args:
+            least: For each claim, the least margin (n,) so far.
+            way_m: The distance (n,) to the desired position [m].
+
+        """
+        return np.asarray((way_m <= CONVERGED_POSITION_M) & (self.cost_of(least, len(way_m)) == 0.0))
 
     def ends_episode(self, margins: Mapping[str, Floats], count: int) -> NDArray[np.bool_]:
         """Return (n,) true where a claim of ``ends`` is violated; a margin of NaN counts as a violation."""

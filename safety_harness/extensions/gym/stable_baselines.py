@@ -61,9 +61,10 @@ class StableBaselinesEnv(VecEnv):
     def step_wait(self) -> tuple[Arrays, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Step each lane by ``ticks`` with the stored actions.
 
-        A lane whose episode ends waits at the start of its next episode until all lanes have finished.
+        A lane whose episode ends waits at the start of its next episode until all lanes have finished. Each
+        info has the ``cost`` of these ticks. At an episode's end it also has ``is_success`` and the margins.
         """
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos: list[dict[str, Any]] = [{"cost": 0.0} for _ in range(self.num_envs)]
         total, ended = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
         for _ in range(self._ticks):
             seen, reward, terminated, truncated, info = self.environments.step(
@@ -71,12 +72,16 @@ class StableBaselinesEnv(VecEnv):
             )
             total += np.where(ended, 0.0, reward)
             finished = terminated | truncated
-            for k, lane in enumerate(np.flatnonzero(finished)):
-                if not ended[lane]:
-                    last = {name: array[k] for name, array in self._shown(info["final_obs"]).items()}
+            for lane in np.flatnonzero(~ended).tolist():
+                of_tick = info["final_info"] if finished[lane] else info
+                infos[lane]["cost"] += float(of_tick["cost"][lane])
+                if finished[lane]:
+                    last = self._shown(info["final_obs"][lane])
                     cut = bool(truncated[lane] and not terminated[lane])
-                    infos[lane] = {"terminal_observation": last, "TimeLimit.truncated": cut}
-                    infos[lane] |= {name: float(m[k]) for name, m in info["final_info"]["margins"].items()}
+                    infos[lane] |= {"terminal_observation": last, "TimeLimit.truncated": cut}
+                    infos[lane]["is_success"] = bool(of_tick["is_success"][lane])
+                    claims = self.environments.setting.rewards.margins
+                    infos[lane] |= {name: float(of_tick["margins"][name][lane]) for name in claims}
             ended |= finished
         return self._shown(seen), total.astype(np.float32), ended, infos
 
@@ -85,8 +90,9 @@ class StableBaselinesEnv(VecEnv):
         self.environments.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return the attribute of ``environments``, once for each of ``indices``."""
-        return [getattr(self.environments, attr_name)] * len(list(self._get_indices(indices)))
+        """Return the attribute of ``environments`` for each lane of ``indices``."""
+        values = self.environments.get_attr(attr_name)
+        return [values[lane] for lane in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Raise AttributeError, because lanes have no attributes of their own."""

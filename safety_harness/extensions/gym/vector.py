@@ -20,7 +20,7 @@ from safety_harness.cell.simulation.lanes import look_lanes, obey_lanes, placed,
 from safety_harness.cell.simulation.records import WorldRecords, world_records
 from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry
 from safety_harness.extensions.gym.environment import REWARDS, SEES, TCP_VELOCITY, Setting
-from safety_harness.extensions.gym.episodes import File
+from safety_harness.extensions.gym.episodes import File, stream_number
 from safety_harness.scenario.model import Scenario
 from safety_harness.seams.contract import OBJECT, PREDICTED_HANDS
 from safety_harness.space.space import ScenarioSpace
@@ -31,9 +31,10 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
     """``num_envs`` environments in lanes, whose results are bit for bit those of a ``HarnessEnv``.
 
     Lane i begins stream seed + i; without a seed, it begins stream i. When the episode of a lane ends, the
-    lane is reset within the same step. The last observation and info of that episode are
-    ``info["final_obs"]`` and ``info["final_info"]``. The world is the kinematic world. Lanes record no
-    traces; a ``HarnessEnv`` with the lane's seed and the same arguments records the trace.
+    lane is reset within the same step. As in Gymnasium, ``info["final_obs"]`` then has the last observation
+    of each lane that ended, None for the others, and ``info["final_info"]`` has one row for each lane. The
+    world is the kinematic world. Lanes record no traces; a ``HarnessEnv`` with the lane's seed and the same
+    arguments records the trace.
 
     Args:
         num_envs: The number of lanes.
@@ -64,6 +65,8 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         rewards: Mapping[str, float] = REWARDS,
         ends: Sequence[str] = (),
     ) -> None:
+        self._given: dict[str, Any] = {"scenario": scenario, "space": space, "world": world, "action": action}
+        self._given |= {"sees": tuple(sees), "rewards": dict(rewards), "ends": tuple(ends)}
         setting = self.setting = Setting(scenario, space, world, sees, action, rewards, ends)
         if setting.world is not KINEMATIC:
             raise InadmissibleError.of_option("world", "the kinematic one", setting.world.label)
@@ -82,7 +85,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         self._tick_dtype = tick_dtype(first.hand_slots, setting.joints)
         self._left = np.zeros(num_envs, np.int64)  # ticks
         self._acts = _Acts(num_envs, setting.joints, as_compiled(np.zeros((num_envs, 1), self._tick_dtype)))
-        self._way_m = np.zeros(num_envs)
+        self._way_m, self._cost, self._names = np.zeros(num_envs), np.zeros(num_envs), [""] * num_envs
         self._least = {sentence: np.full(num_envs, np.inf) for sentence in setting.rewards.margins}
 
     def reset(
@@ -91,24 +94,35 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         """Begin an episode in every lane.
 
         Args:
-            seed: A number: lane i begins stream seed + i. A list: lane i begins the stream of entry i. None:
-                each lane continues its stream.
+            seed: A number: lane i begins stream seed + i. A list: lane i begins the stream of entry i. None,
+                or an entry None: the lane continues its stream.
             options: Ignored.
 
         Returns:
-            Observations (lanes, ...) and info. ``info["margins"]`` maps each claim to its least margin
-            (lanes,) so far.
+            Observations (lanes, ...) and info, whose entries (lanes,) are those of ``HarnessEnv.reset``.
+
+        Raises:
+            InadmissibleError: A seed is no integer, or negative, or there is not one entry for each lane.
 
         """
-        super().reset(seed=seed if isinstance(seed, int) else None)
-        seeds = [seed + lane for lane in range(self.num_envs)] if isinstance(seed, int) else seed
-        for lane in range(self.num_envs):
-            own = None if seeds is None else seeds[lane]
+        for lane, own in enumerate(self._seeds(seed)):
             if own is not None:
                 self._streams[lane] = self.setting.episodes.stream(own)
+        for lane in range(self.num_envs):
             self._begin(lane)
         self._measured(np.arange(self.num_envs))
-        return self._observed(), {"margins": self._margins()}
+        return self._observed(), self._info()
+
+    def _seeds(self, seed: object) -> list[int | None]:
+        """Return the seed of each lane, as ``reset`` describes."""
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str) and np.ndim(seed):
+            if len(seed) != self.num_envs:
+                expected = f"one entry for each of the {self.num_envs} lanes"
+                raise InadmissibleError.of_option("seed", expected, f"{len(seed)} of them")
+            return [None if own is None else stream_number(own, f"seed[{k}]") for k, own in enumerate(seed)]
+        return [stream_number(seed) + lane for lane in range(self.num_envs)]
 
     def step(
         self, actions: NDArray[np.float64]
@@ -132,6 +146,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         margins, self._way_m = rewards.at(ticks), rewards.way_left_m(ticks)
         for sentence, margin in margins.items():
             np.minimum(self._least[sentence], margin, out=self._least[sentence])
+        self._cost = rewards.cost_of(margins, self.num_envs)
         reward = rewards.of_step(margins, self._way_m, way_before_m)
         self._left -= 1
         terminated, truncated = rewards.ends_episode(margins, self.num_envs), self._left == 0
@@ -139,15 +154,50 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         ended = np.flatnonzero(terminated | truncated)
         observation = self._observed()
         if len(ended):
-            info["final_obs"] = {name: array[ended] for name, array in observation.items()}
-            info["final_info"] = {"margins": {name: own[ended] for name, own in self._least.items()}}
-            info["_final_obs"] = info["_final_info"] = terminated | truncated
-            for lane in ended:
-                self._begin(int(lane))
+            info["final_obs"] = np.full(self.num_envs, None, object)
+            info["final_info"], info["_final_obs"] = self._info(), terminated | truncated
+            info["_final_info"] = info["_final_obs"].copy()
+            for lane in ended.tolist():
+                info["final_obs"][lane] = {name: array[lane].copy() for name, array in observation.items()}
+                self._begin(lane)
             self._measured(ended)
             observation = self._observed()
-        info["margins"] = self._margins()
-        return observation, reward, terminated, truncated, info
+        return observation, reward, terminated, truncated, info | self._info()
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Return the attribute ``name`` once for each lane; ``scenario`` is the name of each lane's draw.
+
+        Raises:
+            AttributeError: There is no such attribute, or it is a method: lanes have none of their own.
+
+        """
+        if name == "scenario":
+            return tuple(self._names)
+        attribute = getattr(self, name)
+        if callable(attribute):
+            raise AttributeError(f"{name} cannot be called: lanes have no methods of their own")
+        return (attribute,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return the attribute ``name`` once for each lane, as ``call`` does."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: object) -> None:
+        """Raise AttributeError, because lanes have no attributes of their own."""
+        raise AttributeError(f"{name} cannot be set: lanes have no attributes of their own")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the setting, which an unpickled copy makes anew."""
+        return {name: value for name, value in vars(self).items() if name not in ("setting", "_streams")} | {
+            "_numbers": [(stream.seed, stream.number) for stream in self._streams]
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take the ``state`` of another environment."""
+        numbers = state.pop("_numbers")
+        vars(self).update(state)
+        self.setting = Setting(**self._given)
+        self._streams = [self.setting.episodes.stream(*of_stream) for of_stream in numbers]
 
     @property
     def _ticks(self) -> NDArray[np.void]:
@@ -159,7 +209,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         world, controller = _records(checked)
         self._worlds = placed(self._worlds, lane, world)
         self._controllers = placed(self._controllers, lane, controller)
-        self._left[lane] = checked.scenario.ticks
+        self._left[lane], self._names[lane] = checked.scenario.ticks, checked.scenario.name
         alone = np.full(self.num_envs, -1)
         alone[lane] = 0
         self._acts.observe(self._worlds, self._controllers, alone, self._wants)
@@ -167,15 +217,23 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
     def _measured(self, lanes: NDArray[np.int64]) -> None:
         """Set the margins and distances of ``lanes`` (k,) at the start of their episodes."""
         ticks = self._ticks[lanes]
-        self._way_m[lanes] = self.setting.rewards.way_left_m(ticks)
-        for sentence, margin in self.setting.rewards.at(ticks).items():
+        rewards = self.setting.rewards
+        self._way_m[lanes], margins = rewards.way_left_m(ticks), rewards.at(ticks)
+        self._cost[lanes] = rewards.cost_of(margins, len(lanes))
+        for sentence, margin in margins.items():
             self._least[sentence][lanes] = margin
 
     def _observed(self) -> Arrays:
         return observed(self._controllers.seen[:, 0], self.setting.sees)
 
-    def _margins(self) -> dict[str, NDArray[np.float64]]:
-        return {sentence: least.copy() for sentence, least in self._least.items()}
+    def _info(self) -> dict[str, Any]:
+        """Return what ``HarnessEnv.reset`` describes, with one row for each lane."""
+        every = np.ones(self.num_envs, np.bool_)
+        margins = {sentence: least.copy() for sentence, least in self._least.items()}
+        success = self.setting.rewards.succeeds(self._least, self._way_m)
+        info: dict[str, Any] = {"margins": margins | {f"_{sentence}": every for sentence in margins}}
+        info |= {"cost": self._cost.copy(), "is_success": success, "scenario": np.array(self._names, object)}
+        return info | {f"_{name}": every for name in info}
 
 
 class _Acts:
