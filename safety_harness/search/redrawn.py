@@ -150,12 +150,12 @@ def worse_answers(trials: Trials, draw: Callable[[], Trials]) -> list[str]:
     )
     slower = slower_words(own_s, other_s, pairs[0].settings.clock.control_period_s, name)
     worse = list[str]()
-    if _wrong(pairs, name, 0.5):
-        worse = _wrong(draw().parting_answers, name, CHANCE / (2 * len(WrongAnswer)))
+    if _more_errors(pairs, name, 0.5):
+        worse = _more_errors(draw().parting_answers, name, CHANCE / (2 * len(WrongAnswer)))
     return [*(f"it {text}" for text in worse), *filter(None, [slower])]
 
 
-def _wrong(pairs: Sequence[PartingAnswers], reference: str, chance: float) -> list[str]:
+def _more_errors(pairs: Sequence[PartingAnswers], reference: str, chance: float) -> list[str]:
     """Return the sentences of ``more_often_wrong`` about the last shared question of each pair."""
     settings = [pair.settings for pair in pairs]
     mine = _posed(np.concatenate([pair.mine for pair in pairs]), settings)

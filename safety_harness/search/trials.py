@@ -69,13 +69,12 @@ class PartingAnswers(NamedTuple):
     @classmethod
     def of_pair(cls, mine: Trace, theirs: Trace) -> list[PartingAnswers]:
         """Return the answers; empty if the runs share no question."""
-        asked = [run.decisions["asked_tick"] for run in (mine, theirs)]
-        both = asked[0][: len(asked[1])] == asked[1][: len(asked[0])]
-        arms_rad = [
-            run.ticks["joint_position_rad"][ticks[: len(both)]]
-            for run, ticks in zip((mine, theirs), asked, strict=True)
-        ]
-        shared = int(np.logical_and.accumulate(both & (arms_rad[0] == arms_rad[1]).all(axis=1)).sum())
+        count = min(len(mine.decisions), len(theirs.decisions))
+        ticks, their_ticks = (run.decisions["asked_tick"][:count] for run in (mine, theirs))
+        arm_rad = mine.ticks["joint_position_rad"][ticks]
+        their_arm_rad = theirs.ticks["joint_position_rad"][their_ticks]
+        same = (ticks == their_ticks) & (arm_rad == their_arm_rad).all(axis=1)
+        shared = int(np.logical_and.accumulate(same).sum())
         last = slice(shared - 1, shared)
         own = cls(mine.decisions[last].copy(), theirs.decisions[last].copy(), mine.scenario.settings)
         return [own] if shared else []

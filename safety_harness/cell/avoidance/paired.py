@@ -46,15 +46,15 @@ class PosedAnswers:
         """The distance (n,) of each answer from the optimum [m]."""
         return off_m(self.positions_in_base_m, self.optima_in_base_m)
 
-    def wrong(self, kind: WrongAnswer, other: PosedAnswers) -> NDArray[np.bool_]:
-        """Return whether (n,) each answer makes the error ``kind``; FARTHER_OFF is beside the ``other``."""
+    def makes_error(self, kind: WrongAnswer, rival: PosedAnswers) -> NDArray[np.bool_]:
+        """Return whether (n,) each answer makes the error ``kind``; FARTHER_OFF is beside the ``rival``."""
         hands, tcps, proposed = self.hands_in_base_m, self.tcps_in_base_m, self.positions_in_base_m
         if kind is WrongAnswer.LEADS_TOWARDS:
             return np.asarray(~(gained_m(hands, tcps, proposed) >= 0.0))
         if kind is WrongAnswer.FAR_OFF:
             return np.asarray(~(self.off_m <= WRONG_M))
         if kind is WrongAnswer.FARTHER_OFF:
-            return np.asarray(self.off_m > other.off_m + FARTHER_M)
+            return np.asarray(self.off_m > rival.off_m + FARTHER_M)
         return is_sure(self.spreads_m, self.thresholds_m)
 
 
@@ -75,13 +75,13 @@ def more_often_wrong(
 
     """
     differ = ~(off_m(mine.positions_in_base_m, theirs.positions_in_base_m) <= WRONG_M)
-    apart = f" and answers more than {1e3 * WRONG_M:g} mm elsewhere"
+    elsewhere = f" and answers more than {1e3 * WRONG_M:g} mm elsewhere"
     far_off = False
     for kind in WrongAnswer:
         if kind is WrongAnswer.FARTHER_OFF and far_off:
             continue  # said already
-        own, rival = mine.wrong(kind, theirs), theirs.wrong(kind, mine)
-        for among, least, where in ((np.ones_like(differ), MORE, ""), (differ, 0.0, apart)):
+        own, rival = mine.makes_error(kind, theirs), theirs.makes_error(kind, mine)
+        for among, least, where in ((np.ones_like(differ), MORE, ""), (differ, 0.0, elsewhere)):
             worse, better = own & ~rival & among, rival & ~own & among
             more, fewer = int(worse.sum()), int(better.sum())
             p = sign_test(more, fewer + round(least * len(differ)))
@@ -99,5 +99,5 @@ def slower_words(own_s: float, other_s: float, tick_s: float, reference: str) ->
     """Return a sentence if an avoider declares over a tick more for a decision than ``reference``, or ""."""
     if own_s <= other_s + tick_s:
         return ""
-    own, other = 1e3 * own_s, 1e3 * other_s
-    return f"declares {own:g} ms for a decision, over a tick more than {other:g} ms of {reference}"
+    own_ms, other_ms = 1e3 * own_s, 1e3 * other_s
+    return f"declares {own_ms:g} ms for a decision, over a tick more than {other_ms:g} ms of {reference}"

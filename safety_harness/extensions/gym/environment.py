@@ -346,7 +346,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         tick["faults"] |= self._world.acted_faults
 
     def _observed(self) -> dict[str, Any]:
-        rows: Arrays = observed(self._seen, (word for word in self.setting.sees if word != IMAGE))
+        rows: Arrays = observed(self._seen, (sight for sight in self.setting.sees if sight != IMAGE))
         shown: dict[str, Any] = {name: array[0] for name, array in rows.items()}
         if IMAGE in self.setting.sees:
             assert isinstance(self._world, ShowsImages)  # the space of observations was refused else

@@ -41,11 +41,11 @@ class Episodes:
         self._size: tuple[object, ...] = ()
         self.first = self.next_of(self.stream(None))
 
-    def stream(self, seed: int | None, number: int = 0) -> Stream:
+    def stream(self, seed: int | None, number: int = 0) -> EpisodeStream:
         """Return the episodes of stream ``seed`` from draw ``number`` on."""
-        return Stream(self, seed, number)
+        return EpisodeStream(self, seed, number)
 
-    def next_of(self, stream: Stream) -> Checked:
+    def next_of(self, stream: EpisodeStream) -> Checked:
         """Return the next draw of ``stream`` that can run, and advance the stream past it.
 
         Raises:
@@ -96,7 +96,7 @@ class Episodes:
 
 
 @dataclass(eq=False)
-class Stream(Iterator[Checked]):
+class EpisodeStream(Iterator[Checked]):
     """Episodes without end; a copy of a stream goes on as the original does.
 
     A space yields those draws of stream ``seed`` that can run. A scenario yields itself again and again. If

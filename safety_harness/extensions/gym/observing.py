@@ -28,7 +28,7 @@ def observation_space(
     if not sees:
         known = ", ".join(sight.word for sight in SIGHTS)
         raise InadmissibleError.of_option("sees", f"at least one of: {known}", "none")
-    rows = observed(seen, (word for word in sees if word != IMAGE))
+    rows = observed(seen, (sight for sight in sees if sight != IMAGE))
     shown: dict[str, spaces.Space[NDArray[np.generic]]] = {name: _space(row[0]) for name, row in rows.items()}
     return spaces.Dict(shown | ({IMAGE: spaces.Box(0, 255, image, np.uint8)} if image else {}))
 
