@@ -229,7 +229,7 @@ def test_counterexamples_of_one_cause_are_one_card() -> None:
     assert all(len(card.all("svg")) == 1 for card in cards)
     three = tuple(replace(one, one=replace(one.one, causes=())) for one in three)
     alone = parse(render(evidence(shown=three, causes=Causes({}, 3))))
-    assert "0 causes explained, 3 examples not explained; each example below is" in alone.text
+    assert "0 causes explained, 3 examples not explained; each of the" in alone.text
     assert "This explains the rest:" not in alone.text
     assert len(alone.all("div", "answer")) == 3
 

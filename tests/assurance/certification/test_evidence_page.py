@@ -90,7 +90,7 @@ def test_the_box_on_top_has_bound_target_and_verdict_of_each_claim(document: pag
     lines = [one.text for one in box.all("li")]
     assert len(lines) == 6
     assert all(one.all("span", "verdict") for one in box.all("li"))
-    assert any(" of runs violate it (" in line and line.endswith(" was the target") for line in lines)
+    assert any(" violate it (" in line and line.endswith(" was the target") for line in lines)
     assert any("runs put it to the test" in line for line in lines)
     order = [
         node.attributes.get("id", node.tag)

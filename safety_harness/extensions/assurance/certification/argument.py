@@ -321,10 +321,12 @@ Answers = Iterator[tuple[str, str, str]]  # text, place, state
 def _hunt(evidence: Evidence) -> Answers:
     """Yield the size of the search, and how many counterexamples it and the declared runs found."""
     if evidence.search is not None:
-        distinct = len(evidence.counterexamples)
+        count = len(evidence.counterexamples)
         searched = sum(not example.independent for example in evidence.counterexamples)
-        text = f"Search of {evidence.search.runs} runs; {searched} distinct counterexamples of it, and "
-        yield f"{text}{distinct - searched} of declared runs", "counterexamples", DOUBT if distinct else OPEN
+        counts = searched, count - searched
+        found, drawn = (count_words(number, "counterexample", "counterexamples") for number in counts)
+        text = f"Search of {evidence.search.runs} runs: {found}; declared runs: {drawn}"
+        yield text, "counterexamples", DOUBT if count else OPEN
 
 
 def _domain(evidence: Evidence) -> Answers:

@@ -546,8 +546,13 @@ SEVERITY = list(ClaimStatus)
 
 
 def by_severity(claims: Iterable[ClaimEvidence]) -> list[ClaimEvidence]:
-    """Return ``claims`` with the most severe status first; claims of equal status keep the plan's order."""
-    return sorted(claims, key=lambda claim: -SEVERITY.index(claim.standing))
+    """Return ``claims``, the most severe status first, and of equal status the largest bound first."""
+
+    def key(claim: ClaimEvidence) -> tuple[int, float]:
+        bounds = [outcome.bound.upper for outcome in claim.outcomes if outcome.bound is not None]
+        return -SEVERITY.index(claim.standing), -max(bounds, default=0.0)
+
+    return sorted(claims, key=key)
 
 
 def as_text(evidence: Evidence) -> str:

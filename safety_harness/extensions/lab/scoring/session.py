@@ -144,6 +144,7 @@ class ScoringSession:
             result = findings(card, cards)
             if beside is not None:
                 result = findings_against(card, result, beside, findings(beside, cards), settings)
+                result = tuple(sorted(result, key=lambda finding: finding.kind not in UNSAFE))
                 return ScoredAvoider(reference, sha256, settings, card, known, result)
             kinds = UNSAFE_OF_NETWORK if _is_trained_here(subject.avoider) else UNSAFE
             unsafe = tuple(finding for finding in result if finding.kind in kinds)
