@@ -8,9 +8,11 @@ Inputs
     NAME, with an output ``next_NAME``: the policy's memory from tick to tick; zeros at first.
 Outputs
     tcp_velocity_mps (1, 3), tcp_angular_velocity_radps (1, 3), joint_velocity_radps (1, n): as in ``Move``.
-    stop (1,), optional: a number above one half means a protective stop.
+    Or a chunk of k successive actions: (1, k, 3), (1, k, n).
+    stop (1,), optional: a number above one half means a protective stop, in place of all these actions.
 Metadata
     name, optional: its name in place of the file's; ticks: the duration of each action, 1 by default;
+    horizon, for chunks alone: the number of a chunk's actions that are carried out before the next answer;
     training: its training data, which only evidence reports read.
 """
 
@@ -24,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.exceptions import on_one_line
+from safety_harness.base.exceptions import ControllerError, on_one_line
 from safety_harness.base.settings import Settings
 from safety_harness.cell.avoidance.model_file import refuse
 from safety_harness.cell.avoidance.onnx_file import OnnxFile
@@ -35,7 +37,7 @@ from safety_harness.seams.contract import IMAGE, SIGHTS, Action, DrivenArm, Move
 from safety_harness.seams.rows import seen_dtype
 
 MOVES = ("tcp_velocity_mps", "tcp_angular_velocity_radps", "joint_velocity_radps")
-STOP, NEXT, NAME, TICKS = "stop", "next_", "name", "ticks"
+STOP, NEXT, NAME, TICKS, HORIZON = "stop", "next_", "name", "ticks", "horizon"
 MOST_TICKS = 1000
 TYPES = (*FLOATS, "int8", "int64", "uint8", "bool")
 GIVEN = {name: NamedQuantity((ANY if name == MOVES[2] else 3,), TYPES) for name in MOVES}
@@ -56,7 +58,8 @@ class OnnxPolicy:
         own, session = file.metadata, file.session
         name = on_one_line(own.get(NAME, f"ONNX policy {path.name}"))
         self.name = f"{name}:{layout}" if layout else name
-        self._hold = _ticks(path, own.get(TICKS, "1"))
+        self._hold = _count(path, TICKS, own.get(TICKS, "1"))
+        self._horizon = _count(path, HORIZON, own[HORIZON]) if HORIZON in own else None
         given = {name for arg in session.get_outputs() for name in file.layout.get(arg.name, (arg.name,))}
         carried = [arg for arg in session.get_inputs() if NEXT + arg.name in given]
         states = {arg.name: NamedQuantity(None, TYPES) for arg in carried}
@@ -69,12 +72,12 @@ class OnnxPolicy:
         sights = {_KNOWN[name][0] for arg in file.inputs for name in arg.holds if name not in states}
         self.sees = tuple(sight.word for sight in SIGHTS if sight.word in sights)
         self._state: dict[str, NDArray[Any]] = {}
-        self._joints, self._left = 0, 0
-        self._action: Action = Stop()
+        self._joints = 0
+        self._actions: list[Action] = []  # still to be carried out
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
         """Begin an episode: set the policy's memory to zeros."""
-        self._joints, self._left = len(arm.joint_names), 0
+        self._joints, self._actions = len(arm.joint_names), []
         self._state = self._states
 
     def another(self) -> OnnxPolicy:
@@ -82,21 +85,35 @@ class OnnxPolicy:
         return copy(self)
 
     def act(self, seen: Seen) -> Action:
-        """Return the policy's action; run the file only when the last action's number of ticks is over."""
-        if self._left == 0:
-            self._action, self._left = self._answer(seen), self._hold
-        self._left -= 1
-        return self._action
+        """Return the policy's action; run the file only when the actions of its last answer are over."""
+        if not self._actions:
+            self._actions = [action for action in self._answer(seen) for _ in range(self._hold)]
+        return self._actions.pop(0)
 
-    def _answer(self, seen: Seen) -> Action:
-        """Run the file on ``seen``, keep the policy's next memory, and return the action."""
+    def _answer(self, seen: Seen) -> list[Action]:
+        """Run the file on ``seen``, keep the policy's next memory, and return the actions to carry out."""
         widths = dict.fromkeys(MOVES, 3) | {MOVES[2]: self._joints, STOP: 1}
         outputs = self._file.answers(self._observed(seen), widths)
         self._state = {name: outputs[NEXT + name] for name in self._states}
-        if STOP in outputs and not float(outputs[STOP].reshape(-1)[0]) <= 0.5:
-            return Stop()
-        moves = {name: np.asarray(outputs[name], np.float64) for name in MOVES if name in outputs}
-        return Move(**{name: value[0] for name, value in moves.items()})
+        count = self._horizon or 1
+        if STOP in outputs:
+            if outputs[STOP].size != 1:
+                raise ControllerError(f"the output {STOP} has the shape {outputs[STOP].shape}; expected (1,)")
+            if not float(outputs[STOP].reshape(-1)[0]) <= 0.5:
+                return [Stop()] * count
+        moves = {name: self._rows(name, outputs[name], widths[name]) for name in MOVES if name in outputs}
+        return [Move(**{name: rows[k] for name, rows in moves.items()}) for k in range(count)]
+
+    def _rows(self, name: str, value: NDArray[Any], width: int) -> NDArray[np.float64]:
+        """Return the actions (k, width) of an output; raise ``ControllerError`` for another shape."""
+        least = self._horizon or 0
+        axes = (1, width) if not least else (1, max(least, *value.shape[1:2]), width)
+        if value.shape != axes:
+            expected = f"(1, {width}), or a chunk (1, k, {width}) with the metadata {HORIZON}"
+            if least:
+                expected = f"(1, k, {width}) with k of at least {least}, the metadata {HORIZON}"
+            raise ControllerError(f"the output {name} has the shape {value.shape}; expected {expected}")
+        return np.asarray(value[0] if least else value, np.float64)
 
     def _observed(self, seen: Seen) -> Arrays:
         """Return the file's inputs, made of the quantities in ``seen``."""
@@ -127,8 +144,8 @@ def _zeros(path: Path, tensor: Any) -> NDArray[Any]:
     return np.zeros(tensor.shape, dtype_of(tensor))
 
 
-def _ticks(path: Path, text: str) -> int:
-    """Return the number of ticks of each action from the metadata's ``text``; ``ModelError`` otherwise."""
+def _count(path: Path, name: str, text: str) -> int:
+    """Return the number in the metadata ``name``, whose value is ``text``; ``ModelError`` for no number."""
     if not text.isdecimal() or not 0 < int(text) <= MOST_TICKS:
-        refuse(path, TICKS, f"a number of ticks from 1 to {MOST_TICKS}", repr(text[:80]))
+        refuse(path, name, f"a number from 1 to {MOST_TICKS}", repr(text[:80]))
     return int(text)

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safety_harness.base.exceptions import ModelError
+from safety_harness.base.exceptions import ControllerError, ModelError
+from safety_harness.base.input_errors import InputErrors
 from safety_harness.base.settings import DEFAULTS
 from safety_harness.cell.controller.driven import arm_of
 from safety_harness.cell.controller.out_of_process.onnx_policy import OnnxPolicy
 from safety_harness.cell.robot.robots import arm_model
+from safety_harness.report.run_job import run
 from safety_harness.scenario.robots import Robot
 from safety_harness.seams.contract import Move, Seen, Stop
 from safety_harness.seams.rows import SeenLayout, seen_dtype
@@ -98,6 +100,64 @@ def test_an_action_is_held_for_its_ticks() -> None:
     assert [moved(made.act(seen(made.sees, tcp)))[0] for tcp in places] == [0.1, 0.1, 0.3]
 
 
+def expanding(*shape: int, **more: str) -> bytes:
+    """The TCP's place times the number of the action, from 1 on, in an output of ``shape``."""
+    data = policy(
+        [("Expand", [TCP, "shape"], ["wide"]), ("Mul", ["wide", "steps"], [VELOCITY])],
+        {TCP: (1, 3)},
+        {VELOCITY: shape},
+        more,
+    )
+    model = onnx.load_from_string(data)
+    steps = np.arange(1.0, shape[-2] + 1.0).reshape(-1, 1)
+    model.graph.initializer.append(onnx.numpy_helper.from_array(np.array(shape, np.int64), "shape"))
+    model.graph.initializer.append(onnx.numpy_helper.from_array(steps, "steps"))
+    return bytes(model.SerializeToString())
+
+
+def test_a_chunk_is_carried_out_up_to_its_horizon_then_the_policy_answers_again() -> None:
+    made = begun(expanding(1, 5, 3, horizon="2", ticks="2"))
+    xs_m = [0.1, 9.0, 9.0, 9.0, 0.2, 9.0, 9.0, 9.0]
+    speeds = [moved(made.act(seen(made.sees, (x_m, 0.0, 0.0))))[0] for x_m in xs_m]
+    assert speeds == [0.1, 0.1, 0.2, 0.2, 0.2, 0.2, 0.4, 0.4]
+    made.act(seen(made.sees, (0.5, 0.0, 0.0)))
+    made.reset(settings=DEFAULTS, arm=arm_of(arm_model(Robot.UR10)), start=START, seed=1)
+    assert moved(made.act(seen(made.sees, (0.3, 0.0, 0.0))))[0] == 0.3
+
+
+@pytest.mark.parametrize(
+    ("shape", "metadata", "expected"),
+    [
+        (
+            (50, 3),
+            {},
+            r"\(50, 3\); expected \(1, 3\), or a chunk \(1, k, 3\) with the metadata horizon",
+        ),
+        ((1, 50, 3), {}, r"the shape \(1, 50, 3\); expected \(1, 3\), or a chunk"),
+        ((50, 3), {"horizon": "8"}, r"expected \(1, k, 3\) with k of at least 8"),
+        ((1, 4, 3), {"horizon": "8"}, r"the shape \(1, 4, 3\); expected \(1, k, 3\) with k of at least 8"),
+        ((1, 1, 3), {"horizon": "1"}, None),
+    ],
+)
+def test_an_output_of_a_shape_that_is_not_declared_is_refused(
+    shape: tuple[int, ...], metadata: dict[str, str], expected: str | None
+) -> None:
+    made = begun(expanding(*shape, **metadata))
+    if expected is None:
+        assert isinstance(made.act(seen(made.sees)), Move)
+    else:
+        with pytest.raises(ControllerError, match=expected):
+            made.act(seen(made.sees))
+
+
+def test_a_policy_whose_chunk_is_not_declared_is_refused_before_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "chunks.onnx").write_bytes(expanding(50, 3))
+    with pytest.raises(InputErrors, match=r"the output tcp_velocity_mps has the shape \(50, 3\)"):
+        run("shipped:first-run", controller=tmp_path / "chunks.onnx", world="kinematic")
+
+
 def test_hands_come_as_rows_with_flags() -> None:
     first = [("Slice", ["hands", "zero", "one64", "one64"], ["first"])]
     data = policy(
@@ -141,7 +201,7 @@ def test_what_it_carries_begins_with_zeros_in_each_episode() -> None:
             lambda: policy([("Identity", [TCP], ["go"])], {TCP: (1, 3)}, {"go": (1, 3)}),
             "onnx: go: expected inputs .*; outputs tcp_velocity_mps",
         ),
-        (lambda: halving(ticks="many"), "a number of ticks from 1 to 1000"),
+        (lambda: halving(ticks="many"), "ticks: expected a number from 1 to 1000"),
         (
             lambda: policy(
                 [("Identity", ["s"], ["next_s"]), ("Identity", [TCP], [VELOCITY])],
