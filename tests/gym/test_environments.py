@@ -301,7 +301,7 @@ def test_info_counts_the_claims_that_a_tick_violates_and_names_the_draw() -> Non
     distance_m = np.where(ticks["hand_present"], ticks["hand_distance_m"], np.inf).min(axis=1)
     assert costs == ((distance_m < 0.3) * 1.0 + (ticks["tcp_speed_mps"] > 0.001)).tolist()
     assert set(costs) == {1.0, 2.0}
-    assert info["scenario"] == SPACE.draw(2, 0).name
+    assert info["scenario"] == f"{SPACE.draw(2, 0).name} of seed 2"
     env.close()
 
 
@@ -380,7 +380,9 @@ def test_wrappers_of_gymnasium_read_the_infos_of_lanes() -> None:
     lanes = HarnessVectorEnv(3, space=SPACE, rewards={NEAR: 1.0})
     wrapped = DictInfoToList(RecordEpisodeStatistics(lanes))
     _, infos = wrapped.reset(seed=7)
-    assert [info["scenario"] for info in infos] == [SPACE.draw(7 + lane, 0).name for lane in range(3)]
+    assert [info["scenario"] for info in infos] == [
+        f"{SPACE.draw(lane, 0).name} of seed {lane}" for lane in (7, 8, 9)
+    ]
     for _ in range(TICKS):
         *_, infos = wrapped.step(np.zeros((3, 3)))
     for info in infos:

@@ -358,7 +358,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         margins = {sentence: float(least[0]) for sentence, least in self._least.items()}
         success = bool(self.setting.rewards.succeeds(self._least, self._way_m)[0])
         info = {"margins": margins, "cost": float(self._cost[0]), "is_success": success}
-        return info | {"scenario": self._checked.scenario.name}
+        return info | {"scenario": self._stream.drawn}
 
 
 def _repeated(

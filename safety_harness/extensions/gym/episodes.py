@@ -101,16 +101,20 @@ class EpisodeStream(Iterator[Checked]):
 
     A space yields those draws of stream ``seed`` that can run. A scenario yields itself again and again. If
     ``seed`` is given, episode k of the scenario gets the seed of leaf k. If it is None, a space yields stream
-    0, and a scenario keeps its own seed. ``number`` is the draw to try next.
+    0, and a scenario keeps its own seed. ``number`` is the draw to try next. ``drawn`` names
+    the last draw, with its stream.
     """
 
     episodes: Episodes
     seed: int | None
     number: int = 0
+    drawn: str = ""
 
     def __next__(self) -> Checked:
         """Return the next episode."""
-        return self.episodes.next_of(self)
+        checked = self.episodes.next_of(self)
+        self.drawn = checked.scenario.name + ("" if self.seed is None else f" of seed {self.seed}")
+        return checked
 
 
 def stream_number(seed: object, place: str = "seed") -> int:

@@ -209,7 +209,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         world, controller = _records(checked)
         self._worlds = placed(self._worlds, lane, world)
         self._controllers = placed(self._controllers, lane, controller)
-        self._left[lane], self._names[lane] = checked.scenario.ticks, checked.scenario.name
+        self._left[lane], self._names[lane] = checked.scenario.ticks, self._streams[lane].drawn
         alone = np.full(self.num_envs, -1)
         alone[lane] = 0
         self._acts.observe(self._worlds, self._controllers, alone, self._wants)
