@@ -39,7 +39,7 @@ def test_the_test_of_the_readme_passes_for_a_draw_of_its_space(monkeypatch: pyte
     monkeypatch.chdir(README.parent)
     namespace: dict[str, Any] = {}
     exec(compile(code, "README", "exec"), namespace)
-    draw = read_space(Path("scenarios/spaces/unseen-hand.yaml")).draw(seed=0, k=1)
+    draw = read_space("shipped:reaching-hands").draw(seed=0, k=2)
     namespace["test_keeps_its_distance"].hypothesis.inner_test(scenario=draw, simulate=simulate)
 
 

@@ -6,7 +6,7 @@ The computing time is the cost of decisions in simulated time, and their duratio
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,13 +26,14 @@ from safety_harness.report.words import (
     spread_words,
 )
 from safety_harness.trace.answer_times import AnswersTook, most_cost_s
-from safety_harness.trace.overruling import Overruling, is_measured
+from safety_harness.trace.overruling import Overruling, answered, is_measured
 from safety_harness.trace.records import Check, DecisionOutcome, Trigger
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided
 
 MOST_DECISION_ROWS = 100  # nobody reads a page with more; the trace contains all of them
 MOST_FAULT_NOTES = 5
+FAR_M = 10.0  # beyond any arm of a cell; half a metre, taken for millimetres, is 500 m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,10 +186,13 @@ def failed_checks(trace: Trace) -> list[tuple[str, str]]:
 
 
 def fault_notes(trace: Trace) -> list[str]:
-    """Return a sentence on each kind of unusable answer, in the order of their first occurrence."""
+    """Return a sentence on each kind of unusable answer, in the order of their first occurrence.
+
+    A sentence on answers that no arm reaches, perhaps in another unit than metres, comes first.
+    """
     decisions = trace.decisions
     counts = Counter(str(fault) for fault in decisions["fault"] if fault)
-    sentences = []
+    sentences = list(_far_words(trace))
     for fault, count in list(counts.items())[:MOST_FAULT_NOTES]:
         first = decisions["time_s"][int(np.argmax(decisions["fault"] == fault))]
         often = f"{count} of {len(decisions)} decisions, first at {first:.3f} s"
@@ -196,6 +200,15 @@ def fault_notes(trace: Trace) -> list[str]:
     if len(counts) > MOST_FAULT_NOTES:
         sentences.append(f"and in {len(counts) - MOST_FAULT_NOTES} other ways; the trace has them all")
     return sentences
+
+
+def _far_words(trace: Trace) -> Iterator[str]:
+    """Yield a sentence if every proposed position is over ``FAR_M`` from the base."""
+    proposed_m = trace.decisions["proposed_position_in_base_m"][answered(trace)]
+    far_m = np.linalg.norm(proposed_m, axis=1)
+    if len(far_m) and far_m.min() > FAR_M:
+        where = f"every proposed position is {far_m.min():,.0f} m or more from the base"
+        yield f"The gate refused all proposals, since {where}: are they in metres?"
 
 
 def latency_words(trace: Trace) -> str:

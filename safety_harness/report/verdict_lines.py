@@ -84,12 +84,14 @@ def lines_of(run: JudgedRun) -> Iterator[ClaimLine]:
 
 
 def every_line(run: JudgedRun) -> Iterator[str]:
-    """Yield a line for each claim of a run, a line on missing measurements, and what was tested."""
+    """Yield a line for each claim of a run, on missing measurements, the nearest hand, and the system."""
     for line in lines_of(run):
         columns = f"{line.words:<25} {line.evaluation.margin_text():>13} at {line.moment:>9}"
         yield f"{columns}  {line.run}: {line.sentence}{line.remark}"
         if line.evaluation.unmeasured:
             yield f"     {line.evaluation.reason}"
+    nearest = nearest_hand_words(run.trace)
+    yield from [f"     {nearest}"] * bool(nearest)
     yield tested_line(run)
 
 

@@ -3,7 +3,7 @@
     from hypothesis import given
     from safety_harness.testing import assert_holds, hand_distance, mm, scenarios
 
-    @given(scenario=scenarios("scenarios/spaces/unseen-hand.yaml"))
+    @given(scenario=scenarios("shipped:reaching-hands"))
     def test_keeps_its_distance(scenario, simulate):
         assert_holds(hand_distance() > mm(50), simulate(scenario))
 
@@ -42,7 +42,13 @@ def __getattr__(name: str) -> object:
     if name == "__all__" or not name.startswith("_"):
         language = import_module("safety_harness.claims.formulas.language")
         if name == "__all__":
-            return sorted([*language.__all__, *_HOMES])
+            return __dir__()
         if name in language.__all__:
             return getattr(language, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Return the public names, for ``dir`` and an interpreter's completion."""
+    language = import_module("safety_harness.claims.formulas.language")
+    return sorted([*language.__all__, *_HOMES])

@@ -103,8 +103,9 @@ def test_a_long_list_is_cut_and_says_how_to_see_the_rest(
 
 
 def test_every_line_has_verdict_margin_and_moment(reach: JudgedRun) -> None:
-    *claims, tested = every_line(reach)
+    *claims, nearest, tested = every_line(reach)
     assert len(claims) == 3
+    assert nearest.lstrip().startswith("contact: right hand: ")
     assert claims[2].startswith("violated, as expected ")
     assert tested.startswith("tested in ")
 

@@ -324,8 +324,8 @@ def _hunt(evidence: Evidence) -> Answers:
         count = len(evidence.counterexamples)
         searched = sum(not example.independent for example in evidence.counterexamples)
         counts = searched, count - searched
-        found, drawn = (count_words(number, "counterexample", "counterexamples") for number in counts)
-        text = f"Search of {evidence.search.runs} runs: {found}; declared runs: {drawn}"
+        of_search, of_runs = (count_words(number, "counterexample", "counterexamples") for number in counts)
+        text = f"Search of {evidence.search.runs} runs: {of_search}; declared runs: {of_runs}"
         yield text, "counterexamples", DOUBT if count else OPEN
 
 

@@ -119,6 +119,7 @@ def certify(
     from safety_harness.extensions.assurance.campaign.session import LEDGER
     from safety_harness.extensions.assurance.certification.argument import STATE
     from safety_harness.extensions.assurance.certification.verdicts import overruling_line, percent
+    from safety_harness.extensions.assurance.certification.verify_runs import programs_in
     from safety_harness.extensions.assurance.certify_job import certify as certify_plan
     from safety_harness.extensions.assurance.commands.campaign_lines import tested_lines
     from safety_harness.scenario.typed_json import plain
@@ -169,7 +170,8 @@ def certify(
         say("interrupted: the report says what is missing; the same command goes on from there")
     else:
         folder = shlex.quote(str(made.folder))
-        next_step(f"safety-harness verify {folder}", "does the report stand?")
+        executes = " --execute-programs" * bool(programs_in(made.plan))
+        next_step(f"safety-harness verify {folder}{executes}", "does the report stand?")
         next_step(f"safety-harness certify seal {folder}", "a hash to lodge where its day cannot be changed")
     if made.delta is not None:
         _tell_delta(made.delta, made.folder)
