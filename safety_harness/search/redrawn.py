@@ -141,9 +141,10 @@ def worse_answers(trials: Trials, draw: Callable[[], Trials]) -> list[str]:
         draw: The function that runs trials anywhere in the space.
 
     """
-    if trials.reference is None or not trials.parting_answers:
+    pairs = trials.parting_answers
+    if trials.reference is None or not pairs:
         return []
-    name, pairs = trials.reference.name, trials.parting_answers
+    name = trials.reference.name
     own_s, other_s = (
         max(float(made["decision_time_s"][0]) for made in side)
         for side in ([pair.mine for pair in pairs], [pair.theirs for pair in pairs])
@@ -157,6 +158,8 @@ def worse_answers(trials: Trials, draw: Callable[[], Trials]) -> list[str]:
 
 def _more_errors(pairs: Sequence[PartingAnswers], reference: str, chance: float) -> list[str]:
     """Return the sentences of ``more_often_wrong`` about the last shared question of each pair."""
+    if not pairs:
+        return []
     settings = [pair.settings for pair in pairs]
     mine = _posed(np.concatenate([pair.mine for pair in pairs]), settings)
     theirs = _posed(np.concatenate([pair.theirs for pair in pairs]), settings)

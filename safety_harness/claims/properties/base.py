@@ -239,19 +239,18 @@ def unreal(trace: Trace, there: Mapping[str, NDArray[np.bool_]]) -> Iterator[tup
 
     For a field in ``there``, only the k parts of its rows that are True in ``there`` (n, k) count.
     """
-    rows, nonfinite = as_numbers(trace.ticks), nonfinite_count(trace)
-    for name, column in columns(trace.ticks.dtype).items():
-        if nonfinite[column].any():
-            invalid = ~(np.abs(rows[:, column]) < ENDLESS)[:, None]
-            if (parts := there.get(name)) is not None:
-                invalid = invalid.reshape(*parts.shape, -1) & parts[..., None]
-            yield name, np.asarray(invalid.any(axis=(1, 2)))
+    for name, column in _nonfinite_fields(trace).items():
+        invalid = ~(np.abs(as_numbers(trace.ticks)[:, column]) < ENDLESS)[:, None]
+        if (parts := there.get(name)) is not None:
+            invalid = invalid.reshape(*parts.shape, -1) & parts[..., None]
+        yield name, np.asarray(invalid.any(axis=(1, 2)))
 
 
 @once_a_trace
-def nonfinite_count(trace: Trace) -> NDArray[np.int64]:
-    """Return (c,) the number of values of each column of ``as_numbers`` that are NaN or not below ENDLESS."""
-    return _endless(as_numbers(trace.ticks))
+def _nonfinite_fields(trace: Trace) -> dict[str, slice]:
+    """Return each field with a value that is NaN or not below ENDLESS, with its columns of ``as_numbers``."""
+    counts = _endless(as_numbers(trace.ticks)).tolist()
+    return {name: column for name, column in columns(trace.ticks.dtype).items() if any(counts[column])}
 
 
 @compiled
