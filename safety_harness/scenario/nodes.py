@@ -182,10 +182,16 @@ def _events(text: str, file: Path | None) -> Iterator[Event]:
 
 
 def _syntax_error(file: Path | None, line: int | None, problem: str) -> ScenarioError:
-    """Return the error for malformed YAML."""
+    """Return the error for malformed YAML, with a hint on the usual mistake."""
     hint = 'a text with ": " or " #" in it, or one that begins with a sign such as % or @, needs quotes'
+    if problem.startswith(_MISPLACED):  # what the parser found is a sign of its own, such as "?"
+        problem = "a line that does not continue the lines above"
+        hint = f'indent it as its neighbours, and begin all or none of them with "- "; or {hint}'
     got = f"a syntax error: {' '.join(problem.split())}"
     return _error(file, line, "well-formed YAML", got, hint=hint)
+
+
+_MISPLACED = ("expected <block end>", "mapping values are not allowed", "did not find expected")
 
 
 def _error(

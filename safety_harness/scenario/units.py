@@ -173,6 +173,8 @@ def _units_hint(unit: str, dimension: Dimension) -> str:
     """Return a hint that lists the allowed units, and names the one that resembles ``unit``."""
     if not dimension.units:
         return "a number without a unit"
+    if re.search(r"to[+-]?\.?[0-9]", unit):
+        return 'a range, which only a space may have, begins with "from"'
     return f"{near_miss(unit, dimension.units, most=2)} allowed units: {', '.join(dimension.units)}".strip()
 
 

@@ -64,7 +64,8 @@ def _uniform(field: Field, text: str) -> Uniform:
         raise field.error('both ends, such as "from 0.5 m/s to 2 m/s"')
     (low, high), unit = _alike(field, matched[1], matched[2])
     if not low < high:
-        raise field.error("a lower end, then a higher one")
+        hint = f"from {matched[2]} to {matched[1]}" if low > high else ""
+        raise field.error("a lower end, then a higher one", hint=hint)
     return Uniform(low, high, unit)
 
 
@@ -88,7 +89,8 @@ def _alike(field: Field, *texts: str) -> tuple[tuple[float, ...], str]:
     """Return the quantities in ``texts`` as numbers in SI, and the SI unit that they must share."""
     quantities = [fixed_quantity(field, text) for text in texts]
     if len({unit for _, unit in quantities}) > 1:
-        raise field.error("quantities of one kind, each with its unit")
+        hint = "a number alone has no unit: from 0.5 m/s to 2 m/s"
+        raise field.error("quantities of one kind, each with its unit", hint=hint)
     return tuple(value for value, _ in quantities), quantities[0][1]
 
 

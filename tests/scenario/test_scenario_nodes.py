@@ -89,7 +89,7 @@ def test_a_block_text_ends_without_a_line_break(style: str, text: str) -> None:
         ("# nothing\n", 1, None, "a scenario", "an empty file"),
         ("a: 1\nb:\n\t- 2\n", 3, None, "spaces", "a tab"),
         ("a: 1\nb: [1, 2\nc: 3\n", 3, None, "well-formed YAML", "a syntax error: "),
-        ("a: b: c\n", 1, None, "well-formed YAML", "a syntax error: mapping values are not allowed here"),
+        ("a: b: c\n", 1, None, "well-formed YAML", "a syntax error: a line that does not continue the lines above"),
         ("a: 1\nb: @x\n", 2, None, "well-formed YAML", "a syntax error: "),
         ("a: 1\nb: 'x\n", 3, None, "well-formed YAML", "a syntax error: "),
         ("a: 1\nb: \x07\n", 2, None, "well-formed YAML", "a syntax error: the character U+0007"),

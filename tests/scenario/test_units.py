@@ -183,3 +183,8 @@ def test_any_text_is_a_finite_quantity_or_refused(text: str) -> None:
 def test_the_normal_spelling_is_stable(unit: str) -> None:
     once = normal_unit(unit)
     assert normal_unit(once) == once
+
+
+def test_a_range_without_from_gets_a_hint() -> None:
+    for text in ("200 ms to 1 s", "0.2 to 1 s", "1 s to .5 s"):
+        assert refusal(text, units.TIME).hint == 'a range, which only a space may have, begins with "from"'

@@ -63,6 +63,20 @@ def test_the_dimension_is_that_of_all_alternatives_and_repetitions() -> None:
 
 
 @pytest.mark.parametrize(
+    ("sentence", "hint"),
+    [
+        ("from 2 s to 1 s", "from 1 s to 2 s"),
+        ("from 1 s to 1 s", ""),
+        ("from 1 to 2 s", "a number alone has no unit: from 0.5 m/s to 2 m/s"),
+    ],
+)
+def test_a_mistaken_range_gets_a_hint(sentence: str, hint: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        parse_space(HEAD.replace("duration: 5 s", f"duration: {sentence}"))
+    assert caught.value.hint == hint
+
+
+@pytest.mark.parametrize(
     ("sentence", "line", "field", "words"),
     [
         ("from 1 s", 2, "duration", "both ends, such as"),
