@@ -177,7 +177,7 @@ def test_a_fault_that_the_gate_overrules_is_a_difference_although_no_claim_is_vi
 @pytest.mark.parametrize(
     ("name", "against", "found"),
     [
-        ("Beside", "Base", "it lies over 20 mm farther off the optimum"),
+        ("Beside", "Base", "it answers over 20 mm farther off the optimum"),
         ("Late", "Base", "declares 96 ms for a decision"),
         ("Sure", "Doubts", "it has no spread above its threshold"),
     ],

@@ -24,7 +24,7 @@ class WrongAnswer(Enum):
     LEADS_TOWARDS = "leads towards the hand, or does not answer,"
     FAR_OFF = f"is more than {1e3 * WRONG_M:g} mm off the optimum, or does not answer,"
     SPREAD_MISSES = "has no spread above its threshold, or does not answer,"
-    FARTHER_OFF = f"lies over {1e3 * FARTHER_M:g} mm farther off the optimum than the other"
+    FARTHER_OFF = f"answers over {1e3 * FARTHER_M:g} mm farther off the optimum than the other"
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,7 +75,7 @@ def test_answers_over_20_mm_farther_off_than_the_references_are_a_finding(by_m: 
     far[:, 0] += by_m
     found = findings_against(with_answers(positions_in_base_m=far), [], reference, [], SETTINGS)
     assert [one.words.split(" on ")[0] for one in found] == (
-        ["lies over 20 mm farther off the optimum than the other"] * named
+        ["answers over 20 mm farther off the optimum than the other"] * named
     )
 
 
