@@ -71,7 +71,8 @@ class Pilot:
 class Setting:
     """What all episodes of an environment have in common, whether it is single or a vector.
 
-    ``wanted`` is the number of values that ``obey`` needs: 6 for the TCP, or n for the joints.
+    ``wanted`` is the number of values that ``obey`` needs: 6 for the TCP, or n for the joints. ``given`` are
+    the arguments, of which a copy or pickle is made anew.
     """
 
     def __init__(
@@ -89,6 +90,8 @@ class Setting:
                 hint = f"[{given!r}]" if isinstance(given, str) else ""
                 raise InadmissibleError.of_option(name, f"a list of {kind}", repr(given), hint)
         self.world = world_named(world, "world") if isinstance(world, str) else world
+        self.given: dict[str, Any] = {"scenario": scenario, "space": space, "world": self.world}
+        self.given |= {"sees": tuple(sees), "action": action, "rewards": dict(rewards), "ends": tuple(ends)}
         self.episodes = Episodes(scenario, space, self.world)
         first = self.episodes.first
         self.pilot = Pilot(sees)
@@ -100,6 +103,10 @@ class Setting:
         self.action_space = _action_space(action, first)
         self.by_joints = action == JOINT_VELOCITY
         self.wanted = self.joints if self.by_joints else 6
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let the setting be copied and pickled."""
+        return _setting, (self.given,)
 
     def _image_shape(self, first: Scenario) -> tuple[int, int, int] | None:
         """Return the shape (height, width, 3) of observed images; None if they are not observed."""
@@ -126,6 +133,11 @@ class Setting:
         wanted = np.zeros((lanes, self.wanted))
         wanted[:, : shape[0]] = given.reshape(lanes, -1)
         return wanted
+
+
+def _setting(given: dict[str, Any]) -> Setting:
+    """Return the setting with the arguments ``given``."""
+    return Setting(**given)
 
 
 def _action_space(action: str, first: Checked) -> spaces.Box:
@@ -209,9 +221,6 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
             REFERENCE.opener()
         self.render_mode = render_mode
         self.setting = Setting(scenario, space, world, sees, action, rewards, ends)
-        self._given: dict[str, Any] = {"scenario": scenario, "space": space, "render_mode": render_mode}
-        self._given |= {"world": self.setting.world.label, "sees": tuple(sees), "action": action}
-        self._given |= {"rewards": dict(rewards), "ends": tuple(ends)}
         self.observation_space = self.setting.observation_space
         self.action_space = self.setting.action_space
         self._stream = self.setting.episodes.stream(_lane(self) or None)
@@ -224,7 +233,8 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
     def __reduce__(self) -> tuple[object, ...]:
         """Let the environment be copied and pickled: the copy repeats the episode's steps so far."""
         stream = self._stream
-        return _repeated, (self._given, stream.seed, stream.number, self._begun, self._actions)
+        given = self.setting.given | {"render_mode": self.render_mode}
+        return _repeated, (given, stream.seed, stream.number, self._begun, self._actions)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -65,8 +65,6 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         rewards: Mapping[str, float] = REWARDS,
         ends: Sequence[str] = (),
     ) -> None:
-        self._given: dict[str, Any] = {"scenario": scenario, "space": space, "world": world, "action": action}
-        self._given |= {"sees": tuple(sees), "rewards": dict(rewards), "ends": tuple(ends)}
         setting = self.setting = Setting(scenario, space, world, sees, action, rewards, ends)
         if setting.world is not KINEMATIC:
             raise InadmissibleError.of_option("world", "the kinematic one", setting.world.label)
@@ -185,19 +183,6 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
     def set_attr(self, name: str, values: object) -> None:
         """Raise AttributeError, because lanes have no attributes of their own."""
         raise AttributeError(f"{name} cannot be set: lanes have no attributes of their own")
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return all but the setting, which an unpickled copy makes anew."""
-        return {name: value for name, value in vars(self).items() if name not in ("setting", "_streams")} | {
-            "_numbers": [(stream.seed, stream.number) for stream in self._streams]
-        }
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take the ``state`` of another environment."""
-        numbers = state.pop("_numbers")
-        vars(self).update(state)
-        self.setting = Setting(**self._given)
-        self._streams = [self.setting.episodes.stream(*of_stream) for of_stream in numbers]
 
     @property
     def _ticks(self) -> NDArray[np.void]:
