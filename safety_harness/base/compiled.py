@@ -15,6 +15,7 @@ It compiles the function if neither contains it.
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 import re
@@ -24,16 +25,19 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-from numba.core import config, event
+from numba.core import config, event, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.imputils import lower_cast
 from numba.core.registry import CPUDispatcher
 
+from safety_harness.base.compile_lock import hold, lock_file, release
 from safety_harness.base.compiling import Compilation, Compiled, watchers
 from safety_harness.base.machine_code import FOLDER, STAMP, InstalledCode
 
@@ -41,6 +45,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 _Made = TypeVar("_Made")
 
 njit: Any = numba.njit  # numba's stubs lack one of its options
+numba_types: Any = types
 numba_config: Any = config  # its settings are made at run time, unknown to type checkers
 numba_event: Any = event
 _cache_impl: Any = CompileResultCacheImpl
@@ -245,7 +250,8 @@ def _compiled(function: F, **options: bool) -> F:
     previous = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
     try:
-        made = njit(error_model="numpy", **options)(function)
+        # Numba's wrapper for callers in C, which costs 9 % of the time, has no use here.
+        made = njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
         made._cache = _Cache(function)
     finally:
         numba_config.CACHE_DIR = previous
@@ -254,8 +260,41 @@ def _compiled(function: F, **options: bool) -> F:
     return cast(F, made)
 
 
+class _Compiled(CPUDispatcher):
+    """A compiled function, with one version for all integers and one for all shapes of an array."""
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return numba's description of a call by another compiled function."""
+        kws = {name: _general(kind) for name, kind in kws.items()}
+        return super().get_call_template(tuple(map(_general, args)), kws)
+
+    def compile(self, sig: Any) -> Any:
+        """Load or compile the version for a signature, and let other processes have it."""
+        collecting = gc.isenabled()
+        gc.disable()  # the compiler leaves little to collect, and much to search through: 7 % of the time
+        try:
+            return super().compile(sig)
+        finally:
+            if collecting:
+                gc.enable()
+            cast(Any, self)._cache.ended(sig)
+
+
+def _general(kind: Any) -> Any:
+    """Return the type of an argument without the value of a constant or the shape of a record's array."""
+    if isinstance(kind, numba_types.NestedArray):
+        return numba_types.Array(kind.dtype, kind.ndim, "C")
+    return numba_types.unliteral(kind)
+
+
+@lower_cast(numba_types.NestedArray, numba_types.Array)  # type: ignore[untyped-decorator, no-untyped-call]
+def _without_shape(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) -> Any:
+    """Return an array of a record as an array of any shape; numba stores both alike."""
+    return value
+
+
 _functions: list[Any] = []  # all compiled functions of this process
-_kind: Any = CPUDispatcher  # their class, which ``without_compiling`` changes for a while
+_kind: Any = _Compiled  # their class, which ``without_compiling`` changes for a while
 
 
 class _Locator(_cache_impl._locator_classes[0]):  # type: ignore[misc]
@@ -290,7 +329,8 @@ class _CacheImpl(_cache_impl):  # type: ignore[misc]
 class _Cache(FunctionCache):
     """Numba's cache for one function, with the machine code from a wheel as a second source.
 
-    If the cache folder is read-only or full, each process compiles again.
+    While another process compiles the same function, this one waits and then loads it.  If the cache folder
+    is read-only or full, each process compiles again.
     """
 
     _impl_class = _CacheImpl
@@ -299,9 +339,21 @@ class _Cache(FunctionCache):
         super().__init__(function)  # type: ignore[no-untyped-call]
         folder = installed_folder(Path(function.__code__.co_filename))
         self._installed = InstalledCode(folder, self._impl.filename_base) if folder.is_dir() else None
+        self._locks: dict[Any, Path] = {}  # by signature
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the machine code for a signature from the cache or the wheel; None if it is in neither."""
+        """Return the machine code for a signature from the cache or the wheel; None if it is in neither.
+
+        If the result is None, this process holds the function's lock until ``ended``.
+        """
+        code = self._load(sig, target_context)
+        if code is None:
+            self._locks[sig] = lock_file(self._cache_path, self._impl.filename_base, sig)
+            hold(self._locks[sig])
+            code = self._load(sig, target_context)  # another process may have compiled it meanwhile
+        return code
+
+    def _load(self, sig: Any, target_context: Any) -> Any:
         with suppress(OSError):
             code = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
             if code is not None or self._installed is None:
@@ -311,6 +363,11 @@ class _Cache(FunctionCache):
                 _progress.installed += 1
                 return self._impl.rebuild(target_context, data)
         return None
+
+    def ended(self, sig: Any) -> None:
+        """Let other processes have the function for a signature."""
+        if sig in self._locks:
+            release(self._locks.pop(sig))
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the machine code for a signature; if that fails, keep the reason for ``compilation``."""
@@ -356,7 +413,7 @@ def compilation() -> Compilation:
     return Compilation(ready, len(_functions), _progress.seconds, _progress.depth > 0, unwritable)
 
 
-class _Interpreted(CPUDispatcher):
+class _Interpreted(_Compiled):
     """A compiled function that Python runs as Python."""
 
     def __call__(self, *args: Any) -> Any:
@@ -367,6 +424,8 @@ def _with_attributes(value: Any) -> Any:
     """Return a view of records whose fields are attributes, as in compiled code; other values unchanged."""
     if isinstance(value, np.ndarray) and value.dtype.names:
         return value.view(np.recarray)
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        return type(value)(*map(_with_attributes, value))
     return _Record(value) if isinstance(value, np.void) and value.dtype.names else value
 
 
@@ -405,8 +464,47 @@ def without_compiling(work: Callable[[], _Made]) -> _Made:
     except (ArithmeticError, ValueError):
         pass
     finally:
-        _call_as(CPUDispatcher)
+        _call_as(_Compiled)
     return work()
+
+
+class _Noted(_Interpreted):
+    """A compiled function that Python runs as Python, and whose outermost calls are noted."""
+
+    def __call__(self, *args: Any) -> Any:
+        if not _noted.inside:
+            _noted.calls[self, tuple(map(self.typeof_pyval, args))] = None
+        _noted.inside += 1
+        try:
+            return super().__call__(*args)
+        finally:
+            _noted.inside -= 1
+
+
+@dataclass
+class _Notes:
+    """The calls so far, in order, and the depth of the present call."""
+
+    calls: dict[tuple[Any, Any], None] = field(default_factory=dict)
+    inside: int = 0
+
+
+_noted = _Notes()
+
+
+def calls_of(work: Callable[[], object]) -> list[tuple[Any, Any]]:
+    """Return the compiled functions, and the types of their arguments, that ``work`` calls, in order.
+
+    Python runs them, so nothing is compiled.  After an error of ``work`` the calls before it are returned.
+    """
+    _noted.calls = {}
+    try:
+        _call_as(_Noted)
+        with np.errstate(all="ignore"), suppress(Exception):
+            work()
+    finally:
+        _call_as(_Compiled)
+    return list(_noted.calls)
 
 
 def _call_as(kind: type) -> None:

@@ -77,7 +77,7 @@ def _machine() -> Iterator[Examined]:
     problem = cache_problem(cache_root())
     stack = PACKAGE / "cell" / "controller" / "stack.py"
     warm = installed_folder(stack).is_dir() or any(cache_folder(stack).rglob("*.nbc"))
-    text = "cold: the first run compiles, some 75 s on a quiet machine; safety-harness warm does it now"
+    text = "cold: the first run compiles, for up to a minute; safety-harness warm does it now"
     text = f"{code_in_use()}{', read-only' if problem else ''}" if warm else problem or text
     text = f"{cache_root()}, {megabytes(machine_code_bytes())}, {text}"
     yield Examined("machine code", State.PROBLEM if problem and not warm else State.OK, text)

@@ -28,6 +28,7 @@ from safety_harness.cli.machine import commands as of_machine
 from safety_harness.cli.new import commands as of_new
 from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.shipped import commands as of_shipped
+from safety_harness.report.compile_ahead import SecondProcess
 
 NAME = "safety-harness"
 CORE = (of_new, of_scenarios, of_search, of_shipped, of_machine)
@@ -184,7 +185,7 @@ def of_all(
 
 def main() -> None:
     """Run the command line; explain an error of the harness without a traceback."""
-    watchers.append(CompilationLine(sys.stderr))
+    watchers.extend((CompilationLine(sys.stderr), SecondProcess()))
     if foreign := foreign_files():
         say(f"warning: {foreign}")
     columns = columns_of(sys.stdout) or 80

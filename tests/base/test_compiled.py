@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 from safety_harness.base import compiled as module
-from safety_harness.base.compiled import cache_folder, compiled, njit_no_nrt, source_hash, without_compiling
+from safety_harness.base.compiled import (
+    cache_folder,
+    calls_of,
+    compiled,
+    njit_no_nrt,
+    source_hash,
+    without_compiling,
+)
 from safety_harness.cell.controller import stack
 
 
@@ -260,6 +267,36 @@ def test_an_error_leaves_machine_code_in_its_place() -> None:
         without_compiling(work)
     half(1.0)
     assert half.signatures
+
+
+def test_outermost_calls_are_noted_without_compiling_even_those_before_an_error() -> None:
+    half = compiled(lambda x: x / 2.0)
+    quarter = compiled(lambda x: half(half(x)))
+
+    def work() -> None:
+        quarter(1.0)
+        half(1)
+        quarter(2.0)
+        raise KeyError
+
+    assert calls_of(work) == [(quarter, (numba.float64,)), (half, (numba.int64,))]
+    assert not half.signatures
+    assert quarter(4.0) == 1.0
+
+
+def test_one_version_serves_every_constant_and_every_array_of_a_record() -> None:
+    @compiled
+    def entry(values: np.ndarray, i: int) -> float:
+        return float(values[i])
+
+    @compiled
+    def both(records: np.ndarray, plain: np.ndarray) -> float:
+        return entry(records[0].short, 1) + entry(records[0].long, 2) + entry(plain, len(plain) - 1)
+
+    records = np.zeros(1, np.dtype([("short", float, (2,)), ("long", float, (3,))]))
+    records["short"], records["long"] = [1.0, 2.0], [3.0, 4.0, 5.0]
+    assert both(records, np.array([8.0])) == 2.0 + 5.0 + 8.0
+    assert len(entry.signatures) == 1
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ import pytest
 
 from safety_harness.base.compiling import CompilationLine, watchers
 from safety_harness.base.exceptions import InputError, Place, SafetyHarnessError
+from safety_harness.report.compile_ahead import SecondProcess
 from safety_harness.scenario.kinds import SUFFIXES, is_log
 from safety_harness.testing.plugin.explained import JUDGES_ITSELF, TEST, explained
 from safety_harness.testing.session import (
@@ -108,8 +109,8 @@ def pytest_configure(config: pytest.Config) -> None:
         from safety_harness.testing.plugin.ending import Ending
 
         config.pluginmanager.register(Ending(config), "safety-harness-ending")
-        watchers.append(line := CompilationLine(_PastCapture(config)))
-        config.add_cleanup(lambda: watchers.remove(line))
+        config.add_cleanup(partial(watchers.__setitem__, slice(None), [*watchers]))
+        watchers.extend((CompilationLine(_PastCapture(config)), SecondProcess()))
         if not config.option.help:
             _refuse_unusable_avoiders(make=False)
             _refuse_idle_patterns(config)

@@ -1,0 +1,74 @@
+"""The second process of a first run: what it compiles, when it starts, and that it ends with the first."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from safety_harness.base.compiled import calls_of
+from safety_harness.base.compiling import Compilation
+from safety_harness.report import compile_ahead
+from safety_harness.report.compile_ahead import BRIEF_RUN, SecondProcess
+from safety_harness.report.run_job import run
+from safety_harness.scenario.read import parse_scenario
+
+COMPILING = Compilation(1, 300, 0.2, going_on=True)
+
+
+@pytest.fixture
+def starts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[int]:
+    """The starts of a second process, with an empty cache and two processors."""
+    made: list[int] = []
+    monkeypatch.setattr(compile_ahead, "_start", lambda: made.append(1))
+    monkeypatch.setattr(compile_ahead, "_is_cold", lambda: True)
+    monkeypatch.setattr(compile_ahead.os, "sched_getaffinity", lambda _: {0, 1})
+    return made
+
+
+def test_the_brief_run_calls_what_takes_a_first_run_longest() -> None:
+    called = {function.py_func.__name__ for function, _ in calls_of(lambda: run(parse_scenario(BRIEF_RUN)))}
+    longest = {"_nearest_of_each", "decide", "fill_truth", "sense", "watch", "act", "drive_on", "move_on"}
+    assert called >= longest | {"_straight_reach", "_first_wrong", "_follow", "_closest_in_trace"}
+
+
+def test_it_starts_once(starts: list[int]) -> None:
+    watcher = SecondProcess()
+    watcher(COMPILING)
+    watcher(COMPILING)
+    assert starts == [1]
+
+
+def test_it_does_not_start_with_one_processor(starts: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compile_ahead.os, "sched_getaffinity", lambda _: {0})
+    SecondProcess()(COMPILING)
+    assert not starts
+
+
+def test_it_does_not_start_where_code_is_there(starts: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compile_ahead, "_is_cold", lambda: False)
+    SecondProcess()(COMPILING)
+    assert not starts
+
+
+def test_it_does_not_start_where_code_cannot_be_kept(starts: list[int]) -> None:
+    SecondProcess()(Compilation(1, 300, 0.2, going_on=True, unwritable="a read-only disk"))
+    assert not starts
+
+
+def test_it_compiles_into_the_cache_and_ends_with_the_process_that_started_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(tmp_path))
+    process = compile_ahead._start()
+    assert process is not None
+    assert process.stdin is not None
+    while process.poll() is None and not any(tmp_path.rglob("*.nbc")):
+        time.sleep(0.1)
+    assert process.poll() is None
+    other = compile_ahead._start()
+    assert other is not None
+    assert other.wait(60.0) == 0  # one is enough
+    process.stdin.close()  # as when the first process is killed
+    assert process.wait(60.0) == 0
