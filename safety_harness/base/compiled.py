@@ -472,13 +472,13 @@ class _Noted(_Interpreted):
     """A compiled function that Python runs as Python, and whose outermost calls are noted."""
 
     def __call__(self, *args: Any) -> Any:
-        if not _noted.inside:
+        if not _noted.depth:
             _noted.calls[self, tuple(map(self.typeof_pyval, args))] = None
-        _noted.inside += 1
+        _noted.depth += 1
         try:
             return super().__call__(*args)
         finally:
-            _noted.inside -= 1
+            _noted.depth -= 1
 
 
 @dataclass
@@ -486,7 +486,7 @@ class _Notes:
     """The calls so far, in order, and the depth of the present call."""
 
     calls: dict[tuple[Any, Any], None] = field(default_factory=dict)
-    inside: int = 0
+    depth: int = 0
 
 
 _noted = _Notes()

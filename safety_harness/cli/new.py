@@ -41,6 +41,7 @@ TEMPLATES = {
     "reaching": Template("a hand reaches for the object under the tool"),
     "handover": Template("a hand is held out to the tool, stays, and leaves"),
     "two-people": Template("one of two people takes the part, the other's hand is beside it"),
+    "space": Template("many scenarios: what varies, and between which limits"),
     "log": Template("a recorded hand, from a CSV file", (("recording.csv", RECORDING),)),
     "policy": Template(
         "an avoider of your own: a Python file, a scenario and a pytest file",
@@ -173,6 +174,12 @@ def _next(template: str, scenario: Path) -> list[str]:
     here = find_spec("pybullet") is not None
     run = f"safety-harness run {file}{'' if here else ' --world kinematic'}"
     lines = [run, f"safety-harness show {file}"]
+    if template == "space":
+        return [
+            f"safety-harness fuzz {file}",
+            f"safety-harness show {file}",
+            f"safety-harness new plan {file}",
+        ]
     if template == "policy":
         suite, avoider = (shlex.quote(str(scenario.with_name(f.format(stem)))) for f in (SUITE, AVOIDER))
         world = "" if here else " --safety-world kinematic"

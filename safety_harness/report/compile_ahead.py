@@ -39,12 +39,12 @@ class SecondProcess:
     ends with this one.
     """
 
-    _asked: bool = False
+    _checked: bool = False
 
     def __call__(self, now: Compilation) -> None:
         """Start the process at the first call, if it can help; this method is one of the ``watchers``."""
-        if not self._asked:
-            self._asked = True
+        if not self._checked:
+            self._checked = True
             if len(os.sched_getaffinity(0)) > 1 and not now.unwritable and _is_cold():
                 _start()
 

@@ -78,7 +78,12 @@ SI_UNITS = {
 
 
 def shown_margin(margin: float, symbol: str) -> str:
-    """Return ``margin``, given in the unit ``symbol``, as text; without a symbol it is a whole count."""
+    """Return ``margin``, given in the unit ``symbol``, as text; without a symbol it is a whole count.
+
+    Times below one second are shown in milliseconds.
+    """
+    if symbol == "s" and abs(margin) < 1.0:
+        margin, symbol = margin * 1e3, "ms"
     number = f"{margin:+.1f}" if abs(margin) >= 1.0 and symbol else f"{margin:+.{3 if symbol else 9}g}"
     return f"{number} {symbol}".rstrip()
 

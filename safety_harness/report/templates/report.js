@@ -1,4 +1,10 @@
 "use strict";
+for (const part of document.querySelectorAll("h1, h2, h3, .meta, .banner, .answer")) {  // no line ends between a number and its unit
+  for (const text = document.createTreeWalker(part, NodeFilter.SHOW_TEXT); text.nextNode();) {
+    const node = text.currentNode;
+    if (!node.parentElement.closest("code")) node.data = node.data.replace(/(\d) (?=(mm|m|ms|s|deg|Hz|%)(?![A-Za-z]))/g, "$1\u00a0");
+  }
+}
 for (const heading of document.querySelectorAll(".again > th")) {  // the name of the row above, which a filter may hide
   heading.append(...[...heading.parentElement.previousElementSibling.cells[0].childNodes].map((one) => one.cloneNode(true)));
 }

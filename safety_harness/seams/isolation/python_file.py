@@ -61,7 +61,7 @@ def refuse_undefined(
             expected, got = f"{name} to have a method {method}", "a class without one"
             raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
         if definitions and keywords and (got := _misfit(definitions[-1], method, {*keywords})):
-            expected = f"{name} to have {method}(*, {', '.join(keywords)})"
+            expected = f"{name} in {path.name} to have {method}(*, {', '.join(keywords)})"
             raise InadmissibleError(place=place, expected=expected, got=f"{method}({got})", hint=hint)
 
 
