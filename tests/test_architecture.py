@@ -174,8 +174,8 @@ def test_the_hash_of_the_source_covers_every_file_of_a_wing(
 
 def test_a_run_needs_no_torch() -> None:
     for file in FILES:
-        if module_of(file).startswith("extensions.lab.learning"):
-            continue  # which nothing but the command line imports, and that only when asked to learn
+        if module_of(file).startswith(("extensions.lab.learning", "extensions.gym.exporting")):
+            continue  # which no run imports, but only a command that learns, and a user's training
         assert "torch" not in {
             name.split(".")[0]
             for node in statements_of(file)

@@ -22,7 +22,7 @@ from safety_harness.cli.options import command
 commands = Typer()
 FOLDER = Path(__file__).parent / "templates"
 SUFFIXES = (".yaml", ".yml")
-AVOIDER, SUITE, RECORDING = "{}_avoider.py", "test_{}.py", "{}_recording.csv"
+AVOIDER, CONTROLLER, SUITE, RECORDING = "{}_avoider.py", "{}_controller.py", "test_{}.py", "{}_recording.csv"
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,9 @@ TEMPLATES = {
     "policy": Template(
         "an avoider of your own: a Python file, a scenario and a pytest file",
         (("avoider.py.txt", AVOIDER), ("test_policy.py.txt", SUITE)),
+    ),
+    "controller": Template(
+        "a controller of your own: a Python file and a scenario", (("controller.py.txt", CONTROLLER),)
     ),
 }
 
@@ -149,6 +152,7 @@ def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
         "@SCENARIO@": repr(scenario.name),
         "@RECORDING@": RECORDING.format(stem),
         "@AVOIDER@": AVOIDER.format(stem),
+        "@CONTROLLER@": CONTROLLER.format(stem),
         "@TEST@": SUITE.format(stem),
     }
     pattern = re.compile("|".join(replacements))
@@ -184,6 +188,8 @@ def _next(template: str, scenario: Path) -> list[str]:
         suite, avoider = (shlex.quote(str(scenario.with_name(f.format(stem)))) for f in (SUITE, AVOIDER))
         world = "" if here else " --safety-world kinematic"
         lines += [f"pytest {suite}{world}", f"safety-harness evaluate {avoider}:Away"]
+    elif template == "controller":
+        lines.append(f"{run} --controller 'stop when near'")
     else:
         lines.append(f"{run} --avoider 'opposite pose'")
     return [*lines, "safety-harness claims"]

@@ -34,6 +34,7 @@ from safety_harness.report.decisions import (
     possible_lines,
 )
 from safety_harness.report.evidence import JudgedRun, answer
+from safety_harness.report.limiting import limit_lines
 from safety_harness.report.run_job import run as run_scenarios
 from safety_harness.report.run_result import DATA, REPORT, TRACES, RunResult
 from safety_harness.report.shielding import shield_lines
@@ -109,6 +110,7 @@ def _print_summary(finished: RunResult, verbose: bool) -> None:
     say(*[finished.basis if verbose else short_basis(finished.basis)] * bool(finished.runs))
     say(*(f"computing time: {line}" for line in took))
     say(*(f"shield: {line}" for line in shield_lines(traces)))
+    say(*(f"limits: {line}" for line in limit_lines(traces)))
     say(*(f"gate: {line}" for line in possible_lines(traces)))
     say(*(overruled if verbose else overruled[:1]))
     fallback = DecisionTally.from_traces(traces).fallback

@@ -13,6 +13,7 @@ from safety_harness.base.distribution import installed_version
 from safety_harness.base.whole_file import write_whole
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.report.evidence import JudgedRun, answer, basis_of
+from safety_harness.report.limiting import limit_lines
 from safety_harness.report.words import margin_words
 from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Claim, Verdict
@@ -60,6 +61,8 @@ def markdown(runs: Sequence[JudgedRun]) -> str:
         lines.append(f"| {' | '.join(map(_cell, cells))} |")
     if len(rows) > MOST_LINES:
         lines += ["", f"{len(rows) - MOST_LINES} more are in report.html."]
+    for line in limit_lines(run.trace for run in runs):
+        lines += ["", f"limits: {_cell(line)}"]
     lines += ["", basis_of(runs)]
     return "\n".join(lines) + "\n"
 

@@ -41,6 +41,7 @@ from safety_harness.report.evidence import (
     with_defaults,
 )
 from safety_harness.report.knowledge import measured_rows
+from safety_harness.report.limiting import limit_lines
 from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import MOST_OPEN, added_sections, render_page
 from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
@@ -191,6 +192,7 @@ def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
         "recorded": any(trace.known.recorded for trace in traces),
         "computing_time": computing_time_lines(traces),
         "shield": shield_lines(traces),
+        "limits": limit_lines(traces),
         "overruling": overruling_lines(overruling_of_each(traces)),
         "uncounted": sum(not are_counted(trace) for trace in traces),
         "unmeasured": sum(

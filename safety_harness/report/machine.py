@@ -26,6 +26,7 @@ from safety_harness.report.decisions import (
 )
 from safety_harness.report.evidence import AboutRuns, JudgedRun, basis_of, tallies, with_defaults
 from safety_harness.report.knowledge import known_data
+from safety_harness.report.limiting import limited_data
 from safety_harness.report.shielding import shield_data
 from safety_harness.scenario.files import display_path
 from safety_harness.trace.overruling import Overruling, is_measured
@@ -110,7 +111,7 @@ def run_data(run: JudgedRun) -> dict[str, Any]:
     without an avoider.  A claim has ``parts`` if its formula is a conjunction ("and").  ``unmeasured`` names
     the columns whose absence makes a claim inconclusive.  ``known`` lists the columns that are not simulated
     truth.  ``decisions`` and ``overruling`` are null if they were not measured.  ``trace_sha256`` is the
-    present hash of the trace file.
+    present hash of the trace file.  ``limits`` counts the commands that each limit changed.
     """
     trace, scenario, file = run.trace, run.trace.scenario, run.trace_file
     return {
@@ -131,6 +132,7 @@ def run_data(run: JudgedRun) -> dict[str, Any]:
         "overruling": Overruling.from_traces([trace]).named if is_measured(trace) else None,
         "avoider_answered": None if scenario.driven else _outcome(AvoiderAnswered().evaluate(trace)),
         "computing_time": computing_time_lines([trace]),
+        "limits": limited_data(trace),
         **({"refused_for_possible_hands": refused_for_possible(trace)} if asks_of_hands(trace) else {}),
         **({} if scenario.shield is None else {"shield": shield_data(trace)}),
         "claims": [

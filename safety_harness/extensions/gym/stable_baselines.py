@@ -33,7 +33,7 @@ class StableBaselinesEnv(VecEnv):
     def __init__(self, environments: HarnessVectorEnv, fields: Sequence[str] = (), ticks: int = 1) -> None:
         if ticks < 1:
             raise InadmissibleError.of_option("ticks", "at least one", str(ticks))
-        self.environments, self._ticks = environments, ticks
+        self.environments, self.ticks = environments, ticks
         shown, moved = environments.setting.observation_space, environments.setting.action_space
         known = shown.spaces
         for field in fields:
@@ -41,12 +41,12 @@ class StableBaselinesEnv(VecEnv):
                 raise InadmissibleError.of_option(
                     "fields", f"some of: {', '.join(known)}", repr(field), near_miss(field, known)
                 )
-        self._fields = tuple(fields) or tuple(known)
-        self._most = moved.high
-        boxes = {name: spaces.Box(-np.inf, np.inf, known[name].shape, np.float32) for name in self._fields}
-        actions = spaces.Box(-1.0, 1.0, self._most.shape, np.float32)
+        self.fields = tuple(fields) or tuple(known)
+        self.largest_action = moved.high
+        boxes = {name: spaces.Box(-np.inf, np.inf, known[name].shape, np.float32) for name in self.fields}
+        actions = spaces.Box(-1.0, 1.0, self.largest_action.shape, np.float32)
         super().__init__(environments.num_envs, spaces.Dict(boxes), actions)  # type: ignore[arg-type]
-        self._actions = np.zeros((self.num_envs, *self._most.shape))
+        self._actions = np.zeros((self.num_envs, *self.largest_action.shape))
 
     def reset(self) -> Arrays:
         """Begin an episode in each lane; after a new seed, begin the first episode of that seed."""
@@ -56,7 +56,7 @@ class StableBaselinesEnv(VecEnv):
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Store the ``actions`` (environments, a) for ``step_wait``."""
-        self._actions = self._most * actions.astype(np.float64)
+        self._actions = self.largest_action * actions.astype(np.float64)
 
     def step_wait(self) -> tuple[Arrays, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Step each lane by ``ticks`` with the stored actions.
@@ -66,7 +66,7 @@ class StableBaselinesEnv(VecEnv):
         """
         infos: list[dict[str, Any]] = [{"cost": 0.0} for _ in range(self.num_envs)]
         total, ended = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
-        for _ in range(self._ticks):
+        for _ in range(self.ticks):
             seen, reward, terminated, truncated, info = self.environments.step(
                 np.where(ended[:, None], 0.0, self._actions)
             )
@@ -107,4 +107,4 @@ class StableBaselinesEnv(VecEnv):
         return [False] * len(list(self._get_indices(indices)))
 
     def _shown(self, seen: Arrays) -> Arrays:
-        return {name: seen[name].astype(np.float32) for name in self._fields}
+        return {name: seen[name].astype(np.float32) for name in self.fields}

@@ -1,0 +1,63 @@
+"""Report how often the settings' limits changed the commands of a controller."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any
+
+from safety_harness.trace.records import Limit
+from safety_harness.trace.trace import Trace
+
+LIMIT_NAMES = {
+    Limit.TCP_SPEED: "TCP speed",
+    Limit.TCP_ACCELERATION: "TCP acceleration",
+    Limit.JOINT_SPEED: "joint speed",
+    Limit.SINGULARITY: "stop near a singularity",
+}
+OFTEN = 0.5  # a share of limited commands from which the scale of the actions is in doubt
+
+
+def limited_commands(trace: Trace) -> Counter[str] | None:
+    """Return how many commands each limit changed, by its name; None if the trace does not have limits.
+
+    The key "" counts the commands that any limit changed.
+    """
+    if trace.known.missing(["limits"]):
+        return None
+    flags = trace.ticks["limits"]
+    counts = Counter({name: int(((flags & int(limit)) != 0).sum()) for limit, name in LIMIT_NAMES.items()})
+    counts[""] = int(((flags & sum(map(int, LIMIT_NAMES))) != 0).sum())
+    return counts
+
+
+def limited_data(trace: Trace) -> dict[str, Any] | None:
+    """Return the number of ``commands``, of ``limited`` ones, and of each limit, or None without limits."""
+    counts = limited_commands(trace)
+    if counts is None:
+        return None
+    by_limit = {name: counts[name] for name in LIMIT_NAMES.values() if counts[name]}
+    return {"commands": len(trace.ticks), "limited": counts[""], "by_limit": by_limit}
+
+
+def limit_lines(traces: Iterable[Trace]) -> list[str]:
+    """Return a line for each user's controller whose commands a limit changed, with a hint if often.
+
+    The visual servo has no line, because it relies on the limit of the TCP's speed.
+    """
+    commands: Counter[str] = Counter()
+    limited: dict[str, Counter[str]] = {}
+    for trace in traces:
+        counts = limited_commands(trace) if trace.scenario.driven else None
+        if counts is not None:
+            name = trace.system.controller.name
+            commands[name] += len(trace.ticks)
+            limited.setdefault(name, Counter()).update(counts)
+    return [_line(name, counts, commands[name]) for name, counts in limited.items() if counts[""]]
+
+
+def _line(name: str, counts: Counter[str], commands: int) -> str:
+    parts = ", ".join(f"{limit} {count}" for limit, count in counts.most_common() if limit and count)
+    share = counts[""] / commands
+    hint = "; check the unit and the scale of its actions" if share >= OFTEN else ""
+    return f"{name}: {counts['']} of {commands} commands limited ({100.0 * share:.1f} %): {parts}{hint}"
