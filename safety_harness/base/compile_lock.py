@@ -36,7 +36,7 @@ def hold(file: Path, *, wait: bool = True) -> bool:
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except OSError:  # another process has it, or it lies on a network disk without locks
+        except BaseException:  # another process has it, the disk has no locks, or Ctrl-C ended the wait
             os.close(descriptor)
             raise
         _held[file] = descriptor

@@ -279,6 +279,23 @@ def test_an_action_that_is_none_is_refused(one: HarnessEnv) -> None:
             one.step(action)
 
 
+def test_without_a_claim_there_is_no_cost_that_would_always_be_zero() -> None:
+    rewards = {"progress": 1.0}
+    with HarnessEnv(space=SPACE, rewards=rewards) as env:
+        assert "cost" not in env.reset()[1]
+        assert "cost" not in env.step(env.action_space.sample())[4]
+    lanes = HarnessVectorEnv(2, space=SPACE, rewards=rewards)
+    assert "cost" not in lanes.reset()[1]
+    assert "cost" not in lanes.step(lanes.action_space.sample())[4]
+    lanes = StableBaselinesEnv(lanes, ticks=2)
+    lanes.reset()
+    assert all("cost" not in info for info in lanes.step(np.zeros((2, 3)))[3])
+    with HarnessEnv(space=SPACE, rewards=rewards | {NEAR: 0.0}) as env:
+        env.reset()
+        _, reward, _, _, info = env.step(np.zeros(3))
+        assert (reward, info["cost"]) == (pytest.approx(0.0, abs=1e-6), 1.0)
+
+
 def test_without_gymnasium_or_stable_baselines_it_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

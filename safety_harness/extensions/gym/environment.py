@@ -367,8 +367,8 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         """Return what ``reset`` describes; ``margins`` are the least [SI] at a tick so far."""
         margins = {sentence: float(least[0]) for sentence, least in self._least.items()}
         success = bool(self.setting.rewards.succeeds(self._least, self._way_m)[0])
-        info = {"margins": margins, "cost": float(self._cost[0]), "is_success": success}
-        return info | {"scenario": self._stream.drawn}
+        cost = {"cost": float(self._cost[0])} if margins else {}  # a cost of no claim would be 0 for ever
+        return {"margins": margins, **cost, "is_success": success, "scenario": self._stream.drawn}
 
 
 def _repeated(

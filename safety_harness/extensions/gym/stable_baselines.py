@@ -64,7 +64,8 @@ class StableBaselinesEnv(VecEnv):
         A lane whose episode ends waits at the start of its next episode until all lanes have finished. Each
         info has the ``cost`` of these ticks. At an episode's end it also has ``is_success`` and the margins.
         """
-        infos: list[dict[str, Any]] = [{"cost": 0.0} for _ in range(self.num_envs)]
+        claims = self.environments.setting.rewards.margins
+        infos: list[dict[str, Any]] = [{"cost": 0.0} if claims else {} for _ in range(self.num_envs)]
         total, ended = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
         for _ in range(self.ticks):
             seen, reward, terminated, truncated, info = self.environments.step(
@@ -74,13 +75,13 @@ class StableBaselinesEnv(VecEnv):
             finished = terminated | truncated
             for lane in np.flatnonzero(~ended).tolist():
                 of_tick = info["final_info"] if finished[lane] else info
-                infos[lane]["cost"] += float(of_tick["cost"][lane])
+                if claims:
+                    infos[lane]["cost"] += float(of_tick["cost"][lane])
                 if finished[lane]:
                     last = self._shown(info["final_obs"][lane])
                     cut = bool(truncated[lane] and not terminated[lane])
                     infos[lane] |= {"terminal_observation": last, "TimeLimit.truncated": cut}
                     infos[lane]["is_success"] = bool(of_tick["is_success"][lane])
-                    claims = self.environments.setting.rewards.margins
                     infos[lane] |= {name: float(of_tick["margins"][name][lane]) for name in claims}
             ended |= finished
         return self._shown(seen), total.astype(np.float32), ended, infos

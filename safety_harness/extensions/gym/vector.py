@@ -217,7 +217,8 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         margins = {sentence: least.copy() for sentence, least in self._least.items()}
         success = self.setting.rewards.succeeds(self._least, self._way_m)
         info: dict[str, Any] = {"margins": margins | {f"_{sentence}": every for sentence in margins}}
-        info |= {"cost": self._cost.copy(), "is_success": success, "scenario": np.array(self._names, object)}
+        info |= {"cost": self._cost.copy()} if margins else {}  # a cost of no claim would be 0 for ever
+        info |= {"is_success": success, "scenario": np.array(self._names, object)}
         return info | {f"_{name}": every for name in info}
 
 
