@@ -32,7 +32,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-from numba.core import config, event, types
+from numba.core import config, event, sigutils, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.imputils import lower_cast
 from numba.core.registry import CPUDispatcher
@@ -46,6 +46,7 @@ _Made = TypeVar("_Made")
 
 njit: Any = numba.njit  # numba's stubs lack one of its options
 numba_types: Any = types
+numba_sigutils: Any = sigutils
 numba_config: Any = config  # its settings are made at run time, unknown to type checkers
 numba_event: Any = event
 _cache_impl: Any = CompileResultCacheImpl
@@ -277,7 +278,9 @@ class _Compiled(CPUDispatcher):
         finally:
             if collecting:
                 gc.enable()
-            cast(Any, self)._cache.ended(sig)
+            store = cast(Any, self)._cache
+            if isinstance(store, _Cache):  # a function that came by pickle has none
+                store.ended(sig)
 
 
 def _general(kind: Any) -> Any:
@@ -348,14 +351,19 @@ class _Cache(FunctionCache):
         """
         code = self._load(sig, target_context)
         if code is None:
-            self._locks[sig] = lock_file(self._cache_path, self._impl.filename_base, sig)
+            self._locks[sig] = self._lock(sig)
             hold(self._locks[sig])
             code = self._load(sig, target_context)  # another process may have compiled it meanwhile
         return code
 
+    def _lock(self, part: object) -> Path:
+        return lock_file(self._cache_path, self._impl.filename_base, part)
+
     def _load(self, sig: Any, target_context: Any) -> Any:
         with suppress(OSError):
             code = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            if code is not None and tuple(code.signature.args) != numba_sigutils.normalize_signature(sig)[0]:
+                code = None  # the index of an earlier version may name the code of another signature
             if code is not None or self._installed is None:
                 return code
             data = self._installed.load_generic(self._index_key(sig, target_context.codegen()))  # type: ignore[no-untyped-call]
@@ -370,12 +378,19 @@ class _Cache(FunctionCache):
             release(self._locks.pop(sig))
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Store the machine code for a signature; if that fails, keep the reason for ``compilation``."""
+        """Store the machine code for a signature; if that fails, keep the reason for ``compilation``.
+
+        Numba counts the files of a function in one index, so only one process at a time may add to it.
+        """
+        index = self._lock("index")
+        hold(index)
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError as error:
             if not cache_problem(cache_root()):
                 _progress.unwritable = _cannot_keep(cache_root(), error)
+        finally:
+            release(index)
 
 
 class _Progress(event.Listener):

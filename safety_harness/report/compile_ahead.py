@@ -45,7 +45,7 @@ class SecondProcess:
         """Start the process at the first call, if it can help; this method is one of the ``watchers``."""
         if not self._checked:
             self._checked = True
-            if len(os.sched_getaffinity(0)) > 1 and not now.unwritable and _is_cold():
+            if len(os.sched_getaffinity(0)) > 1 and sys.executable and not now.unwritable and _is_cold():
                 _start()
 
 
@@ -87,7 +87,10 @@ def main() -> None:
 
     if not hold(cache_root() / "second-process.lock", wait=False):
         return  # one second process is enough, as the first processes share its work
+    parent = os.getppid()
     for function, types in reversed(calls_of(lambda: run(parse_scenario(BRIEF_RUN)))):
+        if os.getppid() != parent:  # another process may keep our input open
+            return
         with suppress(Exception):
             function.compile(types)
 

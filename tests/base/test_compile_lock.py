@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
+import pickle
+import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numba
@@ -42,6 +47,61 @@ def test_a_process_waits_until_the_holder_of_the_lock_ends(tmp_path: Path) -> No
     assert not file.exists()
 
 
+def test_a_wait_for_a_suspended_process_has_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compile_lock, "LONGEST_WAIT_S", 0.3)
+    file = tmp_path / "one.lock"
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(file)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        assert not hold(file)
+        assert not hold(file, wait=False)
+        holder.kill()
+
+
+def test_two_processes_never_hold_a_lock_whose_file_was_removed_meanwhile(tmp_path: Path) -> None:
+    file = tmp_path / "one.lock"
+    counts = tmp_path / "count"
+    counts.write_text("0")
+    program = """
+import sys
+from pathlib import Path
+from safety_harness.base.compile_lock import hold, release
+file, counts = map(Path, sys.argv[1:])
+for _ in range(200):
+    assert hold(file)
+    counts.write_text(str(int(counts.read_text()) + 1))
+    release(file)
+"""
+    command = [sys.executable, "-c", program, str(file), str(counts)]
+    both = [subprocess.Popen(command) for _ in range(3)]
+    assert [one.wait(60.0) for one in both] == [0, 0, 0]
+    assert counts.read_text() == "600"
+
+
+def test_a_forked_process_does_not_keep_a_lock_that_was_given_back(tmp_path: Path) -> None:
+    file = tmp_path / "one.lock"
+    hold(file)
+    child = os.fork()
+    if not child:
+        time.sleep(5.0)
+        os._exit(0)
+    waiting = os.open(file, os.O_RDWR)
+    release(file)
+    fcntl.flock(waiting, fcntl.LOCK_EX | fcntl.LOCK_NB)  # would raise
+    os.close(waiting)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+
+
+def test_a_function_may_come_by_pickle_from_another_process() -> None:
+    program = "import pickle, sys; print(pickle.loads(sys.stdin.buffer.read())(3.0))"
+    sent = pickle.dumps(compiled.compiled(lambda x: x + x))
+    done = subprocess.run([sys.executable, "-c", program], input=sent, capture_output=True, check=True)
+    assert done.stdout == b"6.0\n"
+
+
 def test_a_process_may_take_its_own_lock_again(tmp_path: Path) -> None:
     hold(tmp_path / "one.lock")
     hold(tmp_path / "one.lock")
@@ -70,6 +130,20 @@ def test_a_function_that_cannot_be_compiled_leaves_no_lock(
     assert half(1.0) == 0.5
     assert not compile_lock._held
     assert not list(tmp_path.rglob("*.lock"))
+
+
+def test_code_of_another_signature_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def half(x: float) -> float:
+        return x / 2
+
+    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiled, "cache_folder", compiled.cache_folder.__wrapped__)
+    first = compiled.compiled(half)
+    assert (first(3), first(3.0)) == (1.5, 1.5)
+    integers, floats = sorted(tmp_path.rglob("*.nbc"))
+    floats.write_bytes(integers.read_bytes())  # as two processes without a lock may leave them
+    again = compiled.compiled(half)
+    assert (again(3), again(5.0)) == (1.5, 2.5)
 
 
 def test_a_function_that_another_process_compiled_while_this_one_waited_is_loaded(
