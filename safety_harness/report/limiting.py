@@ -6,7 +6,10 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
-from safety_harness.trace.records import Limit
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.trace.records import Limit, Mode
 from safety_harness.trace.trace import Trace
 
 LIMIT_NAMES = {
@@ -15,20 +18,26 @@ LIMIT_NAMES = {
     Limit.JOINT_SPEED: "joint speed",
     Limit.SINGULARITY: "stop near a singularity",
 }
-OFTEN = 0.5  # a share of limited commands from which the scale of the actions is in doubt
+SPEEDS = {LIMIT_NAMES[Limit.TCP_SPEED], LIMIT_NAMES[Limit.JOINT_SPEED]}
+OFTEN = 0.5  # a share of commands at a limit of speed from which the scale of the actions is in doubt
 
 
 def limited_commands(trace: Trace) -> Counter[str] | None:
     """Return how many commands each limit changed, by its name; None if the trace does not have limits.
 
-    The key "" counts the commands that any limit changed.
+    The key "" counts the commands that any limit changed. Commands of a protective stop do not count.
     """
     if trace.known.missing(["limits"]):
         return None
-    flags = trace.ticks["limits"]
+    flags = trace.ticks["limits"][_moving(trace)]
     counts = Counter({name: int(((flags & int(limit)) != 0).sum()) for limit, name in LIMIT_NAMES.items()})
     counts[""] = int(((flags & sum(map(int, LIMIT_NAMES))) != 0).sum())
     return counts
+
+
+def _moving(trace: Trace) -> NDArray[np.bool_]:
+    """Return (n,) true where no protective stop brakes the arm."""
+    return np.asarray(trace.ticks["mode"] != int(Mode.PROTECTIVE_STOP))
 
 
 def limited_data(trace: Trace) -> dict[str, Any] | None:
@@ -37,7 +46,7 @@ def limited_data(trace: Trace) -> dict[str, Any] | None:
     if counts is None:
         return None
     by_limit = {name: counts[name] for name in LIMIT_NAMES.values() if counts[name]}
-    return {"commands": len(trace.ticks), "limited": counts[""], "by_limit": by_limit}
+    return {"commands": int(_moving(trace).sum()), "limited": counts[""], "by_limit": by_limit}
 
 
 def limit_lines(traces: Iterable[Trace]) -> list[str]:
@@ -51,7 +60,7 @@ def limit_lines(traces: Iterable[Trace]) -> list[str]:
         counts = limited_commands(trace) if trace.scenario.driven else None
         if counts is not None:
             name = trace.system.controller.name
-            commands[name] += len(trace.ticks)
+            commands[name] += int(_moving(trace).sum())
             limited.setdefault(name, Counter()).update(counts)
     return [_line(name, counts, commands[name]) for name, counts in limited.items() if counts[""]]
 
@@ -59,5 +68,6 @@ def limit_lines(traces: Iterable[Trace]) -> list[str]:
 def _line(name: str, counts: Counter[str], commands: int) -> str:
     parts = ", ".join(f"{limit} {count}" for limit, count in counts.most_common() if limit and count)
     share = counts[""] / commands
-    hint = "; check the unit and the scale of its actions" if share >= OFTEN else ""
+    often = sum(counts[limit] for limit in SPEEDS) >= OFTEN * commands
+    hint = "; are unit and scale of its actions as meant?" if often else ""
     return f"{name}: {counts['']} of {commands} commands limited ({100.0 * share:.1f} %): {parts}{hint}"

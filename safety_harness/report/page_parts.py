@@ -6,23 +6,17 @@ import base64
 import hashlib
 import re
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
-import jinja2
-from jinja2 import BytecodeCache, ChoiceLoader, Environment, PackageLoader, StrictUndefined
-from jinja2.bccache import Bucket
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from safety_harness.base.compiled import cache_root, source_hash
 from safety_harness.base.exceptions import described
 from safety_harness.base.extension_points import ExtensionPoint, RegisteredPart, loaded, warn
-from safety_harness.base.whole_file import replacing
 from safety_harness.report.packing import deflated
 
 PACKAGE = "safety_harness.report"
@@ -65,26 +59,6 @@ def added_sections(page: str, shown: object, prefix: str = "") -> list[dict[str,
     return added
 
 
-class _CompiledTemplates(BytecodeCache):
-    """The compiled templates of this package and this jinja2 below ``cache_root``.
-
-    They save 0.3 s of a command that writes a page.  Jinja compares a template's text with the compiled one.
-    """
-
-    def load_bytecode(self, bucket: Bucket) -> None:
-        """Load a compiled template into ``bucket``, if there is a file of it."""
-        with suppress(OSError), self._file(bucket).open("rb") as stream:
-            bucket.load_bytecode(stream)
-
-    def dump_bytecode(self, bucket: Bucket) -> None:
-        """Store the compiled template of ``bucket``, if the folder can be written."""
-        with suppress(OSError), replacing(self._file(bucket)) as part, part.open("wb") as stream:
-            bucket.write_bytecode(stream)
-
-    def _file(self, bucket: Bucket) -> Path:
-        return cache_root() / f"templates-{source_hash()}-{jinja2.__version__}" / bucket.key
-
-
 @lru_cache  # so that each template is compiled only once
 def templates(package: str = PACKAGE) -> Environment:
     """Return the templates, which escape their values and raise an error for a missing name.
@@ -98,7 +72,6 @@ def templates(package: str = PACKAGE) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        bytecode_cache=_CompiledTemplates(),
     )
     environment.filters |= {"headings": _headings, "in_words": in_words}
     return environment

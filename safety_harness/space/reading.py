@@ -98,7 +98,7 @@ class TemplateReader:
             parameters.append(replace(draft, column=column, when=((),) if () in when else tuple(when)))
             column += draft.distribution.columns
         if not 0 < column <= MOST_COLUMNS:
-            hint = 'for example "from 200 ms to 1 s" or "one of 1, 2"; without any, it is a scenario'
+            hint = 'for example "from 200 ms to 1 s" or "one of 1, 2"; else begin with scenario:'
             raise root.error(f"from 1 to {MOST_COLUMNS} values that vary", got=f"{column}", hint=hint)
         return tuple(parameters)
 

@@ -87,6 +87,32 @@ def test_a_wrapper_that_changes_observations_is_refused(tmp_path: Path) -> None:
     assert not any(tmp_path.iterdir())
 
 
+def test_another_environment_than_that_of_the_training_is_refused(tmp_path: Path) -> None:
+    made = VecNormalize(environment("tcp twist"))
+    model, file = model_of(PPO, made), tmp_path / "policy.onnx"
+    other = VecNormalize(environment("joint velocity"))
+    slower = environment("tcp twist")
+    slower.ticks = 1
+    for given, words in (
+        (made.venv, "another normalisation"),
+        (VecNormalize(made), "normalised once"),
+        (other, "kind of action"),
+        (VecNormalize(slower), "ticks 3"),
+        (VecNormalize(environment()), "other actions"),
+    ):
+        with pytest.raises(InadmissibleError, match=words):
+            export_policy(model, given, file)
+    with pytest.raises(InadmissibleError, match="a model of Stable-Baselines3"):
+        export_policy("model.zip", made, file)  # type: ignore[arg-type]
+    assert not any(tmp_path.iterdir())
+
+
+def test_separate_feature_extractors_are_exported(tmp_path: Path) -> None:
+    made = environment()
+    model = model_of(PPO, made, policy_kwargs={"share_features_extractor": False})
+    assert export_policy(model, made, tmp_path / "policy.onnx").is_file()
+
+
 def test_a_file_that_answers_otherwise_than_the_model_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

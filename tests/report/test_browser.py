@@ -169,6 +169,15 @@ def test_a_click_on_a_heading_sorts_the_table_by_the_number_and_not_by_its_text(
         assert heading.get_attribute("aria-sort") == direction
 
 
+def test_milliseconds_are_sorted_among_seconds(browser: Any, report: str) -> None:
+    show(browser, report, width=1280)
+    margins = ["\u22121.5 s", "\u2212300.0 ms", "+100.0 ms", "\u22122.0 s"]
+    ordered = browser.execute_script(
+        "return arguments[0].map(text => Number(amount(text))).sort((a, b) => a - b)", margins
+    )
+    assert ordered == [-2.0, -1.5, -0.3, 0.1]
+
+
 def test_the_keyboard_reaches_the_skip_link_first(browser: Any, report: str) -> None:
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys

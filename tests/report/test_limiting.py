@@ -50,13 +50,13 @@ def test_velocities_in_a_wrong_unit_are_named_with_the_limit_and_a_hint() -> Non
     assert data is not None
     assert data["by_limit"]["TCP speed"] > 0.8 * data["commands"]
     assert line.startswith(f"scaled: {2 * data['limited']} of {2 * data['commands']} commands limited (")
-    assert line.endswith("; check the unit and the scale of its actions")
+    assert line.endswith("; are unit and scale of its actions as meant?")
     assert f"limits: {line}" in markdown([JudgedRun(trace, judge(trace), "")] * 2)
 
 
 def test_velocities_within_the_limits_have_no_hint() -> None:
     for line in limit_lines([run_of(0.1)]):
-        assert "check" not in line
+        assert "meant" not in line
 
 
 def test_the_counts_equal_the_flags_of_the_trace() -> None:

@@ -77,13 +77,14 @@ SI_UNITS = {
 }
 
 
-def shown_margin(margin: float, symbol: str) -> str:
-    """Return ``margin``, given in the unit ``symbol``, as text; without a symbol it is a whole count.
+def shown_unit(margin: float, symbol: str) -> tuple[float, str]:
+    """Return ``margin`` and its unit as they are shown: times below one second in milliseconds."""
+    return (margin * 1e3, "ms") if symbol == "s" and abs(margin) < 1.0 else (margin, symbol)
 
-    Times below one second are shown in milliseconds.
-    """
-    if symbol == "s" and abs(margin) < 1.0:
-        margin, symbol = margin * 1e3, "ms"
+
+def shown_margin(margin: float, symbol: str) -> str:
+    """Return ``margin``, given in the unit ``symbol``, as text; without a symbol it is a whole count."""
+    margin, symbol = shown_unit(margin, symbol)
     number = f"{margin:+.1f}" if abs(margin) >= 1.0 and symbol else f"{margin:+.{3 if symbol else 9}g}"
     return f"{number} {symbol}".rstrip()
 

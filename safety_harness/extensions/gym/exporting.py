@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import logging
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.exceptions import InadmissibleError
+from safety_harness.base.exceptions import InadmissibleError, described
 from safety_harness.base.extras import LEARNING, ONNX, POLICIES
 from safety_harness.base.whole_file import writing
 from safety_harness.extensions.gym.stable_baselines import StableBaselinesEnv
@@ -23,7 +25,7 @@ with POLICIES.needed("the export of policies"):
     from stable_baselines3.common.policies import ActorCriticPolicy
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-QUESTIONS, TOLERANCE = 64, 1e-4  # of the comparison of the file with the model; a part of the largest action
+QUESTIONS, TOLERANCE = 64, 1e-4  # to both the file and the model; as a share of the largest action
 
 
 def export_policy(
@@ -47,20 +49,64 @@ def export_policy(
             the file answers otherwise than the model.
 
     """
-    file, normaliser, inner = Path(file), None, environment
-    while isinstance(inner, VecMonitor | VecNormalize):
-        if isinstance(inner, VecNormalize) and inner.norm_obs:
-            normaliser = inner
-        inner = inner.venv
-    if not isinstance(inner, StableBaselinesEnv):
-        expected = "a StableBaselinesEnv, perhaps within VecMonitor and VecNormalize"
-        raise InadmissibleError.of_option("environment", expected, type(inner).__name__)
-    policy = _Policy(model.policy, inner, normaliser)
-    data = _onnx(policy, inner, name, training)
+    file = Path(file)
+    if not isinstance(model, BaseAlgorithm):
+        raise InadmissibleError.of_option("model", "a model of Stable-Baselines3", repr(model)[:80])
+    inner, normaliser = _unwrapped(environment)
+    _refuse_another(model, inner, normaliser)
+    try:
+        policy = _Policy(_copy_on_cpu(model.policy), inner, normaliser)
+        data = _onnx(policy, inner, name, training)
+    except Exception as error:  # the exporter's errors have no common class
+        got = f"{type(model).__name__}: {described(error)[:200]}"
+        raise InadmissibleError.of_option("model", "a policy that PyTorch can export", got) from error
     _refuse_unlike(model, inner, normaliser, policy, data)
     with writing(file):
         file.write_bytes(data)
     return file
+
+
+def _copy_on_cpu(policy: Any) -> Any:
+    """Return a copy of a ``policy``, which may lie on a GPU, as Stable-Baselines3 stores and loads it."""
+    stored = io.BytesIO()
+    policy.save(stored)
+    stored.seek(0)
+    return type(policy).load(stored, device="cpu")
+
+
+def _unwrapped(environment: Any) -> tuple[StableBaselinesEnv, Any]:
+    """Return the innermost environment, and the one VecNormalize that normalises observations, or None."""
+    normalisers, inner = [], environment
+    while isinstance(inner, VecMonitor | VecNormalize):
+        normalisers += [inner] if isinstance(inner, VecNormalize) and inner.norm_obs else []
+        inner = inner.venv
+    if not isinstance(inner, StableBaselinesEnv):
+        expected = "a StableBaselinesEnv, perhaps within VecMonitor and VecNormalize"
+        raise InadmissibleError.of_option("environment", expected, type(inner).__name__)
+    if len(normalisers) > 1:
+        raise InadmissibleError.of_option("environment", "observations that are normalised once", "twice")
+    return inner, normalisers[0] if normalisers else None
+
+
+def _refuse_another(model: BaseAlgorithm, environment: StableBaselinesEnv, normaliser: Any) -> None:
+    """Refuse an environment that differs from the one of the model, as far as the model knows its own."""
+    expected = "the environment of the training"
+    if environment.observation_space != model.observation_space:
+        raise InadmissibleError.of_option("environment", expected, "other observations")
+    if environment.action_space != model.action_space:
+        raise InadmissibleError.of_option("environment", expected, "other actions")
+    if model.get_env() is None:
+        return
+    own, own_normaliser = _unwrapped(model.get_env())
+    if (own_normaliser is None) != (normaliser is None):
+        raise InadmissibleError.of_option("environment", expected, "another normalisation of observations")
+    for mine, given, words in (
+        (own.ticks, environment.ticks, "ticks"),
+        (own.environments.setting.by_joints, environment.environments.setting.by_joints, "kind of action"),
+        (own.largest_action.tolist(), environment.largest_action.tolist(), "largest action"),
+    ):
+        if mine != given:
+            raise InadmissibleError.of_option("environment", f"{expected}, {words} {mine}", str(given))
 
 
 class _Policy(nn.Module):
@@ -83,7 +129,10 @@ class _Policy(nn.Module):
     def _mean(self, observed: dict[str, torch.Tensor]) -> torch.Tensor:
         policy = self.of
         if isinstance(policy, ActorCriticPolicy):
-            features = policy.extract_features(observed, policy.pi_features_extractor)
+            if policy.share_features_extractor:
+                features = policy.extract_features(observed, policy.features_extractor)
+            else:
+                features = policy.extract_features(observed)[0]
             mean: torch.Tensor = policy.action_net(policy.mlp_extractor.forward_actor(features))  # type: ignore[arg-type]
             return torch.tanh(mean) if policy.squash_output else mean
         if hasattr(policy.actor, "get_action_dist_params"):  # of SAC, before its tanh
@@ -112,6 +161,7 @@ def _onnx(policy: _Policy, environment: StableBaselinesEnv, name: str, training:
     """Return the policy as the bytes of an ONNX file."""
     shapes = [environment.observation_space[field].shape for field in policy.fields]  # type: ignore[index]
     twist = ["tcp_velocity_mps", "tcp_angular_velocity_radps"][: len(policy.most) // 3]
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of packages that nothing needs
     with warnings.catch_warnings(action="ignore", category=FutureWarning):  # from within the exporter
         program = torch.onnx.export(
             policy.eval(),
@@ -147,5 +197,5 @@ def _refuse_unlike(
         answered = np.concatenate(session.run(None, seen), axis=1)
         difference: NDArray[np.float64] = np.abs(answered - wanted) / environment.largest_action
         if not difference.max() <= TOLERANCE:
-            got = f"{answered.tolist()} in the file, {wanted.tolist()} in the model"
+            got = f"actions that differ by {100.0 * difference.max():.3g} % of the largest"
             raise InadmissibleError.of_option("model", "the same actions in the file as in the model", got)

@@ -58,8 +58,11 @@ const laterRows = (table) => {
 };
 const rowsOf = (table) => rows.get(table)
   ?? rows.set(table, [...[...table.tBodies[0].rows].map((row) => new Row(table, row)), ...laterRows(table)]).get(table);
-// A number as people write it, with its unit or another number after it; "" where there is none.
-const amount = (text) => text.replace("\u2212", "-").replace(/,/g, "").match(/^[-+]?[\d.]+/)?.[0] ?? "";
+// A number as people write it, with its unit or another number after it, ms as seconds; "" where there is none.
+const amount = (text) => {
+  const [, number = "", milli] = text.replace("\u2212", "-").replace(/,/g, "").match(/^([-+]?[\d.]+)(\s*ms\b)?/) ?? [];
+  return milli ? String(number / 1e3) : number;
+};
 const shows = new Map();  // what lays out the rows of a table again
 for (const table of document.querySelectorAll("table.sortable")) {
   shows.set(table, () => table.tBodies[0].append(...rowsOf(table).map((row) => row.element)));

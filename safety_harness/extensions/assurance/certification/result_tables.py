@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from safety_harness.claims.properties.base import shown_margin
+from safety_harness.claims.properties.base import shown_margin, shown_unit
 from safety_harness.extensions.assurance.campaign.risk_graph import band_of
 from safety_harness.extensions.assurance.certification.evidence import (
     ClaimEvidence,
@@ -45,9 +45,9 @@ def margin_words(margin_si: float | None, claim: ClaimEvidence) -> str:
 
 def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
     """Return ``margin_si`` (SI), a lower limit of a margin, in the claim's unit, rounded down."""
-    shown = margin_si * claim.per_si
+    shown, unit = shown_unit(margin_si * claim.per_si, claim.unit)
     digit = 0.1 if abs(shown) >= 1.0 else 10.0 ** (math.floor(math.log10(max(abs(shown), 1e-300))) - 2)
-    return with_minus(shown_margin(math.floor(shown / digit + 1e-9) * digit, claim.unit))
+    return with_minus(shown_margin(math.floor(shown / digit + 1e-9) * digit, unit))
 
 
 def verdicts(evidence: Evidence) -> CellTable:
