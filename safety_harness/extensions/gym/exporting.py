@@ -100,13 +100,13 @@ def _refuse_another(model: BaseAlgorithm, environment: StableBaselinesEnv, norma
     own, own_normaliser = _unwrapped(model.get_env())
     if (own_normaliser is None) != (normaliser is None):
         raise InadmissibleError.of_option("environment", expected, "another normalisation of observations")
-    for mine, given, words in (
+    for mine, given, part in (
         (own.ticks, environment.ticks, "ticks"),
         (own.environments.setting.by_joints, environment.environments.setting.by_joints, "kind of action"),
         (own.largest_action.tolist(), environment.largest_action.tolist(), "largest action"),
     ):
         if mine != given:
-            raise InadmissibleError.of_option("environment", f"{expected}, {words} {mine}", str(given))
+            raise InadmissibleError.of_option("environment", f"{expected}, {part} {mine}", str(given))
 
 
 class _Policy(nn.Module):
