@@ -68,6 +68,6 @@ def limit_lines(traces: Iterable[Trace]) -> list[str]:
 def _line(name: str, counts: Counter[str], commands: int) -> str:
     parts = ", ".join(f"{limit} {count}" for limit, count in counts.most_common() if limit and count)
     share = counts[""] / commands
-    often = sum(counts[limit] for limit in SPEEDS) >= OFTEN * commands
+    often = max(counts[limit] for limit in SPEEDS) >= OFTEN * commands
     hint = "; are unit and scale of its actions as meant?" if often else ""
     return f"{name}: {counts['']} of {commands} commands limited ({100.0 * share:.1f} %): {parts}{hint}"
