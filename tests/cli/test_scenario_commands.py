@@ -260,7 +260,7 @@ def test_an_avoider_is_looked_at_beside_other_mistakes(
     write(Path(), wrong=wrong)
     assert validate([Path("wrong.yaml")]) == BAD_INPUT
     err = capsys.readouterr().err
-    assert "expected Mine to have propose(*, hand_position_in_base_m" in err
+    assert "expected Mine in mine.py to have propose(*, hand_position_in_base_m" in err
     assert "2 mistakes" in err
 
 
@@ -477,4 +477,7 @@ def test_validate_finds_a_propose_without_the_keywords_in_the_files_text(
     assert validate([Path("short.yaml")]) == (AS_EXPECTED if fits else BAD_INPUT)
     out, err = capsys.readouterr()
     assert "EXECUTED" not in out + err
-    assert fits or "Mine to have propose(*, hand_position_in_base_m, tcp_position_in_base_m, seed)" in err
+    assert (
+        fits
+        or "Mine in mine.py to have propose(*, hand_position_in_base_m, tcp_position_in_base_m, seed)" in err
+    )

@@ -188,10 +188,10 @@ def measured(rng: np.random.Generator, true: Trace) -> Trace:
 def agree(found: Evaluation, truth: Evaluation) -> bool:
     """Is a verdict the true one, with a margin that is no better, or do its ends enclose the true one?"""
     if found.verdict is Verdict.INCONCLUSIVE:
-        said = re.search(r"the margin is from (\S+?)(?: \S+)? to (\S+?)(?: \S+)?;", found.reason)
+        said = re.search(r"the margin is from (\S+?)( \S+)? to (\S+?)( \S+)?;", found.reason)
         if said is None or truth.margin is None:
             return True
-        low, high = float(said[1]), float(said[2])
+        low, high = (float(said[k]) * (1e-3 if said[k + 1] == " ms" else 1.0) for k in (1, 3))
         margin = truth.margin * truth.unit.per_si
         return low - 0.05 - 0.01 * abs(low) <= margin <= high + 0.05 + 0.01 * abs(high)
     assert found.margin is not None
