@@ -36,9 +36,10 @@ def compile_for(version: str) -> bool:
     subprocess.run([own, *install.split(), *needed], check=True)
     target = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "SAFETY_HARNESS_CACHE": str(cache)}
     subprocess.run([own, "-m", "safety_harness", "warm"], check=True, env=os.environ | target)
+    unfinished = shutil.ignore_patterns("*.lock", "*.tmp.*")  # of a second process that was ended
     for folder in (cache / "safety_harness").iterdir():
         if any(folder.glob("*.nbi")):
-            shutil.copytree(folder, FOLDER / folder.name, dirs_exist_ok=True)
+            shutil.copytree(folder, FOLDER / folder.name, dirs_exist_ok=True, ignore=unfinished)
     return True
 
 
