@@ -6,7 +6,9 @@ uses them, within ``with IMAGES.needed("rendered images"):``.
 
 from __future__ import annotations
 
+import logging
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -108,3 +110,16 @@ POLICIES = Extra(
     "policies", ("stable_baselines3",), "policies trained in environments", package="stable-baselines3"
 )
 EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, FITTING, EXPORT, LOGS, CLUSTER, GYM, POLICIES)
+
+
+@contextmanager
+def quiet_export() -> Iterator[None]:
+    """Silence PyTorch's exporter within the context, because callers test what it made."""
+    logger = logging.getLogger("torch.onnx")
+    old_level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            yield
+    finally:
+        logger.setLevel(old_level)

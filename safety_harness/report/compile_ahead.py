@@ -14,7 +14,7 @@ from safety_harness.base.compiling import Compilation
 
 PROGRAM = "import sys; sys.path[:] = {path}; from safety_harness.report.compile_ahead import main; main()"
 
-# The claims are those whose machine code takes longest.
+# The claim is the one whose machine code takes longest.
 BRIEF_RUN = """
 scenario: a brief run of each part
 duration: 40 ms
@@ -80,6 +80,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 def main() -> None:
     """Compile in this process what a brief run calls, the last call first, until the first process ends."""
     Thread(target=_end_with_parent, daemon=True).start()
+    parent = os.getppid()
     from safety_harness.base.compile_lock import hold
     from safety_harness.base.compiled import cache_root, calls_of
     from safety_harness.report.run_job import run
@@ -87,7 +88,6 @@ def main() -> None:
 
     if not hold(cache_root() / "second-process.lock", wait=False):
         return  # one second process is enough, as the first processes share its work
-    parent = os.getppid()
     for function, types in reversed(calls_of(lambda: run(parse_scenario(BRIEF_RUN)))):
         if os.getppid() != parent:  # another process may keep our input open
             return

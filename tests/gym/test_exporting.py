@@ -99,6 +99,7 @@ def test_another_environment_than_that_of_the_training_is_refused(tmp_path: Path
         (other, "kind of action"),
         (VecNormalize(slower), "ticks 3"),
         (VecNormalize(environment()), "other actions"),
+        (VecNormalize(environment("tcp twist")), "another normalisation"),  # of nothing seen yet
     ):
         with pytest.raises(InadmissibleError, match=words):
             export_policy(model, given, file)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import logging
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.exceptions import InadmissibleError, described
-from safety_harness.base.extras import LEARNING, ONNX, POLICIES
+from safety_harness.base.extras import LEARNING, ONNX, POLICIES, quiet_export
 from safety_harness.base.whole_file import writing
 from safety_harness.extensions.gym.stable_baselines import StableBaselinesEnv
 
@@ -107,6 +105,16 @@ def _refuse_another(model: BaseAlgorithm, environment: StableBaselinesEnv, norma
     ):
         if mine != given:
             raise InadmissibleError.of_option("environment", f"{expected}, {part} {mine}", str(given))
+    if normaliser is not None and not _alike(own_normaliser, normaliser, environment.fields):
+        raise InadmissibleError.of_option("environment", expected, "another normalisation of observations")
+
+
+def _alike(own: Any, given: Any, fields: Sequence[str]) -> bool:
+    """Return whether two normalisations map every observation alike."""
+    first, second = _normalisation(own, fields), _normalisation(given, fields)
+    return first.keys() == second.keys() and all(
+        torch.equal(*pair) for field in first for pair in zip(first[field], second[field], strict=True)
+    )
 
 
 class _Policy(nn.Module):
@@ -161,8 +169,7 @@ def _onnx(policy: _Policy, environment: StableBaselinesEnv, name: str, training:
     """Return the policy as the bytes of an ONNX file."""
     shapes = [environment.observation_space[field].shape for field in policy.fields]  # type: ignore[index]
     twist = ["tcp_velocity_mps", "tcp_angular_velocity_radps"][: len(policy.most) // 3]
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of packages that nothing needs
-    with warnings.catch_warnings(action="ignore", category=FutureWarning):  # from within the exporter
+    with quiet_export():  # ``_refuse_unlike`` tests the result
         program = torch.onnx.export(
             policy.eval(),
             tuple(torch.zeros(1, *shape) for shape in shapes),
@@ -188,10 +195,13 @@ def _refuse_unlike(
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     random = np.random.default_rng(0)
     for _ in range(QUESTIONS):
-        seen = {
-            field: random.normal(size=(1, *environment.observation_space[field].shape)).astype(np.float32)  # type: ignore[index]
-            for field in policy.fields
-        }
+        seen = {}
+        for field in policy.fields:
+            drawn = random.normal(size=(1, *environment.observation_space[field].shape))  # type: ignore[index]
+            if field in policy.normalised:  # so that most normalised values are not clipped
+                mean, deviation, _ = policy.normalised[field]
+                drawn = drawn * deviation.numpy() + mean.numpy()
+            seen[field] = drawn.astype(np.float32)
         shown = seen if normaliser is None else normaliser.normalize_obs(seen)
         wanted = environment.largest_action * model.predict(shown, deterministic=True)[0]
         answered = np.concatenate(session.run(None, seen), axis=1)

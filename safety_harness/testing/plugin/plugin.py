@@ -109,8 +109,9 @@ def pytest_configure(config: pytest.Config) -> None:
         from safety_harness.testing.plugin.ending import Ending
 
         config.pluginmanager.register(Ending(config), "safety-harness-ending")
-        config.add_cleanup(partial(watchers.__setitem__, slice(None), [*watchers]))
-        watchers.extend((CompilationLine(_PastCapture(config)), SecondProcess()))
+        for watcher in (CompilationLine(_PastCapture(config)), SecondProcess()):
+            watchers.append(watcher)
+            config.add_cleanup(partial(watchers.remove, watcher))
         if not config.option.help:
             _refuse_unusable_avoiders(make=False)
             _refuse_idle_patterns(config)

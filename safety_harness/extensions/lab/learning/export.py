@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
-import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from safety_harness.base.exceptions import ModelError, OutputError, Place
+from safety_harness.base.extras import quiet_export
 from safety_harness.base.whole_file import replacing
 from safety_harness.cell.avoidance.learned import LearnedAvoider
 from safety_harness.cell.avoidance.model_file import KEY, Dropout, Model, metadata_of, writing_to
@@ -165,7 +163,7 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
     if model.dropout is not Dropout.NONE:
         question[MASKS] = torch.from_numpy(drawn_masks(model, np.arange(2, dtype=np.uint64)))
     rows = torch.export.Dim("n")
-    with _quiet():
+    with quiet_export():  # ``difference`` tests the result
         program = torch.onnx.export(
             WholeFunction(model),
             tuple(question.values()),
@@ -200,16 +198,3 @@ def load_onnx(path: Path) -> Function:
         return tuple(session.run((POSITION, SPREAD), feed))
 
     return function
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence PyTorch's exporter, because ``difference`` tests its result."""
-    logger = logging.getLogger("torch.onnx")
-    old_level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            yield
-    finally:
-        logger.setLevel(old_level)
