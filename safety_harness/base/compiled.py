@@ -25,7 +25,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -42,7 +41,6 @@ from safety_harness.base.compiling import Compilation, Compiled, watchers
 from safety_harness.base.machine_code import FOLDER, STAMP, InstalledCode
 
 F = TypeVar("F", bound=Callable[..., Any])
-_Made = TypeVar("_Made")
 
 njit: Any = numba.njit  # numba's stubs lack one of its options
 numba_types: Any = types
@@ -261,7 +259,7 @@ def _compiled(function: F, **options: bool) -> F:
     return cast(F, made)
 
 
-class _Compiled(CPUDispatcher):
+class CompiledFunction(CPUDispatcher):
     """A compiled function, with one version for all integers and one for all shapes of an array."""
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
@@ -297,7 +295,7 @@ def _without_shape(context: Any, builder: Any, fromty: Any, toty: Any, value: An
 
 
 _functions: list[Any] = []  # all compiled functions of this process
-_kind: Any = _Compiled  # their class, which ``without_compiling`` changes for a while
+_kind: Any = CompiledFunction  # their class, which ``call_as`` changes for a while
 
 
 class _Locator(_cache_impl._locator_classes[0]):  # type: ignore[misc]
@@ -355,6 +353,10 @@ class _Cache(FunctionCache):
             hold(self._locks[sig])
             code = self._load(sig, target_context)  # another process may have compiled it meanwhile
         return code
+
+    def index_file(self) -> Path:
+        """Return the file that lists the versions of the function in the cache."""
+        return Path(self._cache_file._index_path)
 
     def _lock(self, part: object) -> Path:
         return lock_file(self._cache_path, self._impl.filename_base, part)
@@ -425,104 +427,10 @@ def compilation() -> Compilation:
     """Return how many functions this process has compiled or loaded, and the seconds spent on that."""
     ready = sum(bool(function.signatures) for function in _functions)
     unwritable = _progress.unwritable or cache_problem(cache_root())
-    return Compilation(ready, len(_functions), _progress.seconds, _progress.depth > 0, unwritable)
+    return Compilation(ready, _progress.seconds, _progress.depth > 0, unwritable)
 
 
-class _Interpreted(_Compiled):
-    """A compiled function that Python runs as Python."""
-
-    def __call__(self, *args: Any) -> Any:
-        return self.py_func(*map(_with_attributes, args))
-
-
-def _with_attributes(value: Any) -> Any:
-    """Return a view of records whose fields are attributes, as in compiled code; other values unchanged."""
-    if isinstance(value, np.ndarray) and value.dtype.names:
-        return value.view(np.recarray)
-    if isinstance(value, tuple) and hasattr(value, "_fields"):
-        return type(value)(*map(_with_attributes, value))
-    return _Record(value) if isinstance(value, np.void) and value.dtype.names else value
-
-
-class _Record:
-    """A record of an array that is changed in place, which ``np.record`` would copy."""
-
-    _record: np.void
-
-    def __init__(self, record: np.void) -> None:
-        object.__setattr__(self, "_record", record)
-
-    def __getitem__(self, name: Any) -> Any:
-        return _with_attributes(object.__getattribute__(self, "_record")[name])
-
-    def __setitem__(self, name: Any, value: Any) -> None:
-        object.__getattribute__(self, "_record")[name] = value
-
-    __getattr__, __setattr__ = __getitem__, __setitem__
-
-
-def without_compiling(work: Callable[[], _Made]) -> _Made:
-    """Return the result of ``work`` while Python runs every compiled function as Python.
-
-    Use it for work that calls each function only a few times.  Admission of a scenario takes 5 ms this way,
-    compared with 12 s for compiling and 0.3 s for loading.  Where numpy has a sine of its own, results may
-    differ from machine code by rounding.  So a caller must always choose this way, or never, whether or not
-    the machine code exists.
-
-    Where machine code computes NaN or infinity, such as by a division by zero, Python raises ArithmeticError
-    or ValueError.  In that case ``work`` runs again, compiled.
-    """
-    try:
-        _call_as(_Interpreted)
-        with np.errstate(all="ignore"):
-            return work()
-    except (ArithmeticError, ValueError):
-        pass
-    finally:
-        _call_as(_Compiled)
-    return work()
-
-
-class _Noted(_Interpreted):
-    """A compiled function that Python runs as Python, and whose outermost calls are noted."""
-
-    def __call__(self, *args: Any) -> Any:
-        if not _noted.depth:
-            _noted.calls[self, tuple(map(self.typeof_pyval, args))] = None
-        _noted.depth += 1
-        try:
-            return super().__call__(*args)
-        finally:
-            _noted.depth -= 1
-
-
-@dataclass
-class _Notes:
-    """The calls so far, in order, and the depth of the present call."""
-
-    calls: dict[tuple[Any, Any], None] = field(default_factory=dict)
-    depth: int = 0
-
-
-_noted = _Notes()
-
-
-def calls_of(work: Callable[[], object]) -> list[tuple[Any, Any]]:
-    """Return the compiled functions, and the types of their arguments, that ``work`` calls, in order.
-
-    Python runs them, so nothing is compiled.  After an error of ``work`` the calls before it are returned.
-    """
-    _noted.calls = {}
-    try:
-        _call_as(_Noted)
-        with np.errstate(all="ignore"), suppress(Exception):
-            work()
-    finally:
-        _call_as(_Compiled)
-    return list(_noted.calls)
-
-
-def _call_as(kind: type) -> None:
+def call_as(kind: type) -> None:
     """Change the class of every compiled function, including later ones, to ``kind``."""
     global _kind
     _kind = kind

@@ -12,11 +12,10 @@ PATIENCE_S, EVERY_S = 1.0, 10.0  # seconds before the first line, and between tw
 
 @dataclass(frozen=True)
 class Compilation:
-    """The progress of a process that has compiled or loaded ``ready`` of ``known`` functions.
+    """The progress of a process that has compiled or loaded ``ready`` functions.
 
     Args:
         ready: Functions with machine code.
-        known: Functions that the process may compile.
         seconds: Time spent on compiling.
         going_on: Whether the outermost function is still being compiled.
         unwritable: Why the process cannot keep machine code; empty if it can.
@@ -24,7 +23,6 @@ class Compilation:
     """
 
     ready: int
-    known: int
     seconds: float
     going_on: bool
     unwritable: str = ""
@@ -70,10 +68,17 @@ class CompilationLine:
     """A line about a long compilation, printed on ``stream``.
 
     On a terminal the line is updated, and disappears at the end.  In a file, a new line appears every ten
-    seconds.
+    seconds.  While ``finished_part`` is unknown, the line has no percentage.
+
+    Args:
+        stream: Where the line is printed.
+        finished_part: A function that returns the functions in the cache and all that a run needs.
+        clock: A clock in seconds.
+
     """
 
     stream: TextIO
+    finished_part: Callable[[], tuple[int, int] | None] = lambda: None
     clock: Callable[[], float] = time.monotonic
     _said_s: float | None = None
     _warned: bool = field(default=False)
@@ -85,13 +90,20 @@ class CompilationLine:
             self._write(f"warning: {now.unwritable}\n")
         if now.seconds < PATIENCE_S:
             return
-        line = f"compiling the control stack for this machine, once: {now.ready} of at most {now.known} "
-        line += f"functions, {now.seconds:.0f} s"
+        line = f"compiling the control stack for this machine, once: {self._part(now)}, {now.seconds:.0f} s"
         if self.stream.isatty():
             self._write(f"\r\x1b[K{line}" if now.going_on else "\r\x1b[K")
         elif self._said_s is None or self.clock() - self._said_s >= EVERY_S:
             self._said_s = self.clock()
             self._write(line + "\n")
+
+    def _part(self, now: Compilation) -> str:
+        """Return the finished part in words."""
+        part = self.finished_part()
+        if part is None:
+            return f"functions compiled so far: {now.ready}"
+        ready, needed = part
+        return f"{100 * ready // needed} % of {needed} functions"
 
     def _write(self, text: str) -> None:
         """Write a text to the stream at once."""

@@ -23,10 +23,10 @@ from safety_harness.base.compiled import (
     cache_root,
     code_in_use,
     installed_folder,
-    without_compiling,
 )
 from safety_harness.base.distribution import DISTRIBUTION, foreign_files
 from safety_harness.base.extras import EXTRAS
+from safety_harness.base.interpreted import without_compiling
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.tally import table
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, columns_of, document, result

@@ -185,7 +185,8 @@ def of_all(
 
 def main() -> None:
     """Run the command line; explain an error of the harness without a traceback."""
-    watchers.extend((CompilationLine(sys.stderr), SecondProcess()))
+    second = SecondProcess()
+    watchers.extend((second, CompilationLine(sys.stderr, second.finished_part)))
     if foreign := foreign_files():
         say(f"warning: {foreign}")
     columns = columns_of(sys.stdout) or 80

@@ -14,9 +14,9 @@ from safety_harness.admission.admit import Checked, Checker
 from safety_harness.admission.avoiders import option_of, with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.base.compiled import without_compiling
 from safety_harness.base.extension_points import CheckedFile, InputFile
 from safety_harness.base.input_errors import InputErrors, usable
+from safety_harness.base.interpreted import without_compiling
 from safety_harness.base.shipped.contents import located
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.claims.properties.tried import TriedParts

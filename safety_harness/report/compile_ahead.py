@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import atexit
+import json
 import os
 import subprocess
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
+from select import select
 from threading import Thread
 
 from safety_harness.base.compiling import Compilation
@@ -35,18 +38,38 @@ claims:
 class SecondProcess:
     """A watcher that starts the second process when this process compiles the first function of many.
 
-    It starts none with a single processor, or where the cache has the code of a control cycle.  The process
-    ends with this one.
+    It starts none where the cache has the code of a control cycle.  With a single processor, the second
+    process only finds out what a run needs.  It ends with this one.
     """
 
     _checked: bool = False
+    _process: subprocess.Popen[str] | None = None
+    _needed: list[Path] | None = (
+        None  # the cache files that a brief run needs, once the process has told them
+    )
 
     def __call__(self, now: Compilation) -> None:
         """Start the process at the first call, if it can help; this method is one of the ``watchers``."""
         if not self._checked:
             self._checked = True
-            if len(os.sched_getaffinity(0)) > 1 and sys.executable and not now.unwritable and _is_cold():
-                _start()
+            if sys.executable and not now.unwritable and _is_cold():
+                self._process = _start()
+
+    def finished_part(self) -> tuple[int, int] | None:
+        """Return how many functions of a brief run the cache has, and how many there are; None if unknown."""
+        if self._process is not None and self._needed is None:
+            self._needed = _needed_by(self._process)
+        if self._needed is None:
+            return None
+        return sum(file.exists() for file in self._needed), len(self._needed)
+
+
+def _needed_by(process: subprocess.Popen[str]) -> list[Path] | None:
+    """Return the files that the second process names in its first line; None before that."""
+    assert process.stdout is not None
+    ready, _, _ = select([process.stdout], [], [], 0.0)
+    line = process.stdout.readline() if ready else ""
+    return [Path(file) for file in json.loads(line)] if line else None
 
 
 def _is_cold() -> bool:
@@ -57,38 +80,45 @@ def _is_cold() -> bool:
     return not installed_folder(cycle).is_dir() and not any(cache_folder(cycle).rglob("*.nbc"))
 
 
-def _start() -> subprocess.Popen[bytes] | None:
+def _start() -> subprocess.Popen[str] | None:
     """Start the second process, which ends with this one; None if the system refuses."""
     with suppress(OSError):
         process = subprocess.Popen(
             [sys.executable, "-c", PROGRAM.format(path=sys.path)],
             stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
+            text=True,
         )
         atexit.register(_end, process)
         return process
     return None
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _end(process: subprocess.Popen[str]) -> None:
     """End the second process."""
     process.kill()
-    process.communicate()
+    process.wait()
 
 
 def main() -> None:
-    """Compile in this process what a brief run calls, the last call first, until the first process ends."""
+    """Print what a brief run needs, then compile it, the last call first, until the first process ends."""
     Thread(target=_end_with_parent, daemon=True).start()
     parent = os.getppid()
     from safety_harness.base.compile_lock import hold
-    from safety_harness.base.compiled import cache_root, calls_of
+    from safety_harness.base.compiled import cache_root
+    from safety_harness.base.interpreted import cache_indexes, calls_of
     from safety_harness.report.run_job import run
     from safety_harness.scenario.read import parse_scenario
 
-    if not hold(cache_root() / "second-process.lock", wait=False):
-        return  # one second process is enough, as the first processes share its work
-    for function, types in reversed(calls_of(lambda: run(parse_scenario(BRIEF_RUN)))):
+    calls = calls_of(lambda: run(parse_scenario(BRIEF_RUN)))
+    needed = [str(file) for file in cache_indexes(function for function, _ in calls)]
+    sys.stdout.write(json.dumps(needed) + "\n")
+    sys.stdout.flush()
+    one_is_enough = not hold(cache_root() / "second-process.lock", wait=False)  # it works for all processes
+    if one_is_enough or len(os.sched_getaffinity(0)) == 1:
+        return
+    for function, types in reversed(calls):
         if os.getppid() != parent:  # another process may keep our input open
             return
         with suppress(Exception):

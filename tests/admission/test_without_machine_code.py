@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from safety_harness.admission.admit import _view_of_cell, check
-from safety_harness.base.compiled import without_compiling
 from safety_harness.base.exceptions import InadmissibleError
+from safety_harness.base.interpreted import without_compiling
 from safety_harness.cell.robot.robots import inverse_kinematics
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario

@@ -13,12 +13,11 @@ import pytest
 from safety_harness.base import compiled as module
 from safety_harness.base.compiled import (
     cache_folder,
-    calls_of,
     compiled,
     njit_no_nrt,
     source_hash,
-    without_compiling,
 )
+from safety_harness.base.interpreted import calls_of, without_compiling
 from safety_harness.cell.controller import stack
 
 

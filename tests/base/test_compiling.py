@@ -18,7 +18,7 @@ class Terminal(io.StringIO):
 
 
 def now(ready: int, seconds: float, *, going_on: bool = True, unwritable: str = "") -> Compilation:
-    return Compilation(ready, 50, seconds, going_on, unwritable)
+    return Compilation(ready, seconds, going_on, unwritable)
 
 
 def test_nothing_is_said_of_a_second_and_then_a_line_every_ten() -> None:
@@ -28,8 +28,16 @@ def test_nothing_is_said_of_a_second_and_then_a_line_every_ten() -> None:
         time_s[0] = float(second)
         line(now(second, 0.5 + second))
     lines = out.getvalue().splitlines()
-    assert [text.partition(": ")[2].split()[0] for text in lines] == ["1", "11", "21"]
-    assert lines[0] == "compiling the control stack for this machine, once: 1 of at most 50 functions, 2 s"
+    assert [text.rpartition(": ")[2].split(",")[0] for text in lines] == ["1", "11", "21"]
+    assert lines[0] == "compiling the control stack for this machine, once: functions compiled so far: 1, 2 s"
+
+
+def test_the_share_of_a_run_is_said_once_it_is_known() -> None:
+    out, parts = io.StringIO(), [None, (33, 200)]
+    line = CompilationLine(out, lambda: parts.pop(0), clock=lambda: 20.0 * (2 - len(parts)))
+    line(now(5, 2.0))
+    line(now(6, 15.0))
+    assert out.getvalue().endswith("once: 16 % of 200 functions, 15 s\n")
 
 
 def test_on_a_terminal_the_line_changes_and_goes_away() -> None:
@@ -68,4 +76,4 @@ def test_watchers_are_told_of_what_is_compiled_and_of_nothing_else(
     assert count == len(told) == 1
     assert not told[0].going_on
     assert told[0].seconds > 0.0
-    assert 0 < told[0].ready <= told[0].known == len(module._functions)
+    assert 0 < told[0].ready <= len(module._functions)

@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from safety_harness.base.compiled import calls_of
 from safety_harness.base.compiling import Compilation
+from safety_harness.base.interpreted import calls_of
 from safety_harness.report import compile_ahead
 from safety_harness.report.compile_ahead import BRIEF_RUN, SecondProcess
 from safety_harness.report.run_job import run
 from safety_harness.scenario.read import parse_scenario
 
-COMPILING = Compilation(1, 300, 0.2, going_on=True)
+LOADED = """
+from safety_harness.base import compiled
+from safety_harness.report.compile_ahead import BRIEF_RUN
+from safety_harness.report.run_job import run
+from safety_harness.scenario.read import parse_scenario
+
+run(parse_scenario(BRIEF_RUN))
+print(*(made._cache.index_file().name for made in compiled._functions if made.signatures))
+"""
+COMPILING = Compilation(1, 0.2, going_on=True)
 
 
 @pytest.fixture
 def starts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[int]:
-    """The starts of a second process, with an empty cache and two processors."""
+    """The starts of a second process, with an empty cache."""
     made: list[int] = []
     monkeypatch.setattr(compile_ahead, "_start", lambda: made.append(1))
     monkeypatch.setattr(compile_ahead, "_is_cold", lambda: True)
-    monkeypatch.setattr(compile_ahead.os, "sched_getaffinity", lambda _: {0, 1})
     return made
 
 
@@ -33,17 +43,24 @@ def test_the_brief_run_calls_what_takes_a_first_run_longest() -> None:
     assert called >= longest | {"_straight_reach", "_first_wrong", "_follow", "_closest_in_trace"}
 
 
+def test_what_a_run_needs_is_known_before_it_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setenv("SAFETY_HARNESS_CACHE", str(tmp_path))
+        second = SecondProcess(_checked=True, _process=compile_ahead._start())
+    while (part := second.finished_part()) is None:
+        time.sleep(0.1)
+    assert part[0] < part[1]
+    loaded = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True).stdout
+    assert set(loaded.split()) <= {file.name for file in second._needed or []}
+
+
 def test_it_starts_once(starts: list[int]) -> None:
     watcher = SecondProcess()
     watcher(COMPILING)
     watcher(COMPILING)
     assert starts == [1]
-
-
-def test_it_does_not_start_with_one_processor(starts: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compile_ahead.os, "sched_getaffinity", lambda _: {0})
-    SecondProcess()(COMPILING)
-    assert not starts
 
 
 def test_it_does_not_start_where_code_is_there(starts: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,7 +70,7 @@ def test_it_does_not_start_where_code_is_there(starts: list[int], monkeypatch: p
 
 
 def test_it_does_not_start_where_code_cannot_be_kept(starts: list[int]) -> None:
-    SecondProcess()(Compilation(1, 300, 0.2, going_on=True, unwritable="a read-only disk"))
+    SecondProcess()(Compilation(1, 0.2, going_on=True, unwritable="a read-only disk"))
     assert not starts
 
 

@@ -318,7 +318,7 @@ def test_a_bar_drops_its_time_left_when_a_function_is_compiled(monkeypatch: pyte
         show(1)
         show(2)
         (watcher,) = watchers[len(before) :]
-        watcher(Compilation(1, 2, 60.0, going_on=True))
+        watcher(Compilation(1, 60.0, going_on=True))
     assert watchers == before
     assert updates == ["2 %", "5 %, 38 s left", ""]
 

@@ -109,7 +109,8 @@ def pytest_configure(config: pytest.Config) -> None:
         from safety_harness.testing.plugin.ending import Ending
 
         config.pluginmanager.register(Ending(config), "safety-harness-ending")
-        for watcher in (CompilationLine(_PastCapture(config)), SecondProcess()):
+        second = SecondProcess()
+        for watcher in (second, CompilationLine(_PastCapture(config), second.finished_part)):
             watchers.append(watcher)
             config.add_cleanup(partial(watchers.remove, watcher))
         if not config.option.help:

@@ -111,7 +111,7 @@ def scenario_from(
     from safety_harness.admission.admit import Checker
     from safety_harness.admission.avoiders import as_seen_from
     from safety_harness.admission.spaces import draw_admissible
-    from safety_harness.base.compiled import without_compiling
+    from safety_harness.base.interpreted import without_compiling
     from safety_harness.extensions.field.recorded.scenario import (
         USUAL,
         Around,

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from safety_harness.base.geometry.arrays import ArrayNx3
 from safety_harness.report.svg import Ink, describe
 
-CELLS, CELL_PX, LEFT_PX, TOP_PX, BELOW_PX, RIGHT_PX = 20, 14, 46, 10, 36, 14
+CELLS, CELL_PX, LEFT_PX, TOP_PX, BELOW_PX, RIGHT_PX = 20, 14, 54, 10, 24, 8
+LETTERS_PX = 14
 AXES = "xyz"
 VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))  # across, up
 
@@ -139,15 +140,15 @@ def _label_axes(
     """Draw the names of both axes, and the positions of their ends in millimetres."""
     bottom = TOP_PX + side
     marks: Sequence[tuple[float, float, str, str]] = (
-        (LEFT_PX, bottom + 15, _mm(across_m[0]), "start"),
-        (LEFT_PX + side, bottom + 15, _mm(across_m[1]), "end"),
-        (LEFT_PX + side / 2, bottom + 15, f"{names[0]}, mm", "middle"),
+        (LEFT_PX, bottom + 18, _mm(across_m[0]), "start"),
+        (LEFT_PX + side, bottom + 18, _mm(across_m[1]), "end"),
+        (LEFT_PX + side / 2, bottom + 18, f"{names[0]}, mm", "middle"),
         (LEFT_PX - 6, bottom, _mm(up_m[0]), "end"),
         (LEFT_PX - 6, TOP_PX + 10, _mm(up_m[1]), "end"),
         (LEFT_PX - 6, TOP_PX + side / 2, f"{names[1]}, mm", "end"),
     )
     for x, y, label, anchor in marks:
-        place = {"x": f"{x:g}", "y": f"{y:g}", "text-anchor": anchor, "font-size": "11"}
+        place = {"x": f"{x:g}", "y": f"{y:g}", "text-anchor": anchor, "font-size": str(LETTERS_PX)}
         SubElement(root, "text", {**place, "fill": f"var({Ink.MUTED.variable})"}).text = label
 
 
@@ -158,7 +159,7 @@ def _mm(value_m: float) -> str:
 
 def key_of(scale: Scale) -> str:
     """Return an ``<svg>`` of the classes, which is the key below the maps."""
-    width = sum(40 + 7 * len(label) for label in scale.words)
+    width = sum(40 + 8 * len(label) for label in scale.words)
     root = Element("svg", {"viewBox": f"0 0 {width} 18", "width": str(width), "height": "18"})
     root.set("aria-hidden", "true")
     left = 0
@@ -169,7 +170,7 @@ def key_of(scale: Scale) -> str:
         SubElement(
             root, "rect", {**place, "width": str(size), "height": str(size), "fill": f"var({ink.variable})"}
         )
-        text = {"x": str(left + 22), "y": "13", "font-size": "11", "fill": f"var({Ink.TEXT.variable})"}
+        text = {"x": str(left + 22), "y": "13", "font-size": "13", "fill": f"var({Ink.TEXT.variable})"}
         SubElement(root, "text", text).text = label
-        left += 40 + 7 * len(label)
+        left += 40 + 8 * len(label)
     return ElementTree.tostring(root, encoding="unicode")
